@@ -1,17 +1,17 @@
-"""Many runs by Snakemake over ``mantle run``, here or by Slurm: writes what is still to do.
+"""Many runs by Snakemake over ``mantle run``, here or by Slurm: the runs not done yet.
 
-A run lives in a directory named by its content, so that a finished one is never done twice, and a
-failed or a changed one is::
+A run lives in a directory named by its content, so that a finished one is never repeated, and a
+failed or changed one is::
 
     folder/cases/<id>.yaml      the resolved case; <id> is case- and a digest of all it depends on
     folder/runs/<id>/           its run directory, complete once it holds DONE
-    folder/runs/<id>.log        what it said
+    folder/runs/<id>.log        its output
     folder/runs/<id>.status     when it began and ended, and its exit code
     folder/runs/<id>.lock       locked while it runs
     folder/runs/<id>.ok         for Snakemake: it is done
-    folder/runs/<id>.slurm      what Slurm said of its job
-    folder/jobs.json            what Snakemake is to do
-    folder/snakemake.log        what Snakemake said
+    folder/runs/<id>.slurm      the output of its Slurm job
+    folder/jobs.json            the jobs for Snakemake
+    folder/snakemake.log        the output of Snakemake
 
 Runs that may share a stiffness (`Job.share`) are variations of one process, or of as many as keep
 the cores busy. The last of these files bear its id, and the run directories stand inside its own.
@@ -58,23 +58,20 @@ def run(
     slurm: Sequence[str] | None = None,
     so_far: Callable[[Sequence[Result]], object] = lambda results: None,
 ) -> list[Result]:
-    """Run what is not done yet.
+    """Run the jobs that are not done yet; return a result for each, failed ones included.
 
     Args:
-        jobs: The runs that are wanted.
-        folder: Where everything goes; used by one batch at a time.
-        cores: How many cores of this machine to use at most.
-        slurm: Each run is a job of a Slurm cluster, with these options of sbatch; all nodes see
-            the folder. None: all run here.
-        so_far: Given the results so far, from time to time as runs end, and if interrupted.
-
-    Returns:
-        A result for each job, in their order. A failed job is a result too.
+        jobs: The runs wanted.
+        folder: Folder of the batch; used by one batch at a time.
+        cores: Most cores of this machine to use.
+        slurm: Options of sbatch, to make each run a Slurm job; all nodes see the folder. None:
+            all run here.
+        so_far: Called with the results so far as runs end, and if interrupted.
 
     Raises:
-        InputError: Any job is wrong: all their defects at once, before anything runs. Or the
-            folder cannot be written or is in use.
-        StoppedError: Interrupted; the same call goes on from there.
+        InputError: Every error of the jobs, before anything runs; or the folder cannot be
+            written or is in use.
+        StoppedError: Interrupted; the same call continues.
         EnvironmentProblem: Snakemake or Slurm is missing or failed.
     """
     engine.check(slurm is not None)
@@ -104,10 +101,7 @@ def run(
 
 
 def results_so_far(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
-    """Results of jobs, as of `run`, so far; runs nothing.
-
-    Returns:
-        A result for each job; those that have not ended count as stopped.
+    """Results of `run` so far, without running; jobs that have not ended count as stopped.
 
     Raises:
         InputError: Any job is wrong.
@@ -126,7 +120,7 @@ def _so_far(jobs: Sequence[Job], runs: Sequence[BatchRun]) -> list[Result]:
 
 
 class _Progress:
-    """Tells of each run that has ended."""
+    """Log each run as it ends."""
 
     def __init__(
         self, pending: dict[str, BatchRun], total: int, report: Callable[[], object]
@@ -136,11 +130,11 @@ class _Progress:
 
     @property
     def count(self) -> int:
-        """Runs that have ended, those of earlier calls included."""
+        """Number of runs that have ended, earlier calls included."""
         return self._total - len(self._open)
 
     def watch(self) -> None:
-        """Look for runs that have ended since the last time."""
+        """Log the runs that have ended since the last call."""
         ended = [r for r in self._open.values() if r.ended]
         self._tell(ended)
         if ended and self._open and time.monotonic() > self._due:
@@ -148,7 +142,7 @@ class _Progress:
             self._due = time.monotonic() + OFTEN
 
     def finish(self, said: Path) -> None:
-        """Look for the last time: what has begun has failed.
+        """Log the last runs; those that began without ending have failed.
 
         Raises:
             EnvironmentProblem: Some have not begun.
@@ -169,7 +163,7 @@ class _Progress:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Make the folder and keep other batches out of it.
+    """Make the folder and lock it against other batches.
 
     Raises:
         InputError: It cannot be written, or another batch uses it.
@@ -189,12 +183,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None:
-    """Write the cases and what Snakemake is to do; forget how earlier tries ended.
-
-    Args:
-        pending: The runs.
-        folder: The folder of the batch.
-        cores: Those of this machine; None on a cluster.
+    """Write the cases and the jobs for Snakemake; delete marks of earlier attempts.
 
     Raises:
         InputError: The folder cannot be written.
@@ -209,7 +198,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
             write_text(case, _text(runs))
             for r in runs:
                 (r.path / FAILED).unlink(missing_ok=True)
-                if r.summary() is None:  # what a killed batch has left running may end now
+                if r.summary() is None:  # a run left over from a killed batch may end now
                     (r.path / "DONE").unlink(missing_ok=True)
             for kind in ("ok", "slurm", "status"):
                 runs[0].file(kind).unlink(missing_ok=True)
@@ -228,7 +217,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
 
 
 def _text(runs: Sequence[BatchRun]) -> str:
-    """The case file of a process: its run, or each of those that share it as a variation."""
+    """Case file of a process: its run, or its runs as variations."""
     first = runs[0]
     if not first.shares:
         return dump(first.case)
@@ -243,7 +232,7 @@ def _text(runs: Sequence[BatchRun]) -> str:
 
 
 def _environment() -> list[str]:
-    """Arguments of ``env`` that restore the variables that Snakemake changes."""
+    """Arguments of ``env`` that undo what Snakemake sets."""
     one_thread = [f"{name}_NUM_THREADS=1" for name in THREADS]
     cache = os.environ.get("XDG_CACHE_HOME")
     return ["-u", "XDG_CACHE_HOME", *one_thread] + ([f"XDG_CACHE_HOME={cache}"] if cache else [])

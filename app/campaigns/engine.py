@@ -39,10 +39,10 @@ LATENCY = 60  # s after which files that a node wrote are seen here
 
 
 def check(slurm: bool) -> None:
-    """See that runs can be started from here.
+    """Check that Snakemake, and Slurm if asked for, are there.
 
     Raises:
-        EnvironmentProblem: There is no Snakemake, no Slurm, or a Snakemake without ``--cluster``.
+        EnvironmentProblem: Either is missing, or Snakemake has no ``--cluster``.
     """
     if importlib.util.find_spec("snakemake") is None:
         raise EnvironmentProblem("many runs need Snakemake (Debian: snakemake)")
@@ -59,36 +59,36 @@ def check(slurm: bool) -> None:
 def execute(
     folder: Path, cores: int, slurm: Sequence[str] | None, alone: bool, watch: Callable[[], None]
 ) -> None:
-    """Have Snakemake run what ``jobs.json`` lists.
+    """Run the jobs of ``jobs.json`` by Snakemake.
 
     Args:
-        folder: The folder of the batch.
-        cores: Cores of this machine to use at most.
+        folder: Folder of the batch.
+        cores: Most cores of this machine to use.
         slurm: Options of sbatch; None to run here.
-        alone: Whether nothing else may run on a node beside a run.
-        watch: Called all the time; whatever it raises stops the runs.
+        alone: Whether each run has its node for itself.
+        watch: Called repeatedly; an exception from it stops the runs.
 
     Raises:
-        KeyboardInterrupt: By SIGINT, SIGTERM or SIGHUP; all that ran has saved its state.
+        KeyboardInterrupt: By SIGINT, SIGTERM or SIGHUP; running cases have saved their state.
     """
-    # Should this process be killed, Snakemake starts nothing more. What runs goes on under locks of
-    # its own: who comes next waits for it.
+    # If this process is killed, Snakemake starts nothing more. Running cases continue under their
+    # own locks, which the next batch waits for.
     command = ["setpriv", "--pdeathsig", "KILL", sys.executable, "-m", "snakemake"]
     command += ["--snakefile", str(SNAKEFILE), "--keep-going", "--rerun-incomplete"]
-    command += ["--nolock", "--scheduler", "greedy"]  # the lock of one that was killed would stay
+    command += ["--nolock", "--scheduler", "greedy"]  # a killed Snakemake would leave its lock
     environ = dict(os.environ)
     if slurm is None:
-        # As many at a time as there are cores for, and memory.
+        # As many at a time as cores and memory allow.
         megabytes = int(memory.available({}) / MEGABYTE)
         command += ["--cores", str(cores), "--resources", f"memory={megabytes}"]
     else:
         command += _slurm_options(folder, slurm, alone)
-        # Jobs inherit it: without what keeps Open MPI to a single machine.
+        # Jobs inherit the environment: drop settings that keep Open MPI to one machine.
         environ = {k: v for k, v in environ.items() if ranks.ONE_NODE.get(k) != v}
-    # Snakemake cannot do without a cache of its own, wherever home is.
+    # Snakemake needs a writable cache even where home is not.
     environ["XDG_CACHE_HOME"] = str(folder.resolve() / ".snakemake")
     with _interruptible(), (folder / "snakemake.log").open("w") as said:
-        # In a session of its own: Ctrl-C is for this process, which passes it on once.
+        # In its own session: this process gets Ctrl-C and passes it on once.
         child = subprocess.Popen(
             command,
             cwd=folder,
@@ -108,7 +108,7 @@ def execute(
 
 
 def _slurm_options(folder: Path, extra: Sequence[str], alone: bool) -> list[str]:
-    """Options of Snakemake in place of ``--cores``; those of sbatch that are given win."""
+    """Options of Snakemake in place of ``--cores``; given options of sbatch win."""
     prefix = f"mantle-{hashlib.sha256(bytes(folder.resolve())).hexdigest()[:10]}-"
     job = ["--job-name", prefix + "{wildcards.id}", "--dependency", "singleton"]
     # A task per rank: of --cpus-per-task Open MPI makes a single slot.
@@ -125,7 +125,7 @@ def _slurm_options(folder: Path, extra: Sequence[str], alone: bool) -> list[str]
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Have SIGTERM and SIGHUP end the block as Ctrl-C does."""
+    """Let SIGTERM and SIGHUP end the block like Ctrl-C."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -139,9 +139,9 @@ def _interruptible() -> Iterator[None]:
 
 
 def _stop(child: subprocess.Popen[bytes]) -> None:
-    """Interrupt Snakemake and its jobs and wait for them; kill them at the second interruption.
+    """Interrupt Snakemake and its jobs and wait; kill them at the second interruption.
 
-    On a cluster it cancels its jobs.
+    On a cluster Snakemake cancels its jobs.
     """
     log.info("stopping; running cases save their state first (once more: stop at once)")
     end = time.monotonic() + SAME_SIGNAL
@@ -157,6 +157,6 @@ def _stop(child: subprocess.Popen[bytes]) -> None:
 
 
 def _send(child: subprocess.Popen[bytes], number: int) -> None:
-    """Send a signal to the process group of a child, if there is anybody in it."""
+    """Send a signal to the process group of a child, if it still exists."""
     with suppress(ProcessLookupError):
         os.killpg(child.pid, number)

@@ -12,7 +12,7 @@ from app.case.case import load
 from app.soundness import cost
 from app.system import layout
 
-# How much of the cores' time runs of different length leave unused at the end of a batch.
+# Factor for cores that are idle at the end of a batch, as runs differ in length.
 IDLE = 1.1
 
 
@@ -21,11 +21,10 @@ class Options:
     """Options of a command that makes many runs.
 
     Attributes:
-        folder: Where everything goes; what is done there already is not run again.
-        cores: Cores to use.
-        pattern: Part of the names of what is wanted; empty for all.
-        tier: How much of it: quick, default or long.
-        slurm: Run each case as a Slurm job, with these further options of sbatch.
+        folder: Folder of the results; finished runs in it are not repeated.
+        pattern: Part of the names wanted; empty for all.
+        tier: quick, default or long.
+        slurm: Options of sbatch, to make each run a Slurm job; None to run here.
     """
 
     folder: Path
@@ -36,12 +35,7 @@ class Options:
 
 
 def describe(title: str, jobs: Sequence[Job], options: Options) -> str:
-    """Runs with their size and cost, and what is done already; runs nothing.
-
-    Args:
-        title: What stands above it.
-        jobs: The runs.
-        options: As they would be run.
+    """Table of the runs with size, cost and what is done, below a title; runs nothing.
 
     Raises:
         InputError: Any job is wrong.

@@ -22,26 +22,25 @@ from app.results.closing_lines import reasons_not_to_use
 from app.system import identity
 from app.system.folders import FAILED, saved
 
-# How the ids of runs begin, and of processes that several of them share.
+# Prefixes of ids: of runs, and of processes shared by several runs.
 CASE, SHARED = "case-", "shared-"
 DIGITS = 10  # of a digest
-# Such names stand in commands of a shell.
+# Ids, checked because they enter shell commands.
 NAMED = re.compile(rf"({SHARED}[0-9a-f]{{10}}-[0-9]+/)?{CASE}[0-9a-f]{{10}}", re.ASCII)
 LOG_LINES = 12
-LOST = 70  # the exit code of a run that left none
+LOST = 70  # exit code of a run that left none
 
 
 @dataclass(frozen=True)
 class Job:
-    """A run that is wanted.
+    """A run wanted.
 
     Attributes:
-        name: For people; several jobs may have the same.
-        case: The case file.
+        name: Shown to users; need not be unique.
         overrides: ``key=value`` each, as after ``--set``.
         ranks: Number of MPI ranks.
         alone: Whether nothing else runs beside it, so that its time can be compared.
-        share: Whether it may share a process with others that mesh and stiffness have in common.
+        share: Whether it may share a process with runs of the same mesh and stiffness.
     """
 
     name: str
@@ -57,14 +56,12 @@ class Result:
     """Result of a job.
 
     Attributes:
-        job: The job.
-        folder: Its run directory.
-        exit_code: 0 if it is done, else that of ``mantle run``; a run that is done and not to be
-            used has one, too.
-        seconds: Wall time: of the process, or of the run if it shared one.
+        folder: Run directory.
+        exit_code: 0 if done, else that of ``mantle run``; not 0 for an unusable result either.
+        seconds: Wall time of the process, or of the run if it shared one.
         summary: ``summary.json``; empty unless the run is done.
-        message: Why it failed: the last lines of its log; empty if it is done and of use.
-        process: The process that ran it; several jobs may share one.
+        message: Why it failed or is unusable, with the last lines of its log; else empty.
+        process: Id of the process that ran it; several jobs may share one.
     """
 
     job: Job
@@ -78,13 +75,11 @@ class Result:
 
 @dataclass(frozen=True)
 class BatchRun:
-    """A run directory and what goes into it; several jobs may have the same.
+    """A run directory and its case; several jobs may share it.
 
     Attributes:
-        id: Its name.
         job: The first job that wants it; alone if any of them is.
-        case: Its case.
-        path: Its run directory: that of its process, or within that of a process that it shares.
+        path: Run directory: that of its process, or within that of a shared process.
     """
 
     id: str
@@ -94,21 +89,21 @@ class BatchRun:
 
     @property
     def shares(self) -> bool:
-        """Whether its process has other runs, too."""
+        """Whether its process has other runs too."""
         return self.path.parent.name.startswith(SHARED)
 
     @property
     def process(self) -> str:
-        """The id of the process that runs it."""
+        """Id of the process that runs it."""
         return self.path.parent.name if self.shares else self.id
 
     def file(self, kind: str) -> Path:
-        """A file of its process, beside the run directory of that."""
+        """File of its process, beside the process's run directory."""
         folder = self.path.parent if self.shares else self.path
         return folder.with_name(f"{folder.name}.{kind}")
 
     def status(self) -> tuple[int, float] | None:
-        """Exit code and seconds of its process; None while there are none."""
+        """Exit code and seconds of its process; None until it ends."""
         try:
             begin, end, code = self.file("status").read_text().split()
             return int(code), float(end) - float(begin)
@@ -135,7 +130,7 @@ def resolve(jobs: Sequence[Job]) -> list[Case]:
     """Read the case of each job.
 
     Raises:
-        InputError: All that is wrong with any of them.
+        InputError: Every error of any of them.
     """
     cases, messages = [], []
     for job in jobs:
@@ -153,17 +148,17 @@ def resolve(jobs: Sequence[Job]) -> list[Case]:
 def runs_of(
     jobs: Sequence[Job], cases: Sequence[Case], folder: Path, cores: int | None
 ) -> list[BatchRun]:
-    """The run of each job: one and the same for all jobs of the same content.
+    """The run of each job, the same for jobs of equal content.
 
     Args:
         jobs: The jobs.
-        cases: The case of each.
-        folder: The folder of the batch.
-        cores: Those of this machine; None on a cluster.
+        cases: The case of each job.
+        folder: Folder of the batch.
+        cores: Cores of this machine; None on a cluster.
     """
     ids = []
     for job, case in zip(jobs, cases, strict=True):
-        # The same case, made in two ways, may have two titles.
+        # Equal cases may have different titles.
         own = case.model_copy(update={"title": case.title.partition(CHANGED)[0]})
         ids.append(CASE + _digest(dump(own), case, job.ranks))
     processes, begun = _processes(jobs, cases, ids, cores), _begun(folder)
@@ -176,7 +171,7 @@ def runs_of(
 
 
 def _begun(folder: Path) -> dict[str, Path]:
-    """The directory of each run that is done or has saved its state, by its id."""
+    """Directories of runs that are done or have saved their state, by id."""
     runs, found = folder / "runs", dict[str, Path]()
     for path in (*runs.glob(f"{CASE}*"), *runs.glob(f"{SHARED}*/{CASE}*")):
         done = (path / "DONE").exists()
@@ -189,13 +184,13 @@ def _begun(folder: Path) -> dict[str, Path]:
 def _processes(
     jobs: Sequence[Job], cases: Sequence[Case], ids: Sequence[str], cores: int | None
 ) -> dict[str, str]:
-    """The process of each run that shares one, by its id.
+    """Ids of the shared processes, by id of the run.
 
-    None has more runs than what all cores do at once allows: where the runs of a group are more,
-    several processes have the same matrices.
+    A group is split over several processes, each with the same matrices, so that all cores are
+    busy.
     """
     ranks = {id: job.ranks for job, id in zip(jobs, ids, strict=True)}
-    several = cores and not any(job.alone for job in jobs)  # what runs alone is one process
+    several = cores and not any(job.alone for job in jobs)  # runs alone share one process
     longest = math.ceil(sum(ranks.values()) / cores) if cores and several else len(ranks)
     groups: dict[str, dict[str, None]] = {}
     for job, case, id in zip(jobs, cases, ids, strict=True):
@@ -211,7 +206,7 @@ def _processes(
 
 
 def _digest(text: str, case: Case, ranks: int) -> str:
-    """Hexadecimal digits of everything the result depends on."""
+    """Hexadecimal digest of everything that the result depends on."""
     parts = [text, str(ranks), identity.text()]
     if isinstance(case.geometry, MeshFile):
         parts.append(case.geometry.content)
@@ -219,18 +214,18 @@ def _digest(text: str, case: Case, ranks: int) -> str:
 
 
 def result_of(job: Job, run: BatchRun) -> Result:
-    """How a run has ended."""
+    """Result of a run that has ended."""
     status = run.status()
     code, seconds = status or (LOST, 0.0)
     result = partial(Result, job, run.path, process=run.process)
     if (summary := run.summary()) is not None:
-        if run.shares or status is None:  # it was killed before it could tell how long it took
+        if run.shares or status is None:  # it was killed before its time was written
             seconds = summary.get("timing", {}).get("total", 0.0)
         why = "; ".join(reasons_not_to_use(summary))
         code = UnusableError.exit_code if why else 0
         return result(code, seconds, summary, f"do not use: {why}" if why else "")
     with suppress(OSError):
-        # In a process that goes on without it, what it said stands in its folder.
+        # A process that continues with other runs leaves the reason in the folder of this one.
         why = (run.path / FAILED).read_text(encoding="utf-8").strip()
         return result(ConvergenceError.exit_code, 0.0, {}, why)
     message = tail(run.file("log"))

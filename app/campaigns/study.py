@@ -32,14 +32,13 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
 
     Args:
         path: The study file.
-        overrides: ``--set`` options; they hold for every point, so not for what varies.
-        options: Where everything goes, how it is run, which lines. Runs go one at a time, so that
-            their times can be compared.
+        overrides: ``--set`` options for every point; keys that vary are refused.
+        options: Folder, cores, lines. Runs go one at a time, so that times can be compared.
 
     Raises:
-        InputError: The file or any point is wrong: everything at once, before anything runs.
-        MantleError: Every run failed, of which it has the gravest exit code.
-        StoppedError: Interrupted; the same command goes on from there.
+        InputError: Every error of the file and its points, before anything runs.
+        MantleError: Every run failed; with the gravest exit code.
+        StoppedError: Interrupted; the same command continues.
     """
     planned = study_file.read(path, overrides)
     chosen = _chosen(planned, options)
@@ -66,10 +65,10 @@ def dry_run(path: Path, overrides: Sequence[str], options: Options) -> str:
 
 
 def _chosen(planned: PlannedStudy, options: Options) -> list[PlannedRun]:
-    """The runs of the lines that are wanted, and of the reference; of a quick study the first two.
+    """Select lines by name and keep the reference; a quick study takes two runs of each.
 
     Raises:
-        InputError: No line has such a name.
+        InputError: No line matches.
     """
     lines: dict[str, list[PlannedRun]] = {}
     for r in planned.runs:
@@ -83,7 +82,7 @@ def _chosen(planned: PlannedStudy, options: Options) -> list[PlannedRun]:
 
 
 def _line(run: PlannedRun) -> str:
-    """Name of its line; empty for the reference."""
+    """Name of the line of a run; empty for the reference."""
     return "" if run.point.path == study_file.REFERENCE else run.point.part
 
 
@@ -93,14 +92,14 @@ def _job(run: PlannedRun) -> Job:
 
 
 def _write(report: Report, planned: PlannedStudy, options: Options) -> list[str]:
-    """Write tables and pictures; their names.
+    """Write tables and pictures; return their names.
 
     Raises:
         StoppedError: The folder cannot be written.
     """
     folder = options.folder
     try:
-        # What is not drawn again would stay beside other numbers.
+        # A stale picture would not match the new numbers.
         folders.remove(folder / name for name in study_picture.NAMES)
         written = study_report.write(report, planned, options.cores, folder)
         return written + study_picture.draw(report, folder)
@@ -109,7 +108,6 @@ def _write(report: Report, planned: PlannedStudy, options: Options) -> list[str]
 
 
 def _study_run(planned: PlannedRun, result: Result) -> StudyRun:
-    """A run with what varies in it, and its time."""
     point = planned.point
     lists = [key for key in point.varied if isinstance(point.places[key][-1], int)]
     key = next((k for k in lists if k == "mesh.size"), lists[0] if lists else "")
@@ -124,7 +122,7 @@ def _study_run(planned: PlannedRun, result: Result) -> StudyRun:
 
 
 def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
-    """The value of a key as a positive number, if it is one, and its internal unit."""
+    """Value of a key and its internal unit; None if it is no positive number."""
     value = ranks if key == "ranks" else value_at(case.model_dump(mode="json"), key)
     number, _, unit = str(value).partition(" ")
     try:
@@ -147,7 +145,6 @@ def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
 def _measure(
     study: Study, name: str, curve: Sequence[StudyRun], ladder: Sequence[StudyRun]
 ) -> Measured:
-    """One quantity over all runs."""
     compared = study.compares(name)
     reference = _reference(study, name, ladder) if compared else None
     points = []
@@ -172,7 +169,7 @@ def _measure(
 
 
 def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.ReferenceValue | None:
-    """Reference value of a quantity; None if the ladder failed."""
+    """Given or extrapolated value of a quantity; None if the reference runs failed."""
     values = study.reference.values
     if values is not None:
         return wp.ReferenceValue(study_file.known_value(name, values[name]), 0.0, None, "given")
@@ -194,7 +191,6 @@ def _advice(
     errors: Sequence[float | None],
     reference: wp.ReferenceValue | None,
 ) -> str:
-    """Advice on mesh and order for one quantity."""
     if reference is None or reference.value == 0.0:
         return f"no advice on {name}: it has no reference" + ("" if reference is None else " but 0")
     own = reference.uncertainty / abs(reference.value)
@@ -207,7 +203,7 @@ def _advice(
 
 
 def _advice_on_all(target: float, curve: Sequence[StudyRun], measured: Sequence[Measured]) -> str:
-    """Advice for all quantities together that have a reference good enough."""
+    """Advice for all quantities whose reference is accurate enough."""
     compared = [m for m in measured if m.compared]
     good = [
         m

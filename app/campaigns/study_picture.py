@@ -15,7 +15,7 @@ from app.system.style import COLOURS, MARKERS
 
 NAMES = ("study.png", "study_parameters.png")
 MOST_PANELS = 6
-EXACT = 1e-16  # what an error of zero is drawn as
+EXACT = 1e-16  # drawn in place of an error of zero
 # Largest over smallest value from which an axis is logarithmic.
 DECADES = 30.0
 # Values smaller than the largest by this factor are zero to rounding.
@@ -23,7 +23,7 @@ ROUNDING = 1e-9
 
 
 def draw(report: Report, folder: Path) -> list[str]:
-    """Draw what there is: the first six quantities of each kind; names of the files."""
+    """Draw the first six quantities of each kind; return the names of the files."""
     compared = [m for m in report.quantities if m.compared][:MOST_PANELS]
     columns = 2 if len(compared) in (1, 2, 4) else 3
     found = []
@@ -56,7 +56,6 @@ def _draw(
     columns: int,
     size: tuple[float, float],
 ) -> None:
-    """A panel for each quantity, and one legend for all."""
     figure, every = style.panels(len(shown), columns, *size)
     for axes, m in zip(every, shown, strict=True):
         axes.set_title(m.name, fontsize=11, loc="left")
@@ -72,7 +71,6 @@ def _draw(
 
 
 def _against_time(report: Report, axes: Any, m: Measured) -> None:
-    """Error against run time: lines, front, target, and failed runs."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set(xscale="log", yscale="log", xlabel="run time (s)", ylabel="error")
@@ -98,7 +96,7 @@ def _against_time(report: Report, axes: Any, m: Measured) -> None:
 
 
 def _front(axes: Any, m: Measured, error: list[float | None]) -> None:
-    """The Pareto front as steps: the error that can be had by a time."""
+    """Pareto front as steps: least error reached by a time."""
     time = [m.points[i].time for i in m.front]
     if time:
         band = {"color": "#f2c14e", "lw": 6, "alpha": 0.55, "zorder": 1, "label": "Pareto front"}
@@ -108,7 +106,7 @@ def _front(axes: Any, m: Measured, error: list[float | None]) -> None:
 def _line(
     axes: Any, report: Report, m: Measured, error: list[float | None], name: str, k: int
 ) -> None:
-    """The k-th line with its labels and its order; failed runs as crosses at the top."""
+    """Draw the k-th line with labels and order; failed runs are crosses at the top."""
     from matplotlib.patheffects import withStroke
 
     colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
@@ -135,7 +133,7 @@ def _line(
 
 
 def _limits(axes: Any, report: Report, error: list[float | None]) -> None:
-    """At least a decade of error, with room for labels and crosses."""
+    """Show at least a decade of error, with room for labels and crosses."""
     known = [e for e in error if e is not None]
     low, high = min(*known, report.target, report.target), max(*known, report.target, report.target)
     axes.set_ylim(low / 2.5, max(high, 10 * low) * 3)
@@ -144,7 +142,6 @@ def _limits(axes: Any, report: Report, error: list[float | None]) -> None:
 
 
 def _over_number(report: Report, lines: dict[str, list[int]], axes: Any, m: Measured) -> None:
-    """A quantity over a number that varies, its reference, and failed runs."""
     factor = m.quantity.factor
     title = f"{m.name} ({printed(m.quantity.shown)})".removesuffix(" ()")
     axes.set_title(title, fontsize=11, loc="left")
@@ -166,7 +163,7 @@ def _over_number(report: Report, lines: dict[str, list[int]], axes: Any, m: Meas
 
 
 def set_scale(axes: Any, values: Sequence[float]) -> None:
-    """A logarithmic axis for values that span decades; what is zero to rounding is at its zero."""
+    """Make the axis logarithmic where values span decades; zero to rounding is drawn at zero."""
     largest = max(map(abs, values), default=0.0)
     positive = [v for v in values if v > ROUNDING * largest]
     if not positive or min(values) < -ROUNDING * largest or largest < DECADES * min(positive):

@@ -23,18 +23,15 @@ FLAT = 0.05
 
 @dataclass(frozen=True)
 class StudyRun:
-    """A point of a line, or of the reference's ladder, and its result.
+    """A run of a line or of the reference, and its result.
 
     Attributes:
-        line: The line; empty in the reference.
-        planned: Its case.
-        result: Its result.
-        key: The key that stands for all that vary; empty if none does.
-        label: The value of that key, as written.
-        x: The same as a number, if it is one.
-        unit: Internal unit of the number; empty if it has none.
-        time: Run time without meshing and compiling, which are done once, and without companions
-            that tell the error [s]; None if it failed.
+        line: Name of the line; empty for the reference.
+        key: Key shown on the axis; empty if none varies.
+        label: Value of that key, as written.
+        x: That value in `unit`, if it is a number.
+        unit: Internal unit; empty if it has none.
+        time: Run time without meshing, compiling and companion runs [s]; None if it failed.
     """
 
     line: str
@@ -48,7 +45,7 @@ class StudyRun:
 
     @property
     def status(self) -> str:
-        """Done, or how it failed."""
+        """``done``, or ``failed`` with the exit code."""
         code = self.result.exit_code
         return f"failed (exit code {code})" if code else "done"
 
@@ -58,15 +55,12 @@ class Measured:
     """One quantity over the runs of all lines.
 
     Attributes:
-        name: Its name.
-        quantity: What it is.
         compared: Whether it has an error; else only its values are shown.
-        reference: What it is compared with; None if there is nothing.
-        points: A point for each run.
+        points: One for each run.
         exponents: The p of error ~ key^p along each line.
-        front: Points that no other beats in time and error, fastest first.
-        errors: Error of each point, not less than the reference's own; None if unknown.
-        advice: What to use; empty if it is not compared.
+        front: Pareto front of time and error: indices of points, fastest first.
+        errors: Error of each point, at least the reference's own; None if unknown.
+        advice: Recommended run; empty if it is not compared.
     """
 
     name: str
@@ -87,10 +81,8 @@ class Report:
     Attributes:
         target: Relative error wanted.
         runs: The runs of all lines.
-        ladder: Those of the reference.
-        quantities: The quantities over `runs`.
-        advice: What to use for all of them; empty for a single quantity.
-        effectivity: How good the estimated errors are.
+        ladder: The runs of the reference.
+        advice: Recommended run for all quantities; empty for a single one.
     """
 
     target: float
@@ -102,17 +94,17 @@ class Report:
 
 
 def percent(value: float) -> str:
-    """A relative number for people: 0.41 %, 12 %."""
+    """Format a relative number: 0.41 %, 12 %."""
     return f"{100 * value:.0f} %" if value >= 1 else f"{100 * value:.2g} %"
 
 
 def shown(value: float | None, q: Quantity) -> str:
-    """A value for people."""
+    """Format a value with its unit; a dash for None."""
     return "-" if value is None else f"{q.factor * value:.4g} {q.shown}".removesuffix(" -")
 
 
 def error_text(m: Measured, i: int) -> str:
-    """The error of a point: below that of the reference only this is known."""
+    """Format the error of a point; ``<`` where the reference is no more accurate."""
     error = m.errors[i]
     if error is None:
         return "-"
@@ -120,7 +112,7 @@ def error_text(m: Measured, i: int) -> str:
 
 
 def describe(reference: ReferenceValue | None, q: Quantity) -> str:
-    """The reference in words."""
+    """Reference value with its uncertainty and observed order, in words."""
     if reference is None:
         return "no reference: its runs failed or do not have it"
     text = f"reference {shown(reference.value, q)}"
@@ -134,7 +126,7 @@ def describe(reference: ReferenceValue | None, q: Quantity) -> str:
 
 
 def table(report: Report) -> str:
-    """The report for the terminal."""
+    """Format the report for the terminal."""
     lines = []
     for m in report.quantities:
         estimates = m.compared and any(p.estimate is not None for p in m.points)
@@ -164,7 +156,6 @@ def table(report: Report) -> str:
 
 
 def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
-    """A point of a quantity."""
     start = ["*" if i in m.front else "", r.line, f"{r.key} {r.label}"]
     if r.result.exit_code:
         return [*start, r.status, "", "", "", ""]
@@ -175,7 +166,7 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
 
 
 def write(report: Report, planned: PlannedStudy, cores: int, folder: Path) -> list[str]:
-    """Write ``study.json`` and ``study.csv``; their names."""
+    """Write ``study.json`` and ``study.csv``; return their names."""
     e = report.effectivity
     record = {
         "mantle": __version__,
@@ -228,7 +219,7 @@ def _run_record(r: StudyRun) -> dict[str, Any]:
 
 
 def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
-    """A row of ``study.csv``: a point of a quantity with what it cost, in the unit of the row."""
+    """Row of ``study.csv``: a point of a quantity and its cost, in the unit of the row."""
     p, ref, summary = m.points[i], m.reference, r.result.summary
     timing, solver = summary.get("timing", {}), summary.get("solver", {})
     return {

@@ -3,8 +3,8 @@
 Everything goes into one folder, that of a batch (`app/campaigns/batch.py`), and beside it::
 
     folder/sweep.csv     a row for each case: what varies, numbers and their errors, cost
-    folder/sweep.json    the same with the overrides, folders and messages; seconds of all calls
-    folder/sweep.yaml    the sweep as it was read
+    folder/sweep.json    the same with overrides, folders and messages; seconds of all calls
+    folder/sweep.yaml    the sweep as read
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
 
     Args:
         path: The sweep file.
-        overrides: ``--set`` options: they hold for every case, so not for what varies.
-        options: Where everything goes, and how it is run.
+        overrides: ``--set`` options for every case; keys that vary are refused.
+        options: Folder, cores, Slurm.
 
     Raises:
-        InputError: The file or any case of it is wrong: everything at once, before anything runs.
-        MantleError: Some cases failed, of which it has the gravest exit code; the others are done.
-        StoppedError: Interrupted; the same command goes on from there.
+        InputError: Every error of the file and its cases, before anything runs.
+        MantleError: Some cases failed; with the gravest exit code. The others are done.
+        StoppedError: Interrupted; the same command continues.
     """
     sweep, planned = sweep_file.read(path, overrides)
     jobs, folder = [_job(p) for p in planned], options.folder
@@ -92,7 +92,7 @@ def dry_run(path: Path, overrides: Sequence[str], options: Options) -> str:
 
 
 def _spent(folder: Path) -> float:
-    """Seconds that earlier calls took."""
+    """Wall time of earlier calls [s]."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         text = (folder / "sweep.json").read_text(encoding="utf-8")
         return float(json.loads(text)["seconds"])
@@ -112,7 +112,7 @@ def _write(
     options: Options,
     begin: float,
 ) -> list[dict[str, Any]]:
-    """Write the tables; the rows."""
+    """Write the tables; return the rows."""
     folder = options.folder
     rows = [_row(p, r, folder) for p, r in zip(planned, results, strict=True)]
     keys = list(dict.fromkeys(key for p in planned for key in p.point.varied))
@@ -141,7 +141,6 @@ def _write(
 
 
 def _row(p: PlannedRun, result: Result, folder: Path) -> dict[str, Any]:
-    """A case as the tables have it."""
     summary = result.summary
     status = STATUS.get(result.exit_code, FAILED)
     row = variations.row(p.point, summary, status, result.seconds)
@@ -158,7 +157,6 @@ def _row(p: PlannedRun, result: Result, folder: Path) -> dict[str, Any]:
 
 
 def _csv(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> str:
-    """A row for each case, units in the header."""
     flat = []
     for r in rows:
         numbers = {}
@@ -185,7 +183,6 @@ def _csv(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> str:
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """A line for each case, for people."""
     lines = []
     for r in rows:
         size, newton = ("-" if r[k] is None else r[k] for k in ("unknowns", "newton_iterations"))

@@ -11,7 +11,7 @@ from scipy.stats import spearmanr
 from app.case import quantities
 from app.system import layout
 
-# Fewer samples say nothing of a spread.
+# Fewest samples that define a spread.
 FEWEST = 3
 # Numbers that stay below this are rounding, in any unit of theirs.
 NOTHING = 1e-9
@@ -20,16 +20,15 @@ NOTHING = 1e-9
 def of_parts(
     rows: Sequence[Mapping[str, Any]], inputs: Mapping[str, Sequence[str]]
 ) -> dict[str, dict[str, Any]]:
-    """Spread of each number over the converged samples of each part that has some.
+    """Spread of each number over the converged samples of each part.
 
     Args:
-        rows: Of ``sweep.json``.
-        inputs: The uncertain inputs of each part.
+        rows: Cases of ``sweep.json``.
+        inputs: Uncertain inputs of each part.
 
     Returns:
         By part: ``samples``, and ``numbers`` by name: mean, deviation (standard, of a sample), p5,
-        p95 (percentiles), and ``correlation`` with each input, by ranks (Spearman): 1 where the
-        number always grows with the input.
+        p95 (percentiles), and ``correlation`` with each input (Spearman's rank correlation).
     """
     found = {}
     for part, keys in inputs.items():
@@ -46,7 +45,6 @@ def of_parts(
 
 
 def _number(value: object) -> float:
-    """The number of a value with a unit."""
     return float(str(value).partition(" ")[0])
 
 
@@ -68,13 +66,9 @@ def correlation(a: Sequence[float], b: Sequence[float]) -> float | None:
 
 
 def rows(of: Mapping[str, Any]) -> list[list[str]]:
-    """A part for people: number, unit, mean, percentiles, and the inputs it follows.
+    """Rows of `HEAD` for an entry of `of_parts`, the most uncertain number first.
 
-    Args:
-        of: An entry of `of_parts`.
-
-    Returns:
-        Texts; what varies by more than rounding, the most uncertain first.
+    Numbers that vary by no more than rounding are left out.
     """
     spread = {n: s for n, s in of["numbers"].items() if s["deviation"] > NOTHING}
     order = sorted(spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1))
@@ -92,7 +86,7 @@ HEAD = ("number", "unit", "mean", "5 %", "95 %", "follows (rank correlation)")
 
 
 def table(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """All parts as text."""
+    """Tables of all parts."""
     return "\n".join(
         f"{part or 'samples'}: {of['samples']} samples\n{layout.table(HEAD, rows(of))}"
         for part, of in found.items()

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-# Orders of convergence that an extrapolation is trusted with.
+# Orders of convergence accepted in an extrapolation.
 LOWEST_ORDER, HIGHEST_ORDER = 0.5, 4.0
 # Effectivity indices (estimated over true error) that make an estimate useful.
 USEFUL = (0.5, 3.0)
@@ -20,13 +20,12 @@ ALGEBRAIC_FACTOR, REFERENCE_FACTOR = 10.0, 3.0
 
 @dataclass(frozen=True)
 class ReferenceValue:
-    """The value that others are compared with.
+    """Reference value of a quantity.
 
     Attributes:
-        value: The value.
-        uncertainty: How far it may be off, in its unit; 0 if it is exact.
-        order: Observed order of convergence where it was extrapolated.
-        method: How it was found, in words.
+        uncertainty: In the unit of the value; 0 if it is exact.
+        order: Observed order of convergence; None unless extrapolated.
+        method: Method that found it, in words.
     """
 
     value: float
@@ -40,16 +39,15 @@ class ErrorPoint:
     """A run and one quantity of it.
 
     Attributes:
-        line: The line it belongs to.
-        label: What the varying key is there, as written.
-        x: The same as a number, if it is one.
+        label: Value of the varying key, as written.
+        x: That value, if it is a number.
         time: Run time [s]; None if the run failed.
-        value: The quantity; None if the run failed or does not have it.
-        estimate: The error that the run itself estimates, in the unit of the quantity.
-        algebraic: Error of the linear and nonlinear solution, relative.
+        value: None if the run failed or does not have it.
+        estimate: Error estimated by the run itself, in the unit of the quantity.
+        algebraic: Relative error of the linear and nonlinear solution.
         deviation: Distance from the reference, in the unit of the quantity.
-        error: The same relative to the reference.
-        uncertainty: That of the reference, relative.
+        error: Deviation relative to the reference.
+        uncertainty: Relative uncertainty of the reference.
     """
 
     line: str
@@ -70,7 +68,7 @@ class ErrorPoint:
 
     @property
     def bound(self) -> float | None:
-        """The error that can be vouched for: not less than the reference's own; None if unknown."""
+        """Upper bound of the error: at least the reference's own; None if unknown."""
         return None if self.error is None else max(self.error, self.uncertainty)
 
     @property
@@ -85,12 +83,11 @@ class ErrorPoint:
 
 
 def extrapolate(sizes: Sequence[float], values: Sequence[float]) -> ReferenceValue:
-    """The limit of a ladder of runs by Richardson's extrapolation from the last three.
+    """Richardson extrapolation from the last three values of a sequence of refinements.
 
-    The error is taken as c h^p with the p that the three values show. Where they show none between
-    0.5 and 4, the finest value stands for the limit. Its uncertainty is the whole of the last
-    correction; without extrapolation it is the last difference, or the larger of the last two where
-    these do not fall.
+    The error is assumed as c h^p with the observed p; where p is not between 0.5 and 4, the finest
+    value is taken. The uncertainty is the last correction; without extrapolation the last
+    difference, or the larger of the last two where they do not decrease.
 
     Args:
         sizes: Mesh size or another number that goes to 0, coarsest first; empty if there is none.
@@ -126,7 +123,7 @@ def _observed_order(h: Sequence[float], f: Sequence[float]) -> float | None:
 
 
 def compare(point: ErrorPoint, reference: ReferenceValue | None) -> ErrorPoint:
-    """The point with its error."""
+    """Add deviation and error of a point from the reference."""
     if reference is None or point.value is None or reference.value == 0.0:
         return point
     deviation = abs(point.value - reference.value)
@@ -177,7 +174,7 @@ def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> lis
 def best(
     costs: Sequence[float | None], errors: Sequence[float | None], target: float
 ) -> tuple[int | None, bool]:
-    """Index of the fastest point within the target or of the nearest to it; whether it reaches it.
+    """Index of the fastest point within the target, else of the nearest; whether it is within.
 
     The index is None if no error is known.
     """
@@ -190,12 +187,12 @@ def best(
 
 @dataclass(frozen=True)
 class Effectivity:
-    """How good the estimated errors are.
+    """Quality of the error estimates.
 
     Attributes:
-        pairs: Number of points and quantities whose true error is known well enough.
-        useful: How many of them have an index within `USEFUL`.
-        others: The rest.
+        pairs: Number of estimates whose true error is known well enough.
+        useful: Number of those with an index within `USEFUL`.
+        others: The remaining ones, with the name of their quantity.
     """
 
     pairs: int

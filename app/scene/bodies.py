@@ -1,4 +1,4 @@
-"""Bodies of a scene on its mesh: which regions move together, and where they meet.
+"""Bodies of a scene on its mesh: regions that move together, and the facets between them.
 
 A body is a set of regions that no contact interface separates. The functions here read the
 distributed mesh (regions, boundaries, facets between regions); `meshes.contact_points` then works
@@ -63,10 +63,10 @@ def cell_tags(tagged: TaggedMesh) -> Ints:
 
 
 def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence[Rigid]) -> Bodies:
-    """Join regions that touch without a contact interface between them; collective.
+    """Join regions that touch without a contact interface; collective.
 
     Raises:
-        InputError: The two sides of a contact interface are joined elsewhere.
+        InputError: The sides of a contact interface are joined elsewhere.
     """
     tags = cell_tags(tagged)
     names = {tag: name for name, tag in tagged.regions.items()}
@@ -116,7 +116,7 @@ def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
     """Facets of a named boundary that this rank owns, each with its one cell.
 
     Raises:
-        InputError: It is none of this mesh: a surface of a file that lies inside, or is empty.
+        InputError: It is no boundary of this mesh: a surface inside it, or an empty one.
     """
     mesh = tagged.mesh
     if boundary not in tagged.boundaries:
@@ -139,7 +139,7 @@ def bodies_at(tagged: TaggedMesh, bodies: Bodies, boundary: str) -> set[int]:
 
 
 def _interior(tagged: TaggedMesh) -> tuple[Ints, Ints, Ints]:
-    """Owned facets with two cells, and these cells."""
+    """Owned facets with two cells, and both cells (n,)."""
     topology = tagged.mesh.topology
     link = topology.connectivity(2, 3)
     owned = topology.index_map(2).size_local
@@ -149,7 +149,6 @@ def _interior(tagged: TaggedMesh) -> tuple[Ints, Ints, Ints]:
 
 
 def _local_numbers(tagged: TaggedMesh, facets: Ints, cells: Ints) -> Ints:
-    """Number of each facet within its cell."""
     link = tagged.mesh.topology.connectivity(3, 2).array.reshape(-1, 4)
     return np.argmax(link[cells] == facets[:, None], axis=1) if len(facets) else facets
 
@@ -166,9 +165,9 @@ def contact_facets(
     Args:
         tagged: The mesh.
         bodies: Its bodies.
-        space: The space of what jumps.
+        space: Space of the displacement or temperature.
         contacts: The interfaces.
-        moduli: How stiff regions are: jumps move the softer side. Others count as zero.
+        moduli: Stiffness by region, 0 if absent: jumps move the softer side.
 
     Raises:
         InputError: An interface has no facets on this mesh.
@@ -243,7 +242,7 @@ def facet_nodes(
 
 
 def facets_between(tagged: TaggedMesh, inside: Sequence[str], outside: Sequence[str]) -> FacetCells:
-    """Facets between regions whose cell inside this rank owns, with that cell."""
+    """Facets between regions, with the cell inside, which this rank owns."""
     tags, topology = cell_tags(tagged), tagged.mesh.topology
     link = topology.connectivity(2, 3)
     facets = np.flatnonzero(np.diff(link.offsets) == 2)
@@ -275,7 +274,7 @@ def held_vertices(
     supports: Sequence[Support],
     vertices: Ints,
 ) -> Holds:
-    """Which of the given vertices supports hold, body by body; collective."""
+    """Supports of the given vertices, by body; collective."""
     none = np.zeros(0, dtype=np.int64)
     found: list[tuple[Ints, Ints, Ints]] = [(none, none, none)]
     tags = cell_tags(tagged)
@@ -289,7 +288,7 @@ def held_vertices(
     number, body, support_of = gather(tagged.mesh.comm, *columns)
     keys, row = np.unique(np.stack([number, body], axis=1), axis=0, return_inverse=True)
     held = np.full((len(keys), 3), -1, dtype=np.int64)
-    # A support that holds in every stage goes before one that is let go of.
+    # A support active in every stage overrides one that is released.
     for s in sorted(range(len(supports)), key=lambda s: supports[s].stages is None):
         support = supports[s]
         here = np.unique(row.reshape(-1)[support_of == s])

@@ -1,4 +1,4 @@
-"""From a case to its scene: the one place that chooses what is solved."""
+"""Build the scene of a case: the one place that chooses what is solved."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from app.scene.scene import Interface, Scene, SceneStage
 
 
 def build_scene(case: Case) -> Scene:
-    """Choose what is solved of a case."""
+    """Build the scene of a case."""
     regions: Mapping[str, Any] = case.regions
     elastic = tuple(r.named(n) for n, r in regions.items() if isinstance(r, Elastic))
     moduli = {e.region: e.modulus for e in elastic}
@@ -59,7 +59,7 @@ def build_scene(case: Case) -> Scene:
 
 
 def _thermal(region: Any, name: str) -> Thermal:
-    """Conduction of a region, with the fibre of the region where it has one."""
+    """Conduction of a region, with the region's fibre if it has one."""
     thermal: Thermal = region.thermal
     fibre = None
     if thermal.conductivity is None:
@@ -83,7 +83,7 @@ def _interface(
     moduli: Mapping[str, float],
     thermal: Mapping[str, Thermal],
 ) -> Interface:
-    """An interface with its stiffer side first: the softer one carries the jumps."""
+    """Interface with the stiffer side as master: the softer side carries the jumps."""
     first, second = (tuple(side) for side in declared)
     turned = _stiffness(first, moduli) < _stiffness(second, moduli)
     master, slave = (second, first) if turned else (first, second)
@@ -108,5 +108,5 @@ def _interface(
 
 
 def _stiffness(side: Sequence[str], moduli: Mapping[str, float]) -> float:
-    """Largest modulus on a side of an interface; of a rigid one larger than any."""
+    """Largest modulus on a side of an interface [MPa]; infinite if rigid."""
     return max(moduli.get(region, np.inf) for region in side)

@@ -1,7 +1,7 @@
-"""Axes of nodes that supports hold along other directions than x, y, z.
+"""Local axes of nodes on supports along other directions than x, y, z.
 
-Each such node has three axes of its own, the same in every stage and for every body there: what
-any of these holds is along some of them. All other nodes have x, y, z, and need nothing from here.
+Such a node has three local axes, the same in every stage and for every body there; each support
+constrains some of them. All other nodes have x, y, z.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from meshes.contact_facets import (
 from meshes.contact_points import Holds
 from meshes.distribute import TaggedMesh
 
-# Directions are one within about a milliradian: squares of sines below this are zero.
+# Directions are equal within about a milliradian: squares of sines below this are zero.
 ONE = 1e-6
-# Cosine of the angle between a facet and the mean of a boundary at a node of a smooth one.
+# Least cosine between the normal of a facet and the nodal mean, on a smooth boundary.
 SMOOTH = np.cos(np.radians(40.0))
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Nodes that have their own axes, replicated (n of them).
+    """Nodes with local axes (n), replicated.
 
     Attributes:
-        node: Their global blocked dofs, rising (n,).
-        axes: Their axes as columns (n, 3, 3).
+        node: Global blocked dofs, rising (n,).
+        axes: Axes as columns (n, 3, 3).
         acts: Whether each support acts on each body there (n, bodies, supports).
-        along: Whether it holds each axis (n, supports, 3).
+        along: Whether it constrains each axis (n, supports, 3).
     """
 
     node: Ints
@@ -53,23 +53,23 @@ class Frames:
     along: Bools
 
     def own(self, index_map: IndexMap) -> tuple[Ints, Ints]:
-        """Local numbers of the nodes that this rank owns, and their places here."""
+        """Local numbers of owned nodes, and their indices here."""
         low, high = index_map.local_range
         places = np.flatnonzero((self.node >= low) & (self.node < high))
         return self.node[places] - low, places
 
     def held_by(self, s: int) -> Floats:
-        """Mean of the projectors on what a support holds (3, 3)."""
+        """Mean projector on the directions that a support constrains (3, 3)."""
         here = self.acts[:, :, s].any(axis=1)
         return np.asarray(projectors(self.axes[here], self.along[here, s]).mean(axis=0))
 
     def support(self, places: Ints, bodies: Ints | int, order: Sequence[int]) -> Ints:
-        """Support that holds each axis of bodies at nodes, -1 where none does (m, 3).
+        """Support that constrains each axis of bodies at nodes, -1 where none does (m, 3).
 
         Args:
-            places: The nodes, by their place here (m,).
+            places: Indices of the nodes here (m,).
             bodies: The bodies (m,), or one.
-            order: The supports that hold; later ones go before earlier ones.
+            order: Active supports; later ones override earlier ones.
         """
         found = np.full((len(places), 3), -1, dtype=np.int64)
         for s in order:
@@ -85,7 +85,7 @@ def held_at(
     supports: Sequence[Support],
     facets: InterfaceFacets,
 ) -> tuple[Holds, dict[int, Floats]]:
-    """Supports at vertices of interfaces, and the axes of vertices that have their own."""
+    """Supports at vertices of interfaces, and local axes by vertex."""
     numbers, first = np.unique(facets.vertices, return_index=True)
     holds = held_vertices(tagged, bodies, space, supports, numbers)
     if frames is None:
@@ -102,10 +102,10 @@ def held_at(
 def frames_of(
     scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace
 ) -> Frames | None:
-    """The nodes that need axes of their own; None if no support does; collective.
+    """Find the nodes with local axes; None if there are none; collective.
 
     Raises:
-        InputError: A boundary is not smooth, or supports do not go together at a node.
+        InputError: A boundary is not smooth, or supports are incompatible at a node.
     """
     supports = scene.supports
     if not any(s.normal for s in supports):
@@ -146,16 +146,16 @@ def frames_of(
 
 
 def _means(support: Support, node: Ints, normals: Floats, places: Floats) -> Floats:
-    """Mean normals of a boundary at nodes (n, 3), zero where it is not.
+    """Mean normals of a boundary at nodes (n, 3), zero off the boundary.
 
     Args:
-        support: Of the boundary.
+        support: Support on the boundary.
         node: Node of each corner of its facets (m,).
-        normals: Normal there as long as the area of the facet (m, 3).
-        places: Where the nodes are (n, 3) [mm].
+        normals: Normals there, weighted by the area of the facet (m, 3).
+        places: Coordinates of the nodes (n, 3) [mm].
 
     Raises:
-        InputError: It is not smooth.
+        InputError: The boundary is not smooth.
     """
     sums = np.zeros(places.shape)
     np.add.at(sums, node, normals)
@@ -172,12 +172,7 @@ def _means(support: Support, node: Ints, normals: Floats, places: Floats) -> Flo
 
 
 def _groups(scene: Scene, acts: Bools) -> list[tuple[int, ...]]:
-    """Supports that hold a body together in some stage.
-
-    Args:
-        scene: The scene.
-        acts: Whether each support acts on each body (bodies, supports).
-    """
+    """Sets of supports active on one body in one stage; `acts` is (bodies, supports)."""
     stages = range(len(scene.stages))
     found = {
         tuple(int(s) for s in np.flatnonzero(of_body) if scene.holds(scene.supports[s], k))
@@ -190,16 +185,16 @@ def _groups(scene: Scene, acts: Bools) -> list[tuple[int, ...]]:
 def _axes(
     supports: Sequence[Support], groups: list[tuple[int, ...]], held: Floats, x: Floats
 ) -> tuple[Floats, Bools]:
-    """Axes of nodes on the same supports, and which of them each support holds.
+    """Axes of nodes on the same supports (n, 3, 3), and whether each support constrains them.
 
     Args:
         supports: All supports.
-        groups: Those that hold a body together in some stage.
-        held: Projectors on what each support holds (n, supports, 3, 3).
-        x: Where the nodes are (n, 3) [mm].
+        groups: Sets of supports active on one body in one stage.
+        held: Projectors on the constrained directions of each support (n, supports, 3, 3).
+        x: Coordinates of the nodes (n, 3) [mm].
 
     Raises:
-        InputError: There are none, or displacements do not go together.
+        InputError: There are no common axes, or displacements are incompatible.
     """
     if not groups:
         return np.eye(3)[None], np.zeros((1, 1, 3), dtype=bool)
@@ -211,7 +206,7 @@ def _axes(
     of_used = held[:, used]
     products = np.einsum("nsij,ntjk->nstik", of_used, of_used)
     skew = np.abs(products - products.swapaxes(3, 4)).max(axis=(2, 3, 4)) > np.sqrt(ONE)
-    # Any weights will do that keep the eigenvalues of different axes apart.
+    # Any weights that keep the eigenvalues of different axes apart.
     parts = [*spans, *np.where(skew[:, :, None, None], 0.0, of_used).swapaxes(0, 1)]
     golden = (1 + np.sqrt(5)) / 2
     total = sum((1 + (k * golden) % 1) * part for k, part in enumerate(parts, 1))
@@ -239,7 +234,7 @@ def _refuse_unlike(
     x: Floats,
     names: str,
 ) -> None:
-    """Refuse displacements that nodes cannot take on together."""
+    """Refuse incompatible displacements at a node."""
     given = {s: supports[s].values(x) for group in groups for s in group}
     size = max(float(np.abs(values).max()) for values in given.values())
     for group in groups if size else ():

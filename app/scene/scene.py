@@ -1,6 +1,6 @@
-"""A scene: all that is solved, as the laws of a case that knows its stages and its sides.
+"""A scene: bodies, interfaces, supports, loads, heat and stages to be solved.
 
-It does not know the mesh or the solver. What a scene does not contain is an empty tuple.
+It does not know the mesh or the solver. Absent parts are empty tuples.
 """
 
 from __future__ import annotations
@@ -24,15 +24,13 @@ class Interface:
     """An interface between two sides, of displacement or of temperature.
 
     Attributes:
-        name: Name in the case file.
         master: Regions on the stiffer side.
         slave: Regions on the softer side, which carries the jumps.
-        law: What the sides do to each other.
         modulus: Modulus of the softer side, infinite if it is rigid [MPa].
         gap: Initial gap (n,) at points [mm], negative where the bodies interfere.
         history: Amplitudes of the gap at the ends of the stages, or empty (`laws.values.gap_at`).
         turned: Whether the master is the second side as declared.
-        slave_share: Part of the heat of friction that goes into the slave side.
+        slave_share: Fraction of the friction heat that enters the slave side.
     """
 
     name: str
@@ -48,18 +46,17 @@ class Interface:
 
 @dataclass(frozen=True)
 class SceneStage:
-    """A part of the loading: from time k to k + 1, in a number of increments.
+    """A stage of the loading: from pseudo-time k to k + 1, in a number of increments.
 
     Attributes:
-        name: Name in the results.
-        increments: Load steps; in a stage that takes time, equal parts after each of which the
+        increments: Load steps; in a stage with a duration, equal parts after each of which the
             mechanics are solved and fields are written.
-        adaptive: Whether load steps may be cut, and time steps be chosen by their error; if not,
-            a stage that takes time is done in ``increments`` equal time steps, divided where the
-            course of a condition or of cure has a kink.
-        max_cut_backs: How often in a row a step may be halved.
-        duration: Time it takes [s]; 0: none, temperatures stay as they are.
-        steady: Whether heat flows until nothing changes, however long that takes.
+        adaptive: Whether load steps may be cut and time steps be chosen by their error; if not,
+            a stage with a duration takes ``increments`` equal time steps, divided at kinks of
+            courses and of cure.
+        max_cut_backs: Most halvings of a step in a row.
+        duration: Duration [s]; 0: temperatures stay as they are.
+        steady: Whether heat is solved for its steady state.
     """
 
     name: str
@@ -75,23 +72,15 @@ class Scene:
     """Everything that is solved, and nothing else.
 
     Attributes:
-        order: Of the displacement.
-        elastic: Elastic regions.
-        rigid: Rigid regions.
-        foundations: Springs to the ground.
-        supports: What holds displacements.
-        loads: What does work.
+        order: Polynomial order of the displacement.
         contacts: Interfaces whose sides can part.
-        bonds: Interfaces whose sides cannot, one of which deforms.
-        stages: The loading history.
+        bonds: Bonded interfaces with a deformable side.
         conductors: Regions that conduct heat.
-        heat: What heats or cools.
-        thermal_contacts: Interfaces whose sides have temperatures of their own.
+        thermal_contacts: Interfaces with a temperature jump.
         friction_heat: Interfaces heated by friction.
         expansions: Regions with thermal strain.
-        cures: Regions that set.
-        time: How stages that take time are divided into steps; None without heat.
-        coupled: Whether heat depends on contact: both are one system then.
+        time: Time stepping of heat; None without heat.
+        coupled: Whether heat depends on contact, so that both are solved together.
     """
 
     order: int
@@ -119,5 +108,5 @@ class Scene:
         return elastic | {r.region: math.inf for r in self.rigid}
 
     def holds(self, support: Support, stage: int) -> bool:
-        """Whether a support holds in a stage."""
+        """Whether a support is active in a stage."""
         return support.stages is None or self.stages[stage].name in support.stages
