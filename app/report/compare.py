@@ -1,4 +1,4 @@
-"""A page that puts runs side by side: input, numbers with their errors, and one camera for all."""
+"""A page that compares runs: input, numbers with errors, bodies under one camera."""
 
 from __future__ import annotations
 
@@ -21,18 +21,15 @@ NOT_COMPARED = ("title", "output")
 
 
 def write(folders: Sequence[Path], path: Path) -> Path:
-    """Write the page.
+    """Write the page and return it.
 
     Args:
         folders: Directories of two runs or more; the others are compared with the first.
         path: The page.
 
-    Returns:
-        The page.
-
     Raises:
-        InputError: A folder has no results or results that cannot be read, or the number of
-            folders is wrong: everything that is wrong, at once.
+        InputError: A folder has no results or unreadable ones, or the number of folders is wrong;
+            all errors at once.
         StoppedError: The page cannot be written.
     """
     problems = [
@@ -89,7 +86,7 @@ def _status(name: str, summary: dict[str, Any]) -> str:
 
 
 def _lead(names: Sequence[str], cases: Sequence[SweptCase]) -> str:
-    """Which main numbers differ by more than their errors, and most."""
+    """Sentence on the main numbers that differ by more than their errors, largest first."""
     first, count, known = names[0], 0, 0
     beyond: list[tuple[float, str]] = []
     for key in _keys(cases):
@@ -116,7 +113,7 @@ def _lead(names: Sequence[str], cases: Sequence[SweptCase]) -> str:
 
 
 def differs(a: Number, b: Number, key: str) -> bool:
-    """Whether two numbers differ by more than the errors of both, and by more than rounding."""
+    """Whether two numbers differ by more than their errors, and by more than rounding."""
     q = quantities.get(key)
     rounding = 10.0**-q.digits if q else 0.0
     return abs(b.value - a.value) > max((a.error or 0.0) + (b.error or 0.0), rounding)
@@ -133,7 +130,7 @@ def _keys(cases: Sequence[SweptCase]) -> list[str]:
 
 
 def _numbers(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:
-    """Main numbers with their errors, and how those of the others differ from the first."""
+    """Main numbers with errors, and differences of the other runs from the first."""
     head = ["", *names, *(f"{name} less {names[0]}" for name in names[1:])]
     rows = []
     for key in _keys(cases):
@@ -154,7 +151,7 @@ def _numbers(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:
 
 
 def _difference(a: Number | None, b: Number | None, key: str) -> str:
-    """How much b is more than a, with the sum of the errors and as a part of a."""
+    """Difference b - a, with the sum of the errors and relative to a."""
     if a is None or b is None:
         return "-"
     change = b.value - a.value
@@ -181,7 +178,7 @@ def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:
 
 
 def _flat(values: dict[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
-    """Every value of a case with its key, as ``interfaces.stem_cement.clearance``."""
+    """Every value of a case by its key, as ``interfaces.stem_cement.clearance``."""
     for key, value in values.items():
         if not path and key in NOT_COMPARED:
             continue

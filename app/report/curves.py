@@ -1,4 +1,4 @@
-"""Curves of a report: panels with numbers and errors, the largest values and what is published."""
+"""Curves of a report: panels of numbers with errors, peaks and published values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROUNDED = {"µm": 1e-6, "MPa": 1e-8}  # below which a contact quantity is zero
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture of the report: file, title and caption, and in words for who cannot see it."""
+    """A figure of the report: file, title, caption and alternative text."""
 
     name: str
     title: str
@@ -31,9 +31,9 @@ class Line:
 
     Attributes:
         numbers: With errors, over x.
-        peaks: The largest values over x, which have none.
-        stars: What is published: x and value.
-        own_stars: Whether that belongs to this curve alone.
+        peaks: Largest values over x, without errors.
+        stars: Published values: x and value.
+        own_stars: Whether they belong to this curve alone.
     """
 
     label: str
@@ -55,12 +55,12 @@ class Panel:
 
 
 def too_few(panels: Sequence[Panel]) -> bool:
-    """Whether nothing has two points."""
+    """Whether no curve has two points."""
     return all(max(len(x.numbers), len(x.peaks)) < 2 for p in panels for x in p.lines)
 
 
 def in_words(panels: Sequence[Panel]) -> str:
-    """The values of a figure."""
+    """Alternative text of a figure: its values."""
     texts = []
     for p in panels:
         for line in p.lines:
@@ -72,14 +72,14 @@ def in_words(panels: Sequence[Panel]) -> str:
 
 
 def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
-    """Draw panels over x with a common legend, so many beside each other, as PNG, SVG and PDF."""
+    """Draw panels over x in rows of some columns with a common legend, as PNG, SVG and PDF."""
     columns = min(columns, len(panels))
     figure, every = style.panels(len(panels), columns, 4.7, 3.2)
     for axes, panel in zip(every, panels, strict=True):
         _draw(axes, panel)
         axes.set_xlabel(x)
     handles = style.handles(every)
-    # A legend is filled column by column: curves, then peaks, then what is published.
+    # A legend is filled column by column: curves, then peaks, then published values.
     kinds = zip(*(_labels(line) for p in panels for line in p.lines), strict=True)
     kinds_shown = [[n for n in dict.fromkeys(kind) if n in handles] for kind in kinds]
     shown = [label for kind in kinds_shown for label in kind]
@@ -123,7 +123,7 @@ def _draw(axes: Any, panel: Panel) -> None:
         axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
         axes.yaxis.set_minor_formatter(NullFormatter())
     elif values and min(values) >= 0 and panel.y != "°C":
-        # From zero, so that what differs by the noise of the mesh looks alike.
+        # From zero, so that differences within the noise of the mesh look small.
         axes.set_ylim(bottom=0)
     if not xs:
         axes.text(0.5, 0.5, "no results", transform=axes.transAxes, ha="center", color="0.4")
@@ -132,7 +132,7 @@ def _draw(axes: Any, panel: Panel) -> None:
 
 
 def _labels(line: Line) -> tuple[str, str, str]:
-    """Of the curve, its peaks and what is published, in the legend."""
+    """Legend entries of the curve, its peaks and its published values."""
     paper = f"{line.label}, paper" if line.own_stars else "paper"
     curve = f"{line.label}, percentile" if line.own_stars and line.peaks else line.label
     return curve, f"{line.label}, max", paper

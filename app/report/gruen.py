@@ -1,4 +1,4 @@
-"""Numbers by Gruen zone, what the stem takes from the bone, and how thick the mantle is."""
+"""Numbers by Gruen zone, stress shielding, and thickness of the mantle."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def zones(case: SweptCase) -> dict[str, dict[str, Any]]:
 
 
 def table(case: SweptCase) -> Table:
-    """Largest values of both interfaces and the bone's strain energy by zone.
+    """Peaks of both interfaces and strain energy of the bone by zone.
 
     Returns:
         Titles of the columns, and the rows; no rows if the case has no zones.
@@ -54,7 +54,6 @@ def table(case: SweptCase) -> Table:
 
 
 def _with_error(value: Any, error: Any, factor: float) -> str:
-    """A number with its error, where that is known."""
     if not isinstance(value, int | float) or not isinstance(error, int | float):
         return _shown(value, factor)
     return str(Number(factor * value, factor * error))
@@ -67,7 +66,7 @@ def _shown(value: Any, factor: float) -> str:
 
 
 def intact(cases: Sequence[SweptCase]) -> SweptCase | None:
-    """The femur without a stem, if a sweep has it: with zones and without a stem."""
+    """The case with zones and without a stem, if a sweep has one."""
     for case in cases:
         own = zones(case)
         places = {name for z in own.values() for name in z.get("interfaces", {})}
@@ -98,7 +97,7 @@ def shielding(case: SweptCase, without: SweptCase) -> dict[str, dict[str, float]
 def shielding_picture(
     cases: Mapping[str, SweptCase], without: SweptCase | None, folder: Path
 ) -> list[Figure]:
-    """Draw what the stem of each case takes from the bone; nothing without an intact femur."""
+    """Draw the stress shielding of each case; nothing without an intact femur."""
     if without is None:
         return []
     changes = {stem: shielding(c, without) for stem, c in cases.items() if c is not without}
@@ -138,10 +137,10 @@ def shielding_picture(
 
 
 def mantles(cases: Sequence[SweptCase]) -> Table:
-    """How thick the mantle is, and its volume, a row for each mantle.
+    """Thickness and volume of each mantle.
 
     Returns:
-        Titles of the columns, and the rows; no rows where no case tells.
+        Titles of the columns, and the rows; no rows where no case records them.
     """
     keys = ("min", "p5", "median", "mean", "p95", "max")
     head = ["geometry", "mesh (mm)", "nominal (mm)", *(f"{k} (mm)" for k in keys)]

@@ -15,7 +15,7 @@ from app.report.page import Blocks
 from app.report.sweep_results import Number
 from app.system.style import COLOURS, MARKERS
 
-# What is drawn: by key in history.csv, title, unit for people.
+# Quantities drawn, by key in history.csv: title, unit for people.
 _INTERFACE = {
     key: (q.label, q.shown)
     for key, q in TABLE["interfaces"].items()
@@ -38,7 +38,7 @@ Rows = Sequence[Mapping[str, str]]
 
 
 def panels(history: Rows) -> tuple[list[Panel], str]:
-    """Panels of the quantities that change, and what they are drawn over."""
+    """Panels of the quantities that change, and the label of their x axis."""
     if len(history) < 2:
         return [], ""
     seconds = SECONDS in history[0]
@@ -69,7 +69,7 @@ def panels(history: Rows) -> tuple[list[Panel], str]:
 
 
 def _parts(column: str) -> tuple[str, str, str]:
-    """Place, key and unit of a column; no place where it is of the whole run."""
+    """Place, key and unit of a column; no place for numbers of the whole run."""
     head, _, unit = column.removesuffix("]").partition(" [")
     place, _, key = head.partition(" ")
     whole = column.startswith(SOLVER) or key in ("balance",)
@@ -77,13 +77,13 @@ def _parts(column: str) -> tuple[str, str, str]:
 
 
 def of_solver(history: Rows) -> list[dict[str, float]]:
-    """The columns on the solver, of each step."""
+    """Columns on the solver, by step."""
     own = [c for c in (history[0] if history else ()) if not _parts(c)[0]]
     return [{c: float(f"{float(r[c]):.3g}") for c in own if r[c]} for r in history]
 
 
 def draw(folder: Path, of: Sequence[Panel], x: str) -> list[Path]:
-    """Draw the panels as files, for who writes a paper."""
+    """Draw the panels as files, for publications."""
     if not of:
         return []
     draw_panels(folder / "curves.png", of, x, 3)
@@ -141,7 +141,7 @@ def _text(x: float, y: float, words: str, anchor: str = "start", more: str = "")
 
 
 def ticks(low: float, high: float) -> list[float]:
-    """Four to eight round numbers that enclose two."""
+    """Four to eight round numbers that enclose an interval."""
     span = high - low if high - low > 1e-9 * max(abs(low), abs(high)) else max(abs(high), 1.0)
     size = 10.0 ** math.floor(math.log10(span / 4))
     step = next(size * k for k in (1, 2, 5, 10) if span / (size * k) <= 6)

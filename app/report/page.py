@@ -1,6 +1,6 @@
-"""The report as one HTML page that needs nothing else: pictures are inside it, scripts are not.
+"""The report as one self-contained HTML page.
 
-`page.html` is its template; whatever is put into it is plain text, and escaped.
+The template `page.html` escapes the plain text that is put into it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from app.report.curves import Figure
 
-# Parts of a section: their kind, as the template names it, and what is in them.
+# Parts of a section: kind, as the template names it, and content.
 Blocks = list[tuple[str, dict[str, Any]]]
 T = TypeVar("T")
 MOST = 400  # rows of a table, points of a curve
@@ -31,9 +31,8 @@ def page(title: str, sections: Sequence[tuple[str, str, Blocks]], **head: Any) -
 
     Args:
         title: Its title.
-        sections: Anchor, title and content of each; those without content are left out.
-        head: What stands below the title: facts, a leading sentence, summary, a note and a view,
-            which is markup.
+        sections: Anchor, title and content of each; empty ones are left out.
+        head: Below the title: facts, a leading sentence, summary, a note and a view (markup).
     """
     from jinja2 import Environment, FileSystemLoader
 
@@ -72,7 +71,7 @@ def figure(f: Figure, folder: Path) -> Blocks:
 
 
 def _smaller(png: bytes) -> bytes:
-    """A picture in 256 colours: a third of the bytes, and hardly another picture."""
+    """Reduce a picture to 256 colours: a third of the bytes, hardly a visible change."""
     from PIL import Image  # comes with matplotlib
 
     into = io.BytesIO()
@@ -89,21 +88,21 @@ def drawings(svgs: Sequence[str]) -> Blocks:
 
 
 def verbatim(text: str) -> Blocks:
-    """A text as it is."""
+    """Preformatted text."""
     return [("verbatim", {"text": text})] if text else []
 
 
 def folded(title: str, content: Blocks) -> Blocks:
-    """Blocks that a click opens; nothing if there are none."""
+    """Blocks that open on a click; nothing if there are none."""
     return [("folded", {"title": title, "blocks": content})] if content else []
 
 
 def link(text: str, to: str) -> dict[str, str]:
-    """The cell of a table that leads to another page, if there is one."""
+    """A table cell that links to another page, if there is one."""
     return {"text": text, "to": to}
 
 
 def sparse(items: Sequence[T]) -> Sequence[T]:
-    """The first, the last and every n-th between, so that a page stays small."""
+    """The first, the last and every n-th item between, so that a page stays small."""
     n = -(-len(items) // MOST)
     return items if n < 2 else [*items[:-1:n], items[-1]]

@@ -31,7 +31,7 @@ STANCES, HOT, COOLED = (
 READINGS = {"initial": "100 °C at the start", "held": "100 °C held"}
 # When the temperature of cement that starts at 100 degC is reported; the paper names no time [s].
 AT = 10.0
-# Until then the first instant, an average over the nodes of a perfect interface, is in the numbers.
+# Earlier numbers of a perfect interface include its first instant, an average over nodes [s].
 SETTLED = 2.0
 
 Family = dict[float, SweptCase]
@@ -40,16 +40,16 @@ Numbers = Callable[[SweptCase], Number | None]
 
 
 class Cases:
-    """The paper's cases among those of a sweep; none if it is not compared with the paper.
+    """Cases of the paper in a sweep; none if the sweep is not compared with it.
 
     Attributes:
-        stances: All of single-limb stance on a stem in contact with its cement.
-        hot: All of hot cement, those with bonded interfaces too.
+        stances: Single-limb stances on a stem in contact with its cement.
+        hot: Cases of hot cement, bonded ones too.
     """
 
     def __init__(self, sweep: SweepResults) -> None:
         own = sweep.cases if sweep.compare_with == "paper" else ()
-        # Of two that are alike the finer counts, then the first: it comes last.
+        # Of equal cases the finer counts, then the first: the last overwrites.
         ordered = sorted(reversed(own), key=lambda c: c.unknowns)
         self.stances = [c for c in ordered if c.part in STANCES and _friction(c, "stem_cement")]
         self.hot = [c for c in ordered if c.part in (*HOT, COOLED)]
@@ -148,13 +148,13 @@ def same(a: float | None, b: float) -> bool:
 
 
 def contact(place: str, quantity: str, how: str) -> Numbers:
-    """A contact quantity of an interface, of which ``max`` or ``percentile``."""
+    """A contact quantity of an interface: its ``max`` or ``percentile``."""
     part = PERCENTILES[quantity] if how == "percentile" else how
     return lambda case: case.number(f"{place}.{quantity}_{part}")
 
 
 def series(family: Mapping[X, SweptCase], of: Numbers) -> dict[X, Number]:
-    """A number over what a family of cases varies, where it is known."""
+    """A number over the parameter of a family of cases, where it is known."""
     return {x: n for x, c in family.items() if (n := of(c)) is not None}
 
 
@@ -162,7 +162,7 @@ def series(family: Mapping[X, SweptCase], of: Numbers) -> dict[X, Number]:
 
 
 def cement_peak(case: SweptCase) -> Number | None:
-    """Highest temperature of the cement [degC]: after ten seconds where it starts at 100 degC."""
+    """Highest temperature of the cement [degC]; after ten seconds where it starts at 100 degC."""
     if reading_of(case) == "held":
         return case.number("cement.temperature_max")
     return at_ten_seconds(case, "cement")
@@ -183,7 +183,7 @@ def at_ten_seconds(case: SweptCase, region: str) -> Number | None:
 def bone_peak(case: SweptCase) -> Number | None:
     """Highest temperature of bone at the cement-bone interface [degC], at any time.
 
-    Where the conductance is perfect: of bone, from two seconds on.
+    With perfect conductance: of all bone, from two seconds on.
     """
     if (found := case.number("cement_bone.temperature_max_second")) is not None:
         return found
@@ -200,7 +200,7 @@ def _float(row: dict[str, str], key: str) -> float:
 
 
 def bone_p99(case: SweptCase) -> Number | None:
-    """Temperature that 99 % of the area of bone at the cement-bone interface stay below [degC].
+    """Temperature that 99 % of the bone area at the cement-bone interface stays below [degC].
 
     After ten seconds, or at the end where the cement is held at 100 degC. Peaks sit where bone is
     thinnest and depend on the mesh; this does not.

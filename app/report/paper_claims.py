@@ -1,8 +1,8 @@
-"""Trends that the paper reports, judged with mantle's numbers and their errors.
+"""Trends that the paper reports, judged by mantle's numbers and their errors.
 
-A statement is undecided where its numbers differ by less than their errors, which are added: they
-are of one mesh and not independent. The paper's numbers are peaks; mantle's peaks at edges have no
-error, so that percentiles decide and peaks are given beside them.
+A statement is undecided where its numbers differ by less than the sum of their errors, which are of
+one mesh and not independent. The paper's numbers are peaks; mantle's peaks at edges have no error,
+so that percentiles decide and peaks are given beside them.
 """
 
 from __future__ import annotations
@@ -11,16 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from app.report.paper import (
-    STEMS,
-    Cases,
-    at_ten_seconds,
-    bone_p99,
-    bone_peak,
-    cement_peak,
-    contact,
-    series,
-)
+from app.report import paper
 from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase
 from app.system.layout import plain
 
@@ -46,8 +37,8 @@ class Trend:
 
     Attributes:
         name: ``T-a`` .. ``T-h``; of ``T-g`` with the model and the reading of "100 degrees".
-        claim: What the paper says.
-        parts: The statements it consists of, by percentiles.
+        claim: The paper's statement.
+        parts: Statements it consists of, by percentiles.
         peaks: The verdict by peaks, which have no errors; empty where there are none.
     """
 
@@ -69,7 +60,7 @@ def _all(parts: Iterable[Statement]) -> str:
 
 
 def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
-    """Whether a > factor b."""
+    """Verdict on a > factor b."""
     difference = a.value - factor * b.value
     errors = (a.error or 0.0) + factor * (b.error or 0.0)
     if abs(difference) <= ROUNDING * abs(b.value):
@@ -80,7 +71,7 @@ def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
 
 
 def alike(a: Number, b: Number, tolerance: float) -> str:
-    """Whether two numbers differ by no more than a part of their mean."""
+    """Verdict on whether two numbers agree, up to a part of their mean."""
     mean = 0.5 * (abs(a.value) + abs(b.value))
     if mean == 0.0:
         return CONFIRMED
@@ -91,13 +82,13 @@ def alike(a: Number, b: Number, tolerance: float) -> str:
     return NOT_CONFIRMED if difference - errors > tolerance else UNDECIDED
 
 
-# Relations over a series of numbers: label, numbers over what varies, unit, what varies.
+# Relations over a series of numbers: label, numbers by parameter, unit, name of the parameter.
 Series = Mapping[Any, Number]
 Relation = Callable[[str, Series, str, str], Statement]
 
 
 def _goes(rise: bool) -> Relation:
-    """Whether a number is larger, or smaller, at the largest value of what varies."""
+    """Relation: the number is larger, or smaller, at the largest value of the parameter."""
 
     def relation(label: str, values: Series, unit: str, over: str) -> Statement:
         if len(values) < 2:
@@ -113,7 +104,7 @@ def _goes(rise: bool) -> Relation:
 
 
 def constant(tolerance: float, beyond: float = 0.0) -> Relation:
-    """Whether numbers beyond a value of what varies are the same, up to a part of their mean."""
+    """Relation: numbers beyond a value of the parameter agree, up to a part of their mean."""
 
     def relation(label: str, values: Series, unit: str, over: str) -> Statement:
         values = {x: n for x, n in values.items() if isinstance(x, str) or x > beyond}
@@ -164,7 +155,7 @@ def _missing(what: str) -> Statement:
     return Statement(UNDECIDED, f"no results of {what}")
 
 
-# Claims over families of cases: name, the paper's words, what varies, and relations of quantities.
+# Claims over families of cases: name, the paper's words, parameter, and relations of quantities.
 Row = tuple[Relation, str, str]
 BONE = "cement_bone"
 CLAIMS: tuple[tuple[str, str, str, list[Row]], ...] = (
@@ -208,7 +199,7 @@ CLAIMS: tuple[tuple[str, str, str, list[Row]], ...] = (
 )
 
 
-def judge(cases: Cases) -> list[Trend]:
+def judge(cases: paper.Cases) -> list[Trend]:
     """All trends."""
     found = []
     for name, claim, over, rows in CLAIMS:
@@ -228,18 +219,20 @@ def _name(place: str, quantity: str) -> str:
     return f"{WORDS[place]} {WORDS[quantity]}"
 
 
-def _statements(cases: Cases, over: str, rows: Sequence[Row], how: str) -> Iterator[Statement]:
+def _statements(
+    cases: paper.Cases, over: str, rows: Sequence[Row], how: str
+) -> Iterator[Statement]:
     families: dict[str, Mapping[Any, SweptCase]] = {"": cases.of_stems()}
     if over != STEM:
         family = cases.frictions if over == FRICTION else cases.thicknesses
-        families = {f"{stem}, ": family(stem) for stem in STEMS.values()}
+        families = {f"{stem}, ": family(stem) for stem in paper.STEMS.values()}
     for relation, place, quantity in rows:
         for label, own in families.items():
-            values = series(own, contact(place, quantity, how))
+            values = paper.series(own, paper.contact(place, quantity, how))
             yield relation(label + _name(place, quantity), values, QUANTITIES[quantity][0], over)
 
 
-def _order(cases: Cases, how: str) -> list[Statement]:
+def _order(cases: paper.Cases, how: str) -> list[Statement]:
     """T-f."""
     pairs = [
         *((("stem_cement", q), (BONE, q)) for q in ("pressure", "shear")),
@@ -248,24 +241,29 @@ def _order(cases: Cases, how: str) -> list[Statement]:
     return [
         above(
             f"{_name(*more)} above {_name(*less)}",
-            {c.name: (contact(*more, how)(c), contact(*less, how)(c)) for c in cases.stances},
+            {
+                c.name: (paper.contact(*more, how)(c), paper.contact(*less, how)(c))
+                for c in cases.stances
+            },
         )
         for more, less in pairs
     ]
 
 
-def _heat(cases: Cases) -> list[Trend]:
+def _heat(cases: paper.Cases) -> list[Trend]:
     """T-g, for each reading of "100 degrees"."""
     claim = "Cement and cement-bone interface get hotter the thicker the mantle; cement is hottest"
     trends = []
     for (model, reading), family in cases.heats().items():
-        cement = rises("cement", series(family, cement_peak), "°C", THICKNESS)
+        cement = rises("cement", paper.series(family, paper.cement_peak), "°C", THICKNESS)
         hottest = above(
             "cement above all else after 10 s",
-            {c.name: (cement_peak(c), _hottest_beside(c)) for c in family.values()},
+            {c.name: (paper.cement_peak(c), _hottest_beside(c)) for c in family.values()},
         )
-        by_peak = rises("bone at the interface", series(family, bone_peak), "°C", THICKNESS)
-        known = series(family, bone_p99)  # where fields were written
+        by_peak = rises(
+            "bone at the interface", paper.series(family, paper.bone_peak), "°C", THICKNESS
+        )
+        known = paper.series(family, paper.bone_p99)  # where fields were written
         p99 = rises("bone at the interface, p99", known, "°C", THICKNESS)
         parts = [cement, p99 if len(known) > 1 else by_peak, hottest]
         peaks = _all([cement, by_peak, hottest])
@@ -274,13 +272,13 @@ def _heat(cases: Cases) -> list[Trend]:
 
 
 def _hottest_beside(case: SweptCase) -> Number | None:
-    """The hottest region but cement after ten seconds [degC]."""
+    """Highest temperature outside the cement after ten seconds [degC]."""
     others = [r for r in case.summary.get("thermal", {}).get("regions", {}) if r != "cement"]
-    known = [n for r in others if (n := at_ten_seconds(case, r)) is not None]
+    known = [n for r in others if (n := paper.at_ten_seconds(case, r)) is not None]
     return max(known, key=lambda n: n.value) if known else None
 
 
-def _residual(cases: Cases) -> list[Statement]:
+def _residual(cases: paper.Cases) -> list[Statement]:
     """T-h."""
     parts: list[Statement] = []
     for kind, key, what in (

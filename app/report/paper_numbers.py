@@ -1,7 +1,7 @@
-"""The paper's published numbers beside mantle's, and its figures 3 to 8 drawn anew.
+"""The paper's published numbers beside mantle's, and its figures 3 to 8 redrawn.
 
-The numbers are in `paper_numbers.csv`; where they contradict themselves or each other, the remark
-says so.
+The numbers are in `paper_numbers.csv`; a remark says where they contradict themselves or each
+other.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from app.report.sweep_results import (
 )
 from app.system.style import COLOURS, MARKERS
 
-# The paper's sliding may be that of points in contact, or all that the sides move.
+# The paper's sliding may be slip in contact, or all relative motion of the sides.
 READINGS_OF = {"slip": ("slip", "motion")}
 BODY = 37.0  # degC
 
@@ -59,7 +59,7 @@ class Fact:
     remark: str
 
     def matches(self, thickness: float) -> bool:
-        """Whether it is about a thickness [mm]."""
+        """Whether it is about a mantle of a thickness [mm]."""
         if self.thickness.startswith(">"):
             return thickness > float(self.thickness[1:])
         return any(paper.same(thickness, float(t)) for t in self.thickness.split("-") if t)
@@ -86,8 +86,8 @@ class ComparedNumber:
         case: Its name; empty if there is none.
         peak: Mantle's largest value, in the paper's unit.
         number: The percentile; of temperatures the largest value, if its error is known.
-        remark: How mantle's number is meant, or why there is none.
-        quantity: Mantle's, where it is another reading of the paper's word.
+        remark: Definition of mantle's number, or the reason for its absence.
+        quantity: Mantle's quantity, where it is another reading of the paper's word.
     """
 
     fact: Fact
@@ -101,9 +101,9 @@ class ComparedNumber:
 
     @property
     def ratios(self) -> tuple[float | None, float | None]:
-        """Mantle's largest value and its percentile over the paper's; None where meaningless.
+        """Mantle's peak and percentile over the paper's; None where meaningless.
 
-        Of temperatures: their rise above that of the body.
+        Of temperatures: their rise above body temperature.
         """
         if self.fact.kind not in ("peak", "extreme"):
             return None, None
@@ -114,7 +114,7 @@ class ComparedNumber:
 
 
 def compare(cases: Cases) -> list[ComparedNumber]:
-    """Every number of the paper beside mantle's, or with the reason why there is none."""
+    """Every number of the paper beside mantle's, or with the reason for its absence."""
     rows: list[ComparedNumber] = []
     for fact in facts():
         match fact.model, fact.quantity:
@@ -244,10 +244,10 @@ THICKNESS, FRICTION = (
 
 
 def figures(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
-    """Draw the paper's figures, as far as there are cases for them.
+    """Draw the paper's figures that there are cases for.
 
     Returns:
-        The figures, and what could not be drawn.
+        The figures, and reasons for those missing.
     """
     planned = []
     for number, title, quantities, friction in FIGURES:
@@ -297,7 +297,6 @@ def _panel(cases: Cases, place: str, quantity: str, friction: bool) -> Panel:
             paper.series(family, paper.contact(place, quantity, how))
             for how in ("percentile", "max")
         )
-        # The paper's slip may be sliding or all motion.
         stars = published(stem, place, "slip" if quantity == "motion" else quantity, friction)
         lines.append(Line(stem, COLOURS[k], MARKERS[k], percentile, most, stars, own_stars=True))
     return Panel(WORDS[place], f"{WORDS[quantity]} ({QUANTITIES[quantity][0]})", lines)

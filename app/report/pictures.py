@@ -44,7 +44,7 @@ def maps(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str
     """Draw the maps of each group, a picture for each interface.
 
     Returns:
-        The figures, and why there is none of some case.
+        The figures, and reasons for cases without one.
     """
     drawn: list[Figure] = []
     missing: list[str] = []
@@ -86,7 +86,7 @@ def _rows(name: str, columns: Sequence[Column]) -> list[MapRow]:
     sheets = {id(run): own for _, run, own in columns}
 
     def hottest(run: Run) -> Floats | None:
-        """The temperature at the written step at which the interface is hottest."""
+        """Temperature at the written step with the hottest interface."""
         if not run.hot:
             return None
         steps = [run.temperature(k) for k in range(len(run.times))]
@@ -103,7 +103,7 @@ def _contact(name: str, quantity: str, factor: float) -> Callable[[Run], Floats 
 
 
 def _sizes(run: Run, name: str, quantity: str) -> Floats:
-    """A quantity of an interface at all nodes (n,), of vectors the length."""
+    """A quantity of an interface at all nodes (n,); of vectors the length."""
     values = run.at_interface(name, quantity)
     return np.asarray(np.linalg.norm(values, axis=1)) if values.ndim == 2 else values
 
@@ -163,7 +163,7 @@ def _side(run: Run, contact: str, bodies: Mapping[str, Ints]) -> tuple[str, Ints
 
 
 def _three(ax: Any, x: Floats, triangles: Ints, values: Floats, colours: str) -> Any:
-    """Draw the facets that face the eye on each side, the farthest first; return their colours."""
+    """Draw facets that face the eye on each side, farthest first; return their colours."""
     from matplotlib import cm, colors
     from matplotlib.collections import PolyCollection
 

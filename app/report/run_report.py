@@ -1,4 +1,4 @@
-"""``report.html`` of a run: what a surgeon wants to know first, then all numbers, curves and maps.
+"""``report.html`` of a run: the main findings first, then all numbers, curves and maps.
 
 Everything is read from the run directory, so that the page can be made again later and elsewhere.
 """
@@ -29,7 +29,7 @@ from app.system.layout import noted, plain
 from app.system.ranks import rank
 
 PAGE, PICTURES = "report.html", "report"
-# The part of a run's time that its page may take, and what maps and the view take.
+# The part of a run's time that its page may take; the time of maps and of the view.
 SHARE, MAPS, VIEW = 0.05, 3.0, 0.3  # s
 TITLES = {
     "interfaces": "Interfaces",
@@ -40,15 +40,15 @@ TITLES = {
     "cure": "Cure of the cement",
     "stem": "Motion of the stem against the bone",
 }
-# What the closing table of a run has no room for.
+# Quantities that the closing table of a run has no room for.
 MORE = {"interfaces": ("area_gap_over_30um", "area_slip_over_30um", "area_motion_over_30um")}
 log = logging.getLogger("mantle")
 
 
 def after_run(folder: Path, failed: bool) -> None:
-    """Write the pages at the end of a run, on rank 0; a failure is a warning and nothing more.
+    """Write the pages at the end of a run, on rank 0; a failure is only a warning.
 
-    Where the run has failed other ranks wait: the page takes no time.
+    After a failed run the page takes no time, as other ranks wait.
     """
     if rank() != 0:
         return
@@ -68,7 +68,7 @@ def write(folder: Path, share: float = math.inf) -> list[Path]:
 
     Args:
         folder: The run directory.
-        share: Of the time of the run, what may be spent; infinite, pictures become files, too.
+        share: Part of the run's time that may be spent; if infinite, pictures become files, too.
 
     Returns:
         The pages and pictures, the page of the folder first.
@@ -88,12 +88,12 @@ def write(folder: Path, share: float = math.inf) -> list[Path]:
 
 
 def opened(folder: Path, **more: Any) -> SweptCase:
-    """A run directory; numbers of a run that has failed are read as well."""
+    """Open a run directory, that of a failed run as well."""
     return SweptCase(folder.name, folder, **{"status": CONVERGED} | more)
 
 
 def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
-    """The page of a run; of one among many only what its share of time allows."""
+    """Write the page of a run; of one among many, as its share of time allows."""
     case, summary = opened(folder), _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     panels, x = history_curves.panels(case.history)
@@ -148,7 +148,7 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
 
 
 def _view(folder: Path) -> tuple[str, list[str]]:
-    """The view in three dimensions, or why there is none: the page is worth more than its view."""
+    """The view in three dimensions, or why there is none: its failure must not cost the page."""
     try:
         return viewer.viewer(folder) or "", []
     except Exception as error:  # whatever is wrong with the fields
@@ -162,7 +162,7 @@ def _facts(folder: Path, record: dict[str, Any]) -> str:
 
 
 def _verdict(summary: dict[str, Any]) -> list[str]:
-    """How far the numbers can be trusted, and what the run warned of."""
+    """Reliability of the numbers, and warnings of the run."""
     status = summary["status"]
     lines = [f"{text.UNUSABLE}: {why}" for why in text.reasons_not_to_use(summary)]
     if status in (CONVERGED, text.UNUSABLE):
@@ -225,7 +225,7 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
 
 
 def _unsettled(summary: dict[str, Any]) -> Blocks:
-    """Peaks that do not converge, on each mesh that was solved."""
+    """Peaks that do not converge, by mesh."""
     found = {k: dict(v) for k, v in summary.get("error", {}).get("unsettled", {}).items()}
     sizes = sorted({size for values in found.values() for size in values})
     rows = [
@@ -269,7 +269,7 @@ def _gruen(case: SweptCase) -> Blocks:
 
 
 def _maps(case: SweptCase, folder: Path) -> tuple[Blocks, list[Path]]:
-    """Pictures of the interfaces and why some are missing, and the files."""
+    """Pictures of the interfaces with reasons for missing ones, and the files."""
     try:
         drawn, missing = pictures.maps([[("", case)]], folder)
     except (KeyError, OSError) as error:

@@ -1,4 +1,4 @@
-"""The keys that matter most: rank correlation over the cases of a part."""
+"""The most influential keys: rank correlation over the cases of a part."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST = 11  # numbers
 def table(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str | Sequence[str]]]]:
     """Spearman's coefficients of each headline number with each key: head and rows.
 
-    Parts that vary fewer than two keys with numbers have none: a curve says more.
+    Parts with fewer than two varied numeric keys have none, as a curve shows more.
     """
     rows: list[list[str | Sequence[str]]] = []
     for part in dict.fromkeys(c.part for c in cases if c.done):

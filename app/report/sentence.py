@@ -24,14 +24,14 @@ Numbers = Mapping[str, Any]
 
 
 def sentence(summary: Numbers, case: SweptCase) -> str:
-    """The sentence.
+    """Summarise a run in one sentence.
 
     Args:
         summary: Content of summary.json.
         case: The run, for its loads.
     """
     clauses = [*_contacts(summary), *_stem(summary), *_heat(summary), *_cure(summary)]
-    # Loads are known at the end: a run that stopped before has another.
+    # Loads are those at the end: a run that stopped before had others.
     ended = summary["status"] not in ("stopped", "not converged")
     load = _load(case) if ended and (summary["interfaces"] or summary.get("stem")) else ""
     clauses = clauses or list(_stresses(summary))
@@ -42,7 +42,7 @@ def sentence(summary: Numbers, case: SweptCase) -> str:
 
 
 def is_bone(region: Numbers) -> bool:
-    """Whether numbers are of a region that heat can kill."""
+    """Whether numbers belong to a region that heat can kill."""
     return "necrosis_47C_1min_volume" in region
 
 
@@ -67,7 +67,7 @@ def _with_error(section: str, key: str, numbers: Numbers) -> str:
 
 
 def _contacts(summary: Numbers) -> Iterator[str]:
-    """How far bodies slide on each other, and where they part."""
+    """Sliding and opening of the interfaces."""
     for name, q in summary["interfaces"].items():
         if "slip_p99" not in q:
             continue
@@ -97,7 +97,7 @@ def _stem(summary: Numbers) -> Iterator[str]:
 
 
 def _heat(summary: Numbers) -> Iterator[str]:
-    """How hot the bone gets, for how long, and how much of it dies."""
+    """Peak temperature of the bone, how long it lasts, and how much bone dies."""
     regions = summary.get("thermal", {}).get("regions", {})
     bone = [q for q in regions.values() if is_bone(q)]
     if not regions:
@@ -130,7 +130,7 @@ def _heat(summary: Numbers) -> Iterator[str]:
 
 def _cure(summary: Numbers) -> Iterator[str]:
     for name, q in summary.get("cure", {}).items():
-        # Rounded down: what is not set everywhere is not called so.
+        # Rounded down: incomplete cure never reads as 100 %.
         yield f"{name} has set to {math.floor(1e3 * q['degree_min']) / 10:g} % or more"
 
 
@@ -141,7 +141,7 @@ def _stresses(summary: Numbers) -> Iterator[str]:
 
 
 def _errors(summary: Numbers) -> str:
-    """How exactly the main numbers are known."""
+    """Errors of the main numbers."""
     companions = summary.get("error", {}).get("companions")
     if not companions:
         return "how exact these numbers are was not estimated (mantle run --error)"
@@ -174,7 +174,7 @@ def _errors(summary: Numbers) -> str:
 
 
 def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> str:
-    """From where to where the first of some numbers go over several runs."""
+    """Ranges of some numbers over several runs."""
     found = []
     for name in names:
         values = {c.name: n for c in cases if (n := c.number(name)) is not None}

@@ -25,13 +25,13 @@ MOST_LEVELS = 8
 
 
 def headlines(cases: Sequence[SweptCase]) -> list[str]:
-    """Names of the numbers to show of cases, those that matter most first."""
+    """Names of the numbers to show of cases, most important first."""
     found: dict[str, None] = {}
     for case in cases:
         for name in case.summary.get("interfaces", {}):
             found |= {f"{name}.{q}_{part}": None for q, part in PERCENTILES.items()}
     for case in cases:
-        # What burns is the bone; cement may be as hot as it starts.
+        # Bone is what burns; cement may start hot.
         regions = case.summary.get("thermal", {}).get("regions", {})
         order = sorted(regions, key=lambda name: name not in case.bones)
         found |= {f"{name}.temperature_max": None for name in order}
@@ -41,7 +41,7 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
 
 
 def label(name: str) -> tuple[str, str]:
-    """A number's name for people, and its unit."""
+    """A number's label for people, and its unit."""
     place, _, key = name.partition(".")
     if (q := quantities.get(name)) is None:
         return f"{named(place)} {key}".replace("_", " "), ""
@@ -59,14 +59,14 @@ def title(key: str) -> str:
 
 
 def value(level: Any) -> str:
-    """A level in words; of a section its kind."""
+    """A level in words; a section by its kind."""
     if isinstance(level, dict):
         return str(level.get("kind") or ", ".join(map(str, level.values())))
     return str(level)
 
 
 def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
-    """Keys that vary with all their levels, a sentence for each part."""
+    """Varied keys with all their levels, a sentence for each part."""
     parts: dict[str, list[SweptCase]] = {}
     for c in cases:
         parts.setdefault(c.part, []).append(c)
@@ -92,7 +92,7 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
 def cases_table(
     cases: Sequence[SweptCase], names: Sequence[str], links: Mapping[str, str] | None = None
 ) -> Blocks:
-    """Every case with what became of it, the first of its numbers, and pages that it links to."""
+    """Cases with their outcome, the first of their numbers, and links to pages."""
     names = names[:MOST_NUMBERS]
     labels = [f"{words} ({unit})" if unit else words for words, unit in map(label, names)]
     head = ["case", "status", "changes", *labels, "unknowns", "ranks", "time", "message"]
@@ -159,15 +159,15 @@ def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
 
 
 def _varies(line: Line) -> bool:
-    """Whether a curve is more than rounding."""
+    """Whether a curve varies by more than rounding."""
     values = [n.value for n in line.numbers.values()]
     return max(values, default=0.0) - min(values, default=0.0) > max(ROUNDED.values())
 
 
 def scale(cases: Sequence[SweptCase], key: str) -> tuple[str, Callable[[Any], float | None]]:
-    """The unit of a key's values as it is printed, and what makes a number in it of a value.
+    """Printed unit of a key's values, and conversion of a value to a number in it.
 
-    It is the unit as written; that of the schema where several are, or none.
+    The unit is that of the file; that of the schema where there are several, or none.
     """
     texts = [str(c.overrides[key]) for c in cases if key in c.overrides]
     written = {match[2] for t in texts if (match := NUMBER.fullmatch(t))}
@@ -188,7 +188,7 @@ def scale(cases: Sequence[SweptCase], key: str) -> tuple[str, Callable[[Any], fl
 
 
 def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float, SweptCase]]]:
-    """Cases that differ in a numeric key alone, with what they have in common in words."""
+    """Cases that differ in a numeric key alone, by what they have in common."""
     found: dict[str, dict[float, SweptCase]] = {}
     _, number = scale(cases, key)
     for c in cases:

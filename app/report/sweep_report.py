@@ -30,7 +30,7 @@ from app.system.folders import remove, write_text
 from app.system.layout import duration, noted
 
 PAGE, PAPER, PICTURES = "report.html", "paper.html", "report"
-# What an earlier report may have left in the folder of its pictures.
+# Files that an earlier report may have left in the folder of pictures.
 OURS = ("figure[3-8].*", "over_*.*", "map[0-9]_*.png", "shielding.png")
 HONESTY = (
     "Geometry, muscle forces and bone constants of the paper (Rakotomanana and Ramaniraka) are not "
@@ -41,7 +41,7 @@ HONESTY = (
 
 @dataclass(frozen=True)
 class Written:
-    """Files of a report, its verdicts on the paper's trends, and how many cases have results."""
+    """Files of a report, verdicts on the paper's trends, number of cases with results."""
 
     files: Sequence[Path]
     trends: Sequence[Trend]
@@ -98,7 +98,7 @@ def _drawn(figures: Sequence[Figure], folder: Path) -> Blocks:
 def _paper(
     cases: paper.Cases, sweep: SweepResults, folder: Path
 ) -> tuple[list[Path], Sequence[Trend]]:
-    """Write the page that compares the sweep with the paper; its files and its verdicts."""
+    """Write the page that compares the sweep with the paper; return its files and verdicts."""
     figures, missing = paper_numbers.figures(cases, folder)
     rows = paper_numbers.compare(cases)
     trends = paper_claims.judge(cases)
@@ -118,7 +118,7 @@ def _paper(
 
 
 def _uncertain(sweep: SweepResults) -> Blocks:
-    """How far numbers spread over samples of uncertain inputs."""
+    """Spread of numbers over samples of uncertain inputs."""
     parts: Blocks = []
     for part, of in sweep.uncertainty.items():
         words = f"{of['samples']} samples{f' ({part})' if part else ''}"
@@ -136,7 +136,7 @@ def _facts(sweep: SweepResults) -> str:
 
 
 def _summary(sweep: SweepResults) -> list[str]:
-    """Summary at the top of the page: what varied, what failed, what was warned of."""
+    """Summary at the top of the page: varied keys, failures, warnings."""
     counts = Counter(c.status for c in sweep.cases)
     states = ", ".join(f"{counts[s]} {s}" for s in STATUSES if counts[s])
     lines = [f"{len(sweep.cases)} cases: {states}.", *sweep_figures.axes_in_words(sweep.cases)]
@@ -149,7 +149,7 @@ def _summary(sweep: SweepResults) -> list[str]:
 
 
 def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
-    """How far mantle's numbers are from the paper's, over all peaks of the stance."""
+    """Ratios of mantle's numbers to the paper's, over all peaks of the stance."""
     of_stance = [r for r in rows if r.fact.kind == "peak" and r.fact.model == "stance"]
     found = [r.ratios for r in of_stance if not r.quantity]
     peaks = [p for p, _ in found if p is not None]

@@ -1,6 +1,6 @@
 """A sweep's directory read back: its cases, their configurations and their numbers.
 
-Without dolfinx or MPI; fields are read by `app/results/reading.py`, where a picture needs them.
+It needs neither dolfinx nor MPI; `app/results/reading.py` reads fields where a picture needs them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from app.schema import yaml_file
 from app.schema.units import NUMBER
 
 INTERFACES = ("cement_bone", "stem_cement")
-# Of each contact quantity the percentile that converges, its unit for people and factor, its words.
+# Of each contact quantity: the percentile that converges, its unit for people, factor, words.
 _CONTACT = {
     key: quantities.TABLE["interfaces"][f"{key}_max"]
     for key in ("gap", "slip", "motion", "pressure", "shear")
@@ -39,18 +39,17 @@ STATUSES = (CONVERGED, "not converged", "failed", "stopped", UNUSABLE)
 
 @dataclass(frozen=True)
 class Number:
-    """A number and what mesh and step leave wrong in it.
+    """A number with its error.
 
     Attributes:
-        value: The number.
-        error: Its estimated error; None if there is no estimate.
+        error: Estimated error of mesh and step; None if there is no estimate.
     """
 
     value: float
     error: float | None = None
 
     def __str__(self) -> str:
-        """The number for people: to the error's second digit, or to four digits without error."""
+        """Format to the error's second digit, or to four digits without error."""
         if self.error is None or self.error <= 0:
             return f"{self.value:.4g}"
         if self.error >= abs(self.value):
@@ -68,11 +67,11 @@ class SweptCase:
     Attributes:
         folder: Its run directory, which may be missing.
         status: One of `STATUSES`.
-        overrides: What makes it out of the sweep's case, as after ``--set``.
+        overrides: Differences from the sweep's case, as after ``--set``.
         seconds: Wall time.
-        unknowns: How many, 0 if not known.
+        unknowns: Number of unknowns, 0 if not known.
         numbers: Headline numbers by name, as the sweep kept them.
-        notes: What the run has warned of.
+        notes: Warnings of the run.
     """
 
     name: str
@@ -110,7 +109,7 @@ class SweptCase:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The content of summary.json; empty if the case is not done or it cannot be read."""
+        """Content of summary.json; empty if the case is not done or it cannot be read."""
         try:
             text = (self.folder / "summary.json").read_text(encoding="utf-8")
             found = json.loads(text) if self.done else {}
@@ -120,7 +119,7 @@ class SweptCase:
 
     @cached_property
     def history(self) -> list[dict[str, str]]:
-        """The rows of history.csv; empty if there are none."""
+        """Rows of history.csv; empty if there are none."""
         try:
             with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
                 return list(csv.DictReader(file))
@@ -144,10 +143,10 @@ class SweepResults:
     """A sweep.
 
     Attributes:
-        cases: All its cases, those that failed too.
+        cases: All its cases, failed ones too.
         program: Version and hash of the program that ran it.
         seconds: Wall time.
-        uncertainty: What samples of uncertain inputs say, by part (`app/campaigns/uncertainty.py`).
+        uncertainty: Results of uncertain inputs, by part (`app/campaigns/uncertainty.py`).
         compare_with: The publication that it is compared with, or nothing.
     """
 
@@ -201,7 +200,7 @@ def named(name: str) -> str:
 
 
 def magnitude(value: Any) -> float | None:
-    """The number of a value with or without a unit (``4.0 mm``); None if it is not one."""
+    """Number of a value with or without a unit (``4.0 mm``); None if it has none."""
     if isinstance(value, bool) or value is None:
         return None
     if isinstance(value, int | float):

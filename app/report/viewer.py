@@ -1,6 +1,6 @@
-"""The bodies of a run in three dimensions, to be turned and asked inside a page.
+"""Interactive view of the bodies of a run in three dimensions, within a page.
 
-The outsides of all regions and their fields at the end of every stage are packed into the page as
+Surfaces of all regions and their fields at the end of every stage are packed into the page as
 16-bit numbers; `viewer.js` draws them with three.js (Debian's libjs-three).
 """
 
@@ -24,7 +24,7 @@ THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")
 LEVELS = 65534  # values are 0 to this, and one more stands for none
 MOST = 3_000_000  # bytes of values before they are compressed: about half of a page of 2 MB
-# Label, unit and what a value in the file is multiplied by; of vectors the length is shown.
+# Label, unit, and factor on the value in the file; of vectors the length is shown.
 INTERFACE = {
     "slip": ("slip", "µm", 1e3),
     "gap": ("gap", "µm", 1e3),
@@ -43,13 +43,10 @@ NODAL = {
 
 
 def viewer(*folders: Path) -> str | None:
-    """The view as a piece of HTML; nothing without fields or without three.js.
+    """The view as HTML; nothing without fields or without three.js.
 
-    Of several runs it shows one beside the other, under one camera, and behind them how the others
-    differ from the first where they have the same mesh.
-
-    Args:
-        folders: Run directories; those without fields are left out.
+    Several runs are shown side by side under one camera, followed by the differences of the others
+    from the first where the mesh is the same. Folders without fields are left out.
     """
     scripts = [THREE / name for name in SCRIPTS]
     runs = [Run(folder) for folder in folders if (folder / "fields.vtkhdf").exists()]
@@ -84,7 +81,7 @@ def viewer(*folders: Path) -> str | None:
 
 
 def distinct(folders: Sequence[Path]) -> list[str]:
-    """Names of run directories, with as much of their paths as tells them apart."""
+    """Names of run directories, with as much of their paths as distinguishes them."""
     paths = [folder.resolve().parts for folder in folders]
     for k in range(1, max(map(len, paths)) + 1):
         names = ["/".join(p[-k:]) for p in paths]
@@ -103,23 +100,23 @@ def same_mesh(a: Run, b: Run) -> bool:
 
 
 def _safe(text: str) -> str:
-    """Text that cannot end the script it stands in."""
+    """Escape text so that it cannot end the script around it."""
     return text.replace("</", "<\\/").replace("<!--", "<\\!--")
 
 
 def packed(
     run: Run, minus: Run | None = None, most_bytes: int = MOST
 ) -> tuple[dict[str, Any], bytes]:
-    """Pack what `viewer.js` draws: a head that tells where arrays begin, and all their numbers.
+    """Pack the input of `viewer.js`: a head with the offsets of the arrays, and all their numbers.
 
-    Numbers are little-endian: places (n, 3) and values (n,) as 16-bit parts of their range, the
-    corners of triangles as 32-bit numbers of places.
+    Numbers are little-endian: positions (n, 3) and values (n,) as 16-bit fractions of their range,
+    corners of triangles as 32-bit indices of positions.
 
     Args:
-        run: What is drawn.
-        minus: A run on the same mesh whose fields are taken off, at the end of the stage of the
+        run: The run to draw.
+        minus: A run on the same mesh whose fields are subtracted, at the end of the stage of the
             same name, or of the last.
-        most_bytes: Of the numbers; corners alone and the last stages alone are drawn if need be.
+        most_bytes: Limit of the numbers; beyond it only corners and the last stages are drawn.
     """
     ends, kinds = run.written_stages, _kinds(run)
     if minus is not None:
@@ -172,7 +169,7 @@ def packed(
 def _fitting(
     run: Run, stages: int, kinds: int, most_bytes: int
 ) -> tuple[dict[str, Ints], Ints, int]:
-    """Outsides of regions, curved if there is room, their nodes, and how many stages fit."""
+    """Surfaces of regions, curved if there is room, their nodes, and how many stages fit."""
     fine = outsides(run, curved=True)
     # Three for the places, three for the displacement that deforms.
     if 2 * len(_used(fine)) * (3 + stages * (3 + kinds)) > most_bytes:
@@ -182,7 +179,7 @@ def _fitting(
 
 
 def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, float]:
-    """Values as parts of their range, and its ends; one more level stands for none."""
+    """Values as 16-bit fractions of their range, and its ends; one extra level marks no value."""
     least, most = (float(f(values[known])) for f in (np.min, np.max)) if known.any() else (0, 0)
     parts = _levels(np.where(known, (values - least) / ((most - least) or 1.0), 0.0))
     parts[~known] = LEVELS + 1
@@ -190,13 +187,13 @@ def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, fl
 
 
 def _sizes(run: Run, name: str, step: int | str) -> Floats:
-    """A field on the nodes (n,), of vectors the length."""
+    """A field on the nodes (n,); of vectors the length."""
     v = run.on_points(name, step)
     return np.asarray(np.linalg.norm(v, axis=1)) if v.ndim == 2 else v
 
 
 def _kinds(run: Run) -> list[tuple[str, str, str, str, float]]:
-    """Fields that are shown: name in the file, interface or nothing, label, unit and factor."""
+    """Fields to show: name in the file, interface or nothing, label, unit and factor."""
     found = [
         (f"{contact}_{key}", contact, *how)
         for contact in sorted(run.contacts, reverse=True)
@@ -210,7 +207,7 @@ def _kinds(run: Run) -> list[tuple[str, str, str, str, float]]:
 
 
 def outsides(run: Run, curved: bool) -> dict[str, Ints]:
-    """Triangles around each region (t, 3), turned outwards; curved facets are four each."""
+    """Surface triangles of each region (t, 3), facing outwards; curved facets are four each."""
     faces: Ints = np.array(FACES)
     edge = {frozenset(ends): 4 + k for k, ends in enumerate(EDGES)}
     middles = np.array([[edge[frozenset((f[k - 2], f[k - 1]))] for k in range(3)] for f in FACES])
@@ -244,5 +241,5 @@ def _used(triangles: dict[str, Ints]) -> Ints:
 
 
 def _levels(part: Floats) -> NDArray[np.uint16]:
-    """Parts of a range, 0 to 1, as 16-bit numbers."""
+    """Fractions of a range, 0 to 1, as 16-bit numbers."""
     return np.round(np.clip(part, 0.0, 1.0) * LEVELS).astype("<u2")
