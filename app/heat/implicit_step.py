@@ -259,7 +259,7 @@ class ImplicitStep(System):
         return self.operators.principle.outside(self.operators.nodal(x), self.bounds(x))
 
     def correct(self, x: Sequence[PETSc.Vec]) -> bool:
-        """Correct conduction where a state leaves its bounds; return whether to repeat the step."""
+        """Correct conduction out of bounds; return whether to repeat the step; collective."""
         changed = self.operators.principle.correct(self.operators.nodal(x), self.bounds(x))
         if changed:
             self._fill()

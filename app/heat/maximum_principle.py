@@ -110,12 +110,7 @@ class MaximumPrinciple:
         return bool(self._comm.allreduce(here, MPI.LOR))
 
     def correct(self, T: Sequence[Floats], bounds: Bounds) -> bool:
-        """Remove the edges of nodes out of bounds; False if there are none left; collective.
-
-        Args:
-            T: Temperature of own nodes of each body [K].
-            bounds: Bounds of the temperatures.
-        """
+        """Remove edges of nodes at T [K] out of bounds; False if none are left; collective."""
         offending = self._offending(T, bounds)
         return self._flag(
             [

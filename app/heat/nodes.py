@@ -74,13 +74,7 @@ class NodePairs:
 def region_nodes(
     forms: HeatForms, regions: Sequence[str], of_region: Mapping[str, int]
 ) -> dict[str, ThermalNodes]:
-    """Nodes of regions; collective.
-
-    Args:
-        forms: The forms of heat.
-        regions: The regions.
-        of_region: Body of each region.
-    """
+    """Nodes of regions, with the body of each region; collective."""
     x = forms.space.tabulate_dof_coordinates()
     found = {}
     for region in regions:

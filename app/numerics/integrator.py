@@ -96,15 +96,9 @@ class StageStep:
 def step(
     method: Method, y: State, slope: State, dt: float, seconds: float, solve: Solve
 ) -> StageStep | None:
-    """Advance a state by one step; None if a stage could not be solved; collective.
+    """Advance a state by one step dt [s]; None if a stage could not be solved; collective.
 
-    Args:
-        method: Runge-Kutta method.
-        y: State at the start.
-        slope: Its rate of change there.
-        dt: Length of the step [s].
-        seconds: Time at the start.
-        solve: Solver of a stage.
+    ``y``, ``slope`` and ``seconds`` are state, rate of change and time [s] at the start.
     """
     before, slopes, end = slope, list[State](), y
     known = [(0.0, slope)]

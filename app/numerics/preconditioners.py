@@ -57,14 +57,7 @@ def is_direct(linear: str, size: int, limit: int = DIRECT_LIMIT) -> bool:
 
 
 def stiffness_options(linear: str, K: PETSc.Mat, order: int, lower: CoarseOrder | None) -> Options:
-    """Options for a stiffness of displacements.
-
-    Args:
-        linear: direct, multigrid or auto (by size).
-        K: The stiffness.
-        order: Order of the displacements.
-        lower: First-order displacements, if usable.
-    """
+    """Options for a stiffness; ``linear`` is direct, multigrid or auto (by size)."""
     serial = K.comm.size == 1
     limit = SERIAL_LIMITS[order] if serial else DIRECT_LIMIT
     if is_direct(linear, K.getSize()[0], limit):

@@ -224,12 +224,7 @@ class LoadStepper:
     ) -> None:
         """Commit the state of the solver and report the step; collective.
 
-        Args:
-            stage: The current stage.
-            time: Time at the end of the step.
-            outcome: Outcome of the nonlinear solve.
-            started: Wall time at which the step began.
-            whole: Whether it ends an increment.
+        The step ends at ``time``, and an increment if ``whole``; it ``started`` at a wall time.
 
         Raises:
             ConvergenceError: A body runs away.

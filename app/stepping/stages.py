@@ -21,7 +21,7 @@ def run_stages(
     """Run a model through its stages.
 
     Args:
-        stages: The stages.
+        stages: All stages of the scene.
         load_stepper: Its mechanics, at rest at time 0.
         heat_stepper: Its heat.
         begin: Called before each stage.
