@@ -34,11 +34,11 @@ from app.version import __version__
 
 log = logging.getLogger("mantle")
 
-# Of the layout of the file.
+# Version of the file layout.
 FORMAT = 5
 # Names of the header, and of what stands for rows in it.
 HEADER, ROWS = "header", "@rows"
-# Checkpoints that are kept.
+# Number of checkpoints kept.
 KEPT = 2
 # Number of differences listed in a message.
 TOLD = 12

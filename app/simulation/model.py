@@ -278,7 +278,7 @@ class Model:
             return SolvedWithHeat(load_stepper, heating, heating.coupled)
         return SolvedAfterHeat(load_stepper, heating, heating.options.mechanical_step)
 
-    # What is published of the state last committed
+    # Published numbers of the state last committed
 
     def numbers(self, samples: ContactSamples | None) -> dict[str, Any]:
         """All published numbers; collective."""

@@ -312,7 +312,7 @@ class Recorder:
                 log.warning("%s", error)
 
     def last_state(self) -> str:
-        """Sentence on the position of the last converged state."""
+        """Sentence on the last converged state and its folder."""
         if not self.step_count:
             return "no step has converged: nothing is on disk"
         return (

@@ -15,7 +15,7 @@ from app.results.interface_heat import exchange
 from app.results.thermal_record import ThermalRecord
 from app.stepping.heat_state import HeatState, HeatStep
 
-# Heat below so many times what rounding leaves of it in a step is none.
+# Heat below this multiple of its rounding error in a step counts as zero.
 NOTHING = 1e7
 
 

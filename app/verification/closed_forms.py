@@ -1,9 +1,9 @@
 r"""Exact solutions of the verification problems: closed forms, each with its source.
 
 Nothing here comes from the code under test. Lengths in mm, stresses and moduli in MPa, forces in N;
-Young's modulus and Poisson's ratio travel as a pair (E, ν). Positions are arrays (n, 3).
+Young's modulus and Poisson's ratio are passed as a pair (E, ν). Positions are arrays (n, 3).
 
-The problems are those of `configs/verification`; `verification` measures how far they are off.
+The problems are those of `configs/verification`; `measures` computes their errors.
 """
 
 from __future__ import annotations
@@ -99,11 +99,7 @@ def compound_pressures(
     """Pressures at a and b of a core r < a, too large by δ, in rings a < r < b < r < c [MPa].
 
     Plane strain, no friction; Lamé's solution in each (Timoshenko & Goodier, section 28).
-
-    Args:
-        δ: Interference at a [mm].
-        radii: a, b, c [mm].
-        materials: Of the core, of the inner and of the outer ring.
+    ``radii`` are a, b, c [mm]; ``materials`` are those of the core, the inner and the outer ring.
     """
     a, b, c = radii
     (E_1, ν_1), (E_2, ν_2), (E_3, ν_3) = materials
