@@ -76,7 +76,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _explain(error: Exception) -> EnvironmentProblem | None:
-    """The environment's part in an error, if any."""
     from app.soundness import memory
     from app.system import form_cache
 

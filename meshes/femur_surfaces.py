@@ -93,13 +93,8 @@ class FemurSurfaces:
     """Surfaces of the operated femur, as `layers.Surfaces`.
 
     Attributes:
-        spokes: Number of lines around.
-        size: Mesh size [mm].
-        mantle: Stations of the plug's end and of the neck cut.
         tip: Station of the stem's tip.
         cut: Station of the neck cut.
-        stations: Number of stations.
-        mirrored: No steps: sections turn one way.
     """
 
     mirrored = range(0)

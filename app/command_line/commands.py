@@ -149,7 +149,6 @@ def _mesh(options: argparse.Namespace) -> int:
 
 
 def _mesh_path(output: Path | None, stem: str) -> Path:
-    """Path of the mesh file; its folder is made."""
     path = output or Path("out") / f"{stem}.msh"
     if path.is_dir() or path.suffix != ".msh":
         path = path / f"{stem}.msh"

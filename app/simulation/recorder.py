@@ -206,7 +206,6 @@ class Recorder:
         return row
 
     def _row(self, step: LoadStep) -> None:
-        """Write a row of history.csv, and fields where they are due."""
         self.time = step.time
         self.step_count += 1
         row: dict[str, Any] = {"step": self.step_count, "time [-]": step.time} | self._mechanical

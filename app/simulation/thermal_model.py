@@ -23,7 +23,6 @@ class ThermalModel:
     """The heat of a model and its records.
 
     Attributes:
-        heating: Temperatures and degrees of cure in time.
         record: Reported temperatures.
         cure: Reported degrees of cure, if anything cures.
         flows: Heat per time at the end of the last step: into the model by condition, and through

@@ -98,7 +98,6 @@ def _mark(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
 
 
 def _compile(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Compile, and release the lock taken by `_find`."""
     try:
         with captured("compiler") as written:
             try:

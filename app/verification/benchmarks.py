@@ -133,7 +133,6 @@ def _goal(
     tolerance: float,
     tier: str = "default",
 ) -> Check:
-    """A figure with an upper limit."""
     return Check(name, what, tuple(runs), judge, tolerance, tier=tier, group="bench", timed=True)
 
 
@@ -202,7 +201,6 @@ def _numbers(run: Run, key: str) -> dict[str, float]:
 
 
 def _rungs(runs: Iterable[Run]) -> list[list[Run]]:
-    """Runs by their number of unknowns, the smallest first."""
     found: dict[int, list[Run]] = {}
     for run in runs:
         found.setdefault(int(run.summary["solver"]["dofs"]), []).append(run)

@@ -161,10 +161,8 @@ class CheckResult:
     """Result of a check.
 
     Attributes:
-        check: The check.
         outcome: One of `OUTCOMES`.
         message: Reason of the outcome.
-        results: Of its runs.
         sample: Result of its judge, if it was called.
         order: Fitted order of a ladder.
     """

@@ -136,13 +136,7 @@ class OvalFit:
     9.1): φ = (A r² + B r⁴) cos 2θ in the core, (A r² + B r⁴ + C r⁻² + D) cos 2θ in the ring, with
     no shear on r = b, no traction on r = c, equal normal traction and the given jump on r = b.
 
-    Attributes:
-        b: Radius of the interface [mm].
-        c: Outer radius [mm].
-        core: Material of the core.
-        ring: Material of the ring.
-        δ0: Mean interference [mm].
-        δ2: Amplitude of its cos 2θ [mm].
+    Radii b of the interface and c of the outer surface, δ₀ and δ₂ in mm.
     """
 
     b: float
@@ -222,12 +216,7 @@ class FibreRing:
     Equilibrium σ_θ = (r σ_r)' and compatibility ε_r = (r ε_θ)' leave σ_r = A r^(k-1) + B r^(-k-1)
     with k² = β_rr / β_θθ (Lekhnitskii, Anisotropic Plates, section 24).
 
-    Attributes:
-        a: Inner radius [mm].
-        b: Outer radius [mm].
-        pressure: On the inside [MPa].
-        material: Of the ring.
-        radial: Whether the fibres point away from the axis.
+    Radii a and b in mm, pressure in MPa; ``radial``: the fibres point away from the axis.
     """
 
     a: float

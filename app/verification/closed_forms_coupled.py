@@ -50,13 +50,9 @@ def hot_fit_pressure(
 
 @dataclass(frozen=True)
 class ExactLayer:
-    """A ring, or a core if its inner radius is 0, in plane strain.
+    """A ring, or a core if its inner radius is 0, in plane strain; radii in mm.
 
-    Attributes:
-        inner: Radius [mm].
-        outer: Radius [mm].
-        material: Elastic.
-        free_strain: Stress-free strain, the same in all directions.
+    The free strain is the same in all directions.
     """
 
     inner: float

@@ -146,7 +146,6 @@ def _run(
 
 
 def _same(job: Job) -> Job:
-    """Key that is equal for equal runs of all checks."""
     return replace(job, name="")
 
 

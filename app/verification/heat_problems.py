@@ -231,7 +231,6 @@ def _cure(energy: float = 62866.0, heat: float = 1.55e8, initial: float = 1e-3) 
 
 
 def _forced(step: float, count: int) -> tuple[str, ...]:
-    """Options for steps of equal length [s]."""
     stage = f"{{name: forced, duration: {step * count} s, increments: {count}, adaptive: false}}"
     return (f"stages=[{stage}]",)
 

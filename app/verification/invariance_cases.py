@@ -172,7 +172,6 @@ def _round(first: str, count: int) -> tuple[str, str]:
 
 
 def _increments() -> Iterator[Check]:
-    """One to 64 increments along a path that turns."""
     counts = (1, 2, 4, 8, 16, 32, 64, 128)
     runs = tuple(run(STEM, *_round("[1, 0]", n)) for n in counts)
     yield row("increments/1 to 64", runs, partial(judges.first_order, counts=counts), 0.2)

@@ -127,7 +127,6 @@ def lawful(runs: Sequence[Run]) -> Sample:
 
 
 def _worst(errors: Mapping[str, float]) -> Sample:
-    """The largest error, with its name."""
     return worst([Sample(error, note=what) for what, error in errors.items()])
 
 
@@ -138,7 +137,6 @@ def _friction(run: Run, name: str) -> float:
 
 
 def _beyond(run: Run) -> str:
-    """Interfaces whose friction exceeds the critical one."""
     return ", ".join(
         name
         for name, q in run.summary["interfaces"].items()
@@ -277,7 +275,6 @@ def unpenalized(runs: Sequence[Run], penalties: Sequence[float], name: str) -> S
 
 
 def _final(run: Run) -> Floats:
-    """Displacement and slips at the end, as one vector."""
     slips = [run.at_interface(name, "slip").ravel() for name in run.contacts]
     return np.concatenate([run.displacement().ravel(), *slips])
 
