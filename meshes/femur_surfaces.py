@@ -218,7 +218,6 @@ class FemurSurfaces:
         return radius(np.arctan2(y, x), z) - np.hypot(x, y)
 
     def _stem_above(self, phi: Floats, s: Floats) -> Floats:
-        """The stem's outline above the cut (n, 3) [mm]."""
         at = s - self.cut
         _, out, blend, cone = self._above
         x = np.empty((len(s), 3))

@@ -109,7 +109,7 @@ class Check:
 
 
 def within(tier: str, wanted: str) -> bool:
-    """Whether a tier is part of another."""
+    """Whether the wanted tier includes a tier."""
     return TIERS.index(tier) <= TIERS.index(wanted)
 
 

@@ -59,7 +59,7 @@ def mean_square(run: Run, field: Field, zero: float, ends: Sequence[float] = ())
 
 
 def _by_region(x: Floats, region: Ints, field: Field, zero: float, seconds: float) -> Floats:
-    """A field (n, 1) over a temperature at points of several regions."""
+    """Field (n, 1) less a temperature at points of several regions."""
     T = np.zeros(len(x))
     for k in np.unique(region):
         T[region == k] = field(x[region == k], int(k), seconds) - zero
@@ -163,7 +163,7 @@ def degree(run: Run, reference: float) -> Sample:
 
 
 def heat_of_cure(run: Run) -> Sample:
-    """Final temperature of exotherm.yaml, from the heat of the degree reached [degC]."""
+    """Final temperature of exotherm.yaml, from the heat of the degree of cure reached [degC]."""
     q = run.summary["cure"]["cube"]
     rise = 155 / 1.74 * (q["degree_max"] - 1e-3)
     value = run.summary["thermal"]["regions"]["cube"]["temperature_max"]

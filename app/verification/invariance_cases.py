@@ -32,7 +32,7 @@ def _pushed(force: float) -> tuple[str, ...]:
 
 
 def _gaps(c: float) -> tuple[str, ...]:
-    """Interfaces that are tight above and open below, by c times 4 um."""
+    """Interfaces tight above and open below, by c times 4 um."""
     return (
         f"interfaces.stem_cement.gap={0.004 * c!r} * (1 - z / 10)",
         f"interfaces.cement_bone.gap={-0.002 * c!r} * (1 + x / 20)",

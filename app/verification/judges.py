@@ -145,7 +145,7 @@ def _beyond(run: Run) -> str:
 
 
 def nothing_moves(runs: Sequence[Run]) -> Sample:
-    """Without load: no displacement [mm], no pressure [MPa]."""
+    """Displacement [mm] and pressure [MPa] without load: zero."""
     run = runs[0]
     u = float(np.abs(run.displacement()).max())
     p = max(float(np.abs(run.at_interface(name, "pressure")).max()) for name in run.contacts)
@@ -200,7 +200,7 @@ def shrink_fit(
 
 
 def cycles(runs: Sequence[Run], count: int, force: float, friction: float) -> Sample:
-    """Work lost in each cycle of the bar against F^3 / (12 EA f); its end comes back each time."""
+    """Work lost in each cycle of the bar against F^3 / (12 EA f), and return of its end."""
     run = runs[0]
     law = exact.FoundationBar(force, friction, 1.1e6)
     ends = np.arange(count + 1) * 2 + 3.0  # unloaded

@@ -56,7 +56,7 @@ def strains(run: Run, along_axes: Floats) -> Sample:
 
 
 def number(run: Run, name: str, reference: float) -> Sample:
-    """A number of the summary, by its name in studies."""
+    """A number of the summary, named as in studies."""
     value = quantities.read(run.summary, name)
     return relative(math.nan if value is None else value, reference)
 
@@ -157,7 +157,7 @@ def corner(run: Run, poisson_ratio: float) -> Sample:
 
 
 def locking(run: Run, poisson_ratio: float) -> Sample:
-    """Whether a run that locks says so: error 0 if its log does, else 1."""
+    """Warning about locking in the log: error 0 if it is there, else 1."""
     rise = corner(run, poisson_ratio)
     warned = rise.error > 0.1 and re.search(r"\block", run.log)
     return Sample(0.0 if warned else 1.0, rise.value, rise.reference)
