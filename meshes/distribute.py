@@ -37,7 +37,7 @@ class TaggedMesh:
         regions: Region name to cell tag.
         boundaries: Boundary name to its patch tags.
         interfaces: Interface name to the region names on either side.
-        notes: What the mesher has to say.
+        notes: Notes of the mesher.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -50,15 +50,7 @@ class TaggedMesh:
 
 
 def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
-    """Give every rank its part of the mesh; collective.
-
-    Args:
-        data: The mesh on rank 0, None on the others.
-        comm: The communicator.
-
-    Returns:
-        The distributed mesh.
-    """
+    """Distribute the mesh of rank 0 (None on the others) to all ranks; collective."""
     names = (
         (dict(data.regions), dict(data.boundaries), dict(data.interfaces), data.cells.shape[1])
         if data is not None

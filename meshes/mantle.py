@@ -1,4 +1,4 @@
-"""The mantle as it was made: how thick the cement is, where it is clipped, how much there is."""
+"""The cement mantle as meshed: thickness, clipped area, volume."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def describe(data: MeshData, nominal: float, tip: float) -> dict[str, Any]:
 
     Args:
         data: The mesh.
-        nominal: The thickness asked for [mm].
+        nominal: Nominal thickness [mm].
         tip: Level of the stem's tip [mm]. The plug below it and the stem's face there, which has
             the plug before it, have no thickness.
 
     Returns:
         ``thickness`` [mm]: distance of the stem's surface from the bone's, with percentiles by the
         stem's area, and the part of that area where it is below `CLIPPED` of the nominal one;
-        ``volume`` of the cement and ``plug_volume``, what of it is below the tip [mm^3].
+        ``volume`` of the cement and ``plug_volume`` below the tip [mm^3].
     """
     facets, _, _ = interface_facets(data, "stem_cement")
     facets = facets[data.points[facets[:, :3], 2].max(axis=1) > tip + 1e-6]
@@ -67,7 +67,7 @@ def describe(data: MeshData, nominal: float, tip: float) -> dict[str, Any]:
 
 
 def triangles(points: Floats, facets: Ints) -> Floats:
-    """Flat triangles (n, 3, 3) that facets consist of, curved ones nearly [mm]."""
+    """Flat triangles (n, 3, 3) [mm] of facets, approximate for curved ones."""
     if facets.shape[1] == 3:
         return points[facets]
     nodes = [(i, j) for i in range(PARTS + 1) for j in range(PARTS + 1 - i)]

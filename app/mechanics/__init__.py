@@ -1,5 +1,4 @@
 """The discrete equations of motion and contact.
 
-It imports `scene`, `numerics` and `forms`; `heat` and it do not know each other. Begin with
-`problem` and `jumps`.
+It imports `scene`, `numerics` and `forms`, never `heat`. Begin with `problem` and `contact`.
 """

@@ -1,6 +1,6 @@
 """The forms of a scene on its mesh: energies of bodies, work of loads, assembled pieces.
 
-Everything here is linear in the displacement: the stiffness of all bodies with a continuous
+All forms are linear in the displacement: the stiffness of all bodies with a continuous
 displacement u, the stiffness of the cells that touch the jumps of one body (the strip), one vector
 per load. `mechanics.problem` combines them with the contact law.
 """
@@ -40,7 +40,7 @@ from meshes.distribute import TaggedMesh
 # Cells, or facets as pairs of a cell and a local number, by number of the subdomain.
 Domains = list[tuple[int, NDArray[np.int32]]]
 
-# Of the quadrature of moments on curved facets; on flat ones the second is exact.
+# Degree of quadrature of moments on curved facets; the second is exact on flat ones.
 MOMENT_DEGREE = 8
 
 
@@ -53,11 +53,11 @@ class OnBody:
         self.n = ufl.FacetNormal(mechanics.mesh)
 
     def ds(self, boundary: str) -> ufl.Measure | None:
-        """Measure of the part of a boundary that belongs to the body, if any."""
+        """Measure of the facets of a boundary that belong to the body, if any."""
         return self._mechanics.ds(boundary, self._body)
 
     def patch(self, boundary: str) -> Patch:
-        """Area, centroid and moments of a boundary, of all bodies; collective."""
+        """Area, centroid and moments of a boundary over all bodies; collective."""
         return self._mechanics.patch(boundary)
 
     def constant(self, value: Any) -> Expr:
@@ -67,11 +67,11 @@ class OnBody:
     def spread(
         self, density: Field, regions: Sequence[str] | None
     ) -> list[tuple[Expr, ufl.Measure]]:
-        """A field (3,) and the measure of each of the body's regions among some, or of all.
+        """Field (3,) and measure of each of the body's regions, all by default.
 
-        The field is a function of points and not an expression in UFL: all densities share one
-        compiled form. The degree of quadrature is exact for constants on curved cells, and leaves
-        second order its third order in the displacement where the density varies.
+        The field is a function of points, not a UFL expression: densities share one compiled form.
+        The quadrature is exact for constants on curved cells, and keeps the third order of
+        quadratic displacements where the density varies.
         """
         mechanics = self._mechanics
         if regions is None:
@@ -94,16 +94,14 @@ class BodyForms:
     """Energies and loads of a scene in UFL, and their assembled vectors and matrices.
 
     Attributes:
-        scene: The scene.
-        tagged: The mesh with its regions and boundaries.
-        bodies: Who is joined to whom.
+        bodies: Regions by body.
         varying_degree: Degree of quadrature where stress is history or fibres turn: stiffness needs
             one less.
         space: Displacement space.
         u: The continuous displacement.
         springs: Stiffness of each elastic foundation.
-        swelling: Free strain of each elastic region that heat lets swell, at the vertices [-].
-        growth: Modulus of each region that sets over its final one, at the vertices [-].
+        swelling: Thermal strain of each expanding elastic region, at the vertices [-].
+        growth: Modulus of each curing region over its final one, at the vertices [-].
 
     Raises:
         InputError: A load acts on nothing, or nothing can carry its moment.
@@ -139,7 +137,7 @@ class BodyForms:
 
     @cached_property
     def scalars(self) -> fem.FunctionSpace:
-        """Space of what is given at the vertices: temperatures, degrees of cure."""
+        """Space of vertex data: temperatures, degrees of cure."""
         return fem.functionspace(self.mesh, ("Lagrange", 1))
 
     # Measures
@@ -184,7 +182,7 @@ class BodyForms:
         return np.flatnonzero(self._tags[:owned] == self.tagged.regions[region]).astype(np.int32)
 
     def ds(self, boundary: str, body: int) -> ufl.Measure | None:
-        """Measure of the part of a boundary that belongs to a body, if any."""
+        """Measure of the facets of a boundary that belong to a body, if any."""
         patch = self._patches.get((boundary, body))
         return None if patch is None else self._surface(patch)
 
@@ -206,7 +204,7 @@ class BodyForms:
     def over(self, e: Elastic, dx: ufl.Measure, tag: int | None = None) -> ufl.Measure:
         """Measure of a region, by its own tag or another.
 
-        Where fibres turn UFL would take a degree beyond 20, with the same errors.
+        Turning fibres get a fixed degree: UFL would choose more than 20, with the same errors.
         """
         own = dx(self.tagged.regions[e.region] if tag is None else tag)
         return own(degree=self.varying_degree) if e.fibre and e.fibre.turns else own
@@ -221,10 +219,7 @@ class BodyForms:
         return ε
 
     def body_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
-        """Energy of a body (strain and foundations) in its displacement v [N mm].
-
-        Regions that set have none.
-        """
+        """Energy of a body (strain, foundations) in its displacement v [N mm]; 0 if curing."""
         total = 0
         for e in self.scene.elastic:
             if self.bodies.of_region[e.region] == body and e.region not in self.growth:
@@ -236,7 +231,7 @@ class BodyForms:
         return total
 
     def tangent_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
-        """Energy of a body whose second derivative is its stiffness, as far as it has set."""
+        """Energy of a body whose second derivative is its stiffness at the current cure."""
         total = self.body_energy(body, v, dx)
         for e in self.scene.elastic:
             if self.bodies.of_region[e.region] == body and e.region in self.growth:
@@ -256,7 +251,7 @@ class BodyForms:
         """Area, centroid and second moments of a boundary, as meshed; collective.
 
         Raises:
-            InputError: It has no facets.
+            InputError: The boundary has no facets.
         """
         if boundary not in self._measured:
             self._measured[boundary] = _measured(self.tagged, boundary)
@@ -266,10 +261,10 @@ class BodyForms:
 
     @cached_property
     def _stiffness(self) -> CompiledForm:
-        """Second derivative of the energies of all bodies moving with u, for any cells of them."""
+        """Second derivative of the energies of all bodies moving with u, on any of their cells."""
         dx, v, w = self.cells(), ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
         energy = sum(self.tangent_energy(b, self.u, dx) for b in range(len(self.bodies.names)))
-        # Expanded, for what drops out of it must not count among its coefficients.
+        # Expanded, so that terms that drop out do not count among its coefficients.
         form = expand_derivatives(ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w))
         with self._timing.phase("compile", "stiffness"):
             return fem.compile_form(self.mesh.comm, form)
@@ -287,10 +282,7 @@ class BodyForms:
         return self._stiffness_on(self._domains(near), facets)
 
     def _stiffness_on(self, cells: Domains, facets: Domains) -> fem.Form:
-        """The stiffness of some cells and of the beds of springs on some facets.
-
-        Each pair of facets stands for a cell and its local facet.
-        """
+        """Stiffness of some cells and of the foundations on some facets (cell, local facet)."""
         form = self._stiffness.ufl_form
         return fem.create_form(
             self._stiffness,

@@ -1,7 +1,4 @@
-"""Coarse space of contact: motions of bodies past each other, which no local method finds.
-
-`numerics.deflation` says what they are for.
-"""
+"""Coarse space of contact: motions of bodies past each other, for `numerics.deflation`."""
 
 from __future__ import annotations
 
@@ -19,27 +16,24 @@ from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import from_triplets, matrix_sum
 from app.scene.bodies import cell_tags
 
-# A direction of which a law resists less than this is free.
+# A direction is free if a law resists less than this part of it.
 RESISTED = 0.5
 # Large boxes about the interfaces over the cube root of the number of contact points.
 BOXES = 1.5
 # Small ones: their edge over that of the mesh, by the order of the displacement.
 SMALL = {1: 5.0, 2: 2.5}
-# Steps in which they get smaller.
+# Halvings of their edge.
 SMALLER = 0.95
-# A point lets other directions go if a projector differs by this; a part of the points that do may
-# be overlooked.
+# The free directions of a point have changed if its projector differs by this; a part of the points
+# may change before they are updated.
 DIFFERENT, STALE = 0.5, 0.03
 
 
 def free_directions(slope: Floats) -> Floats:
-    """Projectors on the jumps that a contact law does not resist.
+    """Orthogonal projectors on the jumps that a contact law does not resist (n, 3, 3).
 
     Args:
         slope: Generalized derivative P' of the law at each point (n, 3, 3).
-
-    Returns:
-        Orthogonal projectors on what P' all but maps to zero (n, 3, 3).
     """
     values, vectors = np.linalg.eigh(slope.transpose(0, 2, 1) @ slope)
     free = np.where(values < RESISTED**2, 1.0, 0.0)
@@ -51,7 +45,7 @@ class Boxes:
 
     Attributes:
         edge: Length of the edges of the boxes [mm].
-        size: How many functions there are.
+        size: Number of functions.
     """
 
     def __init__(self, x: Floats, edge: float = 0.0) -> None:
@@ -66,7 +60,7 @@ class Boxes:
         self.size = int((self._count + 1).prod())
 
     def __call__(self, x: Floats) -> tuple[Ints, Floats]:
-        """Functions that are not zero at points x (n, 3), and their values (n, 4)."""
+        """Nonzero functions at points x (n, 3), and their values (n, 4)."""
         y = np.clip((x - self._low) / self.edge, 0, self._count - 1e-9)
         corner = y.astype(np.int64)
         # From the low corner to the high one along the edges, the longest part first (Kuhn).
@@ -79,7 +73,7 @@ class Boxes:
 
 
 class _Entries:
-    """Entries of a matrix (components of nodes or points x motions), as they are found."""
+    """Entries of a matrix (components of nodes or points x motions), collected in triplets."""
 
     def __init__(self, comm: MPI.Comm, rows: int) -> None:
         self._comm, self._rows = comm, rows
@@ -87,7 +81,7 @@ class _Entries:
         self.dense(np.zeros((0, 0)), 0)
 
     def hats(self, at: tuple[Ints, Floats], place: Ints, used: Bools, factor: Floats) -> None:
-        """Each used function along each axis, from column ``place`` on; times a factor (n, 3)."""
+        """Each used function along each axis, from column ``place`` on, times a factor (n, 3)."""
         functions, values = at
         values = np.where(used[functions], values, 0.0)
         shape = (*functions.shape, 3)
@@ -104,11 +98,11 @@ class _Entries:
         self._found.append((rows, first + columns, values[rows, columns]))
 
     def votes(self, columns: int) -> Ints:
-        """Entries of this rank in each of so many columns."""
+        """Number of this rank's entries in each column."""
         return np.bincount(np.concatenate([j for _, j, _ in self._found]), minlength=columns)
 
     def matrix(self, owner: Ints) -> PETSc.Mat:
-        """The matrix, its columns in the order of the ranks that own them; collective."""
+        """The matrix, its columns ordered by owning rank; collective."""
         number = np.empty_like(owner)
         number[np.argsort(owner, kind="stable")] = np.arange(len(owner))
         i, j, v = (np.concatenate(parts) for parts in zip(*self._found, strict=True))
@@ -119,9 +113,9 @@ class _Entries:
 class SlidingMotions(CoarseSpace):
     """Coarse space: smooth sliding motions of one body past the others, of displacement and jumps.
 
-    A body that deforms has those of hat functions on boxes about the interfaces: large boxes with
-    all that is in them, and small ones along the interfaces of all bodies but the stiffest (where
-    all move together nothing slides). A rigid one has six.
+    A deformable body has those of hat functions on boxes about the interfaces: large boxes with all
+    they contain, and small ones along the interfaces of all bodies but the stiffest (where all move
+    together nothing slides). A rigid one has six.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -189,7 +183,7 @@ def _motions(problem: Problem, contact: ContactInterfaces) -> tuple[PETSc.Mat, P
 
 
 def _stiffest(problem: Problem) -> int:
-    """The body with the largest modulus, a rigid one before all others."""
+    """The body with the largest modulus; rigid ones come first."""
     modulus = np.zeros(len(problem.bodies.names))
     for region, value in problem.scene.moduli.items():
         body = problem.bodies.of_region[region]
@@ -198,7 +192,7 @@ def _stiffest(problem: Problem) -> int:
 
 
 def _frame(x: Floats) -> Floats:
-    """Rigid motions about the middle of points x, turns as large as shifts: well conditioned."""
+    """Rigid motions about the centre of points x, rotations scaled as translations."""
     frame = np.eye(6)
     frame[:3, 3:] = -rigid_modes(x.mean(axis=0)[None])[0, :, 3:]
     frame[:, 3:] /= np.linalg.norm(np.ptp(x, axis=0)) or 1.0
@@ -206,7 +200,7 @@ def _frame(x: Floats) -> Floats:
 
 
 def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bools:
-    """Own nodal components of a body, those that jumps move left out (n, 3); collective."""
+    """Own nodal components of a body that no jump moves (n, 3); collective."""
     space = problem.space
     cells = np.flatnonzero(problem.bodies.of_tag[cell_tags(problem.tagged)] == body)
     marks = fem.Function(space)
@@ -220,7 +214,7 @@ def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bool
 
 
 def _unknowns(problem: Problem, components: Bools) -> Bools:
-    """Own unknowns that some of the own nodal components depend on."""
+    """Own unknowns that the given nodal components depend on."""
     found = np.zeros(len(problem.stiffness.constraints.constrained), dtype=bool)
     vector = problem.stiffness.K.createVecLeft()
     for mode in problem.stiffness.constraints.modes:

@@ -24,8 +24,8 @@ from app.scene.scene import Scene
 from meshes.contact_facets import gather
 from meshes.distribute import TaggedMesh
 
-# A motion of a rigid region counts as held when its supports resist it by more than this fraction
-# of the motion they resist most.
+# A motion of a rigid region is constrained if its supports resist it by more than this fraction of
+# the motion they resist most.
 _HELD = 1e-9
 
 
@@ -68,11 +68,8 @@ def _prescribed_values(
 ) -> list[Floats]:
     """Displacement of own nodes by each support at full amplitude (n, 3) [mm]; collective.
 
-    Args:
-        scene: The scene.
-        space: Of the displacement.
-        support_of: Support that holds each own component (3 n,).
-        axes: Axes of own nodes that components are along (n, 3, 3); None: x, y, z.
+    ``support_of`` is the support of each own component (3 n,), ``axes`` the axes of the components
+    (n, 3, 3), None for x, y, z.
     """
     own = support_of.reshape(-1, 3)
     x = space.tabulate_dof_coordinates()[: len(own)]
@@ -100,7 +97,7 @@ class Constraints:
 
     Attributes:
         constrained: Own unknowns that supports hold (n,).
-        unit: For each support the values of the own unknowns at full amplitude (n,).
+        unit: Values of the own unknowns by each support at full amplitude (n,).
         reacting: Own nodal components through which supports act (3 own nodes,).
         modes: The six rigid modes of the whole model in own unknowns (6, n).
 
@@ -192,7 +189,7 @@ class Constraints:
 
     @property
     def transforms(self) -> bool:
-        """Whether unknowns are others than nodal displacements."""
+        """Whether P is not the identity."""
         return self._P is not None
 
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
@@ -220,7 +217,7 @@ class Constraints:
         return out
 
     def carry(self, u: PETSc.Vec, old: Constraints) -> None:
-        """Turn the motions of rigid regions from the old axes to these."""
+        """Transform the motions of rigid regions from the old axes to these."""
         for place, basis in self._bases.items():
             own = slice(place, place + 6)
             u.array[own] = basis.T @ old._bases[place] @ u.array[own]
@@ -228,8 +225,8 @@ class Constraints:
     def contract(self, nodal: PETSc.Vec) -> PETSc.Vec:
         """Find ũ from U = P ũ by the normal equations; collective.
 
-        P^T P has a block of 6 x 6 on rank 0 for each rigid region, else it is the identity: block
-        Jacobi solves with it exactly.
+        P^T P is the identity but for a 6 x 6 block on rank 0 per rigid region, which block Jacobi
+        solves exactly.
         """
         if not self._P:
             return nodal.copy()
@@ -243,7 +240,7 @@ class Constraints:
 
 
 def _region_of_nodes(scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace) -> Ints:
-    """Number of the rigid region of each local node, -1 in elastic regions only; collective."""
+    """Number of the rigid region of each local node, -1 if it has none; collective."""
     tags = cell_tags(tagged)
     owned = tagged.mesh.topology.index_map(3).size_local
     mark = fem.Function(fem.functionspace(tagged.mesh, ("Lagrange", scene.order)))
@@ -268,20 +265,14 @@ def _rigid_unknowns(
     own: Ints,
     prescribed: list[Floats],
 ) -> tuple[Floats, Floats, int, list[Floats], Floats]:
-    """Unknowns of a rigid region, from its own nodes (n of them); collective.
+    """Unknowns of a rigid region, from its n own nodes; collective.
 
-    Args:
-        comm: Communicator.
-        scene: The scene.
-        region: Name of the region.
-        x: Positions (n, 3) [mm].
-        axes: Axes that supported components are along (n, 3, 3).
-        own: Support that holds each component (n, 3).
-        prescribed: Displacement by each support (n, 3) [mm].
+    ``x`` are positions (n, 3) [mm], ``axes`` those of the components (n, 3, 3), ``own`` the
+    support of each component (n, 3), ``prescribed`` the displacement by each support (n, 3) [mm].
 
     Returns:
-        Displacement of the nodes by the unknowns (n, 3, 6), basis, rank and amounts as of
-        `_held_motions`, and the unknowns of the six rigid modes of the model, in columns.
+        Displacement of the nodes by the unknowns (n, 3, 6); basis, rank and amounts as of
+        `_held_motions`; the six rigid modes of the model in the unknowns, by column.
     """
     points = gather(comm, x)[0]
     centre, scale = points.mean(axis=0), np.ptp(points, axis=0).max() or 1.0
@@ -300,16 +291,13 @@ def _rigid_unknowns(
 def _held_motions(
     scene: Scene, region: str, rows: Floats, wanted: list[Floats]
 ) -> tuple[Floats, int, list[Floats]]:
-    """Basis (6, 6) of a body's motions, held ones first, their number, and their amounts.
+    """Basis (6, 6) of a body's motions, constrained ones first, their number, and their amounts.
 
-    Args:
-        scene: The scene.
-        region: Name of the rigid region.
-        rows: Displacement of each held component by the six motions (m, 6).
-        wanted: What each support wants of it at full amplitude (m,).
+    ``rows`` are the displacements of the constrained components by the six motions (m, 6),
+    ``wanted`` their values at full amplitude by each support (m,).
 
     Raises:
-        InputError: What they want is no rigid motion.
+        InputError: The supports prescribe no rigid motion.
     """
     if not len(rows):
         return np.eye(6), 0, [np.zeros(6) for _ in scene.supports]
@@ -318,7 +306,7 @@ def _held_motions(
     basis = vt.T
     inverse = np.linalg.pinv(rows, rcond=_HELD)
     amounts: list[Floats] = [np.zeros(6) for _ in scene.supports]
-    # Supports that change alike are one: only together do they have to be a rigid motion.
+    # Supports with the same history count as one: only their sum has to be a rigid motion.
     for history in dict.fromkeys(s.history for s in scene.supports):
         alike = [s for s, term in enumerate(scene.supports) if term.history == history]
         whole = np.sum([wanted[s] for s in alike], axis=0)

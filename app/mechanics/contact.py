@@ -56,8 +56,7 @@ class TrialState:
     """Contact at a trial state.
 
     Attributes:
-        contact: The contact.
-        equilibrium: Of own points (n, 3) [N].
+        equilibrium: Residual e of equilibrium at own points (n, 3) [N].
         jump: Jumps of own points (n, 3) [mm].
         law: Forces by the laws, and their derivatives.
     """
@@ -68,9 +67,9 @@ class TrialState:
     law: PointForces
 
     def rubbing(self) -> tuple[Floats, Floats]:
-        """Friction [MPa] and slip [mm] of a step as the laws have them, each (n, 3).
+        """Friction [MPa] and slip [mm] of a step by the laws, each (n, 3).
 
-        Zero where a point is open or sticks, though the solver's tolerance leaves some.
+        Exactly zero where a point is open or sticks, whatever the solver's tolerance leaves.
         """
         c, law = self.contact, self.law
         force = law.force + np.einsum("pk,pki->pi", law.pressures, c.own.normals)
@@ -84,8 +83,8 @@ class TrialState:
     def _closed(self, step: Floats) -> Bools:
         """Faces that are closed after a step (n, 3).
 
-        At an edge what is tangential to them is along it: the force of a point that friction on one
-        face holds against another acts across the edge too, but nothing slips there.
+        At an edge the tangential direction is along it: a point that friction on one face holds
+        against another has a force across the edge too, but no slip there.
         """
         gap = np.einsum("pi,pki->pk", self.jump + self.contact.gap, self.contact.own.normals)
         nearly = gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None]
@@ -94,18 +93,17 @@ class TrialState:
     def committed(self) -> ContactState:
         """State of the points after a converged step: jump, tractions, slip, dissipation.
 
-        A point slides by the tangential part of a step at whose end it is in contact: the motion
-        for which the law gives its friction. What it moves while it is open is no slip.
+        A point that ends a step in contact slides by the tangential part of the step: the motion
+        for which the law computes its friction. Motion of an open point is not slip.
 
-        Dissipation is the implicit sum, new friction times the step's slip: what the incremental
-        potential (eq. 55) makes non-negative at each point, where the trapezoidal rule is negative
-        when friction reverses. Work is trapezoidal, so that the energy balance closes.
+        Dissipation is the implicit sum, new friction times the step's slip, which the incremental
+        potential (eq. 55) makes non-negative at each point; the trapezoidal rule is negative when
+        friction reverses. Work is trapezoidal, so that the energy balance closes.
 
         Contact without tension does no work in its total gap (jump and initial gap; a changing gap
-        does do work in the jump), so ``contact_work`` is what the load steps make of points that
-        close or open within a step. For a penalty it is the energy stored in its springs,
-        r/2 g^2 per area, which comes back when they let go; their tangential part is no slip and is
-        taken out of the dissipation.
+        does work in the jump), so ``contact_work`` is the error of load steps in which points close
+        or open. For a penalty it is the energy of its springs, r/2 g^2 per area, which is released
+        when they open; their tangential part is not slip and is subtracted from the dissipation.
         """
         c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.own.weight
         step, opening = self.jump - old.jump, self.jump + c.gap
@@ -138,11 +136,11 @@ class ContactInterfaces:
         facets: All interface facets, replicated.
         edge_lengths: Mean edge of the facets of each interface [mm].
         own: The points of this rank.
-        coupling: How they are coupled to the displacement.
+        coupling: Their coupling to the displacement.
         law: Their laws.
         state: Their committed state.
         gap: Initial gap at the current time (n, 3) [mm].
-        prescribed: Jumps that supports prescribe at the current time (n, 3) [mm].
+        prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
 
     Raises:
         InputError: An interface has no facets on this mesh.
@@ -183,9 +181,7 @@ class ContactInterfaces:
     def begin(self, contacts: Sequence[Interface], augmentation_factor: float) -> None:
         """Reset to the unloaded state, with other laws of the same interfaces; collective.
 
-        Args:
-            contacts: Interfaces of the same surfaces as ever.
-            augmentation_factor: Default augmentation over the local stiffness per area.
+        The default augmentation is ``augmentation_factor`` times the local stiffness per area.
         """
         self._contacts = contacts
         laws = [c.law for c in contacts]
@@ -200,7 +196,7 @@ class ContactInterfaces:
         self.state: ContactState = ContactState.at_rest(self.gap, self.law.history)
 
     def update_stiffness(self, mechanics: BodyForms, constraints: Constraints) -> None:
-        """Assemble the coupling again: stiffness or supports have changed."""
+        """Reassemble the coupling for changed stiffness or supports."""
         self.coupling.update(mechanics, constraints)
         self.law.update_stiffness(self.coupling.local_stiffness())
 
@@ -218,8 +214,8 @@ class ContactInterfaces:
     def tie(self, on: bool) -> bool:
         """Tie interfaces that were open everywhere so far, or none; collective if it does.
 
-        Tied sides touch, whatever that takes, and do not slip: a body that nothing else holds is
-        brought to the one it is pushed against. Returns whether there are any.
+        The sides of a tied interface touch and stick, so that a body that nothing else holds is
+        brought to the one it is pushed against. Returns whether there are such interfaces.
         """
         tied = self.law.tied = np.zeros(len(self.own), dtype=bool)
         if not on:

@@ -15,7 +15,7 @@ from meshes.contact_points import Entries
 
 
 class JumpCoupling:
-    """Stiffness between jumps and displacement, assembled again when the stiffness changes.
+    """Stiffness between jumps and displacement, reassembled when the stiffness changes.
 
     Attributes:
         jump_to_displacement: Matrices from jumps to displacements, by body.
@@ -24,9 +24,7 @@ class JumpCoupling:
         Ct: The transpose of C.
 
     Args:
-        mechanics: The bonded bodies.
-        constraints: Their unknowns.
-        entries: Of the displacement of all bodies by all jumps.
+        entries: Displacement of each body by all jumps.
         number: Number of each contact point in the order of the ranks.
         own: Number of contact points of this rank.
     """
@@ -69,7 +67,7 @@ class JumpCoupling:
         return C, D, C.copy().transpose()
 
     def update(self, mechanics: BodyForms, constraints: Constraints) -> None:
-        """Assemble again, in the same matrices: stiffness or supports have changed."""
+        """Reassemble, in the same matrices, for changed stiffness or supports."""
         new = self._assembled(mechanics, constraints)
         for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
             values.copy(matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
@@ -81,5 +79,5 @@ class JumpCoupling:
         return self._work.array.reshape(-1, 3) - f_q.reshape(-1, 3)
 
     def local_stiffness(self) -> Floats:
-        """Stiffness that the jump of each own point meets with all else held (n, 3, 3) [N/mm]."""
+        """Stiffness of the jump of each own point with all else held (n, 3, 3) [N/mm]."""
         return diagonal_blocks(self.D, 3)

@@ -28,7 +28,7 @@ from app.system.timing import Timing
 from forms import contact
 from forms.contact import STICK
 
-# All that says what a law is, beside the module it is in: another text is another law.
+# The modules that define a law, beside its own: a change of their text makes it another law.
 SOURCES = (contact, interface_laws, pointwise, sys.modules[__name__])
 
 
@@ -38,12 +38,12 @@ class PointForces:
 
     Attributes:
         force: Interface force per area (n, 3) [MPa].
-        jacobian: Its generalized derivative by the trial force, or what stands for it: the part of
-            a change of the jump that is resisted (n, 3, 3) [-].
+        jacobian: Its generalized derivative by the trial force, or its replacement: the part of a
+            change of the jump that is resisted (n, 3, 3) [-].
         by_jump: Its generalized derivative by the jump (n, 3, 3) [MPa/mm].
-        pressures: Of each face, positive in compression (n, 3) [MPa].
+        pressures: Pressure on each face, positive in compression (n, 3) [MPa].
         status: OPEN, STICK or SLIP (n,).
-        history: What the laws will remember, by name: (n, ...).
+        history: New values of the history variables of the laws, by name: (n, ...).
     """
 
     force: Floats
@@ -54,7 +54,7 @@ class PointForces:
     history: Mapping[str, Floats] = field(default_factory=dict)
 
 
-# Rows of points with the same number of faces and laws of the same form: one of these, compiled.
+# Rows of points with the same number of faces and laws of the same form, with their compiled law.
 Group = tuple[Ints, InterfaceLaw, Pointwise]
 
 
@@ -63,11 +63,11 @@ class PointLaw:
 
     Attributes:
         can_open, frictional: Whether the law of each point can open, has friction (n,).
-        history: Shapes of what the laws remember, by name.
+        history: Shapes of the history variables of the laws, by name.
         tied: Points that stick whatever their law (n,).
-        default_stiffness: Stiffness of the trial force as the laws have it (n,) [MPa/mm].
+        default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
         stiffness: The one in force (n,) [MPa/mm].
-        multiplier_share: Part of the force of equilibrium in the trial force: 1 for an
+        multiplier_share: Part of the equilibrium force in the trial force: 1 for an
             augmentation (n,).
     """
 
@@ -76,12 +76,10 @@ class PointLaw:
         self._known: dict[tuple[Hashable, ...], list[Group]] = {}
 
     def begin(self, laws: Sequence[InterfaceLaw], factor: float, local_stiffness: Floats) -> None:
-        """Take the laws of a run, compiled once for all of the same forms; collective.
+        """Set the laws of a run, compiled once for all of the same form; collective.
 
-        Args:
-            laws: The law of each interface.
-            factor: Default augmentation over the local stiffness per area.
-            local_stiffness: As of `update_stiffness`.
+        The default augmentation is ``factor`` times the local stiffness (as of `update_stiffness`)
+        per area.
         """
         own, forms = self._own, tuple(law.form for law in laws)
         if forms not in self._known:
@@ -115,11 +113,11 @@ class PointLaw:
     def update_stiffness(self, local_stiffness: Floats) -> None:
         """Set the default stiffness of the trial force.
 
-        By default it is a factor of what the jump meets per area with all else held, in its softest
-        direction: that follows materials, setting, mesh and order by itself.
+        By default it is a factor times the local stiffness per area in its softest direction: it
+        follows materials, cure, mesh and order.
 
         Args:
-            local_stiffness: That which the jump of each point meets (n, 3, 3) [N/mm].
+            local_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
         self._point_stiffness = np.linalg.eigvalsh(local_stiffness)[:, 0] / self._own.weight
         self.default_stiffness = self._by_law(
@@ -146,7 +144,7 @@ class PointLaw:
         return values
 
     def usual_augmentation(self) -> float:
-        """Multiple of the augmentation asked for that would be chosen, in the mean; collective."""
+        """Default augmentation over the one in the case, in the mean; collective."""
         here = np.array([law.augmented for law in self._laws])[self._own.interface]
         usual = USUAL_AUGMENTATION * self._point_stiffness[here]
         own = np.array_equal(usual, self.default_stiffness[here])
@@ -160,7 +158,7 @@ class PointLaw:
         """Augmentation or penalty of each interface that can open [MPa/mm]; collective.
 
         Args:
-            trial: Of penalties what they are solved with, not what they are.
+            trial: Return the stiffness that penalties are solved with, not their own.
         """
         values = {}
         for i, law in enumerate(self._laws):
@@ -176,8 +174,8 @@ class PointLaw:
         """Multiplier part of the trial force; a penalty keeps the last friction alone.
 
         Args:
-            force: Of equilibrium (n, 3) [MPa].
-            friction: Of the last converged state (n, 3) [MPa].
+            force: Equilibrium force (n, 3) [MPa].
+            friction: Friction of the last converged state (n, 3) [MPa].
         """
         share = self.multiplier_share[:, None]
         return share * force + (1 - share) * friction

@@ -1,4 +1,4 @@
-"""Contact points of one rank, and supports that would make their jumps impossible: refused."""
+"""Contact points of one rank; supports that make their jumps impossible are refused."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class OwnPoints:
 
     @classmethod
     def of(cls, points: ContactPoints, rows: Ints) -> OwnPoints:
-        """Those of all points that a rank owns."""
+        """Select the points that a rank owns."""
         return cls(
             rows=rows,
             interface=points.interface[rows],
@@ -79,10 +79,10 @@ def prescribed_jump(points: ContactPoints, number: int, support: Support) -> Flo
 
 
 def refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:
-    """Refuse supports that give jumps in some stages only: what is unknown may not change.
+    """Refuse supports that prescribe jumps in some stages only: unknowns may not change.
 
     Raises:
-        InputError: One holds a body where another one holds what it touches.
+        InputError: A support holds a body where another one holds its neighbour.
     """
     for s, support in enumerate(supports):
         if support.stages is not None and (points.given == s).any():

@@ -17,11 +17,11 @@ class ContactState:
     Attributes:
         jump: Jump (n, 3) [mm].
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
-        friction: Its part that friction carries (n, 3) [MPa].
-        opening: Jump with the initial gap (n, 3) [mm].
+        friction: Friction part of the force (n, 3) [MPa].
+        opening: Jump plus initial gap (n, 3) [mm].
         slip: Net sliding while in contact (n, 3) [mm].
-        path: Length of its path (n,) [mm].
-        dissipation: Dissipated by friction so far (n,) [N mm].
+        path: Length of the sliding path (n,) [mm].
+        dissipation: Friction dissipation so far (n,) [N mm].
         least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening so far (n,) [N mm].
         work: Work of the whole interface force in the jump so far (n,) [N mm].

@@ -1,7 +1,7 @@
 r"""Regions that set: their stress is history, not a function of strain.
 
-While cement sets its stiffness grows from nearly nothing, so that what it was strained by before
-leaves no stress. The law is a rate,
+While cement cures its stiffness grows from nearly nothing, so that strains of the liquid leave no
+stress. The law is a rate,
 
 .. math:: \dot σ = g(α)\, C : (\dot ε - \dot e^* I),
 
@@ -43,12 +43,12 @@ from forms import cure, elasticity, loads
 
 # Rows and columns of the components of elasticity.symmetric.
 ROWS, COLUMNS = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])
-# A modulus that changes by less than this part of the final one is the same.
+# A modulus that changes by less than this part of the final one counts as unchanged.
 SAME = 1e-12
 
 
 class CuringStress:
-    """Stress history of all regions that set; made collectively.
+    """Stress history of all curing regions; made collectively.
 
     Attributes:
         bodies: Bodies that hold such regions.
@@ -56,7 +56,7 @@ class CuringStress:
         weights: Their weights (p,).
 
     Raises:
-        InputError: A region that sets has eigenstrains, which know no rate.
+        InputError: A curing region has eigenstrains, which have no rate.
     """
 
     saved = ("_stress",)
@@ -108,7 +108,7 @@ class CuringStress:
             }
 
     def _stress_of(self, e: Elastic, ε: Any, sign: int) -> Any:
-        """Stress of a strain, with the step's free strain added or taken off."""
+        """Stress of a strain, with the step's free strain added or subtracted."""
         g = self._mechanics.growth[e.region]
         ε = ε + sign * elasticity.swelling(self._rise[e.region])
         return g * elasticity.stress(lambda x: self._mechanics.energy_density(e, x), ε)
@@ -144,11 +144,7 @@ class CuringStress:
         }
 
     def stiffen(self) -> bool:
-        """Put the step's mean modulus and free strain into the forms; collective.
-
-        Returns:
-            Whether a modulus has changed.
-        """
+        """Set the step's mean modulus and free strain; whether a modulus changed; collective."""
         change = 0.0
         for r, function in self._mechanics.growth.items():
             (g0, e0), (g1, e1) = self._old[r], self._new[r]
@@ -159,7 +155,7 @@ class CuringStress:
         return bool(self._mechanics.mesh.comm.allreduce(change, MPI.MAX) > SAME)
 
     def forces(self) -> dict[int, PETSc.Vec]:
-        """Nodal forces on each body that the step starts with [N]; collective."""
+        """Nodal forces of the prestress on each body at the start of the step [N]; collective."""
         parts = {}
         for body, form in self._forces.items():
             part = fem.petsc.assemble_vector(form)
@@ -179,7 +175,7 @@ class CuringStress:
 
     @property
     def row_keys(self) -> Ints:
-        """Keys of the quadrature points of own cells that set."""
+        """Keys of the quadrature points of own curing cells."""
         dofs = self._stress.function_space.dofmap.list
         number = self._mechanics.mesh.topology.original_cell_index
         keys = np.full(len(self._stress.x.array) // 6, LEFT_OUT, dtype=np.int64)
@@ -188,7 +184,7 @@ class CuringStress:
         return keys
 
     def begin_at(self, displacements: Sequence[fem.Function]) -> None:
-        """Go on from restored stresses, at displacements of the bodies and given cure."""
+        """Continue from restored stresses, at displacements of the bodies and given cure."""
         for b in self.bodies:
             self._before[b].x.array[:] = displacements[b].x.array
         self._old = dict(self._new)
@@ -213,7 +209,7 @@ class CuringStress:
 
 
 def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:
-    """Modulus over the final one by degree of cure, at every vertex of this rank."""
+    """Compiled modulus over the final one by degree of cure, at every vertex of this rank."""
     constants = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
     law = Pointwise(
         comm,

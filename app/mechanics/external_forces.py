@@ -37,11 +37,7 @@ class Forces:
     """Loads, eigenstrains and free strains of a scene; made collectively.
 
     Args:
-        scene: The scene.
-        mechanics: Its forms.
-        bodies: Its bodies.
-        contact: Its contact, if any.
-        known: Forces of the same problem: what it has too is not assembled again.
+        known: Forces of the same problem, whose assembled vectors are reused.
     """
 
     def __init__(
@@ -81,7 +77,7 @@ class Forces:
         return self.action(parts)
 
     def _eigenstrain(self, e: Elastic, k: int) -> Action:
-        """An eigenstrain, as the load it is equivalent to."""
+        """Nodal forces of an eigenstrain at full amplitude."""
         mechanics, v = self._mechanics, ufl.TestFunction(self._mechanics.space)
         mechanics.set_amplitudes({(e.region, k): 1.0})
         body = self._bodies.of_region[e.region]
@@ -91,7 +87,7 @@ class Forces:
         return self.action({body: part})
 
     def action(self, parts: Mapping[int, PETSc.Vec]) -> Action:
-        """Sum nodal forces on each body, for the displacement and for the jumps."""
+        """Sum nodal forces on each body, on the displacement and on the jumps."""
         total, jump = self._nothing()
         for body, part in parts.items():
             own = total.duplicate()
@@ -143,5 +139,5 @@ class Forces:
 
 
 def _at_full(load: Load) -> Load:
-    """A load whatever its history and its name."""
+    """The load at full amplitude and without a name: the key of its assembled vector."""
     return load.named("", history=None)

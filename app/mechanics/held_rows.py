@@ -17,8 +17,8 @@ class ConstrainedRows:
     """The rows of the stiffness that the supports of a stage constrain.
 
     Attributes:
-        rows: Their global numbers, of this rank.
-        typical: Mean diagonal of the stiffness: constrained rows get it, so that scales stay alike.
+        rows: Their global numbers, on this rank.
+        typical: Mean diagonal of the stiffness, set in constrained rows to keep scales alike.
     """
 
     def __init__(self, K: PETSc.Mat, constraints: Constraints) -> None:
@@ -34,12 +34,12 @@ class ConstrainedRows:
         K.zeroRowsColumns(self.rows, diag=self.typical)
 
     def couple(self, contact: ContactInterfaces | None) -> None:
-        """Take the reactions to jumps from the coupling."""
+        """Add the reactions to jumps, from the coupling."""
         if contact:
             self._by_jumps = contact.coupling.C.createSubMatrix(self._index)
 
     def move(self, f: PETSc.Vec, amplitudes: Sequence[float]) -> Floats:
-        """Displacements prescribed at amplitudes (n,); add the forces that they bring to f [N]."""
+        """Prescribed displacements at amplitudes (n,); their forces are added to f [N]."""
         given = np.zeros(len(f.array_r))
         for a, unit, lift in zip(amplitudes, self._unit, self._lifts, strict=True):
             given += a * unit
@@ -47,7 +47,7 @@ class ConstrainedRows:
         return given
 
     def forces(self, u: PETSc.Vec, q: PETSc.Vec | None) -> PETSc.Vec:
-        """Reactions of the supports in a state, loads aside [N]."""
+        """Reactions of the supports in a state, without loads [N]."""
         found = self._by_displacement.createVecLeft()
         self._by_displacement.mult(u, found)
         if self._by_jumps is not None:

@@ -2,9 +2,8 @@
 
 Contact with friction is homogeneous of degree one: without gaps, loads that grow in proportion from
 zero make the state grow with them, so that from the second step on the straight line through the
-states before is the answer itself. Where the load turns, or points open or begin to slip, it is
-only near it or not even that: a predicted state is taken if it is closer to equilibrium than the
-state the step comes from.
+states before is the exact answer. Where the load turns, or points open or begin to slip, it is near
+the answer at best: a predicted state is used only if its residual is below that of the last state.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 
 from app.numerics.newton import Solver
 
-# States before the last that are kept.
+# Earlier states that are kept.
 KEPT = 3
 
 
@@ -27,27 +26,24 @@ class Predictor(Protocol):
     """Finds a start for a load step."""
 
     def predict(self, time: float) -> None:
-        """Put a better start for the step to a time into the solver, or leave it; collective.
+        """Set the solver to a better start for the step to a time, if there is one; collective.
 
-        The problem is at that time, and the solver has the state last committed.
+        The problem is at that time, the solver at the last committed state.
         """
 
     def commit(self, time: float) -> None:
-        """Remember the state of the solver as committed at a time."""
+        """Store the state of the solver as committed at a time."""
 
 
 class Extrapolation:
-    """The straight line through the last two states; where a stage begins, all that they span.
-
-    Loads turn there.
-    """
+    """Line through the last two states; all states at the start of a stage, where loads turn."""
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
         self._trail: list[tuple[float, PETSc.Vec]] = []
 
     def begin(self, time: float) -> None:
-        """Keep the state at which the first path of loads begins."""
+        """Store the state at which the first path of loads begins."""
         if not self._trail:
             self._trail = [(time, self._solver.x.copy())]
 
@@ -71,20 +67,21 @@ class Extrapolation:
         return x
 
     def commit(self, time: float) -> None:
-        """Remember the state; of two at one time the later."""
+        """Store the state; of two at one time, the later."""
         state = (time, self._solver.x.copy())
         self._trail = [*[p for p in self._trail if p[0] != time][-KEPT:], state]
 
 
 def mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.Vec:
-    r"""State of least residual in the span of a state and others, were the residual linear.
+    r"""State of least linearized residual in the span of a state and others; collective.
 
-    With x the state and d_i the ways to it from the others, it is x + sum s_i d_i with the s_i of
+    With x the state and d_i the differences of the others from it, it is x + sum s_i d_i with the
+    s_i of
 
     .. math:: |R(x) + \sum_i s_i (R(x + d_i) - R(x))| = \min.
 
     Args:
-        solver: Of a problem at the time of the step; collective.
+        solver: Solver of a problem at the time of the step.
         x: The state.
         others: The others.
     """
@@ -108,12 +105,7 @@ def mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.
 
 
 def take_better(solver: Solver, x: PETSc.Vec) -> bool:
-    """Give the solver a state if it is closer to equilibrium than its own; collective.
-
-    Args:
-        solver: Of a problem at the time of the step.
-        x: The state; its supported components are set.
-    """
+    """Set the solver to x, supports imposed, if its residual is smaller; collective."""
     if not imbalance(solver, x) < imbalance(solver, solver.x.copy()):
         return False  # nor is a state that is no number
     x.copy(solver.x)

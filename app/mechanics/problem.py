@@ -36,23 +36,19 @@ class Problem:
         stiffness: Stiffness of the bodies, with its constraints.
         forces: Loads, eigenstrains and free strains.
         contact: Contact of the interfaces, if there are any.
-        setting: Stress of what sets, if anything does.
-        thermal_strain: Thermal expansion of what has constant moduli, if anything expands.
+        setting: Stress history of curing regions, if any.
+        thermal_strain: Thermal expansion of regions with constant moduli, if any.
         u: Displacement, the continuous field.
         moved: Displacement of each body that jumps move.
         time: Current time: stage k runs from k to k + 1.
         f: Forces on the unknowns of the displacement at that time [N].
         f_q: Forces on the jumps [N].
-        prescribed: Unknowns that supports prescribe (n,).
+        prescribed: Values of constrained unknowns (n,).
         load_size: Norm of the nodal forces of loads and free strains [N].
 
     Args:
-        scene: What is solved.
-        tagged: Its mesh.
         augmentation_factor: Default augmentation over modulus and mesh size.
-        timing: Where the seconds go.
-        like: One with other contacts but the same stiffness, which never changes: its inverse
-            serves both.
+        like: Problem with other contacts and the same constant stiffness, whose inverse is shared.
 
     Raises:
         InputError: The scene does not fit the mesh.
@@ -100,7 +96,7 @@ class Problem:
         """Reset to the unloaded state, with other loads and laws; matrices stay; collective.
 
         Args:
-            scene: One that differs in the values of loads and in contact laws alone.
+            scene: Scene that differs in the values of loads and in contact laws alone.
             augmentation_factor: Default augmentation over the local stiffness per area.
         """
         self.scene = scene
@@ -122,7 +118,7 @@ class Problem:
         self.stiffness.rows.couple(self.contact)
         self.set_time(self.time)
 
-    # What a run remembers
+    # Saved state
 
     @property
     def row_keys(self) -> dict[str, Ints]:
@@ -130,7 +126,7 @@ class Problem:
         return {"u": node_keys(self.space), "mechanics": node_keys(self.mechanics.scalars)}
 
     def restored(self) -> None:
-        """Make supports and stiffness those of the stage and of what has set; collective."""
+        """Update supports and stiffness to the restored stage and cure; collective."""
         stage, self.stiffness.stage = self.stiffness.stage, 0
         self.set_stage(stage, self.stiffness.K.createVecRight())
         if self.mechanics.growth:
@@ -138,7 +134,7 @@ class Problem:
         self.set_time(self.time)
 
     def take_up(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
-        """Fill the unknowns with the restored displacement and jumps; collective."""
+        """Set the unknowns to the restored displacement and jumps; collective."""
         self.stiffness.constraints.contract(self.u.x.petsc_vec).copy(u)
         if self.contact:
             assert q is not None
@@ -152,13 +148,13 @@ class Problem:
 
         Args:
             stage: Number of the stage.
-            u: Unknowns of the displacement, which stays.
+            u: Unknowns of the displacement, which is kept.
         """
         if self.stiffness.set_stage(stage, u):
             self._follow_stiffness()
 
     def set_time(self, time: float) -> None:
-        """Set loads, supports and gaps to a time; the state itself does not move."""
+        """Set loads, supports and gaps to a time; the state itself is unchanged."""
         self.time = time
         action = self.forces.at(time)
         self.f, self.f_q = self.stiffness.constraints.vector(action.nodal), action.jump
@@ -176,10 +172,10 @@ class Problem:
         )
 
     def set_temperature(self, temperatures: Mapping[str, fem.Function]) -> None:
-        """Swell to temperatures; the state itself does not move.
+        """Set the temperatures of thermal expansion; the state itself is unchanged.
 
         Args:
-            temperatures: For each region that expands, values at the vertices [K], ghosts included.
+            temperatures: Values at the vertices of each expanding region [K], ghosts included.
         """
         if self.thermal_strain:
             self.forces.set_eigenforces("heat", self.thermal_strain.set(temperatures))
@@ -191,7 +187,7 @@ class Problem:
         """Set degree of cure and free strain; takes effect at the next `update_stiffness`.
 
         Args:
-            degrees: For each region that sets, the degree of cure at the vertices [-].
+            degrees: Degree of cure at the vertices of each curing region [-].
             strains: Its free strain accumulated since gelation at the vertices [-].
         """
         if self.setting:
@@ -210,10 +206,10 @@ class Problem:
         self.set_time(self.time)
 
     def thermal_stiffness(self, moves: Mapping[str, PETSc.Mat]) -> ThermalStiffness:
-        """How the forces change with temperature; zero in supported rows; collective.
+        """Derivatives of the forces by temperature; zero in supported rows; collective.
 
         Args:
-            moves: For each region whose temperatures jumps move, what they add to the nodal ones.
+            moves: Matrix from temperature jumps to nodal temperatures, for each region they move.
         """
         assert self.thermal_strain is not None
         return self.thermal_strain.stiffness(
@@ -233,9 +229,9 @@ class Problem:
         return self.contact.trial(u, q, self.f_q)
 
     def residual_u(self, u: PETSc.Vec, q: PETSc.Vec | None, out: PETSc.Vec) -> None:
-        """K u + C q - f [N]; in constrained rows what is missing to the prescribed values.
+        """K u + C q - f [N]; in constrained rows the deviation from the prescribed values.
 
-        A preconditioner of another stage moves these too: to leave them out would hide it.
+        A preconditioner of another stage changes these rows too: their residual must show it.
         """
         self.stiffness.K.mult(u, out)
         if self.contact:
@@ -247,8 +243,8 @@ class Problem:
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
 
-        Not what supports would have to push a model with that holds still: on a fine mesh that is
-        far more than any force there is.
+        Forces that would move the constrained unknowns of a model at rest do not count: on a fine
+        mesh they exceed all others by far.
         """
         scale = self.load_size
         if self.contact:
@@ -282,12 +278,12 @@ class Problem:
         """Augmentation or penalty of each interface [MPa/mm]; collective.
 
         Args:
-            trial: Of penalties what they are solved with, not what they are.
+            trial: Return the stiffness that penalties are solved with, not their own.
         """
         return self.contact.augmentation(trial) if self.contact else {}
 
     def commit(self, trial: TrialState | None) -> None:
-        """Commit a converged state, once displacements are updated."""
+        """Commit a converged state, after `update_displacements`."""
         if trial is not None:
             trial.contact.state = trial.committed()
         if self.setting:

@@ -25,19 +25,15 @@ class Stiffness:
 
     Attributes:
         K: The matrix, constrained rows and columns set to a diagonal.
-        version: Counts its changes: preconditioners are of one version.
-        stage: The stage whose supports hold.
+        version: Number of its changes, which outdate preconditioners.
+        stage: The stage whose supports are active.
         frames: Nodes with axes of their own, if a support needs them.
-        constraints: From nodal displacements to unknowns.
+        constraints: Map from unknowns to nodal displacements.
         rows: Rows of constrained unknowns.
-        inverse: Solves with the matrix alone.
+        inverse: Approximate inverse of K.
 
     Args:
-        scene: What is solved.
-        tagged: Its mesh.
-        bodies: Its bodies.
-        mechanics: Their forms.
-        reuse: One with the same matrix, which never changes: its inverse serves both.
+        reuse: Stiffness with the same constant matrix, whose inverse is shared.
     """
 
     saved = ("stage",)
@@ -78,20 +74,17 @@ class Stiffness:
         return K
 
     def update(self) -> None:
-        """Assemble again, in the same matrix; collective."""
+        """Reassemble in the same matrix; collective."""
         K = self._constrained()
         K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.version += 1
 
     def set_stage(self, stage: int, u: PETSc.Vec) -> bool:
-        """Activate the supports of a stage; reassemble if they changed; collective.
+        """Activate the supports of a stage; reassemble and return True if they changed; collective.
 
         Args:
             stage: Number of the stage.
-            u: Unknowns of the displacement, which stays.
-
-        Returns:
-            Whether they changed.
+            u: Unknowns of the displacement, which is kept.
         """
         before, self.stage = self.stage, stage
         scene = self._parts[0]
@@ -105,5 +98,5 @@ class Stiffness:
         return True
 
     def rounding(self, u: PETSc.Vec) -> float:
-        """Residual that rounding alone leaves at a displacement: a stiff body that moves [N]."""
+        """Residual by rounding alone, large for a stiff body that moves [N]."""
         return ROUNDING * float(np.finfo(float).eps) * (self._diagonal * u).norm()

@@ -37,7 +37,7 @@ class BondedSystem(System):
 
     @property
     def version(self) -> int:
-        """Changes of the stiffness."""
+        """Number of changes of the stiffness."""
         return self._problem.stiffness.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
@@ -63,7 +63,7 @@ class BondedSystem(System):
         self._problem.residual_u(x[0], None, f[0])
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
-        """Forces out of balance, beside those there are [N]."""
+        """Out-of-balance forces, with their scale [N]."""
         problem, (u, *q) = self._problem, x
         scale = problem.force_scale(u, q[0] if q else None)
         return [Measure(size(f), scale, problem.stiffness.rounding(u))]
@@ -73,7 +73,7 @@ class ContactSystem(BondedSystem):
     """Displacement and jumps.
 
     Attributes:
-        trial: Contact at the state whose residual or Jacobian was asked for last.
+        trial: Contact at the state of the last residual or Jacobian.
         rows: Factor of equilibrium in the rows of the jumps, 1 - P' as last set.
     """
 
@@ -134,7 +134,7 @@ class ContactSystem(BondedSystem):
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def linearize_at(self, forces: Floats | None) -> None:
-        """Take the laws as linear about these interface forces, or as they are."""
+        """Linearize the laws about these interface forces; None: about their own."""
         self._forces = forces
 
     def _trial(self, x: list[PETSc.Vec]) -> TrialState:
@@ -163,7 +163,7 @@ class ContactSystem(BondedSystem):
         return self._coarse
 
     def record_active_set(self) -> None:
-        """Add the contact points' states to the active set, of the residual asked for last."""
+        """Append the contact states of the last residual to the active set."""
         self.active.add(self.trial.law.status)
 
     def scale_augmentation(self, factor: float) -> bool:
@@ -176,9 +176,9 @@ class ContactSystem(BondedSystem):
         return self._problem.augmentation(trial=True)
 
     def usual_augmentation(self) -> float:
-        """Multiple of the augmentation asked for that would be chosen; collective."""
+        """Default augmentation over the one in the case, in the mean; collective."""
         return self._contact.law.usual_augmentation()
 
     def tie(self, on: bool) -> bool:
-        """Solve with interfaces tied that were open everywhere so far, if there are any."""
+        """Tie interfaces that were open everywhere so far; return whether there are any."""
         return self._contact.tie(on)

@@ -1,4 +1,4 @@
-r"""Thermal expansion: what temperatures do to the bodies, as forces.
+r"""Thermal expansion: the forces of temperatures on the bodies.
 
 A region swells by :math:`e = α (θ - θ_{ref})`, linear between the vertices. Its elastic strain is
 ε(u) - e I (the paper's energy, eq. 51, leaves the second term out), so that with constant moduli
@@ -52,13 +52,10 @@ class ThermalStrain:
         self._forces = {x.region: _forces(mechanics, elastic[x.region]) for x in self._terms}
 
     def set(self, temperatures: Mapping[str, fem.Function]) -> dict[int, PETSc.Vec]:
-        """Swell to temperatures.
+        """Set the thermal strain; return nodal forces on each body [N].
 
         Args:
-            temperatures: For each region that expands, values at the vertices [K], ghosts included.
-
-        Returns:
-            Nodal forces on each body [N].
+            temperatures: Values at the vertices of each expanding region [K], ghosts included.
         """
         parts: dict[int, PETSc.Vec] = {}
         for x in self._terms:
@@ -78,13 +75,13 @@ class ThermalStrain:
         contact: ContactInterfaces | None,
         supported: NDArray[np.int32],
     ) -> ThermalStiffness:
-        """How the forces change with temperature.
+        """Derivatives of the forces by temperature.
 
         Args:
-            moves: For each region whose temperatures jumps move, what they add to those.
-            constraints: From nodal displacements to unknowns.
+            moves: Matrix from temperature jumps to nodal temperatures, for each region they move.
+            constraints: Map from unknowns to nodal displacements.
             contact: Contact, if any.
-            supported: Rows of the displacement that supports hold: zero.
+            supported: Constrained rows of the displacement, which are zeroed.
         """
         by_θ = _sums((self.body[x.region], self._scaled(x)) for x in self._terms)
         by_τ = _sums(
@@ -116,9 +113,9 @@ class ThermalStrain:
 
 
 def _forces(mechanics: BodyForms, e: Elastic) -> PETSc.Mat:
-    """Nodal forces of the bodies by the nodal swelling of a region, both of this rank."""
+    """Nodal forces of the bodies by the nodal thermal strain of a region, both of this rank."""
     v, free = ufl.TestFunction(mechanics.space), ufl.TrialFunction(mechanics.scalars)
-    # One number for any region: all that are isotropic share a compiled form.
+    # One constant for any region: all isotropic ones share a compiled form.
     cells = [(1, mechanics.region_cells(e.region))]
     dx = ufl.Measure("dx", domain=mechanics.mesh, subdomain_data=cells)
     strain = mechanics.elastic_strain(e, mechanics.u)

@@ -1,10 +1,10 @@
 """Warm start from converged states of earlier variations.
 
-Every variation goes its own way from rest, for friction remembers; what it takes from others is
-where each of its solves starts. Contact with friction is homogeneous of degree one: where loads and
-gaps change by a common factor the scaled state is the answer itself. Where anything else changes
-the nearest scaled state is near it, in the distance of forces, gaps and the logarithm of friction,
-and what it and the next nearest span holds a nearer one.
+Every variation is solved from rest, for friction has a memory; earlier variations only provide
+initial guesses. Contact with friction is homogeneous of degree one: where loads and gaps change by
+a common factor the scaled state is the exact answer. Otherwise the nearest scaled state is near it,
+in the distance of forces, gaps and the logarithm of friction, and the span of the nearest states
+holds a nearer one.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from app.mechanics.predictors import mixture, same, take_better
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 
-# Runs whose states are kept; one that is a multiple of another is not.
+# Runs whose states are kept, multiples of another one left out.
 KEPT = 6
 # Nearest states that are mixed.
 MIXED = 5
-# Friction below which there is as good as none.
+# Friction coefficient below which an interface counts as frictionless.
 LITTLE = 1e-3
 
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A converged state and what it belongs to, on this rank.
+    """A converged state with its loads, gaps and friction, on this rank.
 
     Attributes:
         x: Unknowns.
@@ -48,7 +48,7 @@ class Neighbour:
 
 
 class WarmStart:
-    """States of other runs on the same unknowns as starts of this one."""
+    """Initial guesses from states of other runs with the same unknowns."""
 
     def __init__(self, problem: Problem, solver: Solver) -> None:
         self._problem, self._solver = problem, solver
@@ -58,17 +58,17 @@ class WarmStart:
         self._new = False
 
     def begin(self) -> None:
-        """Another run begins."""
+        """Begin another run."""
         if self._new:
             self._past = [*self._past, self._now][-KEPT:]
         self._now, self._new = {}, False
 
     def predict(self, time: float) -> None:
-        """Start from the nearest state of another run, or from it and others, if that is better."""
+        """Start from the nearest state of another run, or a combination of several, if better."""
         self._start = None
         here = self._state()
         sizes = [self._product(p, p) or 1.0 for p in (here.forces, here.gaps)] + [1.0]
-        # One in other steps knows other times.
+        # Runs in other load steps have states at other times.
         known = [
             state
             for states in self._past
@@ -84,13 +84,12 @@ class WarmStart:
                 self._start = x.copy()
 
     def commit(self, time: float) -> None:
-        """Remember the state."""
+        """Store the state."""
         state = self._state()
         self._now[time] = state
         self._new = self._new or self._start is None or not same(self._start, state.x)
 
     def _state(self) -> Neighbour:
-        """Current solution, with the loads, gaps and friction that it belongs to."""
         problem = self._problem
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
         friction = [math.log(max(c.law.friction, LITTLE)) for c in contacts]
@@ -102,7 +101,7 @@ class WarmStart:
         )
 
     def _factor(self, state: Neighbour, here: Neighbour, sizes: list[float]) -> float:
-        """By what loads and gaps of a state come nearest to those here."""
+        """Factor that brings loads and gaps of a state nearest to those here."""
 
         def product(other: Neighbour) -> float:
             forces = self._product(state.forces, other.forces) / sizes[0]

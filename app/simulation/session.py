@@ -1,4 +1,4 @@
-"""A run as it was asked for: one case, or its variations one after another."""
+"""A run as requested: one case, or its variations one after another."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def run(
         case: The case.
         output: The run directory.
         petsc_options: Raw PETSc options from the command line.
-        restart: A checkpoint to go on from, ``auto`` or nothing.
-        force: Whether it may be of another configuration.
-        walltime: How long the run may take [s].
+        restart: A checkpoint to restart from, ``auto`` or "".
+        force: Whether to accept a checkpoint of another configuration.
+        walltime: Time limit of the run [s].
         signals: Whether SIGINT, SIGTERM, SIGHUP and SIGUSR1 stop the run, with its state saved.
         progress: Called on every rank after each accepted step.
 
@@ -97,11 +97,9 @@ class Session:
         self._restart, self._force = restart, force
 
     def vary(self, output: Path, *, keep: bool) -> None:
-        """Solve the variations of the case, each in a folder of its own; collective.
+        """Solve the variations of the case, each in a folder below ``output``; collective.
 
-        Args:
-            output: The folder above theirs.
-            keep: Whether those that are finished stay.
+        With ``keep`` finished ones are not solved again.
 
         Raises:
             ConvergenceError: Some did not converge; the others are done.
@@ -145,11 +143,7 @@ class Session:
         text.check_usable(solved)
 
     def _variation(self, varied: Varied, folder: Path, place: str) -> dict[str, Any]:
-        """Solve a variation; returns its summary, empty if it does not converge; collective.
-
-        Raises:
-            StoppedError: With its place among all.
-        """
+        """Solve a variation; returns its summary, empty if it does not converge; collective."""
         on_root(self._comm, partial(_prepare, folder), share=False)
         try:
             summary = self.solve(varied.case, varied.overrides, folder)
@@ -170,15 +164,9 @@ class Session:
         return done
 
     def solve(self, case: Case, changes: Sequence[str], output: Path) -> dict[str, Any]:
-        """Solve a case and write its run directory; collective.
+        """Solve the case or a variation, write its run directory; returns its summary; collective.
 
-        Args:
-            case: The case of the session, or a variation of it.
-            changes: The overrides that make the variation.
-            output: The run directory.
-
-        Returns:
-            Its summary.
+        ``changes`` are the overrides of the variation.
 
         Raises:
             MantleError: With the last converged state on disk where there is one.
@@ -206,11 +194,7 @@ class Session:
 
 @contextmanager
 def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
-    """Keep other runs out of a folder meanwhile; collective.
-
-    Raises:
-        InputError: Another run has it.
-    """
+    """Lock a folder meanwhile; collective."""
     held = on_root(comm, partial(claim, output), share=False)
     try:
         yield
@@ -220,10 +204,6 @@ def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
 
 
 def _prepare(folder: Path) -> None:
-    """Make the folder of a variation; that it failed once says nothing now.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Make the folder of a variation; remove the note of an earlier failure."""
     prepare_run(folder, force=True)
     (folder / FAILED).unlink(missing_ok=True)
