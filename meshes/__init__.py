@@ -43,15 +43,10 @@ DIVISIBLE = frozenset({"cancellous_bone"})
 
 
 def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
-    """Mesh a geometry, or take the mesh from the cache.
+    """Mesh a geometry, or take the mesh from the cache; the same input gives the same mesh.
 
-    Args:
-        geometry: One of the configuration's geometries, told apart by ``kind``.
-        mesh: The mesh options: ``size``, ``far_size`` [mm], ``curved``.
-        cache: Folder of cached meshes; None: neither read nor written.
-
-    Returns:
-        The mesh, with canonical numbering; the same input gives the same mesh.
+    ``geometry`` is one of the case's geometries, told apart by ``kind``; ``mesh`` has ``size``,
+    ``far_size`` [mm] and ``curved``. Without a ``cache`` folder nothing is read or written.
 
     Raises:
         GeometryError: The geometry cannot be built, a boundary, interface or region is empty or
@@ -72,7 +67,6 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
 
 
 def _make(geometry: Any, mesh: Any) -> MeshData:
-    """Mesh a geometry, check the mesh and describe it."""
     data = canonical(_generate(geometry, mesh))
     remedy = "Try another mesh.size, or other lengths in the section geometry."
     if geometry.kind == "file":
@@ -95,7 +89,6 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
 
 
 def _describe_mantle(data: MeshData, geometry: Any) -> dict[str, Any]:
-    """A note how thick the cement is, if the geometry has a mantle."""
     for m in geometry.mantles:
         from meshes import mantle  # needs scipy, which blocks do not
 
@@ -138,15 +131,7 @@ def _generate(geometry: Any, mesh: Any) -> MeshData:
 
 
 def _check_parts(data: MeshData, whole: Collection[str]) -> None:
-    """Every region, boundary and interface is there, and some regions are in one piece.
-
-    Args:
-        data: The mesh.
-        whole: The regions whose cells must be connected by faces.
-
-    Raises:
-        GeometryError: With all that is missing.
-    """
+    """Require every region, boundary and interface; regions in ``whole`` must be connected."""
     missing = [
         f"region {n}" for n, tag in data.regions.items() if not (data.cell_tags == tag).any()
     ]
@@ -171,14 +156,9 @@ def _check_parts(data: MeshData, whole: Collection[str]) -> None:
 
 
 def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> None:
-    """Wherever two bodies meet there is an interface: without one they would be tied.
+    """Require an interface wherever two bodies meet: they would be tied without one.
 
-    Args:
-        data: The mesh.
-        joined: Regions that are one body.
-
-    Raises:
-        GeometryError: With every pair that meets elsewhere, and where.
+    Regions in one collection of ``joined`` are one body.
     """
     faces, here, there = region_facets(data)
     messages = []

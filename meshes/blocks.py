@@ -16,15 +16,12 @@ from meshes.tags import assemble, number
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:
-    """Mesh a stack of blocks whose corner is the origin.
+    """Mesh a stack of blocks with the origin at its corner: interfaces are ``<lower>_<upper>``.
 
     Args:
         geometry: ``blocks``, each with ``name`` and ``size`` (lx, ly, lz) [mm], the first at the
             bottom; ``tilt`` [rad] of the interface planes about y through the stack's axis.
         mesh: ``size``, ``far_size`` [mm], ``curved``.
-
-    Returns:
-        Regions named as the blocks, interfaces ``<lower>_<upper>``.
 
     Raises:
         GeometryError: The tilted planes cross, or gmsh fails.
@@ -93,7 +90,6 @@ def _stack(gmsh: Any, lx: float, ly: float, planes: Floats) -> None:
 def _boundaries(
     centres: Floats, entity: Any, names: list[str], size: tuple[float, float, float]
 ) -> dict[str, Any]:
-    """Masks over the exterior facets, by name."""
     x, y, z = centres.T
     lx, ly, lz = size
     near = 1e-6 * max(size)

@@ -1,4 +1,4 @@
-"""Meshes kept by the content of what they were made from."""
+"""Cache of meshes, by the content of their input."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MESHER_VERSION = 8  # raise it whenever the same input gives another mesh
 
 
 def plain(value: Any) -> Any:
-    """A configuration object as JSON-able data; private attributes are left out."""
+    """Configuration object as data for JSON, without private attributes."""
     if hasattr(value, "model_dump"):
         return plain(value.model_dump())
     if isinstance(value, dict):
@@ -57,11 +57,7 @@ def key(geometry: Any, mesh: Any) -> str:
 
 
 def _gmsh_version() -> str:
-    """Version of gmsh, from its text: to import it takes longer than to read a mesh.
-
-    Raises:
-        ModuleNotFoundError: There is no gmsh.
-    """
+    """Version of gmsh, read from its text: importing it takes longer than reading a mesh."""
     spec = find_spec("gmsh")
     if spec is not None and spec.origin:
         found = re.search(r'^GMSH_API_VERSION = "(.+)"', Path(spec.origin).read_text(), re.M)
@@ -72,7 +68,7 @@ def _gmsh_version() -> str:
     return str(gmsh.__version__)
 
 
-# What is kept of a mesh, beside its names.
+# Arrays of a mesh in the cache.
 ARRAYS = ("points", "cells", "cell_tags", "facets", "facet_tags")
 
 
@@ -95,7 +91,7 @@ def load(path: Path) -> MeshData | None:
 
 @contextmanager
 def lock(path: Path) -> Iterator[None]:
-    """Keep others from making the same mesh meanwhile: many runs at once often need one mesh."""
+    """Lock a mesh while it is made: many runs at once often need the same one."""
     with ExitStack() as stack:
         try:
             file = stack.enter_context(open(files.lock_file(path.with_suffix(".lock")), "w"))
@@ -107,10 +103,7 @@ def lock(path: Path) -> Iterator[None]:
 
 
 def store(data: MeshData, path: Path) -> None:
-    """Write the mesh under another name and rename it: readers see all of it or nothing.
-
-    Where it cannot be written it is not kept.
-    """
+    """Write the mesh under another name and rename it; skipped where the folder is not writable."""
     names = {
         "regions": dict(data.regions),
         "boundaries": dict(data.boundaries),

@@ -16,15 +16,12 @@ INDEPENDENT = 0.05
 
 
 def faces_around(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, Floats, Ints]:
-    """Group the facets around each point into faces.
+    """Group the facets around each of n points into faces.
 
-    Args:
-        facets: All facets.
-        point: Contact point of each facet corner, -1 where not enforced (3 f,).
-        n: Number of points.
+    ``point`` is the contact point of each facet corner, -1 where not enforced (3 f,).
 
     Returns:
-        Normals (n, 3, 3), areas (n, 3) and number of faces (n,).
+        Normals (n, 3, 3), areas (n, 3) [mm2] and number of faces (n,).
     """
     label = _smooth_groups(facets)
     used = point >= 0
@@ -71,9 +68,9 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
 
 
 def _connected(n: int, a: Ints, b: Ints) -> Ints:
-    """Label of each of n things (n,): equal where pairs join them, in the order of the first ones.
+    """Label connected components of a graph of n nodes (n,), in the order of their first nodes.
 
-    Each takes the lowest number around it until none changes; here, what is joined is near.
+    Each node takes the least number around it until none changes: joined nodes are near here.
     """
     label = np.arange(n)
     while True:
@@ -109,13 +106,13 @@ def _distinct(normals: Floats, areas: Floats) -> tuple[Floats, Floats]:
 
 
 def drop_held(normals: Floats, areas: Floats, faces: Ints, held: Floats) -> None:
-    """Take what supports hold out of the normals; a face with nothing left goes.
+    """Project constrained directions out of the normals, in place; empty faces are dropped.
 
     Args:
-        normals: Of the faces of each point (n, 3, 3), changed in place as the others.
+        normals: Of the faces of each point (n, 3, 3).
         areas: Of the faces (n, 3) [mm2].
         faces: Their number (n,).
-        held: Projectors on what supports hold (n, 3, 3).
+        held: Projectors on constrained directions (n, 3, 3).
     """
     for p in np.flatnonzero(held.any(axis=(1, 2))):
         ns = normals[p, : faces[p]] @ (np.eye(3) - held[p])
@@ -132,14 +129,14 @@ def drop_held(normals: Floats, areas: Floats, faces: Ints, held: Floats) -> None
 
 
 def projectors(axes: Floats, which: Bools) -> Floats:
-    """Projectors (n, 3, 3) on some (n, 3) of the axes, which are columns (n, 3, 3)."""
+    """Projectors (n, 3, 3) on the axes chosen by a mask (n, 3); axes are columns (n, 3, 3)."""
     return np.asarray(np.einsum("nic,nc,njc->nij", axes, which, axes))
 
 
 def distinct_rows(rows: Ints) -> tuple[Ints, Ints, Ints]:
-    """Different rows in rising order, where each is first, and the number of each row among them.
+    """Distinct rows in rising order, index of the first of each, and inverse.
 
-    What `np.unique` does with ``axis=0``, ten times as fast.
+    As `np.unique` with ``axis=0``, ten times as fast.
     """
     order = np.lexsort(rows.T[::-1])
     ordered = rows[order]
@@ -151,7 +148,7 @@ def distinct_rows(rows: Ints) -> tuple[Ints, Ints, Ints]:
 
 
 def shared(vertex: Ints) -> list[Ints]:
-    """Rows of each vertex that stands in more than one row."""
+    """Rows of each vertex that occurs in more than one row."""
     order = np.argsort(vertex, kind="stable")
     ends = np.concatenate([[0], np.flatnonzero(np.diff(vertex[order])) + 1, [len(order)]])
     many = np.flatnonzero(np.diff(ends) > 1)
@@ -159,9 +156,9 @@ def shared(vertex: Ints) -> list[Ints]:
 
 
 def spread_of_normals(x: Floats, normals: Floats, triangles: Sequence[Ints]) -> Floats:
-    """Covariance of the normals of facets about those of their points (n, 3, 3) [-].
+    """Covariance of facet normals about the normals of their points (n, 3, 3) [-].
 
-    Facets count for the face of their point that they are closest to.
+    A facet counts for the face of its point with the closest normal.
 
     Args:
         x: Points (n, 3).

@@ -1,4 +1,4 @@
-"""Facets of contact interfaces: gathered on every rank, in an order that no partition changes."""
+"""Facets of contact interfaces, on every rank in the same order for any partition."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class InterfaceFacets:
         x: Vertex coordinates (f, 3, 3) [mm].
         normal: Unit normal from master to slave at each vertex (f, 3, 3).
         area: Integral of the linear shape function of each vertex (f, 3) [mm2].
-        bend: How far the middle of each edge, opposite vertex k, is off its chord (f, 3, 3) [mm];
+        bend: Offset of the middle of each edge, opposite vertex k, from its chord (f, 3, 3) [mm];
             (f, 0, 3) for flat facets.
-        stiffness: Modulus of the cell on the master and of that on the slave side (f, 2) [MPa].
+        stiffness: Moduli of the master and the slave cell (f, 2) [MPa].
     """
 
     interface: Ints
@@ -136,12 +136,9 @@ def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
 
 
 def nodal_normals(x: Floats, inside: Floats, at: Floats) -> Floats:
-    """Outward normals of facets at some of their points, as long as their areas (f, q, 3) [mm2].
+    """Outward normals (f, q, 3) at barycentric points (q, 3), as long as the facet areas [mm2].
 
-    Args:
-        x: Nodes of the facets (f, 3 or 6, 3) [mm].
-        inside: A point inside the cell of each (f, 3) [mm].
-        at: Barycentric points (q, 3).
+    ``x`` are the nodes of the facets (f, 3 or 6, 3), ``inside`` points in their cells (f, 3) [mm].
     """
     normals, size = surface(x, at)
     flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
@@ -150,9 +147,9 @@ def nodal_normals(x: Floats, inside: Floats, at: Floats) -> Floats:
 
 
 def shape_functions(at: Floats, nodes: int) -> Floats:
-    """Those of facets with 3 or 6 nodes at barycentric points (q, 3) -> (q, nodes).
+    """Shape functions of facets with 3 or 6 nodes at barycentric points (q, 3) -> (q, nodes).
 
-    Node 3 + k of six is in the middle of the edge opposite vertex k.
+    Node 3 + k of six is the middle of the edge opposite vertex k.
     """
     if nodes == 3:
         return at

@@ -40,12 +40,12 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Holds:
-    """Which components of which vertices supports hold, body by body, replicated.
+    """Constrained displacement components of vertices, body by body, replicated.
 
     Attributes:
         vertex: Vertex numbers of the mesh file (h,).
         body: Body (h,).
-        support: Index of the support that holds each component, -1 where none does (h, 3).
+        support: Index of the support of each component, -1 where it is free (h, 3).
     """
 
     vertex: Ints
@@ -92,12 +92,12 @@ class ContactPoints:
 
     @property
     def held(self) -> Bools:
-        """Components of the jump that supports give (n, 3)."""
+        """Components of the jump prescribed by supports (n, 3)."""
         return self.given[:, :, 0] >= 0
 
     @property
     def held_part(self) -> Floats:
-        """Projectors on the part of the jump that supports give (n, 3, 3)."""
+        """Projectors on the prescribed part of the jump (n, 3, 3)."""
         return projectors(self.axes, self.held)
 
 
@@ -123,13 +123,13 @@ class Entries:
 def contact_points(
     facets: InterfaceFacets, holds: Holds, interfaces: int, axes: Mapping[int, Floats] | None = None
 ) -> tuple[ContactPoints, Entries]:
-    """Contact points of all interfaces and what their jumps do to each body.
+    """Contact points of all interfaces, and the displacement of each body due to their jumps.
 
     Args:
         facets: The facets of all contact interfaces.
-        holds: What supports hold at the vertices of these facets.
+        holds: Constrained components at the vertices of these facets.
         interfaces: Number of contact interfaces.
-        axes: Axes (3, 3) of the vertices that have their own, which components are along.
+        axes: Axes (3, 3) of components, for vertices that have their own.
     """
     bodies = int(max(facets.master.max(), facets.slave.max())) + 1
     facet = np.repeat(np.arange(len(facets.area)), 3)
@@ -193,7 +193,7 @@ def _without_cycles(vertex: Ints, master: Ints, slave: Ints) -> Bools:
 def _jumps_at_vertices(
     vertex: Ints, sides: Ints, stiffness: Floats, holds: Holds
 ) -> tuple[Ints, Entries]:
-    """Which jumps supports give, and how each body moves with the others.
+    """Prescribed jumps, and the displacement of each body due to jumps.
 
     Returns:
         ``given`` of ContactPoints, and entries whose rows are 3 point + component, of any point of
@@ -238,7 +238,7 @@ def _jumps_at_vertices(
 
 
 def _along_xyz(entries: Entries, axes: Floats, turned: Bools) -> Entries:
-    """Entries of points with axes of their own, as of displacements and jumps along x, y, z."""
+    """Rotate entries of points with axes of their own to displacements and jumps along x, y, z."""
     pick = turned[entries.column // 3]
     if not pick.any():
         return entries
@@ -262,9 +262,9 @@ def _tree(
 ) -> list[tuple[int, int, int, float]]:
     """Triplets (body, point, column, sign) at a vertex with several interfaces, one component.
 
-    Walks the forest of bodies from a held body (the lowest), else from the stiffest. Between
-    two held bodies every jump on the way is given, a body that nothing holds going with the one it
-    was reached from; ``given`` is filled in place.
+    Walks the forest of bodies from a constrained body (the lowest), else from the stiffest.
+    Between two constrained bodies every jump on the way is prescribed; a free body goes with the
+    one it was reached from. Fills ``given`` in place.
     """
     holder = {
         int(sides[p, k]): int(support[p, k]) for p in rows for k in (0, 1) if support[p, k] >= 0
@@ -304,7 +304,7 @@ def _tree(
 
 
 def _at_edges(facets: InterfaceFacets, points: ContactPoints, at_vertex: Entries) -> Entries:
-    r"""The jump is linear along an edge: its middle node takes half of either end.
+    r"""Entries of edge nodes: the jump is linear along an edge, its middle takes half of both ends.
 
     The middle of a curved edge is off its chord by σ, along which a linear jump changes too. With t
     the unit vector from end a to end b and L their distance,
@@ -314,10 +314,7 @@ def _at_edges(facets: InterfaceFacets, points: ContactPoints, at_vertex: Entries
     is exact for translations, for rotations and for a widening in the plane of the edge. Without
     it, the opening of a cylinder is lost between its nodes at second order.
 
-    Args:
-        facets: The facets.
-        points: The points.
-        at_vertex: Entries of the vertices, their rows 3 point + component.
+    ``at_vertex`` are the entries of the vertices, with rows 3 point + component.
     """
     vertex, (where, moved) = points.vertex, np.divmod(at_vertex.row, 3)
     # Every (edge, body) of the interfaces once, with both ends.
@@ -332,7 +329,7 @@ def _at_edges(facets: InterfaceFacets, points: ContactPoints, at_vertex: Entries
     )
     rows, _, _ = distinct_rows(rows)
     stride = int(max(facets.vertices.max(), vertex.max())) + 1
-    # What supports give at both ends may be what they hold in the middle.
+    # A jump prescribed at both ends may be constrained in the middle too.
     known, first, number = np.unique(vertex, return_index=True, return_inverse=True)
     held = np.zeros((len(known), 3), dtype=bool)
     np.logical_or.at(held, number, points.held)
@@ -379,7 +376,6 @@ def _bends(facets: InterfaceFacets, edges: Ints) -> Floats:
 
 
 def _join(*parts: Entries) -> Entries:
-    """Concatenate entries."""
     return Entries(
         np.concatenate([p.body for p in parts]),
         np.concatenate([p.row for p in parts]),

@@ -1,4 +1,4 @@
-"""Curved cells that are bent too far, straightened until they are sound."""
+"""Straighten curved cells that are bent too far."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be o
 
 
 def straight(points: Floats, cells: Ints) -> Floats:
-    """The points with the middle nodes of quadratic cells half-way between their vertices."""
+    """Points with the middle nodes of quadratic cells half-way between their vertices."""
     first, second = np.array(EDGES).T
     x = points.copy()
     x[cells[:, 4:]] = 0.5 * (points[cells[:, first]] + points[cells[:, second]])
@@ -36,12 +36,7 @@ def untangle(points: Floats, cells: Ints) -> Floats:
     curving four minutes and a torrent on stdout; halving the bend of a fifth of the curved edges
     took two seconds and left no cell below 0.1.
 
-    Args:
-        points: Nodes, shape (n, 3).
-        cells: Quadratic tetrahedra, shape (m, 10).
-
-    Returns:
-        The points; vertices are unchanged.
+    Takes nodes (n, 3) and cells (m, 10); returns the nodes, with vertices unchanged.
     """
     chord = straight(points, cells)
     least = np.minimum(POOR, 0.7 * sicn(points, cells[:, :4]))

@@ -22,14 +22,13 @@ ANGLES = {"full": 2 * math.pi, "half": math.pi, "quarter": math.pi / 2}
 def build(geometry: Any, mesh: Any) -> MeshData:
     """Mesh concentric cylinders about the z axis, from z = 0 (distal) to ``length``.
 
+    Regions are stem, cement and bone, interfaces stem_cement and cement_bone.
+
     Args:
         geometry: ``stem_radius``, ``cement_thickness``, ``bone_thickness``, ``length`` [mm];
             ``taper`` [rad], the half-angle of the two cones, narrower distally, whose radii hold
             at mid height; ``sector`` full, half (y >= 0) or quarter (x, y >= 0).
         mesh: ``size``, ``far_size`` [mm], ``curved``.
-
-    Returns:
-        Regions stem, cement, bone; interfaces stem_cement and cement_bone.
 
     Raises:
         GeometryError: A cone closes or leaves the bone, or gmsh fails.
@@ -67,7 +66,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
 
 def _tetrahedra(geometry: Any, mesh: Any, swept: bool) -> tuple[Floats, Any, Any]:
-    """Nodes, cells and their volumes, by the generator of tetrahedra or swept from the plane."""
     inner = geometry.stem_radius
     middle = inner + geometry.cement_thickness
     outer = middle + geometry.bone_thickness
@@ -91,7 +89,6 @@ def _tetrahedra(geometry: Any, mesh: Any, swept: bool) -> tuple[Floats, Any, Any
 def _solids(
     gmsh: Any, radii: tuple[float, float, float], rise: float, length: float, angle: float
 ) -> None:
-    """Three nested solids cut into one conforming set."""
     occ = gmsh.model.occ
 
     def solid(radius: float, rise: float) -> tuple[int, int]:
@@ -135,7 +132,7 @@ def _by_radius(
     slope: float,
     length: float,
 ) -> Any:
-    """Region tag of each cell: volumes recognised by the mean place of their cells."""
+    """Region tag of each cell: volumes are recognised by the mean position of their cells."""
     tags = np.zeros(len(cells), dtype=np.int32)
     x, y, z = points[cells[:, :4]].mean(axis=1).T
     shell = np.searchsorted(radii, np.hypot(x, y) - slope * (z - length / 2)) + 1
@@ -146,7 +143,6 @@ def _by_radius(
 
 
 def _boundaries(points: Floats, facets: Any, region: Any, geometry: Any) -> dict[str, Any]:
-    """Masks over the exterior facets, by name."""
     corners = points[facets[:, :3]]
     near = 1e-6 * geometry.length
 

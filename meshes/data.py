@@ -1,4 +1,4 @@
-"""The mesh as plain arrays: what a mesher returns and what the solver's mesh is made from.
+"""The mesh as plain arrays: output of a mesher, input of the solver's mesh.
 
 Local numbering is gmsh's: a tetrahedron has its vertices 0..3, then (quadratic) the middles of the
 edges ``EDGES``; a facet has its vertices 0..2, then the middles of 01, 12, 20.
@@ -38,10 +38,9 @@ class MeshData:
         facets: Nodes of the tagged exterior facets, shape (k, 3) or (k, 6).
         facet_tags: Patch tag of each of ``facets``, shape (k,); a facet is listed once.
         regions: Region name to cell tag.
-        boundaries: Boundary name to its patch tags; patches are disjoint, names may share
-            them.
+        boundaries: Boundary name to its patch tags; patches are disjoint, names may share them.
         interfaces: Interface name to the region names on either side.
-        notes: What the mesher has to say (quality, achieved thickness); JSON-able.
+        notes: Notes of the mesher (quality, achieved thickness); JSON-able.
         behind: The cell behind each face of each cell, -1 outside, where it is known (m, 4).
     """
 
@@ -68,9 +67,9 @@ class MeshData:
 
     @cached_property
     def between(self) -> tuple[Ints, Ints, Ints]:
-        """Where regions meet: cells, the faces of theirs, the cells behind; each of shape (k,).
+        """Facets between regions: cells, local faces, cells behind; each of shape (k,).
 
-        Each facet is there twice, as seen from either side.
+        Each facet occurs twice, as seen from either side.
         """
         behind = self.neighbours
         other = self.cell_tags[behind] != self.cell_tags[:, None]
@@ -79,15 +78,9 @@ class MeshData:
 
 
 def order(*keys: Ints) -> Ints:
-    """Rows in the order of their keys, the last of which counts most, as `np.lexsort`.
+    """Sort rows by non-negative keys (n,), the last most significant, as `np.lexsort`; stable.
 
-    To sort a key together with its row as one number is several times faster.
-
-    Args:
-        keys: Numbers that are not negative, all of shape (n,).
-
-    Returns:
-        Shape (n,); rows with equal keys remain as they are.
+    Sorting a key together with its row as one number is several times faster.
     """
     rows = np.arange(len(keys[0]))
     bits = len(rows).bit_length()
@@ -120,16 +113,13 @@ def cell_faces(cells: Ints) -> Ints:
 
 
 def faces_of(cells: Ints, cell: Ints, face: Ints) -> Ints:
-    """Nodes of some faces: `face` (k,) of the cells `cell` (k,); shape (k, 3 or 6)."""
+    """Nodes (k, 3 or 6) of the faces `face` (k,) of the cells `cell` (k,)."""
     local = FACES if cells.shape[1] == 4 else FACES_QUADRATIC
     return cells[cell[:, None], local[face]]
 
 
 def match_faces(cells: Ints) -> Ints:
-    """The row of ``cell_faces`` that is the same face seen from the other cell, or -1.
-
-    Returns:
-        Shape (4 m,).
+    """Row of ``cell_faces`` of the same face seen from the other cell, or -1; shape (4 m,).
 
     Raises:
         ValueError: A face belongs to more than two cells.
@@ -152,11 +142,7 @@ def match_faces(cells: Ints) -> Ints:
 
 
 def exterior_facets(cells: Ints) -> tuple[Ints, Ints]:
-    """The facets that belong to one cell only.
-
-    Returns:
-        Their nodes, outward, shape (k, 3 or 6), and their cells, shape (k,).
-    """
+    """Facets that belong to one cell only: nodes, outward (k, 3 or 6), and cells (k,)."""
     rows = np.flatnonzero(match_faces(cells) < 0)
     return faces_of(cells, rows // 4, rows % 4), rows // 4
 
@@ -169,12 +155,8 @@ def face_neighbours(cells: Ints) -> Ints:
 def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> tuple[int, Ints]:
     """Connected components of cells joined by faces between cells of equal label.
 
-    Args:
-        neighbours: From ``face_neighbours``.
-        labels: One per cell.
-
-    Returns:
-        Their number and the component of each cell.
+    Takes the result of ``face_neighbours`` and a label per cell; returns the number of components
+    and the component of each cell.
     """
     cell = np.arange(len(neighbours))
     found: Ints = cell.copy()
@@ -211,14 +193,9 @@ _TRI_WEIGHTS = np.array(
 
 
 def gradients(barycentric: Floats, edges: Sequence[tuple[int, int]]) -> Floats:
-    """Derivatives of the quadratic shape functions by the barycentric coordinates.
+    """Derivatives of quadratic shape functions by the barycentric coordinates (q, v + e, v).
 
-    Args:
-        barycentric: Points, shape (q, v).
-        edges: Pairs of vertices with a node in the middle.
-
-    Returns:
-        Shape (q, v + e, v).
+    ``barycentric`` are points (q, v), ``edges`` the e pairs of vertices with a node in the middle.
     """
     points, vertices = barycentric.shape
     result = np.zeros((points, vertices + len(edges), vertices))
@@ -242,14 +219,14 @@ def jacobians(points: Floats, cells: Ints, barycentric: Floats) -> Floats:
 
 
 def corners(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
-    """Places of each node of cells (3, k), for so many cells at once as a cache holds."""
+    """Coordinates of each node of cells (3, k), in chunks that fit a cache."""
     x = np.ascontiguousarray(points.T)
     for start in range(0, max(len(cells), 1), AT_ONCE):
         yield [x[:, nodes] for nodes in cells[start : start + AT_ONCE].T]
 
 
 def edge_vectors(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
-    """Edges from the first corner of straight cells (3, k), for so many cells at once."""
+    """Edges from the first corner of straight cells (3, k), in chunks that fit a cache."""
     for first, *others in corners(points, cells):
         yield [other - first for other in others]
 
@@ -306,12 +283,7 @@ def boundary_areas(data: MeshData) -> dict[str, float]:
 
 
 def interface_facets(data: MeshData, name: str) -> tuple[Ints, Ints, Ints]:
-    """The facets between the two sides of an interface.
-
-    Returns:
-        Their nodes as seen from the first side (outward from it), the cell on the first side and
-        the cell on the second.
-    """
+    """Facets of an interface: nodes (outward from the first side), cells on either side."""
     first, second = ([data.regions[r] for r in side] for side in data.interfaces[name])
     cell, face, behind = data.between
     own = np.isin(data.cell_tags[cell], first) & np.isin(data.cell_tags[behind], second)
@@ -319,11 +291,7 @@ def interface_facets(data: MeshData, name: str) -> tuple[Ints, Ints, Ints]:
 
 
 def region_facets(data: MeshData) -> tuple[Ints, npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """The facets between cells of different regions, each once.
-
-    Returns:
-        Their nodes, and the region tags before and behind them.
-    """
+    """Nodes of facets between regions, each once, and the region tags before and behind them."""
     cell, face, behind = data.between
     once = behind > cell
     cell, face, behind = cell[once], face[once], behind[once]

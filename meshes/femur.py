@@ -27,15 +27,10 @@ INTERFACES = {
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:
-    """Mesh the femur.
+    """Mesh the femur: four regions, two interfaces.
 
-    Args:
-        geometry: The parameters of the configuration's femur.
-        mesh: ``size``, ``far`` [mm], ``curved``.
-
-    Returns:
-        Four regions, two interfaces, and the boundaries distal_cut, bone_surface, stem_trunnion,
-        resection and five muscle patches. Notes: head centre, layers.
+    Boundaries are distal_cut, bone_surface, stem_trunnion, resection and five muscle patches;
+    notes have the head centre and layers. ``mesh`` has ``size``, ``far`` [mm] and ``curved``.
 
     Raises:
         GeometryError: The stem does not fit the canal (with the place), or its neck or shoulder
@@ -72,7 +67,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
 
 def _regions(made: layers.Swept, surfaces: FemurSurfaces, regions: dict[str, int]) -> Any:
-    """Region of each cell, by its layer and its slab."""
     mantle, tip = surfaces.mantle[0], surfaces.tip
     cement = (made.layer <= 1) & (made.slab >= mantle)
     stem = (made.layer == 0) & (made.slab >= tip)
@@ -84,10 +78,10 @@ def _regions(made: layers.Swept, surfaces: FemurSurfaces, regions: dict[str, int
 
 
 def patches(points: Floats, facets: Ints, surface: Any) -> dict[str, Any]:
-    """Masks over exterior facets of the bone: where each muscle is attached.
+    """Masks over exterior facets of the bone, for each muscle attachment.
 
-    The facets whose middles are nearest to the insertion, as many as have together the area of a
-    disc of `PATCH_RADIUS`: exact to half a facet.
+    A patch is the facets nearest to the insertion with the total area of a disc of `PATCH_RADIUS`,
+    exact to half a facet.
     """
     outer = femur_bone.outer(-np.inf)
     places = femur_bone.insertions(outer)

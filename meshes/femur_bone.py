@@ -140,7 +140,7 @@ def endosteum(bottom: float, widening: float) -> Callable[[Floats, Floats], Floa
 
 
 def insertions(bone: Tube) -> dict[str, Floats]:
-    """Where each muscle's insertion, moved radially, meets the outer surface [mm]."""
+    """Muscle insertions, moved radially onto the outer surface [mm]."""
     centres = {}
     for name, (x, y, z) in MUSCLES.items():
         theta = np.arctan2(y, x)

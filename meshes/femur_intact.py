@@ -39,14 +39,13 @@ RISE = 6.0  # mm that the trochanter rises beyond the cut, across the shaft
 
 
 class Intact(FemurSurfaces):
-    """Surfaces of the whole bone, as `layers.Surfaces` wants them.
+    """Surfaces of the intact bone, as `layers.Surfaces`.
 
     Attributes:
         neck: Station at which the sphere of the head begins; beyond it nodes are on no line.
     """
 
     def _continue(self, geometry: Any) -> None:
-        """Divide neck and head."""
         sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)
         self._radius = geometry.head_radius
         self._axis = np.array([sine, 0.0, cosine])
@@ -68,11 +67,11 @@ class Intact(FemurSurfaces):
         self.stations = self.neck + STEPS + 2
 
     def outermost(self, slab: int) -> int:
-        """Bone has all layers; the cortex of the head is closed by a lid."""
+        """The periosteum (4) everywhere; the cortex of the head is closed by a lid (3)."""
         return 4 if slab < self.stations - 2 else 3
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
-        """Lines in the sections of shaft and neck; those of the head are not used."""
+        """Lines in the sections of shaft and neck; lines of the head are not used."""
         at = np.minimum(s, self.cut)
         start, end, mantle, endosteum = self._across(phi, at)
         above = s > self.cut
@@ -96,7 +95,7 @@ class Intact(FemurSurfaces):
         return Lines(start, end, mantle, endosteum)
 
     def _ring(self, part: Floats) -> tuple[Floats, Floats, Floats]:
-        """Centre, radius and thickness of cortex of sections of the neck."""
+        """Centre, radius and cortical thickness of sections of the neck."""
         back = self._back + part * (self._meet - self._back)
         t = np.clip(1 - back / self._length, 0.0, 1.0)
         neck = (NECK[0] + (NECK[1] - NECK[0]) * t) * self._radius
@@ -109,7 +108,7 @@ class Intact(FemurSurfaces):
         )
 
     def ended(self, nodes: Nodes, unit: int) -> Nodes:
-        """Nodes of the head, those of its cortex on two spheres, which the lid closes."""
+        """Put the nodes of the head on sections, those of its cortex between two spheres."""
         head = nodes.s > self.neck * unit
         k, j = nodes.s[head] // unit - self.neck, nodes.rho[head] // unit
         off = self._ball(nodes.phi[head] / (self.spokes * unit), j, np.minimum(k, STEPS))
@@ -122,7 +121,7 @@ class Intact(FemurSurfaces):
         return replace(nodes, x=x, rho=rho, merged=nodes.merged & ~head)
 
     def _ball(self, phi: Floats, j: Ints, k: Ints) -> Floats:
-        """Places on sections of the head within its cortex, from its centre (n, 3) [mm].
+        """Positions on sections of the head within its cortex, from its centre (n, 3) [mm].
 
         Sections are even on the axis, and bulge until the last is a cap of the sphere.
         """
@@ -149,25 +148,21 @@ class Intact(FemurSurfaces):
 
 
 def _longer(start: Floats, end: Floats, endosteum: Floats, by: Floats) -> tuple[Floats, Floats]:
-    """Ends of lines that are longer, and where their endosteum is, under a cortex as thick."""
+    """Extend lines: their ends, and the position of the endosteum under a cortex as thick."""
     way = end - start
     length = np.sqrt((way**2).sum(axis=1))
     return end + (by / length)[:, None] * way, (endosteum * length + by) / (length + by)
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:
-    """Mesh the bone.
+    """Mesh the bone: two regions.
 
-    Args:
-        geometry: The parameters of the configuration's intact femur.
-        mesh: ``size``, ``far`` [mm], ``curved``.
-
-    Returns:
-        Two regions, and the boundaries distal_cut, bone_surface, head and five muscle patches, the
-        last two parts of bone_surface. Notes: head centre, layers.
+    Boundaries are distal_cut, bone_surface, head and five muscle patches, the last two parts of
+    bone_surface; notes have the head centre and layers. ``mesh`` has ``size``, ``far`` [mm] and
+    ``curved``.
 
     Raises:
-        GeometryError: The stem that is planned does not fit the canal.
+        GeometryError: The planned stem does not fit the canal.
     """
     surfaces, times = _surfaces(geometry, mesh)
     made = swept.mesh(surfaces, times, mesh.curved)
@@ -189,7 +184,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
 
 def _surfaces(geometry: Any, mesh: Any) -> tuple[Intact, int]:
-    """The surfaces before reaming, and how often the coarsest mesh is refined."""
     size, times = swept.steps(mesh.size)
     whole = geometry.model_copy(update={"canal_widening": 0.0})
     return Intact(whole, size, mesh.far * size / mesh.size), times

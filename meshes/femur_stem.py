@@ -23,7 +23,7 @@ class Body:
 
     Attributes:
         half: Values at z = 0 of half-width (x), half-depth (y) and corner radius [mm].
-        slope: Their slopes.
+        slope: Their slopes [-].
     """
 
     half: tuple[float, float, float]
@@ -48,17 +48,14 @@ class Body:
         return np.where(rounded, corner, flat)
 
     def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
-        """Points of the outline in the planes z = zeta - slope x.
+        """Points of the outline in the planes z = zeta - slope x (n, 3) [mm].
 
         Corners take more of the turn than their length: they bend most.
 
         Args:
-            phi: Around, in turns from +x towards +y (n,); whole quarters are on the axes.
+            phi: Angle in turns from +x towards +y (n,); whole quarters are on the axes.
             zeta: Height of the planes at the z axis [mm], shape (n,) or ().
-            slope: Their slopes.
-
-        Returns:
-            Shape (n, 3) [mm].
+            slope: Slopes of the planes.
         """
         quarter = np.floor(4 * phi).astype(int) % 4
         part = 4 * phi - np.floor(4 * phi)

@@ -44,14 +44,11 @@ EXACT = 1e-11  # of roots, absolute and relative
 
 
 def root(function: Callable[[Floats, Ints], Floats], high: Floats) -> Floats:
-    """Where functions that fall through zero do so, between 0 and `high`.
+    """Zeros between 0 and `high` (n,) of functions that fall through zero; shape (n,).
 
     Args:
-        function: Of places and of the numbers of the functions, both (k,); returns (k,).
-        high: Upper ends (n,); where a function is positive there, this is its result.
-
-    Returns:
-        Shape (n,).
+        function: Takes positions and numbers of the functions, both (k,); returns (k,).
+        high: Upper ends (n,); the result where a function is positive there.
     """
     number = np.arange(len(high))
     found = high.copy()
@@ -72,9 +69,9 @@ class Neck:
 
     Attributes:
         ring: Centre of the first round section [mm].
-        head: Centre of the last, the head's (3,) [mm].
-        axis: Unit vector from the one to the other (3,).
-        radii: Of both [mm].
+        head: Centre of the last, which is the head's (3,) [mm].
+        axis: Unit vector from ring to head (3,).
+        radii: Radii at ring and head [mm].
     """
 
     ring: Floats
@@ -93,16 +90,11 @@ class Neck:
 
 
 class FemurSurfaces:
-    """Surfaces of the operated femur, as `layers.Surfaces` wants them.
+    """Surfaces of the operated femur, as `layers.Surfaces`.
 
     Attributes:
-        spokes: Number of lines around.
-        size: Mesh size [mm].
-        mantle: Stations of the plug's end and of the neck cut.
         tip: Station of the stem's tip.
         cut: Station of the neck cut.
-        stations: Number of stations.
-        mirrored: No steps: sections turn one way.
     """
 
     mirrored = range(0)
@@ -135,7 +127,7 @@ class FemurSurfaces:
         self._continue(geometry)
 
     def _continue(self, geometry: Any) -> None:
-        """Divide what is above the cut."""
+        """Divide the stem above the cut."""
         self._neck, self._out = _neck(geometry, self._body, self._top, self._steepest)
         out = 0 if self._out is None else max(1, round((self._out - self._top) / self.size))
         base = self._top if self._out is None else self._out
@@ -147,7 +139,7 @@ class FemurSurfaces:
         self.stations = self.cut + 1 + int(self._above[-1])
 
     def outermost(self, slab: int) -> int:
-        """The outermost surface of a step: above the cut there is the stem alone."""
+        """Outermost surface of a step: 1 (the stem) above the cut."""
         return 4 if slab < self.cut else 1
 
     def plane(self, s: Floats) -> tuple[Floats, Floats]:
@@ -157,7 +149,7 @@ class FemurSurfaces:
         return zeta, self._steepest * t * t * (2 - t)
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
-        """Lines in the sections; above the cut of the stem's outline alone."""
+        """Lines in the sections; above the cut lines of the stem's outline alone."""
         start, end = np.zeros((len(s), 3)), np.ones((len(s), 3))
         mantle, endosteum = np.full(len(s), 0.3), np.full(len(s), 0.6)
         bone = s <= self.cut
@@ -200,7 +192,7 @@ class FemurSurfaces:
         return start, end, mantle, endosteum
 
     def _sink(self, start: Floats, theta: Floats, zeta: Floats, depth: Floats) -> Floats:
-        """Points of the innermost surface below the plug: they go to a part of the canal."""
+        """Points of the innermost surface below the plug, scaled to a part of the canal."""
         r = CORE * self._canal(theta, zeta)
         core = np.stack([r * np.cos(theta), r * np.sin(theta)], axis=1)
         part = np.clip(depth / CORE_OVER, 0.0, 1.0)[:, None]
@@ -211,7 +203,7 @@ class FemurSurfaces:
 
     @staticmethod
     def _meets(radius: Callable[[Floats, Floats], Floats], start: Floats, end: Floats) -> Floats:
-        """Where lines meet a surface r(theta, z), of the way from start to end (n,)."""
+        """Fraction of lines, from start to end, at which they meet a surface r(theta, z) (n,)."""
         way = end - start
 
         def within(part: Floats, k: Ints) -> Floats:
@@ -221,12 +213,11 @@ class FemurSurfaces:
 
     @staticmethod
     def _within(radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
-        """How far inside a surface r(theta, z) points are, across the z axis (n,) [mm]."""
+        """Depth of points inside a surface r(theta, z), across the z axis (n,) [mm]."""
         x, y, z = points.T
         return radius(np.arctan2(y, x), z) - np.hypot(x, y)
 
     def _stem_above(self, phi: Floats, s: Floats) -> Floats:
-        """The stem's outline above the cut (n, 3) [mm]."""
         at = s - self.cut
         _, out, blend, cone = self._above
         x = np.empty((len(s), 3))
@@ -300,7 +291,7 @@ def _graded(length: float, size: float, longest: float) -> Floats:
 def _neck(
     geometry: Any, body: femur_stem.Body, top: float, steep: float
 ) -> tuple[Neck, float | None]:
-    """The neck, and the height at the axis at which a body that stands out ends [mm].
+    """The neck, and the height at the axis of the end of a protruding body [mm].
 
     Raises:
         GeometryError: The shoulder is far below the cut, or the neck is not above it.

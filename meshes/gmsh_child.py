@@ -1,8 +1,8 @@
-"""gmsh: a session for one mesh, and files of others in a child process with limits.
+"""gmsh sessions, one for each mesh; foreign files are read in a child process with limits.
 
-One session per mesh: after a failed mesh every later one of the same session comes out empty, even
-after ``gmsh.clear()``. Scripts are programs and damaged files crash gmsh: so files are read in a
-process of its own, on copies, with limits of memory and time.
+After a failed mesh every later one of the same session comes out empty, even after
+``gmsh.clear()``. Scripts are programs and damaged files crash gmsh: files are read in a separate
+process, on copies, with limits of memory and time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from meshes.curving import untangle
 
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 LOG_LINES = 6  # of gmsh's log, quoted when it fails
-# What gmsh's recovery of surfaces prints, and what it means.
+# Messages of gmsh's recovery of surfaces, and their meaning.
 CROSSING = "PLC Error"
 CROSS = "surfaces of the geometry cross each other"
 GROWTH = 0.4  # mm of element size per mm of distance from an interface
@@ -46,11 +46,8 @@ _SERVE = "from meshes.gmsh_child import serve; serve()"
 def session(name: str) -> Iterator[Any]:
     """Open gmsh silently, without its signal handler or configuration files.
 
-    Args:
-        name: Of the model, for messages.
-
     Yields:
-        The gmsh module.
+        The gmsh module, with a model of this name.
 
     Raises:
         GeometryError: gmsh failed; carries the last lines of its log.
@@ -99,13 +96,10 @@ def session(name: str) -> Iterator[Any]:
 
 
 def grade(gmsh: Any, distances: Sequence[str], size: float, far_size: float) -> None:
-    """Set elements of ``size`` where a distance vanishes, growing to ``far_size``.
+    """Set elements of ``size`` where a distance vanishes, growing to ``far_size`` [mm].
 
-    Args:
-        gmsh: The open session.
-        distances: Expressions in x, y, z [mm], each the distance to an interface; none: uniform.
-        size: At the interfaces [mm].
-        far_size: Far from them [mm].
+    ``distances`` are expressions in x, y, z [mm], one for each interface; without any the mesh is
+    uniform.
     """
     fields = []
     for distance in distances or ["0"]:
@@ -132,10 +126,9 @@ def generate(gmsh: Any, curved: bool = False) -> None:
 
 
 def extract(gmsh: Any) -> tuple[Floats, Ints, npt.NDArray[np.int64]]:
-    """Read the tetrahedra of the model; curved ones are untangled.
+    """Read nodes (n, 3), tetrahedra (m, 4 or 10) and the volume entity of each cell (m,).
 
-    Returns:
-        Nodes (n, 3), cells (m, 4 or 10) and the volume entity of each cell (m,).
+    Curved cells are untangled.
     """
     node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
     row = np.full(int(node_tags.max()) + 1, -1, dtype=np.int64)
@@ -168,7 +161,7 @@ class Content:
         points: Their coordinates (n, 3), in the unit of the file.
         cells: Nodes of the cells of each region (m, 4 or 10), by number.
         surfaces: Nodes of the triangles of each physical surface (k, 3 or 6), by number.
-        everything: Number of cells, those without a region included.
+        everything: Number of cells, including cells without a region.
     """
 
     node_tags: Ints
@@ -232,7 +225,7 @@ def read(geometry: Any, mesh: Any) -> Content:
 
 
 def serve() -> None:
-    """Answer the request that comes from standard input, within the limits."""
+    """Answer the request on standard input, within the limits."""
     request = json.load(sys.stdin)
     answer = os.dup(sys.stdout.fileno())
     for stream in (0, 1):
@@ -256,7 +249,7 @@ def serve() -> None:
 
 
 def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Open the file and take from it what is asked, as arrays by name."""
+    """Read the requested arrays from the file, by name."""
     path = Path(request["path"])
     with session(path.name) as gmsh:
         if request["script"]:
@@ -293,7 +286,6 @@ def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _run_script(gmsh: Any, request: Mapping[str, Any]) -> None:
-    """Mesh a script, with its parameters set to the sizes in its unit."""
     size, unit = request["size"], request["unit"]
     gmsh.parser.setNumber("size", [size / unit])
     gmsh.parser.setNumber("far_size", [request["far_size"] / unit])
@@ -315,7 +307,6 @@ def _listed(names: Any) -> str:
 
 
 def _elements(gmsh: Any, dim: int, name: str, kinds: dict[int, int], path: Path) -> Ints:
-    """Node tags of all elements of the physical groups of this name."""
     blocks = []
     for d, tag in gmsh.model.getPhysicalGroups(dim):
         if gmsh.model.getPhysicalName(d, tag) != name:

@@ -1,15 +1,15 @@
-"""Gruen zones: which part of the bone around a stem is where.
+"""Gruen zones of the bone around a stem.
 
 Frontal view: 1 to 3 lateral from proximal to distal, 4 distal to the tip, 5 to 7 medial from distal
 to proximal (Gruen, McNeice and Amstutz, Clin Orthop 141 (1979) 17). Lateral view, in the same
 order: 8 to 10 anterior, 11 distal to the tip, 12 to 14 posterior (Johnston et al., J Bone Joint
 Surg 72-A (1990) 161). From memory, not verified against the originals.
 
-Heights are thirds of the length of the stem that is in the bone, measured on its axis from the tip
-to the neck cut; bone beside the stem above that counts to the proximal third. Zones 4 and 11 are
-drawn on radiographs as far as these reach. Here they end 20 mm below the tip, about what is
-measured there by X-ray absorptiometry (a habit, not a standard): to the distal cut they would
-depend on where a model is cut and held. Bone below is in no zone.
+Heights are thirds of the length of the stem in the bone, measured on its axis from the tip to the
+neck cut; bone beside the stem above it counts to the proximal third. Zones 4 and 11 are drawn on
+radiographs as far as these reach. Here they end 20 mm below the tip, about the length measured
+there by X-ray absorptiometry (a habit, not a standard): down to the distal cut they would depend
+on where a model is cut and supported. Bone below is in no zone.
 """
 
 from __future__ import annotations
@@ -28,11 +28,9 @@ EDGE = 1e-6
 
 
 class Zones:
-    """The zones of a femur with a stem, or of one that is to have it, in the frame of the stem.
+    """Zones of a femur with a stem, or with a planned one, in the frame of the stem.
 
     Attributes:
-        numbers: Their numbers.
-        regions: The bone that is divided into them.
         tip: Level of the stem's tip [mm].
         top: Level at which its axis leaves the bone [mm].
     """
@@ -47,14 +45,7 @@ class Zones:
         self.top = min(level / normal[2], geometry.stem_tip_z + geometry.stem_length)
 
     def at(self, x: Floats) -> Ints:
-        """Frontal zone, 1 to 7, and that of the lateral view, 8 to 14, of points; 0: none.
-
-        Args:
-            x: Points (n, 3) [mm].
-
-        Returns:
-            Shape (n, 2).
-        """
+        """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""
         third = np.floor(3 * (x[:, 2] - self.tip + EDGE) / (self.top - self.tip))
         third = np.clip(third, 0, 2)[:, None].astype(np.int64)
         # Medial and anterior to the stem's axis; lateral in the one view is posterior in the other.
@@ -67,14 +58,7 @@ class Zones:
         return zones
 
     def is_left(self, x: Floats) -> Any:
-        """Whether the operation leaves the bone at points, were its cuts as exact as planned.
-
-        Args:
-            x: Points (n, 3) [mm].
-
-        Returns:
-            Shape (n,).
-        """
+        """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
         g = self._geometry
         normal, level = self._cut
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])

@@ -31,9 +31,8 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
     Returns:
         Regions are the named physical volumes, boundaries the named physical surfaces on the
-        exterior. ``notes`` names surfaces that lie inside (they are no boundaries), counts the
-        cells without a region, which are left out, and says (``told``) what was repaired or
-        ignored.
+        exterior. ``notes`` name interior surfaces (no boundaries), count cells without a region
+        (left out), and list repairs and ignored entities (``told``).
 
     Raises:
         GeometryError: No such file, a script that fails, no tetrahedra, other elements, missing or
@@ -45,7 +44,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
 
 def _named(geometry: Any, found: Content) -> MeshData:
-    """Put the pieces of the file together."""
     path, regions = geometry.path, number(found.cells)
     rows = _rows_of(path, found.node_tags)
     widths = {block.shape[1] for block in found.cells.values()}
@@ -108,7 +106,7 @@ def _rows_of(path: Path, node_tags: Ints) -> Callable[[Ints], Ints]:
 
 
 def _among(facets: Ints, wanted: Ints) -> Any:
-    """Which of the facets have the three corners of one of the wanted; shape (k,)."""
+    """Mask of the facets that share their three corners with a wanted one (k,)."""
     both = np.sort(np.concatenate([facets[:, :3], wanted]), axis=1)
     _, label = np.unique(both, axis=0, return_inverse=True)
     label = label.ravel()
@@ -116,13 +114,10 @@ def _among(facets: Ints, wanted: Ints) -> Any:
 
 
 def write(data: MeshData, path: Path) -> None:
-    """Write a binary gmsh 4.1 file whose physical names are the regions and boundaries.
+    """Write a binary gmsh 4.1 file [mm] whose physical names are the regions and boundaries.
 
-    Text would take five times as long and not keep every bit of the coordinates.
-
-    Args:
-        data: The mesh; a patch that belongs to several boundaries is in several groups.
-        path: The file to write, ``.msh``; coordinates are in mm.
+    Text would take five times as long and not keep every bit of the coordinates. A patch of
+    several boundaries is in several groups.
 
     Raises:
         GeometryError: gmsh could not write it.

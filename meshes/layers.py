@@ -32,9 +32,9 @@ class Lines:
     Attributes:
         start: Points on the innermost surface (n, 3) [mm].
         end: Points on the periosteum (n, 3) [mm].
-        mantle: Where the outer side of the mantle is, of the way from start to end (n,); it may
-            lie beyond the endosteum.
-        endosteum: Where the endosteum is, of the way (n,).
+        mantle: Outer side of the mantle, as a fraction of the way from start to end (n,); may lie
+            beyond the endosteum.
+        endosteum: Endosteum, as a fraction of the way (n,).
     """
 
     start: Floats
@@ -44,19 +44,19 @@ class Lines:
 
     @property
     def gap(self) -> Floats:
-        """Thickness that is left between mantle and endosteum [mm], negative if none is; (n,)."""
+        """Thickness left between mantle and endosteum [mm], negative if there is none; (n,)."""
         way = np.sqrt(((self.end - self.start) ** 2).sum(axis=1))
         return (self.endosteum - self.mantle) * way
 
 
 class Surfaces(Protocol):
-    """CoarseModelStart surfaces as functions on the grid.
+    """Nested surfaces as functions on the grid.
 
     Attributes:
         spokes: Number of lines around, a multiple of four.
         stations: Number of sections.
-        mantle: The first and the last section with a mantle; below and above, lines along which
-            mantle and endosteum are one are those of these.
+        mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
+            in one continue below and above.
         size: Mesh size [mm].
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
     """
@@ -77,7 +77,7 @@ class Surfaces(Protocol):
         """The lines at angles `phi`, in turns, and stations `s`, both of shape (n,)."""
 
     def ended(self, nodes: Nodes, unit: int) -> Nodes:
-        """The nodes of the coarsest mesh, those of a ball at its end taken off their lines."""
+        """Nodes of the coarsest mesh, with those of a ball at its end taken off their lines."""
 
     def arc(self, a: Floats, b: Floats) -> Floats:
         """Middles of edges from a to b (n, 3) in the shell of the ball (n, 3)."""
@@ -85,17 +85,17 @@ class Surfaces(Protocol):
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes by their coordinates.
+    """Nodes by their coordinates; all arrays have shape (n,) unless stated.
 
     Attributes:
-        phi: Around, in units; of shape (n,) as all.
-        rho: Across, in units; 0 for what is on no line: inside the innermost surface, or in a ball.
+        phi: Around, in units.
+        rho: Across, in units; 0 for nodes on no line: inside the innermost surface, or in a ball.
             Negative in the shell of a ball.
         s: Along, in units.
         merged: Whether mantle and endosteum are one there.
         error: Used thickness of the layer between them less the exact one [mm].
         floor: Least thickness of that layer [mm].
-        x: Places (n, 3) [mm].
+        x: Positions (n, 3) [mm].
     """
 
     phi: Ints
@@ -107,7 +107,7 @@ class Nodes:
     x: Floats
 
     def __len__(self) -> int:
-        """How many."""
+        """Number of nodes."""
         return len(self.phi)
 
 
@@ -116,12 +116,11 @@ class Swept:
     """A swept mesh.
 
     Attributes:
-        surfaces: What its nodes are on.
         nodes: Its nodes; those of curved cells include middle nodes.
         cells: Tetrahedra (m, 4 or 10).
-        layer: For each cell the layer it is in: 0 inside, then 1 to 3 outwards.
-        slab: For each cell the number of the step along the line that it is in.
-        partner: The same face of another cell, for each face of each, as of `match_faces` (4 m,).
+        layer: Layer of each cell: 0 inside, then 1 to 3 outwards.
+        slab: Number of the step along the line of each cell.
+        partner: Row of the same face of another cell, as of `match_faces` (4 m,).
         unit: Units in a step of the coarsest mesh.
     """
 
@@ -135,20 +134,20 @@ class Swept:
 
     @property
     def facets(self) -> tuple[Ints, Ints]:
-        """Nodes of the facets on the outside (k, 3 or 6), and their cells (k,)."""
+        """Nodes of the exterior facets (k, 3 or 6), and their cells (k,)."""
         cell, face = np.divmod(np.flatnonzero(self.partner < 0), 4)
         return faces_of(self.cells, cell, face), cell
 
 
 def lines_of(surfaces: Surfaces, phi: Ints, s: Ints, unit: int) -> tuple[Lines, Ints]:
-    """Each line that nodes at phi and s (n,) are on, once; and the number of that of each (n,)."""
+    """Distinct lines of nodes at phi and s (n,), and the number of the line of each node (n,)."""
     turn = surfaces.spokes * unit
     keys, line = distinct(s * turn + phi)
     return surfaces.lines((keys % turn) / turn, (keys // turn) / unit), line
 
 
 def place(surfaces: Surfaces, nodes: Nodes, unit: int) -> Nodes:
-    """Put all nodes that are on lines on the surfaces, and between them by their coordinates."""
+    """Put all nodes on lines onto the surfaces, or between them by their coordinates."""
     on = np.flatnonzero(nodes.rho > 0)
     lines, line = lines_of(surfaces, nodes.phi[on], nodes.s[on], unit)
     start, end = lines.start[line], lines.end[line]
@@ -173,7 +172,7 @@ def place(surfaces: Surfaces, nodes: Nodes, unit: int) -> Nodes:
 
 @dataclass(frozen=True)
 class On:
-    """Which facets are wholly on a surface or on a section.
+    """Facets that lie wholly on a surface or a section.
 
     Attributes:
         corners: Coordinates rho and s of the corners of facets (2, k, 3), in steps.
@@ -182,26 +181,26 @@ class On:
     corners: Floats
 
     def rho(self, surface: int) -> Bools:
-        """Those on a surface (k,)."""
+        """Facets on a surface (k,)."""
         return np.asarray((self.corners[0] == surface).all(axis=1))
 
     def s(self, station: int) -> Bools:
-        """Those on a section (k,)."""
+        """Facets on a section (k,)."""
         return np.asarray((self.corners[1] == station).all(axis=1))
 
     def above(self, station: int) -> Bools:
-        """Those at a section or above (k,)."""
+        """Facets at a section or above (k,)."""
         return np.asarray((self.corners[1] >= station).all(axis=1))
 
 
 def on(made: Swept, facets: Ints) -> On:
-    """Where facets (k, 3 or 6) of a swept mesh are."""
+    """Positions on the grid of facets (k, 3 or 6) of a swept mesh."""
     corners = facets[:, :3]
     return On(np.stack([made.nodes.rho[corners], made.nodes.s[corners]]) / made.unit)
 
 
 def describe(made: Swept) -> dict[str, float]:
-    """Notes on a swept mesh: its grid, and how far its layers are from the exact ones [mm]."""
+    """Notes on a swept mesh: its grid, and the deviation of its layers from the exact ones [mm]."""
     nodes = made.nodes
     mantle = (nodes.rho == 2 * made.unit) | nodes.merged
     wrong = np.abs(nodes.error[mantle])

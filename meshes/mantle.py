@@ -1,4 +1,4 @@
-"""The mantle as it was made: how thick the cement is, where it is clipped, how much there is."""
+"""The cement mantle as meshed: thickness, clipped area, volume."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from meshes.data import MeshData, cell_volumes, facet_areas, interface_facets
 CLIPPED = 0.9  # of the nominal thickness: thinner is where the canal had no room
 PARTS = 3  # into which the edges of facets are divided, to follow their curvature
 NEAREST = 12  # candidates for the nearest facet
-# Points in a tetrahedron, evenly spread, that tell how much of it is below a level (barycentric).
+# Evenly spread points in a tetrahedron, for its fraction below a level (barycentric).
 LATTICE = np.array(
     [(i, j, k, 5 - i - j - k) for i in range(6) for j in range(6 - i) for k in range(6 - i - j)]
 )
@@ -26,14 +26,14 @@ def describe(data: MeshData, nominal: float, tip: float) -> dict[str, Any]:
 
     Args:
         data: The mesh.
-        nominal: The thickness asked for [mm].
+        nominal: Nominal thickness [mm].
         tip: Level of the stem's tip [mm]. The plug below it and the stem's face there, which has
             the plug before it, have no thickness.
 
     Returns:
         ``thickness`` [mm]: distance of the stem's surface from the bone's, with percentiles by the
         stem's area, and the part of that area where it is below `CLIPPED` of the nominal one;
-        ``volume`` of the cement and ``plug_volume``, what of it is below the tip [mm^3].
+        ``volume`` of the cement and ``plug_volume`` below the tip [mm^3].
     """
     facets, _, _ = interface_facets(data, "stem_cement")
     facets = facets[data.points[facets[:, :3], 2].max(axis=1) > tip + 1e-6]
@@ -67,7 +67,7 @@ def describe(data: MeshData, nominal: float, tip: float) -> dict[str, Any]:
 
 
 def triangles(points: Floats, facets: Ints) -> Floats:
-    """Flat triangles (n, 3, 3) that facets consist of, curved ones nearly [mm]."""
+    """Flat triangles (n, 3, 3) [mm] of facets, approximate for curved ones."""
     if facets.shape[1] == 3:
         return points[facets]
     nodes = [(i, j) for i in range(PARTS + 1) for j in range(PARTS + 1 - i)]

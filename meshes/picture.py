@@ -43,16 +43,10 @@ _RINGS = {
 
 
 def cut(points: Floats, cells: Ints, axis: int, at: float) -> list[tuple[Floats, Ints]]:
-    """Cut tetrahedra by the plane x_axis = at, exactly (curved cells: their corners).
+    """Cut tetrahedra by the plane x_axis = at [mm], exactly (curved cells: their corners).
 
-    Args:
-        points: Nodes, shape (n, 3).
-        cells: Tetrahedra, shape (m, 4 or 10).
-        axis: 0, 1 or 2.
-        at: Level of the plane [mm]; nodes on it count as above.
-
-    Returns:
-        For triangles and for quadrilaterals: corners (k, 3 or 4, 3) and their cells (k,).
+    Nodes on the plane count as above. Returns, for triangles and for quadrilaterals, corners
+    (k, 3 or 4, 3) and their cells (k,).
     """
     height = points[cells[:, :4], axis] - at
     code = (height >= 0) @ (1 << np.arange(4))
@@ -86,7 +80,7 @@ def section(data: MeshData, axis: int, at: float) -> tuple[list[tuple[Floats, In
     edges = [np.stack([x, np.roll(x, -1, axis=1)], axis=2).reshape(-1, 2, 3) for x, _ in polygons]
     ends = np.concatenate(edges)
     owner = np.concatenate([np.repeat(cell, x.shape[1]) for x, cell in polygons])
-    # What two pieces of a cell share is inside it.
+    # Facets shared by two pieces of a cell are inside it.
     span = np.abs(ends[:, 1] - ends[:, 0])
     keys = np.column_stack([owner, np.round(ends.sum(axis=1), 6), np.round(span, 6)])
     _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
@@ -130,7 +124,7 @@ def sections(data: MeshData, path: Path) -> None:
 def _sections(
     data: MeshData, figure: Any, axes: Iterable[Any], planes: Iterable[tuple[str, int, float]]
 ) -> None:
-    """Sections side by side, with names of the regions below: filled cells and their outlines."""
+    """Draw sections side by side, filled cells and outlines, with the names of regions below."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.patches import Patch
 
@@ -156,23 +150,23 @@ def _sections(
 
 
 def middle_plane(low: float, high: float) -> float:
-    """The coordinate plane where it passes inside, else the middle."""
+    """The coordinate plane (0) where it passes inside, else the middle."""
     if low < -0.1 * (high - low) and high > 0.1 * (high - low):
         return 0.0
     return 0.5 * (low + high)
 
 
 def colours_of(names: Iterable[str]) -> dict[str, str]:
-    """A colour for each region."""
+    """Colour of each region."""
     free = (c for _ in names for c in OTHERS)
     return {name: COLOURS.get(name) or next(free) for name in names}
 
 
 def interfaces(data: MeshData, path: Path) -> None:
-    """Write a PNG with both interfaces as they look from anterior and from medial.
+    """Write a PNG of both interfaces, seen from anterior and from medial.
 
-    The one at the bone is coloured by the thickness of the cement; below the tip, where the plug
-    is, it has none.
+    The bone interface is coloured by the thickness of the cement, which is undefined below the tip,
+    where the plug is.
     """
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
@@ -216,7 +210,6 @@ def interfaces(data: MeshData, path: Path) -> None:
 
 
 def _normals(corners: Floats) -> Floats:
-    """Unit normals of triangles (n, 3, 3)."""
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(across / np.linalg.norm(across, axis=1)[:, None])
 
@@ -224,13 +217,13 @@ def _normals(corners: Floats) -> Floats:
 def _surface(
     ax: Any, points: Floats, facets: Ints, pieces: Floats, colours: Floats, view: str
 ) -> None:
-    """Draw what faces the viewer of a surface, lit from the upper left, and its facets' edges.
+    """Draw the side of a surface that faces the viewer, lit from the upper left, with facet edges.
 
     Args:
-        ax: Where to draw.
+        ax: Axes to draw in.
         points: Nodes [mm].
         facets: The surface's facets, outward (k, 3 or 6).
-        pieces: Flat triangles that they consist of (n, 3, 3), as many for each.
+        pieces: Their flat triangles (n, 3, 3), equally many for each.
         colours: Red, green and blue of each triangle (n, 3).
         view: One of `VIEWS`.
     """
@@ -261,7 +254,7 @@ def _surface(
 
 
 def _outline(ax: Any, points: Floats, facets: Ints, chosen: Bools, view: str) -> None:
-    """Draw the line around some facets of a surface, where it faces the viewer."""
+    """Draw the outline of chosen facets of a surface, where it faces the viewer."""
     from matplotlib.collections import LineCollection
 
     across, _, toward = VIEWS[view]

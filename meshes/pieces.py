@@ -1,4 +1,4 @@
-"""Pieces of a mesh, where they touch, and what is connected by accident.
+"""Connected pieces of a mesh, their contacts, and accidental connections.
 
 A piece is a part of a region whose cells are joined by faces. All here is small beside the mesh and
 serves judging a case before anything is solved (`soundness.well_posedness`).
@@ -23,16 +23,15 @@ SMOOTH = np.radians(50)
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a region that hangs together.
+    """A connected part of a region.
 
     Attributes:
-        region: Its region.
-        cells: How many cells it has.
-        centre: Its centroid (3,) [mm].
-        volume: Its volume [mm3].
+        cells: Number of cells.
+        centre: Centroid (3,) [mm].
+        volume: Volume [mm3].
         surface: Area of its surface [mm2].
         box: Edges of its bounding box (3,) [mm].
-        free: Part of its surface that nothing holds.
+        free: Unsupported fraction of its surface.
     """
 
     region: str
@@ -45,15 +44,14 @@ class Piece:
 
     @property
     def edge(self) -> float:
-        """Edge of a regular tetrahedron of the mean size of its cells [mm]."""
+        """Edge of a regular tetrahedron of the mean cell volume [mm]."""
         return float((6 * np.sqrt(2) * self.volume / self.cells) ** (1 / 3))
 
     @property
     def thickness(self) -> float:
-        """Thickness of a bar or plate of its length, volume and surface [mm].
+        """Thickness of a bar, plate or shell of its length, volume and surface [mm].
 
-        It is the lesser side h of a section b h with 2 (b + h) around it, exact for a block; that
-        of a shell too.
+        The lesser side h of a section b h with perimeter 2 (b + h), exact for a block.
         """
         length = float(self.box.max())
         section = self.volume / length
@@ -85,8 +83,8 @@ class Parts:
     """Pieces of a mesh and their contacts.
 
     Attributes:
-        pieces: Its pieces.
-        touches: Where pieces of different regions share facets.
+        pieces: All pieces.
+        touches: Facets shared by pieces of different regions.
         joined: Pairs of pieces of one region that share nodes.
         boundaries: For each boundary and piece the nodes of the piece on it (n,).
         normals: Mean unit normals at the nodes of some boundaries, zero elsewhere (n, 3).
@@ -94,8 +92,8 @@ class Parts:
         x: Coordinates of all nodes (n, 3) [mm].
         corners: Corner nodes of the cells of each region (n, 4).
         interfaces: Corner nodes of the facets of each interface (n,).
-        doubled: For each pair of regions, the places of nodes of either that coincide (n, 3) [mm].
-        told: What the mesher has repaired or left out.
+        doubled: Positions of coincident nodes of each pair of regions (n, 3) [mm].
+        told: Repairs and omissions of the mesher.
     """
 
     pieces: tuple[Piece, ...]
@@ -114,10 +112,7 @@ class Parts:
 def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = ()) -> Parts:
     """Connected pieces of a mesh, their contacts and boundaries.
 
-    Args:
-        data: The mesh.
-        held: Boundaries that supports hold.
-        curved: Boundaries whose normals are wanted.
+    ``held`` are the boundaries with supports, ``curved`` those whose normals are wanted.
     """
     names = {tag: name for name, tag in data.regions.items()}
     neighbours = data.neighbours
@@ -179,7 +174,7 @@ def _between(
     pieces: list[Piece],
     sides: tuple[tuple[str, ...], tuple[str, ...]],
 ) -> np.ndarray:
-    """Which facets lie between the regions of two sides."""
+    """Mask of the facets between the regions of two sides."""
     a, b = (np.array([p.region in side for p in pieces]) for side in sides)
     return np.asarray((a[first] & b[second]) | (b[first] & a[second]))
 
@@ -196,7 +191,6 @@ def _numbered(a: Ints, b: Ints) -> tuple[Ints, Ints]:
 
 
 def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[Touch]:
-    """The facets of each pair of pieces, with their normals."""
     x = points[facets]
     a, b, middle = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0], x[:, :3].mean(axis=1)
     if facets.shape[1] == 6:
@@ -248,11 +242,8 @@ def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[in
 def _boundaries(data: MeshData, keys: Ints, on: Ints, owner: Ints) -> dict[str, dict[int, Ints]]:
     """Nodes of each piece on each boundary.
 
-    Args:
-        data: The mesh.
-        keys: Numbers of all faces on the outside.
-        on: Numbers of the facets of the boundaries.
-        owner: Pieces of all faces on the outside.
+    ``keys`` and ``owner`` are numbers and pieces of all exterior faces, ``on`` the numbers of the
+    facets of the boundaries.
     """
     order = np.argsort(keys)
     at = order[np.minimum(np.searchsorted(keys, on, sorter=order), len(keys) - 1)]
@@ -269,14 +260,10 @@ def _boundaries(data: MeshData, keys: Ints, on: Ints, owner: Ints) -> dict[str, 
 
 
 def _normals(data: MeshData, name: str, keys: Ints, on: Ints, inside: Floats) -> Floats:
-    """Mean normals of a boundary at all nodes (n, 3), zero where it is not.
+    """Mean normals of a boundary at all nodes (n, 3), zero off the boundary.
 
-    Args:
-        data: The mesh.
-        name: The boundary.
-        keys: Numbers of all faces on the outside (f,).
-        on: Numbers of the facets of the boundaries.
-        inside: Points in the cells of all faces on the outside (f, 3) [mm].
+    ``keys`` (f,) and ``inside`` (f, 3) [mm] are numbers of all exterior faces and points in their
+    cells, ``on`` the numbers of the facets of the boundaries.
     """
     here = np.flatnonzero(np.isin(data.facet_tags, data.boundaries.get(name, ())))
     here = here[np.isin(on[here], keys)]
@@ -290,9 +277,9 @@ def _normals(data: MeshData, name: str, keys: Ints, on: Ints, inside: Floats) ->
 
 
 def coincident(points: Floats) -> Ints:
-    """Pairs of points (k, 2) that are one but for rounding.
+    """Pairs of points (k, 2) that are equal but for rounding.
 
-    Points that are near are near along any direction: along one at random few others are.
+    Sorting along a random direction leaves few candidates.
     """
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     along = points @ np.random.default_rng(0).normal(size=3)
@@ -310,7 +297,7 @@ def coincident(points: Floats) -> Ints:
 
 
 def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str, str], Floats]:
-    """Places where two nodes of the mesh are meant to be one, by the regions they are of."""
+    """Positions where two nodes coincide, by the pair of their regions."""
     of_node = np.zeros(len(data.points), dtype=np.int64)
     of_node[data.cells] = piece[:, None]
     found: dict[tuple[str, str], list[Floats]] = {}

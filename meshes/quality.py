@@ -1,4 +1,4 @@
-"""Is the mesh good enough: one measure, vectorised, for generated and imported meshes alike."""
+"""Quality of meshes: one measure, vectorised, for generated and imported meshes alike."""
 
 from __future__ import annotations
 
@@ -46,13 +46,10 @@ _SAMPLES = np.vstack(
 
 
 def sicn(points: Floats, cells: Ints) -> Floats:
-    """Signed inverse condition number of every cell: 1 regular, 0 flat, negative inverted.
+    """Signed inverse condition number of every cell (m,): 1 regular, 0 flat, negative inverted.
 
     With A the map from the regular tetrahedron, it is 3 sign(det A) / (|A| |A^-1|) in Frobenius
     norms, gmsh's ``minSICN``; for curved cells the least value at the ten nodes and the centre.
-
-    Returns:
-        Shape (m,).
     """
     if cells.shape[1] == 4:
         return np.concatenate([straight(*edges) for edges in edge_vectors(points, cells)])
@@ -80,7 +77,7 @@ def straight(a: Floats, b: Floats, c: Floats) -> Floats:
 
 
 def describe(data: MeshData, quality: Floats) -> dict[str, Any]:
-    """The quality notes: counts, least and median SICN, and the worst element of each region."""
+    """Quality notes: counts, least and median SICN, and the worst element of each region."""
     return {
         "cells": len(data.cells),
         "nodes": len(data.points),
@@ -96,13 +93,10 @@ def describe(data: MeshData, quality: Floats) -> dict[str, Any]:
 
 
 def overlapping(cells: Ints) -> Ints:
-    """Cells that do not fit on a neighbour of theirs, where all have a positive volume.
+    """Cells that overlap a neighbour, where all have a positive volume (k,), the worst first.
 
-    WarmStart on either side of a face see it the other way around. Where all do, volumes add up to
-    what the boundary encloses. Middle nodes of a face have to be the same from either side.
-
-    Returns:
-        Their rows (k,), those with most such faces first.
+    Cells on either side of a face see it the other way around. Where all do, volumes add up to
+    the volume within the boundary. Middle nodes of a face have to be the same from either side.
 
     Raises:
         ValueError: A face belongs to more than two cells.
@@ -130,11 +124,7 @@ def places(
 
 
 def gate(data: MeshData, remedy: str) -> Floats:
-    """Refuse a mesh with inverted or nearly flat elements.
-
-    Args:
-        data: The mesh.
-        remedy: What to do about it, in words.
+    """Refuse a mesh with inverted or nearly flat elements; ``remedy`` ends the message.
 
     Returns:
         SICN of each cell (m,).

@@ -64,7 +64,7 @@ def refined(made: Swept) -> Swept:
 
 
 def _best(points: Floats, local: Ints) -> Ints:
-    """The diagonal around which the least quality is best: numbers of `AROUND`, shape (m,)."""
+    """Diagonal with the best least quality around it: numbers of `AROUND`, shape (m,)."""
     best = []
     for middles in corners(points, local[:, 4:]):
         x = dict(enumerate(middles, start=4))
@@ -80,7 +80,7 @@ def _best(points: Floats, local: Ints) -> Ints:
 
 
 def _partners(made: Swept, best: Ints) -> Ints:
-    """Partners of the children as of `match_faces`, whose diagonals are the `best` (m,)."""
+    """Partners of the children, as of `match_faces`, around the diagonals `best` (m,)."""
     first = 32 * np.arange(len(best))
     inner = _INNER[best]
     partner = np.where(inner < 0, -1, inner + first[:, None]).ravel()
@@ -108,12 +108,9 @@ def curved(made: Swept) -> Swept:
 
 
 def _middles(made: Swept, ends: Ints, beside_ends: bool = False) -> Nodes:
-    """Nodes in the middle of edges.
+    """Nodes in the middle of edges, given by their ends (e, 2).
 
-    Args:
-        made: The mesh.
-        ends: Both ends of each edge (e, 2).
-        beside_ends: Whether a layer that ends must not get too thin beside it: curved cells invert.
+    ``beside_ends`` keeps layers from getting too thin beside their end: curved cells invert.
     """
     nodes, turn = made.nodes, made.surfaces.spokes * made.unit
     a, b = ends.T
@@ -151,7 +148,6 @@ def _steep(made: Swept, a: Ints, b: Ints) -> Floats:
 
 
 def _thickness(made: Swept) -> Floats:
-    """Used thickness of the layer between mantle and endosteum at each node [mm]."""
     nodes = made.nodes
     lines, line = lines_of(made.surfaces, nodes.phi, nodes.s, made.unit)
     return np.where(nodes.rho <= 0, 0.0, np.maximum(lines.gap[line] + nodes.error, 0.0))

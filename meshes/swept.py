@@ -29,7 +29,7 @@ SPOKES = 8  # least number around: two in each quarter
 def least_spokes(size: float) -> int:
     """Least number of lines around for a size of the coarsest mesh [mm].
 
-    The lines decide how wrong a mesh is: from 6 to 16 mm a stance with eight of them changes by a
+    The lines decide the error of a mesh: from 6 to 16 mm a stance with eight of them changes by a
     quarter of its error. A mesh of more than 10 mm is a coarser companion of one with eight lines
     and has four: cells are twice as large all around.
     """
@@ -37,7 +37,7 @@ def least_spokes(size: float) -> int:
 
 
 def steps(size: float) -> tuple[float, int]:
-    """Size of the coarsest mesh of a family [mm], and how often it is refined for `size`."""
+    """Size of the coarsest mesh of a family [mm], and number of refinements for `size`."""
     times = 0
     while size * 2**times <= COARSEST:
         times += 1
@@ -45,12 +45,7 @@ def steps(size: float) -> tuple[float, int]:
 
 
 def mesh(surfaces: Surfaces, times: int, curved: bool) -> Swept:
-    """Sweep the cross-section, refine it, and curve its cells if asked.
-
-    Args:
-        surfaces: The surfaces, with the size of the coarsest mesh.
-        times: How often every cell is divided into eight.
-        curved: Whether cells get nodes in the middle of their edges, on the surfaces.
+    """Sweep the cross-section, divide every cell into eight some times, and curve cells if asked.
 
     Raises:
         GeometryError: Cells overlap: the surfaces are not nested.
@@ -66,11 +61,11 @@ def _section(spokes: int) -> tuple[Ints, Ints, Ints, list[Ints]]:
     """One triangulation of the cross-section for all stations.
 
     Returns:
-        Columns as rows of spoke and surface (c, 2), nodes inside being numbered by the spoke they
-        are beside and surface 0; triangles of columns (t, 3); the layer of each; and the rank of
-        each column: from lateral to medial, all of one spoke together, outwards. Sections turn
-        about an antero-posterior axis, and diagonals from lateral to medial are the short ones;
-        where sections turn back, those by the second ranks, from medial to lateral.
+        Columns as rows of spoke and surface (c, 2), inner nodes being numbered by the spoke beside
+        them and surface 0; triangles of columns (t, 3); the layer of each; and the rank of each
+        column: from lateral to medial, all of one spoke together, outwards. Sections turn about an
+        antero-posterior axis, and diagonals from lateral to medial are the short ones; where
+        sections turn back, those by the second ranks, from medial to lateral.
     """
     half = spokes // 2
     first = -(-half // 3)  # the ends of the spine, from which outlines fan out
@@ -113,7 +108,6 @@ _PRISM = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])
 
 
 def _coarsest(surfaces: Surfaces, unit: int) -> Swept:
-    """Sweep the cross-section along all stations."""
     columns, triangles, layers, ranks = _section(surfaces.spokes)
     c, levels = len(columns), surfaces.stations
     nodes = _grid(surfaces, columns, unit)
@@ -149,7 +143,7 @@ def _coarsest(surfaces: Surfaces, unit: int) -> Swept:
 
 
 def _grid(surfaces: Surfaces, columns: Ints, unit: int) -> Nodes:
-    """Nodes of all columns at all stations, those of one station after the other."""
+    """Nodes of all columns at all stations, station by station."""
     c, levels = len(columns), surfaces.stations
     merged, error, floor = _merged(surfaces)
     i, j = np.tile(columns, (levels, 1)).T
@@ -173,14 +167,14 @@ def _grid(surfaces: Surfaces, columns: Ints, unit: int) -> Nodes:
 
 
 def _lid(number: Ints, levels: int, c: int, spokes: int) -> Ints:
-    """Numbers of nodes where the last step is a lid: its rim is that of the section below it."""
+    """Node numbers where the last step is a lid: its rim is that of the section below it."""
     same = np.arange(len(number)).reshape(levels, c)
     same[-1, 2 : 4 * spokes : 4] = same[-2, 3 : 4 * spokes : 4]
     return same.ravel()[number]
 
 
 def _merged(surfaces: Surfaces) -> tuple[Bools, Floats, Floats]:
-    """Where mantle and endosteum are one, by spoke and station; error and floor there [mm]."""
+    """Mask where mantle and endosteum merge, by spoke and station; error and floor there [mm]."""
     spokes, levels = surfaces.spokes, surfaces.stations
     phi, s = np.meshgrid(np.arange(spokes) / spokes, np.arange(levels, dtype=float), indexing="ij")
     lines = surfaces.lines(phi.ravel(), s.ravel())
@@ -202,7 +196,6 @@ def _merged(surfaces: Surfaces) -> tuple[Bools, Floats, Floats]:
 
 
 def _packed(made: Swept) -> Swept:
-    """The mesh without unused nodes, its cells positive."""
     used, cells = np.unique(made.cells, return_inverse=True)
     cells = cells.reshape(made.cells.shape)
     nodes = Nodes(**{name: values[used] for name, values in vars(made.nodes).items()})

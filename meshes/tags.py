@@ -1,4 +1,4 @@
-"""Names to integers: the only place where tags are chosen.
+"""Integer tags of names, chosen here only.
 
 A mesher works with names; dolfinx wants one integer per cell and per facet. Regions count from 1
 in the order given. A boundary is a union of *patches*, disjoint sets of facets with one tag each.
@@ -31,22 +31,11 @@ def assemble(
     boundaries: Mapping[str, npt.NDArray[np.bool_]],
     exterior: tuple[Ints, Ints] | None = None,
 ) -> MeshData:
-    """Make a ``MeshData`` from boundaries that may overlap.
+    """Make a ``MeshData`` from boundaries that may overlap; facets without a name are left out.
 
     Facets that belong to the same set of names form one patch, so ``bone_surface`` may contain
-    ``gluteus_medius`` and ``top`` be the union of three ends.
-
-    Args:
-        points: Nodes, shape (n, 3).
-        cells: Tetrahedra, shape (m, 4 or 10).
-        cell_tags: Region of each cell.
-        regions: Region name to tag.
-        interfaces: Interface name to its two sides.
-        boundaries: Name to a mask over the exterior facets.
-        exterior: The exterior facets and their cells, when already known (saves the search).
-
-    Returns:
-        The mesh; facets without a name are left out.
+    ``gluteus_medius`` and ``top`` be the union of three ends. ``boundaries`` are masks over the
+    exterior facets; ``exterior``, if known (facets, cells), saves their search.
     """
     facets, _ = exterior_facets(cells) if exterior is None else exterior
     masks = np.array([boundaries[name] for name in boundaries], dtype=bool)

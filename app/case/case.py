@@ -1,11 +1,10 @@
 """The configuration of a case: schema, reading, writing.
 
-This is the one front for the rest of the program::
+The rest of the program reads cases by ::
 
     case = load(Path("case.yaml"), ["mesh.size=2 mm"]).config
 
-Everything downstream takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K,
-rad.
+and takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K, rad.
 """
 
 from __future__ import annotations
@@ -24,10 +23,7 @@ from pydantic import (
 )
 
 from app.case import checks, overlay, points
-from app.case.geometries import (
-    Geometry,
-    MeshOptions,
-)
+from app.case.geometries import Geometry, MeshOptions
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
 from app.case.variations import Variations, expand, title_with_changes
 from app.errors import InputError
@@ -37,14 +33,7 @@ from app.laws.loads import AnyLoad
 from app.laws.materials import Region
 from app.laws.supports import AnySupport
 from app.schema import section, yaml_file, yaml_text
-from app.schema.section import (
-    ITEMS,
-    MAPPING,
-    Name,
-    Section,
-    Text,
-    Word,
-)
+from app.schema.section import ITEMS, MAPPING, Name, Section, Text, Word
 from app.schema.yaml_file import CaseFile, Fault
 
 # Sections whose entries are valid one by one.
@@ -102,7 +91,7 @@ class Case(Section):
     def _noted(
         cls, value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
     ) -> object:
-        """Note the part, or what is wrong with it, in the context, and go on without it."""
+        """Store the part or its errors in the context; continue without an invalid part."""
         name = str(info.field_name)
         notes: dict[str, Any] = info.context  # type: ignore[assignment]
         part: Any = None
@@ -124,7 +113,7 @@ class Case(Section):
 
     @property
     def conducts(self) -> bool:
-        """Whether there is heat in it at all."""
+        """Whether heat is solved."""
         return any(region.thermal is not None for region in self.regions.values())
 
     def of_tissue(self, tissue: str) -> tuple[str, ...]:
@@ -138,9 +127,9 @@ class Varied:
 
     Attributes:
         name: Its name, and that of its folder.
-        overrides: What makes it out of the case, as after ``--set``.
+        overrides: Changes of the case, as after ``--set``.
         changes: The same, as values.
-        case: The whole of it.
+        case: The case with the changes.
     """
 
     name: str
@@ -151,15 +140,14 @@ class Varied:
 
 @dataclass(frozen=True)
 class LoadedCase:
-    """A case and where it comes from.
+    """A case and its origin.
 
     Attributes:
         config: The checked case: ``case.config.mesh.size``, ``case.config.regions["stem"]``. Its
             values are floats in mm, N, MPa, s, K, rad; every interface of the geometry is listed,
             and the tissue of every region.
-        path: The case file.
-        overrides: Changes of it, ``key=value`` each.
-        file: Its content, and where each key stands, for messages.
+        overrides: Changes of the file, ``key=value`` each.
+        file: Content and the place of each key, for messages.
     """
 
     config: Case
@@ -169,7 +157,7 @@ class LoadedCase:
 
     @property
     def output(self) -> Path:
-        """The folder of its results, unless another is asked for: ``out/<name of the file>``."""
+        """Default folder of the results: ``out/<name of the file>``."""
         return Path("out") / self.path.stem
 
     def variations(self) -> list[Varied]:
@@ -185,7 +173,7 @@ def load(path: Path, overrides: Sequence[str] = ()) -> LoadedCase:
         overrides: ``a.b.c=value`` each, applied in order before anything is checked.
 
     Raises:
-        InputError: Anything wrong with the file; every defect at once, one line each.
+        InputError: Every error of the file at once, one line each.
     """
     file = overlay.read(path, overrides)
     return LoadedCase(resolve(file, path.parent), path, tuple(overrides), file)
@@ -196,7 +184,7 @@ def resolve(file: CaseFile, folder: Path) -> Case:
 
     Args:
         file: The content.
-        folder: What relative paths in it are relative to.
+        folder: The folder of its relative paths.
 
     Raises:
         InputError: As `load`.
@@ -210,10 +198,10 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
     """The variations of a case.
 
     Raises:
-        InputError: All that is wrong with any of them, each at its place in the section.
+        InputError: Every error of any of them, at its place in the section.
     """
     found: list[Varied] = []
-    # The places of what options have set are their keys.
+    # The place of a value set by an option is the key of the option.
     options = [place for place in file.places.values() if isinstance(place, str)]
     faults: list[Fault] = []
     for name, changes in case.variations.items():
@@ -238,7 +226,7 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
 
 
 def _resolved(file: CaseFile, folder: Path) -> Case:
-    """A case by itself, without its variations."""
+    """Check a case without its variations, and fill in defaults."""
     case, faults = valid_parts(file.data, folder)
     file.raise_all([*faults, *checks.cross_check(case)])
     laws = {name: case.interfaces.get(name, Bonded()) for name in case.geometry.interface_sides}
@@ -258,7 +246,7 @@ def _resolved(file: CaseFile, folder: Path) -> Case:
 
 
 def valid_parts(data: dict[str, Any], folder: Path) -> tuple[Case, list[Fault]]:
-    """A case of which parts that are missing or invalid are None, and the faults of those.
+    """A case whose missing or invalid parts are None, and their faults.
 
     Args:
         data: The content of a case file.
@@ -275,22 +263,22 @@ def valid_parts(data: dict[str, Any], folder: Path) -> tuple[Case, list[Fault]]:
 
 
 def read_geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
-    """The geometry in the content of a case file, whatever is wrong with the rest."""
+    """Geometry of a case file, even if other parts are invalid."""
     return valid_parts(data, folder)[0].geometry
 
 
 def plain(case: Case) -> dict[str, Any]:
-    """A case alone, without variations, as mappings, lists and scalars."""
+    """A case without its variations as mappings, lists and scalars."""
     return case.model_dump(mode="json", exclude_none=True, exclude={"variations"})
 
 
 def dump(case: Case) -> str:
-    """A case alone, as YAML in internal units; without variations reads back equal."""
+    """A case without its variations as YAML in internal units; it reads back equal."""
     return yaml_text.to_yaml(plain(case))
 
 
 def _renew() -> None:
-    """Build the schema anew: there is another kind of something."""
+    """Rebuild the schema after a kind was added."""
     Case.model_rebuild(force=True)
 
 

@@ -1,7 +1,6 @@
-"""Checks of one part of a case against another: names, lengths of histories, what holds the model.
+"""Checks of one part of a case against another: names, lengths of histories, supports.
 
-They work on the parts that are valid by themselves, so that an error in one section does not hide
-those of the others.
+They work on the valid parts, so that an error in one section does not hide errors in others.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from app.schema.yaml_file import Fault, Path
 
 
 def cross_check(case: Any) -> list[Fault]:
-    """Every contradiction between the parts of a case; a part that is invalid is None."""
+    """Contradictions between the parts of a case; invalid parts are None."""
     faults = [*_held(case), *_side(case), *_heat(case)]
     if case.geometry is not None:
         faults += [*_names(case), *_too_small(case), *_rigid(case)]
@@ -37,7 +36,7 @@ def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str)
 
 
 def _entries(case: Any, *sections: str) -> Iterable[tuple[str, str, Any]]:
-    """Section, name and entry of all that are valid."""
+    """Section, name and entry of the valid entries of sections."""
     for section in sections:
         for name, entry in (getattr(case, section) or {}).items():
             if entry is not None:
@@ -45,7 +44,7 @@ def _entries(case: Any, *sections: str) -> Iterable[tuple[str, str, Any]]:
 
 
 def _names(case: Any) -> Iterable[Fault]:
-    """Names that the geometry does not have, and regions without material."""
+    """Names unknown to the geometry, and regions without material."""
     kind, regions = case.geometry.kind, case.geometry.region_names
     boundaries, interfaces = case.geometry.boundary_names, case.geometry.interface_sides
     used: list[tuple[Path, str, Any]] = [
@@ -74,7 +73,7 @@ def _names(case: Any) -> Iterable[Fault]:
 
 
 def _too_small(case: Any) -> Iterable[Fault]:
-    """Lengths that cells of the mesh's size do not go with."""
+    """Lengths too small for the mesh size."""
     size = 0.0 if case.mesh is None else case.mesh.size
     for key, (length, most) in case.geometry.spans.items():
         if size > most * length:
@@ -84,7 +83,7 @@ def _too_small(case: Any) -> Iterable[Fault]:
 
 
 def _stages(case: Any) -> Iterable[Fault]:
-    """No stages, or two of a name; histories of another length; supports in unknown stages."""
+    """Missing or duplicate stages, histories of wrong length, unknown stages of supports."""
     names = [stage.name for stage in case.stages]
     if not names:
         yield Fault(("stages",), "is empty; expected at least one stage")
@@ -129,7 +128,7 @@ def _rigid(case: Any) -> Iterable[Fault]:
 
 
 def _held(case: Any) -> Iterable[Fault]:
-    """Directions in which nothing keeps the whole model from moving."""
+    """Directions in which the whole model is not constrained."""
     if case.supports is None or any(support is None for support in case.supports.values()):
         return
     if case.regions and all(isinstance(r, Conductor) for r in case.regions.values()):
@@ -151,7 +150,7 @@ def _held(case: Any) -> Iterable[Fault]:
 
 
 def _side(case: Any) -> Iterable[Fault]:
-    """Femurs that are made here are left ones."""
+    """Refuse right parametric femurs, which are left ones."""
     if case.side == "right" and isinstance(case.geometry, Femur | IntactFemur):
         text = (
             f"the geometry ({case.geometry.kind}) is a left femur; expected left, whose numbers "
@@ -161,7 +160,7 @@ def _side(case: Any) -> Iterable[Fault]:
 
 
 def quantities(geometry: Any, study: Any) -> Iterable[Fault]:
-    """Quantities of interfaces or regions that the geometry does not have."""
+    """Quantities of interfaces or regions unknown to the geometry."""
     if geometry is None or study is None:
         return
     known = (*geometry.interface_sides, *geometry.region_names)
@@ -176,7 +175,6 @@ def quantities(geometry: Any, study: Any) -> Iterable[Fault]:
 
 
 def _heat(case: Any) -> Iterable[Fault]:
-    """Every contradiction about heat between the case."""
     if case.regions is None:
         return
     regions = {name: region for name, region in case.regions.items() if region is not None}
@@ -195,7 +193,7 @@ def _heat(case: Any) -> Iterable[Fault]:
 def _without_heat(case: Any, whole: bool) -> Iterable[Fault]:
     """Faults of keys that need a region that conducts heat."""
     if not whole or not case.regions:
-        return  # the region that cannot be read may be the one that conducts
+        return  # an invalid region may be the one that conducts
     text = "no region conducts heat; expected `thermal` in every region"
     if case.heat:
         yield Fault(("heat",), text)
@@ -212,7 +210,7 @@ def _without_heat(case: Any, whole: bool) -> Iterable[Fault]:
 
 
 def _conductors(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
-    """Conditions of mechanics where no region is a solid; regions of both sorts."""
+    """Mechanical sections where every region is a conductor; conductors beside solids."""
     solid = [name for name, region in regions.items() if not isinstance(region, Conductor)]
     if len(solid) == len(regions):
         return
@@ -232,7 +230,7 @@ def _conductors(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
 
 
 def _flow(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
-    """Stages in which heat does not flow, or has nowhere to go."""
+    """Stages in which heat does not flow, or has no steady state."""
     if not case.stages:
         return
     if not any(stage.takes_time for stage in case.stages):

@@ -14,7 +14,7 @@ from app.case.keys import Key
 from app.errors import InputError
 
 WIDTH = 96
-# Keys that the text of another explains.
+# Keys explained by the text of another.
 WITHIN = {"loads.library": "loads"}
 
 
@@ -22,8 +22,8 @@ def explained(key: str) -> str:
     """Meaning, value, unit, default and an example of a key; or an entry of the library.
 
     Args:
-        key: As after ``--set``; names may be left out, and all before the last word. Else a name of
-            the library, or ``materials`` or ``loads`` for all of them.
+        key: As after ``--set``, without names or with the last word alone. Else a name of the
+            library, or ``materials`` or ``loads`` for all of them.
 
     Raises:
         InputError: There is no such key.
@@ -52,22 +52,17 @@ def explained(key: str) -> str:
 
 @cache
 def unit(key: str) -> str:
-    """The unit in which the value of a key is kept; empty if it has none or there is no such key.
-
-    Args:
-        key: As after ``--set``.
-    """
+    """Internal unit of a key as after ``--set``; empty if it has none or is unknown."""
     units = {k.unit for k in _every() if _matches(k, key)} - {""}
     return units.pop() if len(units) == 1 else ""
 
 
 def _every() -> list[Key]:
-    """All keys, in the order of the reference."""
     return [key for section in keys.table().values() for key in section]
 
 
 def _matches(key: Key, asked: str) -> bool:
-    """Whether a key is meant: names and numbers may be anything, or left out."""
+    """Whether a key matches; names and numbers may be any or be left out."""
     pattern = re.escape(key.path)
     pattern = pattern.replace(r"\.<name>", r"(\.[^.]+)?")
     pattern = pattern.replace(r"\[\]", r"(\[\d*\]|\.\d+)?")
@@ -75,7 +70,7 @@ def _matches(key: Key, asked: str) -> bool:
 
 
 def _body(key: Key) -> Iterator[str]:
-    """The lines of an explanation below its head."""
+    """Lines of an explanation below its heading."""
     said = f"{key.value} such as {key.default} {key.meaning}"
     example = re.search(r"(?:e\.g\.|such as) `([^`]*)`", said)
     rows = {
@@ -95,7 +90,7 @@ def _body(key: Key) -> Iterator[str]:
 
 
 def _wrapped(text: str, start: str, further: str) -> list[str]:
-    """Markdown without its marks, in lines that begin in a way."""
+    """Wrap Markdown without its marks, with indents of the first and further lines."""
     plain = re.sub(r"\[([^\]]*)\]\(#[^)]*\)", r"\1", text).replace("`", "")
     return textwrap.wrap(
         plain, WIDTH, initial_indent=start, subsequent_indent=further, break_on_hyphens=False

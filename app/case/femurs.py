@@ -12,7 +12,7 @@ from app.schema.section import fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 
 BONE = ("cortical_bone", "cancellous_bone")
-# Where the middle of each muscle's insertion lies on the bone (mm); as in `meshes.femur_bone`.
+# Centre of each muscle's insertion on the bone (mm); as in `meshes.femur_bone`.
 MUSCLES: dict[str, Point3] = {
     "gluteus_medius": (-25.395, -15.237, 28.0),
     "gluteus_minimus": (-30.723, 4.727, 27.0),
@@ -21,7 +21,7 @@ MUSCLES: dict[str, Point3] = {
     "vastus_lateralis": (-15.067, 4.018, -25.0),
 }
 
-# Meshes of this size and below are refinements of one that is coarser (mm); as in `meshes.swept`.
+# Meshes of this size and below are refinements of a coarser mesh (mm); as in `meshes.swept`.
 COARSEST = 5.0
 # Part of the lines along which the mantle fills the canal, beside and below the stem, by the
 # thickness that is asked for less what the canal is widened (mm).
@@ -130,14 +130,12 @@ class _Femur(Shape):
         return self
 
     def _check_section(self, z: float, where: str, offset: float) -> float:
-        """Half-width of a section that the two given ones, continued to a level, make there (mm).
-
-        One that has no shape is refused.
+        """Half-width of the section extrapolated linearly to a level (mm); refuse a degenerate one.
 
         Args:
             z: The level (mm).
-            where: The same in words.
-            offset: What is added around it (mm).
+            where: The level in words.
+            offset: Thickness added around the section (mm).
         """
         part = (z - self.stem_tip_z) / (self.stem_section_z - self.stem_tip_z)
         sizes = {}
@@ -171,17 +169,17 @@ class _Femur(Shape):
 
     @property
     def has_curved_surfaces(self) -> bool:
-        """All of its surfaces are."""
+        """Always."""
         return True
 
     @property
     def is_around_z(self) -> bool:
-        """The stem is along the shaft."""
+        """Always: the stem is along the shaft."""
         return True
 
     @property
     def has_gruen_zones(self) -> bool:
-        """Bone around the stem, or where it will be."""
+        """Always: of the bone around the stem, or where it will be."""
         return True
 
     def _spokes(self, size: float) -> int:
@@ -200,19 +198,19 @@ class _Femur(Shape):
 
     @property
     def _cut(self) -> float:
-        """Height at which the neck cut meets the shaft's axis, about (mm)."""
+        """Approximate height at which the neck cut meets the shaft's axis (mm)."""
         return self.resection_height + 24.747 * math.tan(self.resection_angle)
 
     def _core_cells(self, size: float) -> int:
-        """Tetrahedra in a step of the innermost layer, one cell long."""
+        """Tetrahedra of the innermost layer in one step along the shaft."""
         half = self._spokes(size) // 2
         return 3 * (4 * half - 4 * math.ceil(half / 3))
 
     def _shaft_cells(self, mesh: MeshOptions) -> tuple[float, float]:
         """Size of the coarsest mesh (mm), and its cells below the neck cut.
 
-        Three layers around the core, six tetrahedra a spoke each; where the mantle fills the canal
-        there are but two, as far around as in meshes that were counted.
+        Three layers around the core of six tetrahedra a spoke; two where the mantle fills the
+        canal, a part of the circumference fitted to counted meshes.
         """
         size = _coarsest(mesh.size)
         plug = self.stem_tip_z - self.plug_length
@@ -270,12 +268,12 @@ class Femur(_Femur):
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
-        """That around the stem, with a plug below its tip."""
+        """The mantle around the stem, with a plug below its tip."""
         return (Mantle(self.cement_thickness, self.stem_tip_z),)
 
     @property
     def interface_area(self) -> float:
-        """Area of both interfaces (mm2), about: the stem's flanks and their offset."""
+        """Approximate area of both interfaces (mm2): the stem's flanks and their offset."""
         width = self.stem_half_width + self.stem_tip_half_width
         depth = self.stem_half_depth + self.stem_tip_half_depth
         flanks = 2.0 * (width + depth) * self.stem_length
@@ -340,17 +338,17 @@ class IntactFemur(_Femur):
 
 
 def _steps(length: float, size: float) -> int:
-    """Number of steps of about a size into which a length is divided."""
+    """Number of steps of about `size` in a length."""
     return max(1, round(length / size))
 
 
 def _coarsest(size: float) -> float:
-    """Mesh size of the coarsest mesh that is refined to meshes of a size (mm)."""
+    """Size of the coarsest mesh that is refined to a size (mm)."""
     while size <= COARSEST:
         size *= 2.0
     return size
 
 
 def _refined(size: float) -> float:
-    """Cells of a mesh for each of the coarsest one."""
+    """Cells of a mesh per cell of the coarsest mesh."""
     return (_coarsest(size) / size) ** 3

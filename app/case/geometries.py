@@ -1,7 +1,6 @@
-"""The geometries a case can have: their parameters, and the names of what they consist of.
+"""Geometries of a case: parameters, and the names of regions, boundaries and interfaces.
 
-No mesh is made here: each class knows its regions, boundaries and interfaces by name, so that the
-rest of a case can be checked against them without a mesher.
+No mesh is made here, so that the rest of a case can be checked without a mesher.
 """
 
 from __future__ import annotations
@@ -15,12 +14,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from app.case.femurs import Femur, IntactFemur
-from app.case.gmsh_header import (
-    content,
-    counts,
-    is_script,
-    physical_names,
-)
+from app.case.gmsh_header import content, counts, is_script, physical_names
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, Word, fail, one_of, show
 from app.schema.units import Angle, PositiveLength, SizeVector
@@ -87,7 +81,7 @@ class Blocks(Shape):
 
     @property
     def tissues(self) -> dict[str, str]:
-        """Every block is of material that is neither of the body nor put into it."""
+        """``other`` for every block."""
         return dict.fromkeys(self.region_names, "other")
 
     @property
@@ -158,7 +152,7 @@ class Cylinders(Shape):
 
     @property
     def is_around_z(self) -> bool:
-        """The layers are."""
+        """Always: the layers are coaxial."""
         return True
 
     @property
@@ -175,7 +169,7 @@ class Cylinders(Shape):
 
     @property
     def has_curved_surfaces(self) -> bool:
-        """Its interfaces are cones."""
+        """Always: the interfaces are cylinders or cones."""
         return True
 
     @property
@@ -185,7 +179,7 @@ class Cylinders(Shape):
 
     @property
     def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
-        """The radius of the stem, the thickness of the others, where they are least; the length."""
+        """Least radius of the stem, least thicknesses of the others, and the length."""
         rise = 0.5 * self.length * math.tan(abs(self.taper))
         return {
             ("stem_radius",): (self.stem_radius - rise, ROUND),
@@ -196,7 +190,7 @@ class Cylinders(Shape):
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
-        """That between stem and bone, from end to end."""
+        """The mantle between stem and bone, from end to end."""
         return (Mantle(self.cement_thickness, -math.inf),)
 
     @property
@@ -241,7 +235,7 @@ class MeshFile(Shape):
             regions = physical_names(path, 3) if found else ()
         except OSError as error:
             fail(f"{show(str(value))} cannot be read: {error.strerror}")
-        except (RuntimeError, ValueError) as error:  # a user that there is not; a bad file
+        except (RuntimeError, ValueError) as error:  # an unknown user; a bad file
             fail(f"{show(str(value))}: {error}")
         if not found:
             fail(f"no such file: {path}")
@@ -271,12 +265,12 @@ class MeshFile(Shape):
 
     @property
     def has_curved_surfaces(self) -> bool:
-        """Whether it may have them: a script's cells get straight where nothing bends."""
+        """True for a script: its cells are straight where the surface is flat."""
         return self.is_script
 
     @property
     def coarsest_size(self) -> float:
-        """Largest edge length (mm): a ``.msh`` file is as it is."""
+        """Largest edge length (mm); 0 for a ``.msh`` file, which is meshed already."""
         return 0.0 if self.path.suffix == ".msh" else math.inf
 
     @property
@@ -315,11 +309,11 @@ class MeshFile(Shape):
 
     @cached_property
     def content(self) -> str:
-        """Hash of what the file held when this was asked first."""
+        """Hash of the file at the first access."""
         return content(self.path)
 
     def copy_files(self, folder: Path) -> str:
-        """Copy the file, and what a script names, to a folder; their hash."""
+        """Copy the file, and files that a script names, to a folder; return their hash."""
         return content(self.path, folder)
 
 

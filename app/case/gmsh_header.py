@@ -19,7 +19,7 @@ COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?(?:\*/|\Z)""", re.
 QUOTED = re.compile(r"""\"([^"\n]*)"|'([^'\n]*)'""")
 GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
 DIMENSIONS = {"Volume": 3, "Surface": 2}
-# Set for this process and all that it starts: the user trusts the scripts of this command.
+# Environment variable: the user trusts the scripts of this command.
 ALLOWED = "MANTLE_ALLOW_SCRIPTS"
 
 
@@ -45,7 +45,7 @@ def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
 
 @lru_cache(maxsize=8)
 def _groups(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
-    """Dimension and name of every physical group; `modified` renews it."""
+    """Dimension and name of every physical group; `modified` invalidates the cache."""
     if is_script(path):
         found = _groups_of_script(path)
     elif path.suffix == ".msh":
@@ -77,12 +77,7 @@ def _groups_of_script(path: Path) -> list[tuple[int, str]]:
 
 
 def content(path: Path, copies: Path | None = None) -> str:
-    """Hash of a file and of the files that a script names; they are copied on demand.
-
-    Args:
-        path: The file.
-        copies: Folder for copies, which lie to each other as the files do.
-    """
+    """Hash of a file and of the files that a script names; copy them to a folder on demand."""
     digest = hashlib.sha256()
     for name in _files(path):
         raw = (path.parent / name).read_bytes()
@@ -95,7 +90,7 @@ def content(path: Path, copies: Path | None = None) -> str:
 
 
 def _files(path: Path) -> list[str]:
-    """A file, and those below its folder that a script or a script which it names has in quotes."""
+    """A file, and the files below its folder quoted in a script, recursively."""
     folder, found = path.parent.resolve(), [path.name]
     for name in found:  # it grows
         if not is_script(Path(name)):
@@ -107,13 +102,13 @@ def _files(path: Path) -> list[str]:
                 inside = (folder / other).resolve().is_relative_to(folder)
                 if inside and other not in found and (folder / other).is_file():
                     found.append(other)
-            except (OSError, ValueError):  # no name of a file
+            except (OSError, ValueError):  # not a file name
                 continue
     return found
 
 
 def counts(path: Path) -> int:
-    """Number of elements of all dimensions that the file announces, or 0 if that is unknown."""
+    """Number of elements of all dimensions announced by the file; 0 if unknown."""
     if is_script(path):
         return 0
     data = path.read_bytes()
@@ -126,5 +121,5 @@ def counts(path: Path) -> int:
         announced = int(fields[1] if version == b"4.1" else fields[0]) if found else 0
     except (ValueError, IndexError, struct.error):
         return 0
-    # Nothing takes less than a byte: what announces more is damaged.
+    # An element takes at least a byte: a file that announces more is damaged.
     return min(max(announced, 0), len(data))

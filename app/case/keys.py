@@ -22,7 +22,7 @@ from app.schema.section import Scalar, docstrings
 from app.schema.units import ConductancePerArea, Dimension, Plain
 
 NUMBERS = {2: "two", 3: "three", 6: "six"}
-# So many equal rows of two kinds are written once; bounds beyond this keep overflows out.
+# Number of equal rows of two kinds that are written once; larger bounds only avoid overflow.
 SHARED, HUGE = 8, 1e9
 CASE = """# Keys of a case file
 
@@ -52,14 +52,12 @@ class Key:
     """A key of a file, with texts in Markdown.
 
     Attributes:
-        section: The path of its section, ``interfaces.<name>``; empty at the top.
-        kind: The kind of the section, if it has one.
-        name: The key.
-        value: Its type and bounds.
-        unit: The unit in which the value is kept, or "".
-        default: Its default; "" if it is required.
-        meaning: Its description.
-        inner: The sections that its value may be.
+        section: Path of its section, ``interfaces.<name>``; empty at the top.
+        kind: Kind of the section, or "".
+        value: Type and bounds.
+        unit: Internal unit, or "".
+        default: "" if it is required.
+        inner: Sections that its value may be.
     """
 
     section: str
@@ -85,11 +83,7 @@ class Key:
 
 @cache
 def table(root: type[BaseModel] = Case) -> dict[type[BaseModel], list[Key]]:
-    """All keys of a file by section, in the order of the file.
-
-    Args:
-        root: The file: `Case`, `StudyFile` or `Sweep`.
-    """
+    """All keys of a `Case`, `StudyFile` or `Sweep` by section, in the order of the file."""
     places = dict((model, path) for path, model in _places("", root, set()))
     return {model: list(_keys(model, path, places)) for model, path in places.items()}
 
@@ -130,7 +124,7 @@ def _page(root: type[BaseModel], title: str) -> Iterator[str]:
 def _places(
     path: str, model: type[BaseModel], seen: set[type[BaseModel]]
 ) -> Iterator[tuple[str, type[BaseModel]]]:
-    """Each section within a section, where it stands first, in the order of the file."""
+    """Each section below a section, at its first place, in the order of the file."""
     seen.add(model)
     yield path, model
     for key, field in model.model_fields.items():
@@ -140,7 +134,6 @@ def _places(
 
 
 def _keys(model: type[BaseModel], path: str, places: dict[type[BaseModel], str]) -> Iterator[Key]:
-    """The keys of a section."""
     links = {m: _slug(_heading(place, m)) for m, place in places.items()}
     texts = docstrings(model)
     for name, field in model.model_fields.items():
@@ -160,12 +153,12 @@ def _heading(path: str, model: type[BaseModel]) -> str:
 
 
 def _slug(heading: str) -> str:
-    """The anchor that forges and MyST make of a heading."""
+    """Anchor of a heading, as GitHub and MyST make it."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
 
 
 def kind_of(model: type[BaseModel]) -> str:
-    """The kind of a section as a file calls it; empty if it has none."""
+    """Kind of a section as written in a file; empty if it has none."""
     if "kind" in model.model_fields:
         return str(get_args(model.model_fields["kind"].annotation)[0])
     return "rigid" if "rigid" in model.model_fields else ""
@@ -178,7 +171,7 @@ def prose(text: str) -> str:
 
 
 def _annotation(field: FieldInfo) -> Any:
-    """The annotation of a field with the marks that pydantic has taken off it."""
+    """Annotation of a field with the marks that pydantic has removed."""
     annotation: Any = field.annotation
     for mark in field.metadata:
         annotation = Annotated[annotation, mark]
@@ -186,7 +179,7 @@ def _annotation(field: FieldInfo) -> Any:
 
 
 def _models(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]:
-    """The sections in an annotation, and where each stands."""
+    """Sections in an annotation, with their paths."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield from ((path, model) for model in _variants(annotation))
         return
@@ -196,11 +189,11 @@ def _models(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]
 
 
 def _variants(model: type[BaseModel]) -> list[type[BaseModel]]:
-    """A section, or the kinds that derive from one that is of no kind itself."""
+    """A section, or the kinds derived from a base without kind."""
     kind = model.model_fields.get("kind")
     if kind is None or get_args(kind.annotation):
         return [model]
-    # Kinds that somebody has added from outside are not the program's.
+    # Kinds added from outside the program are left out.
     below = [c for c in model.__subclasses__() if c.__module__.startswith("app.")]
     return list(dict.fromkeys(v for c in below for v in _variants(c)))
 
@@ -246,7 +239,7 @@ def _value(annotation: Any, links: dict[type[BaseModel], str]) -> tuple[str, str
 
 
 def _union(found: list[tuple[str, str]]) -> tuple[str, str]:
-    """Any of some values."""
+    """Text and unit of a union."""
     kinds = [text.removeprefix("kind ") for text, _ in found if text.startswith("kind ")]
     others = list(dict.fromkeys(text for text, _ in found if not text.startswith("kind ")))
     if {"text", "whole number", "number"} <= set(others):
@@ -256,7 +249,7 @@ def _union(found: list[tuple[str, str]]) -> tuple[str, str]:
 
 
 def _sequence(found: list[tuple[str, str]], endless: bool) -> tuple[str, str]:
-    """A list of some values."""
+    """Text and unit of a list."""
     text, unit = found[0]
     if endless:
         return f"list of: {text}", unit
@@ -267,7 +260,7 @@ def _sequence(found: list[tuple[str, str]], endless: bool) -> tuple[str, str]:
 
 
 def _scalar(mark: Scalar) -> tuple[str, str]:
-    """A value of a dimension, a plain number, or either an expression."""
+    """Text and unit of a scalar or an expression."""
     match mark:
         case Varying():
             text, unit = _scalar(mark.constant)
@@ -281,7 +274,6 @@ def _scalar(mark: Scalar) -> tuple[str, str]:
 
 
 def _bounds(mark: Any) -> str:
-    """The bounds of a number, in words."""
     words = {"above": "above", "at_least": "at least", "at_most": "at most", "below": "below"}
     found = {word: getattr(mark, key, None) for key, word in words.items()}
     parts = [f"{word} {v:g}" for word, v in found.items() if v is not None and v < HUGE]

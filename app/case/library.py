@@ -1,4 +1,4 @@
-"""Materials and loads by name, each with its source: those that come with mantle, and one's own."""
+"""Library of materials and loads by name, each with its source: shipped and of the user."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from app.schema.section import show
 from app.schema.yaml_file import CaseFile, Fault
 
 SHIPPED = configs.FOLDER / "library" / "library.yaml"
-# What an entry says beside its values.
+# Keys of an entry beside its values.
 ABOUT, SOURCE = "about", "source"
 KINDS = {
     "materials": "a region takes one by `material: NAME`",
@@ -23,7 +23,7 @@ def read(path: Path = SHIPPED) -> CaseFile:
     """The content of a library.
 
     Raises:
-        InputError: The file cannot be read, or is none.
+        InputError: The file cannot be read or is no library.
     """
     file = yaml_file.read(path)
     faults = []
@@ -42,7 +42,7 @@ def read(path: Path = SHIPPED) -> CaseFile:
 
 
 def listed(kind: str) -> str:
-    """The shipped names of a kind and what they are, as text."""
+    """List the shipped names of a kind with their descriptions, as text."""
     entries = read().data[kind]
     wide = max(map(len, entries), default=0)
     lines = [f"  {name:<{wide}}  {entry.get(ABOUT, '')}" for name, entry in entries.items()]
@@ -55,7 +55,7 @@ def names() -> list[str]:
 
 
 def described(name: str) -> str:
-    """A shipped entry with its source, as it stands in the library."""
+    """Text of a shipped entry with its source, as in the library."""
     file = read()
     texts = SHIPPED.read_text(encoding="utf-8").splitlines()
     starts = sorted(p[1] for key, p in file.places.items() if len(key) <= 2)

@@ -1,4 +1,4 @@
-"""The text of a new case, short and complete: what ``mantle init`` writes."""
+"""New cases, short and complete, for ``mantle init``."""
 
 from __future__ import annotations
 
@@ -45,18 +45,15 @@ loads:
 
 
 def write(path: Path, kind: str, stem: str = "") -> Path:
-    """Write a new case that runs as it is.
+    """Write a new case that runs as it is; return its file.
 
     Args:
-        path: The file; ``.yaml`` is added.
-        kind: Of its geometry.
-        stem: What a stem is made of, if the kind has one.
-
-    Returns:
-        The file.
+        path: The file; ``.yaml`` is added if missing.
+        kind: Kind of the geometry.
+        stem: Material of the stem, a key of `STEMS`.
 
     Raises:
-        InputError: It is there already or cannot be written; an option has no meaning.
+        InputError: The file exists or cannot be written; the kind has no stem.
     """
     if stem and kind not in ("femur", "cylinders"):
         raise InputError(f"--stem {stem}: of kind {kind} there is no stem")
@@ -77,7 +74,7 @@ def write(path: Path, kind: str, stem: str = "") -> Path:
 
 
 def _own(case: Path, mesh: Path) -> str:
-    """A case on a mesh, with the regions and boundaries of the file if it is there."""
+    """Case on a mesh file, with its regions and boundaries if it exists."""
     regions: tuple[str, ...] = ("NAME_OF_A_REGION",)
     boundaries: tuple[str, ...] = ("NAME_OF_A_SURFACE", "NAME_OF_ANOTHER")
     about = MISSING
@@ -108,5 +105,5 @@ def _own(case: Path, mesh: Path) -> str:
 
 
 def _word(text: str) -> str:
-    """Text as YAML takes it, in quotes if need be."""
+    """Text as a YAML scalar, quoted if necessary."""
     return text if re.fullmatch(r"[A-Za-z_/.][\w/. -]*", text) else json.dumps(text)

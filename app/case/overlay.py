@@ -1,6 +1,6 @@
-"""A case over its bases, with entries of a library, and overrides over both.
+"""Merge a case with its bases, entries of a library, and overrides.
 
-Each value keeps its place: the file, line and column where it stands, be it a base or a library.
+Each value keeps its place: file, line and column, also of a base or a library.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MOST_BASES = 10
 OF_REGION = ("thermal", "tissue", "eigenstrains")
 OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
 Places = Mapping[Path, Place]
-# Keys that only a case has, and only a sweep.
+# Keys of a case alone; `AXES` are of a sweep alone.
 SECTIONS = frozenset(
     "library title geometry side mesh regions interfaces supports loads heat stages time solver "
     "output variations".split()
@@ -40,7 +40,7 @@ AXES = frozenset({"grid", "lists", "table", "latin_hypercube", "parts"})
 
 
 def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
-    """Read a case file, lay it over its bases, and options over all; its content is not checked.
+    """Merge a case file with its bases and apply overrides; the content is not checked.
 
     Args:
         path: The file.
@@ -81,14 +81,9 @@ def is_study(data: Mapping[str, Any]) -> bool:
 
 
 def found(folder: FilePath, base: str) -> FilePath:
-    """The case that a base names: a file, or one that comes with mantle by its name alone.
-
-    Args:
-        folder: What a relative path is relative to.
-        base: The value of the key.
-    """
+    """Path of a base: a file relative to a folder, or a shipped case by its name alone."""
     shipped = configs.FOLDER / f"{base}.yaml"
-    word = base.replace("_", "").isalnum()  # no path
+    word = base.replace("_", "").isalnum()  # not a path
     return shipped if word and shipped.is_file() else folder / expanduser(base)
 
 
@@ -96,7 +91,7 @@ def _chain(path: FilePath) -> list[tuple[CaseFile, FilePath]]:
     """A case and its bases, the nearest first.
 
     Raises:
-        InputError: One cannot be read or is none, or they make a circle.
+        InputError: A file cannot be read or is no case, or the bases make a circle.
     """
     own = yaml_file.read(path)
     for what, holds in (("sweep", bool(AXES & own.data.keys())), ("study", is_study(own.data))):
@@ -129,7 +124,7 @@ def _chain(path: FilePath) -> list[tuple[CaseFile, FilePath]]:
 
 
 def _anchor(data: Any, folder: FilePath) -> None:
-    """Make paths absolute that are relative to the file of a base."""
+    """Make paths of a base absolute, which are relative to its file."""
 
     def absolute(value: Any) -> Any:
         if isinstance(value, list):
@@ -146,10 +141,10 @@ def _anchor(data: Any, folder: FilePath) -> None:
 
 
 def _library(file: CaseFile, folder: FilePath, name: Any) -> CaseFile:
-    """The library that a case names.
+    """Read the library named by a case.
 
     Raises:
-        InputError: There is none, or it is none.
+        InputError: It does not exist or is no library.
     """
     if not isinstance(name, str):
         file.raise_all([Fault(("library",), f"{show(name)} is not text; expected a file")])
@@ -161,12 +156,12 @@ def _library(file: CaseFile, folder: FilePath, name: Any) -> CaseFile:
 
 @dataclass
 class LayeredCase(CaseFile):
-    """A case over its bases, to which options add more.
+    """A case merged with its bases; overrides are merged in the same way.
 
     Attributes:
         libraries: Files of materials and loads by name, the newest last.
-        places_of: Where the values of each entry of a library stand, by library, kind and name.
-        taken: How many values have come from libraries.
+        places_of: Places of the values of each library entry, by library, kind and name.
+        taken: Number of values taken from libraries.
     """
 
     libraries: list[CaseFile] = field(default_factory=list)
@@ -174,7 +169,7 @@ class LayeredCase(CaseFile):
     taken: int = 0
 
     def add(self, file: CaseFile, at: int) -> None:
-        """Add a library at a place among the others."""
+        """Insert a library among the others."""
         self.others.append(file.name)
         self.digests |= file.digests
         self.libraries.insert(at, file)
@@ -183,16 +178,16 @@ class LayeredCase(CaseFile):
             found.append((path[2:], (len(self.others), *place[1:])))  # type: ignore[arg-type]
 
     def entry(self, kind: str, name: str, path: Path) -> tuple[dict[str, Any], dict[Path, Place]]:
-        """An entry of the newest library that has it, and where its values stand.
+        """Entry of the newest library that has it, and the places of its values.
 
         Args:
             kind: ``materials`` or ``loads``.
             name: Its name.
-            path: Where it goes in the case.
+            path: Its path in the case.
 
         Raises:
-            BadYaml: There is none.
-            InputError: So many were taken that this is no case.
+            BadYaml: No library has it.
+            InputError: Too many values were taken.
         """
         if all(file.name != str(library.SHIPPED) for file in self.libraries):
             self.add(library.read(), 0)
@@ -213,15 +208,15 @@ class LayeredCase(CaseFile):
         raise BadYaml(f"{show(name)} is not in the library; {kind}: {', '.join(known)}{hint}")
 
     def put(self, holder: Any, path: Path, value: Any) -> None:
-        """Lay a value over what is there.
+        """Merge a value into the data; null removes the old value.
 
         Args:
-            holder: The mapping or list that it goes into.
-            path: Where it stands then.
-            value: Mappings, lists and scalars; null takes away what is there.
+            holder: Mapping or list that gets the value.
+            path: Path of the value.
+            value: Mappings, lists and scalars.
 
         Raises:
-            BadYaml: It cannot stand there.
+            BadYaml: The value is not allowed there.
         """
         step, laying = path[-1], _Laying(self)
         old = holder.get(step) if isinstance(holder, dict) else None
@@ -252,7 +247,7 @@ class LayeredCase(CaseFile):
 
 
 class _Laying:
-    """Lays the content of a file over that of others."""
+    """Merges the content of a file over that of its bases."""
 
     def __init__(self, case: LayeredCase) -> None:
         self._case = case
@@ -260,14 +255,14 @@ class _Laying:
         self.faults: list[Fault] = []
 
     def over(self, lower: Any, upper: Any, path: Path, below: Places, above: Places) -> Any:
-        """One value over another.
+        """Merge one value over another.
 
         Args:
-            lower: The value below; None if there is none.
-            upper: The value over it.
-            path: Where both stand.
-            below: The place of each path of `lower`.
-            above: The same of `upper`.
+            lower: Value of the bases; None if there is none.
+            upper: Value over it.
+            path: Path of both.
+            below: Places of the paths of `lower`.
+            above: Places of the paths of `upper`.
         """
         if (place := above.get(path)) is not None:
             self.places[path] = place
@@ -299,7 +294,7 @@ class _Laying:
         return result
 
     def _kept(self, value: Any, path: Path, places: Places) -> Any:
-        """A value as it is, with its places."""
+        """Return a value unchanged and keep its places."""
         if (place := places.get(path)) is not None:
             self.places[path] = place
         if isinstance(value, dict):
@@ -309,13 +304,13 @@ class _Laying:
         return value
 
     def _wrong(self, path: Path, text: str, places: Places) -> None:
-        """Note a fault at a place that the result need not have."""
+        """Add a fault, and its place even if the result does not have the path."""
         self.faults.append(Fault(path, text))
         if (place := places.get(path)) is not None:
             self.places[path] = place
 
     def _force(self, lower: Any, upper: Any, path: Path, above: Places) -> Any:
-        """A force, or the one below with another magnitude and its direction."""
+        """The upper force; a magnitude alone keeps the direction of the lower one."""
         magnitude = isinstance(upper, str | int | float) and not VECTOR.fullmatch(str(upper))
         vector = isinstance(lower, list) or (isinstance(lower, str) and VECTOR.fullmatch(lower))
         if magnitude and vector:
@@ -336,7 +331,7 @@ class _Laying:
     def _named(
         self, lower: Any, upper: dict[str, Any], path: Path, below: Places, above: Places
     ) -> tuple[Any, dict[str, Any], Places]:
-        """The value below with the entry that `upper` names, the rest of `upper`, their places."""
+        """Replace the lower value by the library entry that `upper` names."""
         key, kind = ("library", "loads") if len(path) == 1 else ("material", "materials")
         name, inner = upper.get(key), (*path, key)
         if not isinstance(name, str):
@@ -356,7 +351,7 @@ class _Laying:
 
 
 def _kind(data: Mapping[str, Any], path: Path) -> Any:
-    """The kind of a mapping, where it does not say so that of a region."""
+    """Kind of a mapping; regions have a default."""
     if len(path) != 2 or path[0] != "regions":
         return data.get("kind")
     return "rigid" if "rigid" in data else data.get("kind", "isotropic")
@@ -365,12 +360,12 @@ def _kind(data: Mapping[str, Any], path: Path) -> Any:
 def _material(
     region: dict[str, Any], entry: dict[str, Any], rest: dict[str, Any]
 ) -> dict[str, Any]:
-    """A region that gets a material: its constants, those of heat only where there is heat.
+    """Give a region the constants of a material, those of heat only where there is heat.
 
     Args:
-        region: What is there.
+        region: The region below.
         entry: The material.
-        rest: What the case says beside it.
+        rest: Other keys of the region above.
     """
     new = {k: v for k, v in region.items() if k in OF_REGION}
     conductor = "conductor" in (region.get("kind"), rest.get("kind"))

@@ -1,4 +1,4 @@
-"""Points of a sweep or a study as checked cases, with every defect at its place in the file."""
+"""Points of a sweep or a study as checked cases; errors have places in the file."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class PlannedRun:
     """A case of a sweep or a study.
 
     Attributes:
-        point: Its place in the file, ``--set`` options among its overrides.
+        point: Its place in the file; its overrides include ``--set`` options.
         base: The case file.
-        overrides: What makes the case out of it, as after ``--set``.
+        overrides: Changes of the base, as after ``--set``.
         ranks: Number of MPI ranks.
-        case: The whole of it.
+        case: The base with the overrides.
     """
 
     point: Point
@@ -39,13 +39,13 @@ class PlannedRun:
 def plan(
     file: CaseFile, folder: Path, every: Sequence[Point], overrides: Sequence[str]
 ) -> tuple[list[PlannedRun], list[Fault]]:
-    """The case of each point, and what is wrong with any of them.
+    """Check the case of each point; return the cases and the faults.
 
     Args:
         file: The file of the points.
-        folder: What the bases are relative to.
+        folder: The folder of relative bases.
         every: The points.
-        overrides: ``--set`` options: they hold for every point, in place of what is under ``set``.
+        overrides: ``--set`` options for every point; they replace values under ``set``.
     """
     problems = yaml_file.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
     given = {o.partition("=")[0].strip(): _value(o) for o in overrides}
@@ -85,6 +85,6 @@ def plan(
 
 
 def _value(option: str) -> Any:
-    """The value of an option; None if it has none that can be read."""
+    """Value of an option; None if it cannot be read."""
     text = option.partition("=")[2]
     return yaml_file.changed(CaseFile(""), [f"value={text}"]).data.get("value")

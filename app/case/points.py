@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field, model_validator
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
 from app.schema.yaml_file import Path, key_parts
 
-# Random designs of samples to choose from.
+# Number of random designs to choose from.
 DESIGNS = 20
 MOST_CASES = 20_000
 # A number, and its unit if it has one.
@@ -30,11 +30,11 @@ class Point:
 
     Attributes:
         name: Unique in its file: ``part/value_value``.
-        path: Where its part, or its line, stands in the file; empty if there is but one.
+        path: Path of its part or line in the file; empty if there is only one.
         base: The case as written.
-        changes: All its overrides, ``ranks`` among them.
-        varied: The keys of them that are on an axis.
-        places: Where each override stands in the file.
+        changes: All overrides, including ``ranks``.
+        varied: Keys on an axis.
+        places: Path of each override in the file.
     """
 
     name: str
@@ -46,13 +46,13 @@ class Point:
 
     @property
     def part(self) -> str:
-        """Name of its part; empty if there is but one."""
+        """Name of its part; empty if there is only one."""
         return str(self.path[-1]) if self.path else ""
 
 
 @dataclass(frozen=True)
 class AxisValue:
-    """One value of an axis: its name, its overrides, and where each stands in the file."""
+    """One value of an axis: its name, its overrides, and their paths in the file."""
 
     name: str
     changes: dict[str, Any]
@@ -60,7 +60,7 @@ class AxisValue:
 
 
 def _together(runs: dict[str, Any]) -> dict[str, Any]:
-    """Override keys with values, of which lists vary together."""
+    """Check that lists, which vary together, have equal lengths."""
     lengths = {key: len(runs[key]) for key in varying(runs)}
     first = next(iter(lengths), "")
     for key, length in lengths.items():
@@ -94,7 +94,6 @@ Table = Annotated[dict[Name, Changes], MAPPING, Field(min_length=1)]
 
 
 def _number(value: object) -> tuple[float, str]:
-    """A number and its unit."""
     found = QUANTITY.fullmatch(str(value)) if isinstance(value, str | int | float) else None
     if found is None or isinstance(value, bool):
         fail(f"{show(value)} is not a number, with its unit if it has one")
@@ -126,7 +125,7 @@ class Range(Section):
         return self
 
     def at(self, share: float) -> str | float:
-        """The value at a share of the way from one end to the other."""
+        """Value at a fraction of the range."""
         (low, unit), (high, _) = _number(self.low), _number(self.high)
         if self.scale == "logarithmic":
             value = low * (high / low) ** share
@@ -149,7 +148,7 @@ class LatinHypercube(Section):
     def draw(self) -> list[dict[str, Any]]:
         """The overrides of each sample (McKay, Beckman and Conover, doi:10.2307/1268522).
 
-        Of some designs the one whose inputs are least correlated by chance.
+        The least correlated of `DESIGNS` random designs is taken.
         """
         import numpy as np
         from scipy.stats import qmc
@@ -158,7 +157,7 @@ class LatinHypercube(Section):
         designs = [sampler.random(self.samples) for _ in range(DESIGNS)]
 
         def correlation(design: Any) -> float:
-            # That of a single input is a number, not a matrix.
+            # For a single input `corrcoef` is a number.
             found = np.atleast_2d(np.corrcoef(design, rowvar=False))
             return float(np.abs(np.tril(found, -1)).max())
 
@@ -188,18 +187,14 @@ class SweepPart(Section):
 
     @property
     def number(self) -> int:
-        """How many cases it has."""
+        """Number of cases."""
         lists = next((v for v in (self.lists or {}).values() if isinstance(v, list)), [0])
         samples = self.latin_hypercube.samples if self.latin_hypercube else 1
         grid = math.prod(len(values) for values in (self.grid or {}).values())
         return grid * len(lists) * len(self.table or [0]) * samples
 
     def axes(self, path: Path) -> Iterator[list[AxisValue]]:
-        """The table, the keys of the grid, the lists, the samples.
-
-        Args:
-            path: Where the part stands in the file.
-        """
+        """Axes of the part at a path of the file: table, grid, lists, samples."""
         short = short_keys([*(self.grid or {}), *(self.lists or {})])
         if self.table is not None:
             yield [
@@ -227,8 +222,8 @@ def along(runs: Mapping[str, Any], path: Path, short: Mapping[str, str]) -> list
 
     Args:
         runs: Values or lists of them by override key.
-        path: Where they stand in the file.
-        short: Name of each key.
+        path: Their path in the file.
+        short: Short name of each key.
     """
     lists = {key: _labels(runs[key]) for key in varying(runs)}
     return [
@@ -248,7 +243,7 @@ def varying(runs: Mapping[str, Any]) -> list[str]:
 
 
 def fixed(changes: dict[str, Any], path: Path) -> AxisValue:
-    """Overrides that hold for every point, as an axis of one value without a name."""
+    """Overrides of every point, as an axis with one unnamed value."""
     return AxisValue("", changes, {key: (*path, "set", key) for key in changes})
 
 
@@ -258,9 +253,9 @@ def combine(
     """Every combination of one value of each axis; the last axis changes fastest.
 
     Args:
-        path: Where the part stands in the file; its last word is its name.
+        path: Path of the part in the file; the last word is its name.
         base: The case as written.
-        common: Overrides that hold for every point.
+        common: Overrides of every point.
         axes: The axes.
     """
     part = str(path[-1]) if path else ""
@@ -276,7 +271,7 @@ def combine(
 
 
 def _labels(values: Sequence[Any]) -> list[str]:
-    """Names of values: as they are, by number, by kind, or by their place in the list."""
+    """Names of values: text, number, kind or index in the list."""
     singles = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in values]
     singles = [v.get("kind") if isinstance(v, dict) else v for v in singles]
     texts = [str(v) if isinstance(v, str | int | float) else "" for v in singles]
@@ -292,7 +287,7 @@ def _labels(values: Sequence[Any]) -> list[str]:
 
 
 def short_keys(keys: Sequence[str]) -> dict[str, str]:
-    """Each key by as many of its last words as tell it from the others."""
+    """Shorten keys to their last words as far as they stay unique."""
     split = {key: key_parts(key) for key in keys}
 
     def shortened(key: str) -> str:

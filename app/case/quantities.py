@@ -17,10 +17,10 @@ from typing import Any
 from app.schema.section import did_you_mean, fail, show
 from app.schema.units import Dimension, Plain, TemperatureDifference
 
-# Orders of convergence of P1 and P2 that give the best estimates of errors (docs/verification.md):
-# of what goes with the displacement, of tractions, of stress, of temperature.
+# Orders of convergence of P1 and P2 for estimates of errors (docs/verification.md): of
+# displacements, of tractions, of stress, of temperature.
 MOTION, TRACTION, STRESS, HEAT = (0.8, 1.3), (0.8, 0.8), (0.8, 1.0), (1.5, 1.5)
-# By unit in summary.json: what it is the unit of, and how a value of it is read.
+# By unit in summary.json: its dimension, and how a value of it is read.
 UNITS: dict[str, tuple[str, Dimension | Plain]] = {
     "mm": ("length", Dimension("mm", "a length", "0.05 mm")),
     "mm^2": ("area", Dimension("mm^2", "an area", "20 mm^2")),
@@ -41,10 +41,10 @@ UNITS: dict[str, tuple[str, Dimension | Plain]] = {
     "1/s": ("rate", Dimension("1/s", "a rate", "0.1 1/s")),
     "-": ("", Plain()),
 }
-# Units for people, in terms of those of summary.json, and as they are printed.
+# Units of tables in terms of those of summary.json, and as printed.
 FACTORS = {"um": 1e3, "%": 100.0}
 PRINTED = {"um": "µm", "degC": "°C", "deg": "°", "^2": "²", "^3": "³"}
-# What heat has done to bone, by criterion.
+# Criteria of thermal necrosis of bone.
 NECROSIS = {
     "47C_1min": "47 degC for 1 min",
     "cem43_16": "CEM43 of 16 min",
@@ -55,13 +55,13 @@ NECROSIS = {
 
 
 def printed(unit: str) -> str:
-    """A unit as it is printed: µm, °C, mm², empty for a plain number."""
+    """A unit as printed: µm, °C, mm²; empty for a plain number."""
     signs = PRINTED.items()
     return reduce(lambda text, sign: text.replace(*sign), signs, unit.removesuffix("-"))
 
 
 def in_print(text: str) -> str:
-    """A text of the terminal with the units behind its numbers as they are printed."""
+    """Text with the units behind its numbers as printed."""
     return re.sub(r"(?<=\d )(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
 
 
@@ -71,21 +71,21 @@ class Quantity:
 
     Attributes:
         section: Of summary.json, e.g. ``interfaces`` or ``thermal.regions``.
-        key: Its key there; with ``_error`` behind it that of its estimated error.
-        unit: Its unit in summary.json and history.csv, one of `UNITS`.
-        shown: Its unit in tables and figures for people; the same by default.
-        digits: Decimals in the terminal, in that unit.
-        label: Its name for people; by default its key.
+        key: Key there; its estimated error has the suffix ``_error``.
+        unit: Unit in summary.json and history.csv, one of `UNITS`.
+        shown: Unit in tables and figures; `unit` by default.
+        digits: Decimals in the terminal, in unit `shown`.
+        label: Name in tables and figures; the key by default.
         order: Orders of convergence of P1 and P2; None: its error is not estimated.
-        peak: Whether it is a maximum, which may grow with refinement without end.
-        exact: Whether it approximates nothing: counts, run times, penetrations.
+        peak: Whether it is a maximum, which may diverge with refinement.
+        exact: Whether it has no discretization error: counts, run times, penetrations.
         vector: Whether it has three components, ``.x`` .. in a study.
         history: Whether history.csv has it; of interfaces alone.
-        headline: Whether runs are compared by it in sweeps and variations.
-        compute: Of one that is added: its value in `unit`. Of an interface it takes the contact
-            points (`ContactSamples`) and which of them are the interface's (n,), and gives the same
-            on every rank; of a region the stresses (`results.stresses.Stresses`) and the name of
-            the region, collectively.
+        headline: Whether sweeps and variations compare runs by it.
+        compute: Function of an added quantity, in `unit`. For an interface it takes the contact
+            points (`ContactSamples`) and a mask of those of the interface (n,), and returns the
+            same on every rank; for a region the stresses (`results.stresses.Stresses`) and the name
+            of the region; collective.
     """
 
     section: str
@@ -109,22 +109,22 @@ class Quantity:
 
     @property
     def factor(self) -> float:
-        """From its unit to that for people."""
+        """Factor from `unit` to `shown`."""
         return 1.0 if self.shown == self.unit else FACTORS[self.shown]
 
     @property
     def names(self) -> list[str]:
-        """Name in a study, behind that of the interface or region."""
+        """Names in a study, after that of the interface or region."""
         return [f"{self.key}.{axis}" for axis in "xyz"] if self.vector else [self.key]
 
     def text(self, numbers: Mapping[str, Any]) -> str:
-        """The number for people, ``41.3 ± 1.8`` where its error is known, a dash without one."""
+        """Format the number: ``41.3 ± 1.8`` with its error, a dash if it is missing."""
         known = (numbers.get(self.key), numbers.get(f"{self.key}_error"))
         texts = [f"{self.factor * v:.{self.digits}f}" for v in known if v is not None]
         return " ± ".join(texts) or "-"
 
 
-# Sections that are numbers themselves; others have such a mapping for each interface or region.
+# Sections of numbers; the others map interfaces or regions to numbers.
 RUN = ("solver", "balance", "timing")
 WHOLE = ("stem", *RUN)
 # By section and key, in the order in which they are shown.
@@ -138,8 +138,8 @@ def add_quantity(*quantities: Quantity) -> None:
     """Publish quantities.
 
     Raises:
-        KeyError: There is no such section.
-        ValueError: It has such a key already, the unit is unknown, or nothing computes it.
+        KeyError: Unknown section.
+        ValueError: The key exists, the unit is unknown, or the section computes nothing.
     """
     for q in quantities:
         if q.key in TABLE[q.section] or q.unit not in UNITS:
@@ -237,21 +237,21 @@ add_quantity(
 
 
 def of_run() -> list[str]:
-    """Whole names of what a run costs and how well it balances."""
+    """Full names of the numbers of the run: cost and balances."""
     return [f"{section}.{key}" for section in RUN for key in TABLE[section]]
 
 
 def _tables(owner: str) -> Iterator[dict[str, Quantity]]:
-    """Where the quantities of an interface, a region, the stem or the run are."""
+    """Tables with quantities of an interface, a region, the stem or the run."""
     return (own for section, own in TABLE.items() if section not in WHOLE or section == owner)
 
 
 def get(name: str) -> Quantity | None:
-    """A quantity by its whole name.
+    """Quantity by its full name; None if there is none.
 
     Args:
-        name: ``<interface or region>.<key>``, ``stem.<key>`` or one of `of_run`; of a vector with
-            ``.x`` .. behind it.
+        name: ``<interface or region>.<key>``, ``stem.<key>`` or one of `of_run`; components of a
+            vector have the suffix ``.x`` ..
     """
     owner, _, key = name.partition(".")
     return next((q for own in _tables(owner) for q in own.values() if key in q.names), None)
@@ -274,7 +274,7 @@ def find(name: str) -> Quantity:
 
 
 def numbers_of(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Every mapping of numbers in a summary, with its section and what it is of."""
+    """Section, owner and numbers of each mapping of numbers in a summary."""
     for section in TABLE:
         found: Any = reduce(lambda part, key: part.get(key, {}), section.split("."), summary)
         named: dict[str, Any] = {section: found} if section in WHOLE else found
@@ -282,12 +282,12 @@ def numbers_of(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, dict[str,
 
 
 def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | None:
-    """A number of ``summary.json`` in its unit; None if it is not there.
+    """Number of ``summary.json`` in its unit; None if it is missing.
 
     Args:
-        summary: Its content; may be empty.
+        summary: Content of the file; may be empty.
         name: As in `get`.
-        suffix: Of the key, e.g. ``_error``.
+        suffix: Suffix of the key, e.g. ``_error``.
     """
     owner, _, key = name.partition(".")
     key, _, axis = key.partition(".")
@@ -301,6 +301,6 @@ def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | Non
 
 
 def computed(section: str, state: Any, of: Any) -> dict[str, float]:
-    """Numbers that other packages publish of an interface or a region (`Quantity.compute`)."""
+    """Added numbers of an interface or a region (`Quantity.compute`)."""
     added = (q for q in TABLE[section].values() if q.compute)
     return {q.key: float(q.compute(state, of)) for q in added if q.compute}

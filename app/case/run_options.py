@@ -42,12 +42,11 @@ class Stage(Section):
 
     @property
     def takes_time(self) -> bool:
-        """Whether heat flows in it."""
+        """Whether heat flows in the stage."""
         return self.steady or self.duration is not None
 
 
 def _petsc(value: object) -> object:
-    """Raw options: names without the leading dash, single values."""
     if not isinstance(value, dict):
         fail(f"{show(value)} is not a mapping of PETSc options to values")
     for name, entry in value.items():

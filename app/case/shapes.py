@@ -14,7 +14,7 @@ from app.schema.units import Plain, PositiveLength
 Point3 = tuple[float, float, float]
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
-# The least size of a cell (mm), whose powers are numbers too; and more cells than can be.
+# Least size of a cell (mm), so that its powers do not underflow; a bound of the cells.
 LEAST, COUNTLESS = 1e-8, 1e40
 
 
@@ -23,9 +23,9 @@ class Mantle:
     """The cement between interfaces ``stem_cement`` and ``cement_bone``.
 
     Attributes:
-        thickness: What it is meant to be (mm).
-        tip: Level of the stem's end (mm); the cement below is a plug, of no thickness. Minus
-            infinity where there is none.
+        thickness: Nominal thickness (mm).
+        tip: Level of the stem's end (mm), below which the cement is a plug without thickness; minus
+            infinity without a plug.
     """
 
     thickness: float
@@ -37,12 +37,12 @@ class Shape(Section):
 
     @property
     def has_curved_surfaces(self) -> bool:
-        """Whether curved cells follow it better than straight ones; not unless it says so."""
+        """Whether curved cells follow it better than straight ones; False by default."""
         return False
 
     @property
     def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
-        """Lengths (mm) that limit the edges of cells, and how many times as long those may be."""
+        """Lengths (mm) that limit the edges of cells, and the largest ratio of an edge to each."""
         return {}
 
     @property
@@ -52,27 +52,27 @@ class Shape(Section):
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
-        """Its mantle of cement; none unless it says so."""
+        """Cement mantles; none by default."""
         return ()
 
     @property
     def is_around_z(self) -> bool:
-        """Whether the z axis is that of a stem, or where one will be."""
+        """Whether z is the axis of a stem, or of a planned one."""
         return False
 
     @property
     def has_gruen_zones(self) -> bool:
-        """Whether it has the bone around a stem, or where one will be (`meshes.gruen`)."""
+        """Whether it has the bone around a stem, or a planned one (`meshes.gruen`)."""
         return False
 
     @property
     def joined(self) -> tuple[tuple[str, ...], ...]:
-        """Regions that are one body wherever they meet; none unless it says so."""
+        """Groups of regions that are bonded wherever they meet; none by default."""
         return ()
 
     @property
     def points(self) -> dict[str, Point3]:
-        """Points (mm) that loads can name; none unless it says so."""
+        """Named points (mm) for loads; none by default."""
         return {}
 
     @property
@@ -111,14 +111,8 @@ class MeshOptions(Section):
 def graded_cells(area: float, volume: float, mesh: MeshOptions) -> int:
     """Estimated number of tetrahedra of a mesh that is fine at its interfaces.
 
-    Args:
-        area: Area of all interfaces (mm2).
-        volume: Volume of all regions (mm3).
-        mesh: The sizes.
-
-    Returns:
-        ``a A / h^2 + b V / H^3`` with the constants fitted to measured meshes of the femur; at
-        most the number of cells of a uniform mesh.
+    ``a A / h^2 + b V / H^3`` for an area A of all interfaces (mm2) and a volume V (mm3), with
+    constants fitted to meshes of the femur; at most the cells of a uniform mesh.
     """
     uniform = 8.5 * volume / mesh.size**3
     graded = 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far**3

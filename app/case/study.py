@@ -1,4 +1,4 @@
-"""A study file, read and checked: a base case, what varies, what is measured, against what."""
+"""Study files: a base case, lines of runs, measured quantities and their reference."""
 
 from __future__ import annotations
 
@@ -33,7 +33,6 @@ def known_value(quantity: str, value: object) -> float:
 
 
 def _quantity(value: object) -> object:
-    """The name of a quantity, which has a unit."""
     if not isinstance(value, str):
         fail(f"{show(value)} is not <interface>.<key>, <region>.<key> or stem.<key>")
     quantities.find(value)
@@ -41,7 +40,6 @@ def _quantity(value: object) -> object:
 
 
 def _values(value: object) -> object:
-    """Values of quantities, each with its unit."""
     if not isinstance(value, dict):
         fail(f"{show(value)} is not a mapping of quantities to values")
     for quantity, entry in value.items():
@@ -117,7 +115,7 @@ class StudyFile(Section):
     """Lines of runs and the numbers measured in each."""
 
     def points(self) -> Iterator[Point]:
-        """Every run, in the order of the file; the reference's come last, in a part ``run``."""
+        """Every run, in the order of the file; runs of the reference last, in a part ``run``."""
         lines: dict[tuple[str, ...], dict[str, Any]] = {
             ("study", "lines", name): line for name, line in self.study.lines.items()
         }
@@ -137,9 +135,7 @@ class PlannedStudy:
     """A study and its runs.
 
     Attributes:
-        study: The study.
-        file: The file that it stands in.
-        overrides: Options that hold for every point.
+        overrides: Options for every point.
         runs: Its runs, those of the reference last.
     """
 
@@ -154,11 +150,11 @@ def read(path: Path, overrides: Sequence[str] = ()) -> PlannedStudy:
 
     Args:
         path: The study file.
-        overrides: ``--set`` options, of the study or of the case: these hold for every point, so
-            not for what varies.
+        overrides: ``--set`` options of the study, or of the case at every point; keys that vary
+            are refused.
 
     Raises:
-        InputError: All that is wrong with the file or any run, each at its place.
+        InputError: Every error of the file and its runs, at its place.
     """
     own = [o for o in overrides if re.match(r"\s*study\b", o)]
     others = [o for o in overrides if o not in own]
@@ -170,7 +166,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> PlannedStudy:
         content = StudyFile.model_validate(file.data)
     except ValidationError as error:
         file.raise_all(section.faults(error))
-        raise  # only if an error could not be told in words
+        raise  # unreachable: the faults were raised
     study = content.study
     runs, problems = planned_run.plan(file, path.parent, list(content.points()), others)
     if runs:

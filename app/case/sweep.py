@@ -1,4 +1,4 @@
-"""A sweep file, read and checked: a base case, and axes whose values multiply."""
+"""Sweep files: a base case, and axes whose values are combined."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Sweep(SweepPart):
         return found
 
     def uncertain(self) -> dict[str, list[str]]:
-        """The uncertain inputs of each part that has some."""
+        """Uncertain inputs by part, of parts that have any."""
         parts = self.parts or {"": self}
         return {k: list(p.latin_hypercube.inputs) for k, p in parts.items() if p.latin_hypercube}
 
@@ -63,10 +63,10 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
 
     Args:
         path: The sweep file.
-        overrides: ``--set`` options: they hold for every case, in place of what is under ``set``.
+        overrides: ``--set`` options for every case; they replace values under ``set``.
 
     Raises:
-        InputError: All that is wrong with the file or any case, each at its place.
+        InputError: Every error of the file and its cases, at its place.
     """
     file = yaml_file.read(path)
     for key, what in (("geometry", "case: use mantle run"), ("study", "study: use mantle study")):
@@ -76,7 +76,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
         sweep = Sweep.model_validate(file.data)
     except ValidationError as error:
         file.raise_all(section.faults(error))
-        raise  # only if an error could not be told in words
+        raise  # unreachable: the faults were raised
     planned, problems = planned_run.plan(file, path.parent, sweep.points(), overrides)
     file.raise_all(problems)
     return sweep, planned

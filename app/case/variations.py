@@ -1,7 +1,7 @@
-"""The ``variations`` section of a case: what changes from one run of it to the next on one mesh.
+"""The ``variations`` section of a case: runs on one mesh with changed loads and laws.
 
-Only changes that leave mesh and bonded stiffness alone: these, and all that is made of them, are
-shared by the runs (`app/simulation/variations.py`).
+Only changes that keep mesh and bonded stiffness, which the runs share
+(`app/simulation/variations.py`).
 """
 
 from __future__ import annotations
@@ -30,14 +30,13 @@ ALLOWED = (
 NO_GRID = (
     "a grid stands in a sweep file: base: CASE and grid; mantle sweep shares mesh and matrices too"
 )
-# Sections that a title does not tell of.
+# Sections whose changes a title leaves out.
 UNTITLED = ("output", "solver", "variations")
-# What stands between a title and what is changed.
+# Between a title and the changes.
 CHANGED = "; changed: "
 
 
 def _section(value: dict[str, Any]) -> dict[str, Any]:
-    """Names with changes that may vary."""
     for name, changes in value.items():
         if name == "grid":
             fail(NO_GRID, at=(name,))
@@ -50,23 +49,19 @@ def _section(value: dict[str, Any]) -> dict[str, Any]:
 
 
 def _refusal(key: str) -> str:
-    """Why a key may not vary, and what may."""
+    """Message for a key that may not vary."""
     path = key.split(".")
     known = {"loads": OF_LOADS, "solver": OF_SOLVER}.get(path[0], ())
     hint = did_you_mean(path[-1], known) if known else ""
     return f"may not vary in one run (it may change mesh or stiffness); {ALLOWED}{hint}"
 
 
-# What stands last is checked first.
+# The last annotation is checked first.
 Variations = Annotated[dict[Name, dict[str, Any]], BeforeValidator(_section), MAPPING]
 
 
 def split(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A case in two: what all its variations share, and what may vary by override key.
-
-    Args:
-        data: A resolved case as plain data.
-    """
+    """Split a resolved case into the data that variations share and those that may vary, by key."""
     shared = {key: value for key, value in data.items() if key not in ("title", "interfaces")}
     own = {f"interfaces.{name}": law for name, law in data.get("interfaces", {}).items()}
     own["title"] = data.get("title", "")
@@ -80,22 +75,15 @@ def split(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def expand(key: str, data: Mapping[str, Any]) -> list[str]:
-    """The keys that one with ``*`` for a name stands for.
-
-    Args:
-        key: A key.
-        data: The content of the file.
-    """
+    """Expand ``*`` in a key to every name of its section in the data."""
     section, _, rest = key.partition(".*")
     return [f"{section}.{name}{rest}" for name in data.get(section, {})] if rest else [key]
 
 
 def title_with_changes(title: str, file: CaseFile) -> str:
-    """The title of a case with what options, a sweep or a variation have changed in it.
+    """Append the changes by options, a sweep or a variation to the title of a case.
 
-    Args:
-        title: The title; nothing is added to none, nor to one that is changed itself.
-        file: The case.
+    An empty or overridden title is returned as it is.
     """
     keys = {place: key_parts(place) for place in file.places.values() if isinstance(place, str)}
     if not title or ["title"] in keys.values():

@@ -1,4 +1,4 @@
-"""Cure of a region: how fast it sets, how stiff it is meanwhile, how it strains."""
+"""Cure of a region: kinetics, stiffness and shrinkage."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Limit = Annotated[
     ITEMS,
     AfterValidator(rising("temperature")),
 ]
-# A degree of cure from which something is left to happen.
+# A degree of cure that is not complete.
 Degree = Annotated[float, Plain(at_least=0.0, below=1.0)]
 
 

@@ -24,7 +24,7 @@ class Straight(Section):
     """Fibres along one direction; a file gives it alone."""
 
     kind: ClassVar[str] = "straight"
-    # Whether their direction differs from point to point.
+    # Whether the direction varies in space.
     turns: ClassVar[bool] = False
     through: ClassVar[Vector] = (0.0, 0.0, 0.0)
 
@@ -32,7 +32,7 @@ class Straight(Section):
     """Direction; any length but zero, normalised."""
 
     def direction(self, mesh: Any, constant: Callable[[Vector], Any]) -> Any:
-        """Unit direction (3,) on a mesh, in UFL, with axis and point as UFL constants."""
+        """Unit direction (3,) on a mesh, in UFL; axis and point are UFL constants."""
         return constant(self.axis)
 
 
@@ -52,7 +52,7 @@ class Circumferential(Section):
     """A point of the axis."""
 
     def direction(self, mesh: Any, constant: Callable[[Vector], Any]) -> Expr:
-        """Unit direction (3,) on a mesh, in UFL, with axis and point as UFL constants."""
+        """Unit direction (3,) on a mesh, in UFL; axis and point are UFL constants."""
         from ufl import SpatialCoordinate
 
         from forms import fibres
@@ -84,7 +84,7 @@ class _Direction:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Tell them apart before pydantic tries both."""
+        """Choose by the form of the value, instead of trying both."""
 
         def tag(value: Any) -> str:
             along = isinstance(value, Straight) or not isinstance(value, dict | BaseModel)

@@ -1,4 +1,4 @@
-"""Heat conditions: given temperatures, fluxes, convection, sources, perfusion."""
+"""Heat conditions: prescribed temperatures, fluxes, convection, sources, perfusion."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class FixedTemperature(Named):
         return self
 
     def values(self, x: Floats) -> Floats:
-        """Temperature at points (n,) [K]; 1 where a course gives it."""
+        """Prescribed temperature at points (n,) [K]; 1 if it follows a course."""
         import numpy as np
 
         if self.temperature is None:
@@ -90,7 +90,7 @@ class HeatFlux(Named):
     """Pairs of time since the start and multiplier, linear in between; always 1 by default."""
 
     def values(self, x: Floats) -> Floats:
-        """Heat per area and time at points (n,) [N/(mm s)]."""
+        """Heat flux at points (n,) [N/(mm s)]."""
         return field(f"heat.{self.name}.flux", self.flux)(x)
 
 
@@ -118,7 +118,7 @@ class HeatSource(Named):
     """Pairs of time since the start and multiplier, linear in between; always 1 by default."""
 
     def values(self, x: Floats) -> Floats:
-        """Heat per volume and time at points (n,) [N/(mm2 s)]."""
+        """Heat source density at points (n,) [N/(mm2 s)]."""
         return field(f"heat.{self.name}.density", self.density)(x)
 
 
@@ -139,7 +139,7 @@ class Perfusion(Named):
 
     @property
     def coefficient(self) -> float:
-        """Heat per volume, time and difference of temperatures [N/(mm2 s K)]."""
+        """Heat per volume, time and temperature difference [N/(mm2 s K)]."""
         return self.rate * (self.blood_density * self.blood_specific_heat)
 
 

@@ -1,8 +1,8 @@
-"""Laws of interfaces: what the two sides do to each other at a point, and their keys in a case.
+"""Constitutive laws of interfaces, and their keys in a case.
 
-A law is a section of the case that answers for itself: whether its sides can open or rub, how stiff
-its trial force is, and its formula, in UFL. To add one, derive from `Traction` (a function of the
-gap) or from `InterfaceLaw`; `app/README.md` tells the rest.
+A law is a section of the case with its properties (whether its sides can open or rub), the
+stiffness of its trial force and its formula in UFL. To add one, derive from `Traction` (a function
+of the gap) or from `InterfaceLaw`; see `app/README.md`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from app.arrays import Floats
 
-# Augmentation over the stiffness that a jump meets, by default.
+# Default ratio of the augmentation to the stiffness against a jump.
 USUAL_AUGMENTATION = 0.2
 
 
@@ -37,11 +37,11 @@ class AtPoint:
         jump: Displacement of the slave minus that of the master (3,) [mm].
         gap: Vector whose normal components are the initial gap of each face (3,) [mm].
         jump_old: Jump of the last converged state (3,) [mm].
-        S_star: Stand-in for a frozen trial force (3,) [MPa].
+        S_star: Coefficient that replaces the trial force where it is frozen (3,) [MPa].
         normals: Unit normals of one to three faces, from master to slave, each (3,).
         r: Stiffness of the trial force [MPa/mm].
-        values: The constants of the law, by name.
-        history: What it remembers of the last converged state, by name.
+        values: Constants of the law, by name.
+        history: History variables of the last converged state, by name.
     """
 
     F: Expr
@@ -61,10 +61,10 @@ class Response:
 
     Attributes:
         force: Interface force per area (3,) [MPa].
-        slope: Its generalized derivative (3, 3): by the trial force [-], or by the gap [MPa/mm].
+        slope: Generalized derivative (3, 3) by the trial force [-] or by the gap [MPa/mm].
         pressures: Pressure of each face, positive in compression [MPa].
         status: OPEN, STICK or SLIP (`forms.contact`).
-        history: What it will remember, by name.
+        history: History variables after a converged step, by name.
     """
 
     force: Expr
@@ -85,7 +85,7 @@ class InterfaceLaw(Extensible):
         history: Shapes of what it remembers at a point, by name: () a scalar, (3,) a vector.
     """
 
-    # What a file calls it: a `Literal` of each subclass.
+    # A `Literal` in each subclass.
     kind: Any
     can_part: ClassVar[bool] = True
     can_open: ClassVar[bool] = False
@@ -98,7 +98,7 @@ class InterfaceLaw(Extensible):
 
     @property
     def conductances(self) -> tuple[float, float, float]:
-        """Conductance without pressure, increase with pressure, largest one [N, mm, s, K]."""
+        """Conductance at zero pressure, increase with pressure, largest value [N, mm, s, K]."""
         match self.conductance:
             case PressureConductance(open=least, per_pressure=slope, cap=cap):
                 return least, slope, math.inf if cap is None else cap
@@ -112,12 +112,12 @@ class InterfaceLaw(Extensible):
 
     @property
     def frictional(self) -> bool:
-        """Whether the sides rub; without, no tangential term is compiled."""
+        """Whether there is friction; without it no tangential term is compiled."""
         return self.friction > 0
 
     @property
     def heated_by_friction(self) -> FrictionHeating | None:
-        """The key `friction_heating`: how the heat of friction is shared; None if there is none."""
+        """The key `friction_heating`; None without friction heat."""
         return getattr(self, "friction_heating", None)
 
     @property
@@ -127,38 +127,38 @@ class InterfaceLaw(Extensible):
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Constants that laws of the same form may have different values of: its own numbers."""
+        """Numbers of the law, which may differ between laws of the same form."""
         return {name: v for name, v in self._own().items() if isinstance(v, float)}
 
     @property
     def form(self) -> Hashable:
-        """Laws of the same form share compiled code: the class, and what is no number."""
+        """Key of compiled code shared by laws: the class, and fields that are no numbers."""
         return type(self), *((n, v) for n, v in self._own().items() if not isinstance(v, float))
 
     def _own(self) -> dict[str, Any]:
-        """Fields that the base does not have."""
+        """Fields added by the subclass."""
         names = type(self).model_fields.keys() - InterfaceLaw.model_fields
         return {name: getattr(self, name) for name in sorted(names)}
 
     def response(self, at: AtPoint) -> Response:
-        """The formula."""
+        """Force and derivative of the law."""
         raise NotImplementedError
 
     def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
         """Stiffness of the trial force (n,) [MPa/mm].
 
         Args:
-            met: Stiffness per area that the jump of each point meets (n,) [MPa/mm].
-            factor: Augmentation over that, by default.
+            met: Stiffness per area against the jump of each point (n,) [MPa/mm].
+            factor: Default ratio of the augmentation to that.
         """
         return factor * met
 
     def softened_stiffness(self, stiffness: Floats, met: Floats, share: float) -> Floats:
-        """Stiffness of the trial force while the solver asks for a share of it (n,) [MPa/mm]."""
+        """Stiffness of the trial force, reduced to a share by the solver (n,) [MPa/mm]."""
         return share * stiffness
 
     def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats | float:
-        """Part of the multiplier in the trial force (n,) [-]."""
+        """Fraction of the multiplier in the trial force (n,) [-]."""
         return 1.0
 
 
@@ -211,7 +211,7 @@ class Unilateral(InterfaceLaw):
         return {"μ": self.friction_coefficient} if self.frictional else {}
 
     def response(self, at: AtPoint) -> Response:
-        """The law that the augmented Lagrangian of a point gives (eq. 65)."""
+        """Law of the augmented Lagrangian at a point (eq. 65)."""
         from forms.contact import contact_law
 
         state = (at.F, at.jump, at.gap, at.jump_old, at.S_star)
@@ -229,16 +229,16 @@ class Coulomb(Unilateral):
     """Augmentation parameter r, chosen by default; results do not depend on it."""
 
     def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
-        """The augmentation asked for, or the default (n,) [MPa/mm]."""
+        """The given augmentation, or the default (n,) [MPa/mm]."""
         return factor * met if self.augmentation is None else self.augmentation
 
 
 class Penalty(Unilateral):
     """Unilateral contact with Coulomb friction by penalty: it penetrates by pressure / penalty."""
 
-    # A penalty ε is exact contact of D - (F - F_old) / ε: with S = F + r (D - (F - F_old) / ε) it
-    # is found with any r, and r = ε is the usual way, where S has nothing of F. Softer, it is as
-    # easily solved as without penalty, and the answer is the same.
+    # A penalty ε is exact contact of D - (F - F_old) / ε: S = F + r (D - (F - F_old) / ε) yields it
+    # for any r. With the usual r = ε, S does not depend on F. A smaller r converges as easily as
+    # without penalty, to the same solution.
 
     kind: Literal["penalty"] = "penalty"
     penalty: PositiveStiffness
@@ -249,7 +249,7 @@ class Penalty(Unilateral):
         return self.penalty
 
     def softened_stiffness(self, stiffness: Floats, met: Floats, share: float) -> Floats:
-        """At most the penalty: with more, S would count F with a negative sign (n,) [MPa/mm]."""
+        """At most the penalty: above it, F enters S with a negative sign (n,) [MPa/mm]."""
         import numpy as np
 
         if share == 1.0:
@@ -257,7 +257,7 @@ class Penalty(Unilateral):
         return np.minimum(share * USUAL_AUGMENTATION * met, stiffness)
 
     def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats | float:
-        """None the usual way (n,) [-]."""
+        """Fraction of the multiplier in the trial force, 0 for r = penalty (n,) [-]."""
         return 1.0 - softened / stiffness
 
 
@@ -282,13 +282,13 @@ class Traction(InterfaceLaw):
     def remembered(
         self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]
     ) -> Mapping[str, Expr]:
-        """History variables after a converged step, by name (see `history`)."""
+        """History variables after a converged step, by name (`history`)."""
         return {}
 
     def status(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
-        """State of a point: OPEN, STICK or SLIP of `forms.contact`, or numbers of its own from 3.
+        """State of a point: OPEN, STICK or SLIP of `forms.contact`, or numbers from 3 of its own.
 
-        A law that holds everywhere sticks.
+        STICK by default.
         """
         from ufl import as_ufl
 
@@ -315,7 +315,7 @@ class Traction(InterfaceLaw):
         return Response(force, slope, pressures, status, stripped)
 
     def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats | float:
-        """None (n,) [-]."""
+        """Always 0 [-]."""
         return 0.0
 
 

@@ -27,13 +27,13 @@ ForceDensityField = Annotated[
 
 
 def _point(value: object, info: ValidationInfo) -> object:
-    """The name of a point of the geometry as its coordinates."""
+    """Replace the name of a point of the geometry by its coordinates."""
     value = spread_unit(value)
     if not isinstance(value, str):
         return value
     points: dict[str, tuple[float, float, float]] | None = (info.context or {}).get("points", {})
     if points is None:
-        return ["0 mm"] * 3  # the geometry is wrong, and that is told already
+        return ["0 mm"] * 3  # the geometry is invalid, which is reported already
     if value not in points:
         known = f" or one of {', '.join(points)}" if points else " (this geometry names no points)"
         fail(f"{show(value)} is not a point; expected [x, y, z] lengths{known}")
@@ -57,7 +57,7 @@ class Patch:
 
 
 class Acting(Protocol):
-    """One body of a discrete problem, as loads see it.
+    """Interface of a body of a discrete problem for loads.
 
     Attributes:
         x: Position, in UFL.
@@ -68,34 +68,34 @@ class Acting(Protocol):
     n: Expr
 
     def ds(self, boundary: str) -> Measure | None:
-        """Measure of the part of a boundary that belongs to the body, if any."""
+        """Measure of the body's part of a boundary; None if it has none."""
 
     def patch(self, boundary: str) -> Patch:
         """Area, centroid and moments of a boundary, of all bodies; collective."""
 
     def constant(self, value: Any) -> Expr:
-        """A constant, in UFL: another value of it compiles nothing anew."""
+        """UFL constant: a change of its value needs no compilation."""
 
     def spread(self, density: Field, regions: Sequence[str] | None) -> list[tuple[Expr, Measure]]:
-        """A field (3,) and the measure of each of the body's regions among some, or of all."""
+        """A field (3,) and the measure for each of the body's regions among `regions`, or all."""
 
 
 class Load(Extensible, Named):
     """A load: work in a displacement, times its history. A subclass with a `kind` is one more."""
 
-    # What a file calls it: a `Literal` of each subclass.
+    # A `Literal` in each subclass.
     kind: Any
     history: History = None
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
     @property
     def place(self) -> tuple[Any, ...]:
-        """Its kind and what it acts on: loads that agree in this share their forms."""
+        """Kind, boundary and regions: loads that agree in these share their forms."""
         return self.kind, getattr(self, "boundary", None), getattr(self, "regions", None)
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Boundaries that it acts on: those that it names, none if it acts inside."""
+        """Boundaries that it acts on; none for a body force."""
         boundary = getattr(self, "boundary", None)
         return () if boundary is None else (boundary,)
 
@@ -105,11 +105,11 @@ class Load(Extensible, Named):
 
     @property
     def resultant(self) -> tuple[float, float, float] | None:
-        """The resultant at full amplitude [N], if that is what it gives."""
+        """Given resultant at full amplitude [N]; None if it is not given."""
         return None
 
     def traction(self, area: float) -> float:
-        """Size of its traction on a boundary of an area [MPa]; 0 if it acts on none."""
+        """Magnitude of its traction on a boundary of an area [MPa]; 0 if it acts on none."""
         return 0.0
 
 
@@ -130,7 +130,7 @@ class Force(Load):
         return self.force
 
     def traction(self, area: float) -> float:
-        """Size of its mean traction on a boundary of an area [MPa]."""
+        """Magnitude of its mean traction on a boundary of an area [MPa]."""
         return math.hypot(*self.force) / area
 
     def work(self, v: Expr, on: Acting) -> Any:
@@ -139,7 +139,7 @@ class Force(Load):
 
         from forms import loads
 
-        # Of all bodies, and with its errors: on every rank, whoever has facets.
+        # Collective, and may raise: on every rank, even without facets.
         patch, ds = on.patch(self.boundary), on.ds(self.boundary)
         if ds is None:
             return 0
@@ -161,7 +161,7 @@ class Pressure(Load):
     """Pressure."""
 
     def traction(self, area: float) -> float:
-        """Its size [MPa]."""
+        """Magnitude of the pressure [MPa]."""
         return abs(self.pressure)
 
     def work(self, v: Expr, on: Acting) -> Any:
@@ -193,7 +193,7 @@ class BodyForce(Load):
         return np.stack(columns, axis=1)
 
     def work(self, v: Expr, on: Acting) -> Any:
-        """Work of the density in the body's regions."""
+        """Work of the force density in the body's regions."""
         from forms import loads
 
         spread = on.spread(self.values, self.regions)

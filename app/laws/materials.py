@@ -29,7 +29,7 @@ Strain6 = tuple[Number, Number, Number, Number, Number, Number]
 
 
 def _six(value: object) -> object:
-    """A single number is an isotropic strain."""
+    """Expand a single number to an isotropic strain."""
     if isinstance(value, list | tuple):
         if len(value) != 6:
             fail(f"has {len(value)} values; expected a number or six: [xx, yy, zz, yz, xz, xy]")
@@ -63,11 +63,11 @@ class Elastic(Named):
 
     @property
     def modulus(self) -> float:
-        """Largest Young's modulus [MPa]: of two sides the larger one is the stiffer."""
+        """Largest Young's modulus [MPa], which decides the stiffer side of an interface."""
         raise NotImplementedError
 
     def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
-        """Strain energy density ψ(ε) [MPa], its constants handed in as UFL constants."""
+        """Strain energy density ψ(ε) [MPa]; coefficients are UFL constants."""
         from forms import elasticity
 
         if self.fibre is None:
@@ -173,7 +173,7 @@ class TransverselyIsotropic(Elastic):
 
     @property
     def margin(self) -> float:
-        """1 - nu_t - 2 nu_l^2 E_t / E_l, positive; zero where the stiffness becomes infinite."""
+        """1 - nu_t - 2 nu_l^2 E_t / E_l, positive; the stiffness is infinite at zero."""
         ratio = self.transverse_youngs_modulus / self.axial_youngs_modulus
         return 1.0 - self.transverse_poisson_ratio - 2.0 * self.axial_poisson_ratio**2 * ratio
 
@@ -244,7 +244,7 @@ class Conductor(Named):
 
 
 def _does_not(thermal: Thermal, what: str, *keys: str) -> None:
-    """Refuse what a region cannot do."""
+    """Refuse keys of deformation in a region that does not deform."""
     for key in keys:
         if getattr(thermal, key) is not None:
             fail(f"{what} does not deform; expected an elastic region", at=("thermal", key))
@@ -254,7 +254,7 @@ def positive_definite(*conditions: tuple[bool, str, str]) -> None:
     """Report the first violated condition for a positive definite stiffness.
 
     Args:
-        conditions: Whether it holds, the key to blame, the inequality in the words of the file.
+        conditions: Whether it holds, the key to report, the inequality in keys of the file.
     """
     for holds, key, inequality in conditions:
         if not holds:

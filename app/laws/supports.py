@@ -1,4 +1,4 @@
-"""Supports: displacements that are given, and springs to the ground."""
+"""Supports: prescribed displacements, and springs to the ground."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class _Normal:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Either, told apart before it is read."""
+        """Choose by the form of the value."""
 
         def check(value: object) -> object:
             if isinstance(value, list | tuple) or value == "face":
@@ -55,7 +55,7 @@ class Support(Named):
 
     if TYPE_CHECKING:
         history: History
-        # Of a support that holds one direction alone: a unit vector, or `face`.
+        # The only constrained direction, if any: a unit vector, or `face`.
         normal: tuple[float, float, float] | Literal["face"] | None
 
     kind: Any
@@ -66,22 +66,22 @@ class Support(Named):
 
     @property
     def components(self) -> tuple[bool, bool, bool]:
-        """Which of x, y, z it gives."""
+        """Whether it prescribes x, y, z."""
         x, y, z = (axis in self.held_axes for axis in "xyz")
         return x, y, z
 
     @property
     def held_axes(self) -> str:
-        """Axes along which the model cannot move freely."""
+        """Axes along which it constrains the model."""
         return "xyz"
 
     @property
     def felt_axes(self) -> str:
-        """Axes along which it may resist a motion."""
+        """Axes along which it may resist motion, at least in part."""
         return self.held_axes
 
     def values(self, x: Floats) -> Floats:
-        """Displacement at points at full amplitude (n, 3) [mm], zero where it gives none."""
+        """Displacement at points at full amplitude (n, 3) [mm], zero along free axes."""
         return 0.0 * x
 
 
@@ -117,12 +117,12 @@ class Roller(Support):
 
     @property
     def held_axes(self) -> str:
-        """Axes along which the model cannot move freely."""
+        """Axes along which it constrains the model."""
         return self.axis or ""
 
     @property
     def felt_axes(self) -> str:
-        """Axes along which it may resist a motion."""
+        """Axes along which it may resist motion, at least in part."""
         normal = (1.0, 1.0, 1.0) if isinstance(self.normal, str) else self.normal or ()
         return self.held_axes + "".join(a for a, c in zip("xyz", normal, strict=False) if c)
 
@@ -150,11 +150,11 @@ class Displacement(Support):
 
     @property
     def held_axes(self) -> str:
-        """Axes along which the model cannot move freely."""
+        """Axes along which it constrains the model."""
         return "".join(axis for axis in "xyz" if getattr(self, axis) is not None)
 
     def values(self, x: Floats) -> Floats:
-        """Displacement at points at full amplitude (n, 3) [mm], zero where it gives none."""
+        """Displacement at points at full amplitude (n, 3) [mm], zero along free axes."""
         import numpy as np
 
         given = {axis: getattr(self, axis) or 0.0 for axis in "xyz"}
@@ -182,11 +182,11 @@ class Foundation(Named):
 
     @property
     def held_axes(self) -> str:
-        """Axes along which the model cannot move freely."""
+        """Axes along which it constrains the model."""
         return "".join(axis for axis, k in zip("xyz", self.stiffness, strict=True) if k > 0.0)
 
     def energy(self, v: Expr, k: Any) -> Expr:
-        """Energy per area in a displacement, the stiffness handed in as a constant [N/mm]."""
+        """Energy per area of a displacement [N/mm]; the stiffness is a UFL constant."""
         from forms import loads
 
         return loads.foundation_energy(k, v)

@@ -87,7 +87,7 @@ class Thermal(Named):
 
     @property
     def expansion(self) -> float:
-        """Coefficient of thermal expansion, 0 if it does not expand [1/K]."""
+        """Coefficient of thermal expansion, 0 if absent [1/K]."""
         return self.thermal_expansion or 0.0
 
     @property
@@ -109,7 +109,7 @@ class Thermal(Named):
         return math.sqrt(mean * self.capacity)
 
     def potential(self, g: Expr, conductivities: Sequence[Any], fibre: Any) -> Expr:
-        """Potential of conduction for a temperature gradient, with constants handed in as UFL."""
+        """Potential of conduction for a temperature gradient; constants are UFL expressions."""
         from forms import heat
 
         if fibre is None:
@@ -141,7 +141,7 @@ class _Conductance:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """A choice by the form of the value."""
+        """Choose by the form of the value."""
 
         def check(value: object) -> object:
             if value == "perfect":
@@ -170,7 +170,7 @@ class _Conductance:
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, object]:
-        """The choice, with the word."""
+        """Add the word ``perfect``."""
         return {"anyOf": [{"const": "perfect"}, handler(schema)]}
 
 
@@ -179,10 +179,10 @@ Conductance = Annotated[float | PressureConductance | None, _Conductance()]
 
 @dataclass(frozen=True)
 class _Heating(Scalar):
-    """Marks the part of frictional heat that goes into the first side."""
+    """Marks the fraction of friction heat that enters the first side."""
 
     def read(self, value: object) -> float | str:
-        """The part, or the word that asks for it to be found from the materials.
+        """The fraction, or ``effusivity`` to compute it from the materials.
 
         Raises:
             PydanticCustomError: Neither.

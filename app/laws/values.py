@@ -1,4 +1,4 @@
-"""Parts of all laws: a name in the scene, values that vary in space, factors that vary in time."""
+"""Parts of all laws: names, values that vary in space, factors that vary in time."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ class Named(Section):
 
     @property
     def region(self) -> str:
-        """The same, of what a region is or has."""
+        """Name of the region, of a law of a region."""
         return self._name
 
     def named(self, name: str, **changes: Any) -> Self:
-        """Copy with a name, and with other values of some fields."""
+        """Copy with a name and changed fields."""
         copy = self.model_copy(update=changes)
         copy._name = name
         return copy
 
 
 def rising(what: str) -> Callable[[Table], Table]:
-    """Refuse a table without entries, or whose first column does not increase."""
+    """Validator: refuse an empty table, or one whose first column does not increase."""
 
     def check(table: Table) -> Table:
         if not table:
@@ -65,7 +65,7 @@ def field(key: str, value: float | str | Field) -> Field:
 
     Args:
         key: Key of the value, for errors.
-        value: The number, the expression, or a function as it is.
+        value: A number, an expression, or a function, returned as it is.
     """
     if callable(value):
         return value
@@ -95,8 +95,8 @@ def gap_at(gap: Floats, history: Sequence[float], time: float) -> Floats:
     """Gap of points at a time (n,) [mm].
 
     Args:
-        gap: At full amplitude (n,) [mm].
-        history: Its amplitudes at the ends of the stages. Empty: a clearance is there at once, an
+        gap: Gap at full amplitude (n,) [mm].
+        history: Amplitudes at the ends of the stages. Empty: a clearance is constant, an
             interference grows through the first stage.
         time: Stage k runs from k to k + 1.
     """
@@ -108,7 +108,7 @@ def gap_at(gap: Floats, history: Sequence[float], time: float) -> Floats:
 
 
 def multiplier(course: Course | None, seconds: float) -> float:
-    """Multiplier of a heat condition at a time [s], linear between its pairs; 1 without any."""
+    """Multiplier of a heat condition at a time [s], linear between pairs; 1 without any."""
     import numpy as np
 
     if not course:

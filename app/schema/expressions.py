@@ -1,7 +1,7 @@
-"""The small language of values that vary in space: arithmetic in x, y, z.
+"""Expressions for values that vary in space: arithmetic in x, y, z.
 
 An expression such as ``-0.02 * (1 - z / 50)`` is parsed with Python's grammar and evaluated node by
-node: nothing but the operators, names and functions listed here can be reached.
+node, with the operators, names and functions listed here alone.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ LONGEST = 1000
 
 
 def parse(expression: str) -> ast.expr:
-    """The checked syntax tree of an expression.
+    """Parse and check an expression.
 
     Raises:
-        ValueError: It is not in the language; the argument says what is wrong and what is allowed.
+        ValueError: It is no valid expression; the argument names the error and what is allowed.
     """
     if len(expression) > LONGEST:
         raise ValueError(
@@ -62,7 +62,7 @@ def parse(expression: str) -> ast.expr:
         )
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what is refused below
+            warnings.simplefilter("ignore")  # about code that is refused below
             tree = ast.parse(expression.strip(), mode="eval").body
         _check(tree)
     except (SyntaxError, RecursionError, MemoryError) as error:
@@ -72,7 +72,7 @@ def parse(expression: str) -> ast.expr:
 
 
 def _check(node: ast.expr) -> None:
-    """Refuse every node that the language does not have."""
+    """Refuse nodes outside the language."""
     match node:
         case ast.Constant(value=bool()):
             raise ValueError("true and false are not numbers")
@@ -116,17 +116,10 @@ def _check(node: ast.expr) -> None:
 
 
 def evaluate(expression: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The values of an expression at points.
-
-    Args:
-        expression: Text in the language of this module, in coordinates in mm.
-        x: Points, shape (n, 3), in mm.
-
-    Returns:
-        Values, shape (n,).
+    """Values (n,) of an expression at points (n, 3) [mm].
 
     Raises:
-        InputError: The expression is malformed or not finite at one of the points.
+        InputError: The expression is malformed or not finite at a point.
     """
     import numpy as np
 
@@ -146,7 +139,7 @@ def evaluate(expression: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _value(node: ast.expr, names: dict[str, Any]) -> Any:
-    """The value of a checked node: an array of shape (n,) or a float."""
+    """Value of a checked node: an array (n,) or a float."""
     import numpy as np
 
     match node:
@@ -172,10 +165,10 @@ def _value(node: ast.expr, names: dict[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class Varying(Scalar):
-    """Marks a field that is a dimensional value, or an expression in x, y, z that gives it.
+    """Marks a field that is a dimensional value, or an expression for it in x, y, z.
 
     Attributes:
-        constant: The value where it does not vary.
+        constant: Dimension of a constant value.
     """
 
     constant: Dimension

@@ -12,10 +12,9 @@ from app.schema.section import docstrings
 
 
 class _Generator(GenerateJsonSchema):
-    """Shows defaults with their units; asks for no key, as a base may have it."""
+    """Shows defaults with their units; no key is required, as a base may have it."""
 
     def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
-        """Write a default like a value."""
         writer: Any = schema["schema"].get("serialization", {})
         default = schema.get("default")
         if default is not None and writer.get("type") == "function-plain":
@@ -23,7 +22,6 @@ class _Generator(GenerateJsonSchema):
         return super().default_schema(schema)
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
-        """Describe the keys."""
         result = super().model_schema(schema)
         result.pop("required", None)
         for name, text in docstrings(schema["cls"]).items():
@@ -32,11 +30,11 @@ class _Generator(GenerateJsonSchema):
         return result
 
     def tagged_union_schema(self, schema: core_schema.TaggedUnionSchema) -> JsonSchemaValue:
-        """Any of the kinds: without required keys a section may fit several."""
+        """Allow any of the kinds: without required keys a section may match several."""
         return {"anyOf": super().tagged_union_schema(schema)["oneOf"]}
 
 
 def json_schema(model: type[BaseModel]) -> dict[str, Any]:
-    """The schema of a model's YAML form."""
+    """JSON schema of a model as written in YAML."""
     generated = model.model_json_schema(schema_generator=_Generator)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **generated}

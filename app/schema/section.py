@@ -47,17 +47,11 @@ class Section(BaseModel):
 
 
 def faults(error: ValidationError, model: type[Section] = Section) -> list[Fault]:
-    """The errors that pydantic has found in a section, in words of the file.
-
-    Args:
-        error: The errors.
-        model: The section.
-    """
+    """The errors of pydantic in a section, in words of the file."""
     return [Fault(*_in_words(entry, model)) for entry in error.errors(include_url=False)]
 
 
 def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
-    """Path and text of an error."""
     path = tuple(i for i in entry["loc"] if i != "[key]" and not str(i).startswith(TAG))
     value, keys = show(entry["input"]), tuple(model.model_fields)
     match entry["type"]:
@@ -78,7 +72,7 @@ def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
 
 
 def docstrings(model: type) -> dict[str, str]:
-    """Texts below the fields of a class and of those that it derives from.
+    """Docstrings of the fields of a class and of its bases.
 
     Pydantic's own ``use_attribute_docstrings`` reads the source at each start, for 0.06 s.
     """
@@ -103,8 +97,8 @@ def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:
     """Report a defect of the value under validation.
 
     Args:
-        text: What is wrong; what is allowed.
-        at: Path of the defect below the value, when the value is a mapping or a list.
+        text: The defect; what is allowed.
+        at: Path of the defect below the value, if that is a mapping or a list.
 
     Raises:
         PydanticCustomError: Always.
@@ -113,7 +107,7 @@ def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:
 
 
 def show(value: object) -> str:
-    """A value as a message quotes it, shortened."""
+    """Quote a value in a message, shortened."""
     if isinstance(value, bool):
         text = str(value).lower()
     elif isinstance(value, dict):
@@ -130,7 +124,7 @@ def show(value: object) -> str:
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """The end of a message that proposes what begins like the word or is nearest, or nothing."""
+    """End of a message that proposes words that begin alike or are nearest; may be empty."""
     folded = {k.lower(): k for k in known}
     lower = word.lower()
     begun = [k for k in known if len(word) > 2 and k.lower().startswith(lower)]
@@ -144,7 +138,7 @@ def did_you_mean(word: str, known: Sequence[str]) -> str:
 
 
 def _name(value: object) -> object:
-    # Names become those of folders and fields.
+    # Names become names of folders and fields.
     if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]{0,99}", value):
         fail(
             f"{show(value)} is not a name; expected letters, digits, _ and -, first a letter, at "
@@ -172,18 +166,18 @@ MAPPING = _only(dict, "a mapping of names to values")
 
 
 class Scalar:
-    """Base of what marks a field of one value: read and written here instead of by pydantic."""
+    """Base of marks of scalar fields, read and written here instead of by pydantic."""
 
     def read(self, value: object) -> Any:
-        """The value as the program keeps it.
+        """Convert a value of a file to its internal form.
 
         Raises:
-            PydanticCustomError: It is not one.
+            PydanticCustomError: The value is not valid.
         """
         raise NotImplementedError
 
     def write(self, value: Any) -> Any:
-        """The value as it reads back to the same."""
+        """Convert a value to a form that `read` takes back to it."""
         return value
 
     def __get_pydantic_core_schema__(
@@ -223,7 +217,7 @@ class Word:
         return core_schema.no_info_before_validator_function(check, handler(source))
 
 
-# Called when a kind is added, to build the schema anew (`case.case`).
+# Called when a kind is added, to rebuild the schema (`case.case`).
 RENEWALS: list[Callable[[], object]] = []
 
 
@@ -232,7 +226,7 @@ class Extensible(Section):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **more: object) -> None:
-        """Take in a new kind."""
+        """Rebuild the schema with the new kind."""
         for renew in RENEWALS:
             renew()
 
@@ -246,12 +240,12 @@ def kinds_of(base: Any) -> tuple[type[BaseModel], ...]:
 
 @dataclass(frozen=True)
 class Kinds:
-    """Marks a union of models with different `kind`, or by a key that only one of them has.
+    """Marks a union of models told apart by `kind`, or by a key that only one of them has.
 
-    Of an `Extensible` base instead of a union: all its kinds.
+    An `Extensible` base in place of a union stands for all its kinds.
 
     Attributes:
-        default: The kind of a mapping that does not say; "" if it has to.
+        default: Kind of a mapping without `kind`; "" if it is required.
     """
 
     default: str = ""

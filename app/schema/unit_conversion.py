@@ -1,6 +1,6 @@
-"""Conversions between units: by pint, in rational arithmetic, and kept for the next start.
+"""Conversions between units by pint, in rational arithmetic, cached on disk.
 
-pint takes 0.2 s to load, which is a tenth of a short run: it is asked for units never met before.
+pint takes 0.2 s to load, a tenth of a short run: it is loaded for new units only.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Any
 from app.system import folders
 
 UNIT = re.compile(r"(1\s*/\s*)?[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
-# Powers of powers would cost more than they can mean.
+# Powers of powers and huge exponents would be expensive.
 TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
 KEPT = "conversions.json"
 ANGLES = re.compile("radian|degree|arc|turn|grade")
-# A unit of each dimension that messages name.
+# A unit of each dimension named in messages.
 DIMENSIONS = {
     "rad": "an angle",
     "mm": "a length",
@@ -62,7 +62,7 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
 
     Raises:
         LookupError: The unit is unknown.
-        ValueError: It measures something else; the argument names what.
+        ValueError: It has another dimension, which the argument names.
     """
     text = unit.replace("**", "^").replace("·", "*").replace("μ", "µ")
     if not UNIT.fullmatch(text) or TOWER.search(text):
@@ -78,7 +78,7 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
 
 @lru_cache(maxsize=1)
 def _kept() -> dict[str, list[str]]:
-    """Conversions that pint has made before, in the cache."""
+    """Conversions in the cache on disk."""
     with suppress(OSError, ValueError, RecursionError):
         if folder := folders.cache("units"):
             found = json.loads((folder / KEPT).read_text())
@@ -87,7 +87,7 @@ def _kept() -> dict[str, list[str]]:
 
 
 def _keep(key: str, conversion: list[str]) -> None:
-    """Add a conversion to the cache; one that another process adds meanwhile is made again."""
+    """Add a conversion to the cache; concurrent additions may be lost."""
     _kept()[key] = conversion
     with suppress(OSError):
         if folder := folders.cache("units"):
@@ -110,12 +110,11 @@ def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
 
 
 def _names(unit: Any) -> str:
-    """The names in a unit; pint cannot print powers in rational arithmetic (Python 3.13)."""
+    """Names in a unit; pint cannot print rational powers (Python 3.13)."""
     return " ".join(unit._units)
 
 
 def _dimension(unit: Any) -> str:
-    """Physical quantity of a unit, in words."""
     for known, what in DIMENSIONS.items():
         if registry().parse_units(known).dimensionality == unit.dimensionality:
             return what

@@ -24,9 +24,9 @@ from app.schema.vectors import Triple
 
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
 NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)
-# Long exponents would cost more than they can mean.
+# Longest number: huge exponents would be expensive.
 LONGEST = 60
-# Of a number with its unit; looking for them in endless text takes as long as its square.
+# Longest number with its unit; matching takes quadratic time.
 LONGEST_VALUE = 200
 
 SUGGESTIONS = (
@@ -36,7 +36,7 @@ SUGGESTIONS = (
 
 
 def finite(value: int | float) -> bool:
-    """Whether a number is finite as a float, which a large whole number is not."""
+    """Whether a number is finite as a float; a large integer is not."""
     try:
         return math.isfinite(float(value))
     except OverflowError:
@@ -60,7 +60,7 @@ class _Bounded(Scalar):
     below: float | None = None
 
     def violated(self, value: float, unit: str = "") -> str:
-        """The bound that a value violates, in words, or ""."""
+        """Message of the bound that a value violates, or ""."""
         behind = f" {unit}".rstrip()
         if self.below is not None and not value < self.below:
             return f"must be below {self.below:g}{behind}"
@@ -80,8 +80,8 @@ class Dimension(_Bounded):
 
     Attributes:
         unit: Internal unit.
-        what: The dimension in words, with its article.
-        example: A value as a user would write it.
+        what: Dimension in words, with its article.
+        example: Value as written in a file.
     """
 
     unit: str
@@ -118,7 +118,7 @@ class Dimension(_Bounded):
             fail(f"{show(value)} is {error}; {expected}")
         if len(number) > LONGEST or not math.isfinite(float(number)):
             fail(f"{show(value)} is not finite; {expected}")
-        # A number too small for a float is zero; as a fraction it could take gigabytes.
+        # A number that underflows is zero; as a fraction it could take gigabytes.
         exact = Fraction(number) if float(number) != 0.0 else Fraction(0)
         try:
             result = float(exact * slope + offset)
@@ -150,7 +150,7 @@ class Dimension(_Bounded):
 
 @dataclass(frozen=True)
 class AbsoluteTemperature(Dimension):
-    """Marks a temperature, which degC and K count from different zeros."""
+    """Marks a temperature: degC and K have different zeros."""
 
     unit: str = "K"
     what: str = "a temperature"
@@ -246,7 +246,7 @@ _length = ("mm", "a length", "4 mm")
 _stiffness = ("MPa/mm", "a stiffness per area", "100 MPa/mm")
 
 Length = Annotated[float, Dimension(*_length)]
-# Longer than any planet: of what a geometry is made of, volumes are numbers too.
+# Bound of lengths in a geometry, so that volumes do not overflow.
 _longest = 1e10
 PositiveLength = Annotated[float, Dimension(*_length, above=0.0, at_most=_longest)]
 NonNegativeLength = Annotated[float, Dimension(*_length, at_least=0.0, at_most=_longest)]
@@ -263,7 +263,7 @@ PositiveTime = Annotated[float, Dimension(*_time, above=0.0)]
 
 Temperature = Annotated[float, AbsoluteTemperature()]
 PositiveDifference = Annotated[float, TemperatureDifference(above=0.0)]
-# The internal unit of each has the size of one in mm, N, s, K, tonne: 1 W/(m K) = 1 N/(s K).
+# Each internal unit equals one in mm, N, s, K, tonne: 1 W/(m K) = 1 N/(s K).
 Conductivity = Annotated[float, Dimension("W/(m*K)", "a conductivity", "0.2 W/(m K)", above=0.0)]
 Density = Annotated[float, Dimension("tonne/mm^3", "a density", "1100 kg/m^3", above=0.0)]
 SpecificHeat = Annotated[
@@ -306,14 +306,14 @@ SizeVector = Annotated[
 
 
 def _normalise(axis: tuple[float, float, float]) -> tuple[float, float, float]:
-    """A direction of unit length."""
+    """Normalise a direction; refuse zero."""
     if not any(axis):
         fail("is the zero vector; expected a direction")
     # Scaled first, so that neither huge nor tiny entries overflow.
     largest = max(abs(c) for c in axis)
     scaled = [c / largest for c in axis]
     length = math.hypot(*scaled)
-    # Left alone once it is of unit length, so that a saved case reads back unchanged.
+    # A unit vector is kept as it is, so that a saved case reads back unchanged.
     if abs(largest * length - 1.0) < 1e-12:
         return axis
     x, y, z = (c / length for c in scaled)

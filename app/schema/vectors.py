@@ -22,7 +22,7 @@ def spread_unit(value: object) -> object:
 
 
 def _entries(text: str) -> list[str]:
-    """The parts between commas, but for those that divide the arguments of a function."""
+    """Split at commas outside parentheses."""
     parts, depth = [""], 0
     for character in text:
         depth += (character == "(") - (character == ")")
@@ -38,7 +38,7 @@ class Pair:
     """Marks a field as a list of exactly two.
 
     Attributes:
-        example: A value as a user would write it.
+        example: Value as written in a file.
     """
 
     example: str
@@ -46,7 +46,7 @@ class Pair:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Count before the entries are read."""
+        """Check the number of entries before they are read."""
 
         def check(value: object) -> object:
             if not isinstance(value, list | tuple) or len(value) != 2:
@@ -64,7 +64,7 @@ class Triple:
     """Marks a field as a vector: a list of exactly three, or ``"[a, b, c] unit"``.
 
     Attributes:
-        example: A value as a user would write it.
+        example: Value as written in a file.
         scalar: Whether a single value stands for three equal ones.
     """
 
@@ -72,7 +72,7 @@ class Triple:
     scalar: bool = False
 
     def spread(self, value: object) -> object:
-        """The three entries, unread.
+        """The three entries, before they are read.
 
         Raises:
             PydanticCustomError: Not a list, or not of three entries.

@@ -18,9 +18,9 @@ from app.schema import yaml_text
 from app.schema.yaml_text import DEEPEST, LONGEST, BadYaml
 
 Path = yaml_text.Path
-# Which of its files, line and column, counted from 0, 1 and 1; or the key of an option.
+# Number of the file (from 0), line and column (from 1); or the key of an option.
 Place = tuple[int, int, int] | str
-# A message that begins with a key, and a step of that.
+# A message that begins with a key, and a step of the key.
 KEYED = re.compile(r"([A-Za-z_][\w-]*(?:\.[\w-]+|\[\d+\])*): (.*)", re.DOTALL)
 STEP = re.compile(r"[\w-]+")
 TWICE = "this key stands here twice; keep one"
@@ -33,8 +33,8 @@ class Fault:
     """One defect of the input.
 
     Attributes:
-        path: Keys from the top to the value it concerns.
-        text: What is wrong; what is allowed.
+        path: Keys from the top to the value.
+        text: The defect; what is allowed.
     """
 
     path: Path
@@ -46,13 +46,13 @@ class CaseFile:
     """The content of a case file with the overrides applied.
 
     Attributes:
-        name: The file as the user named it.
+        name: The file as named by the user.
         data: Mappings, lists and scalars.
-        places: Where each path stands.
-        complaints: Defects found while reading, each with its sorting key, as lines.
-        others: The files that it builds upon (`case.overlay`), in the order of their numbers.
-        given: The values of overrides as they were given, by their keys.
-        digests: SHA-256 of the bytes that were parsed, by the names of the files.
+        places: Place of each path.
+        complaints: Errors found while reading: sorting key and message.
+        others: Its bases and libraries (`case.overlay`), in the order of their numbers.
+        given: Values of overrides as given, by key.
+        digests: SHA-256 of the parsed bytes, by file name.
     """
 
     name: str
@@ -67,12 +67,12 @@ class CaseFile:
         """Put a value into the data.
 
         Args:
-            holder: The mapping or list that it goes into.
-            path: Where it stands then.
-            value: Mappings, lists and scalars; their places are noted already.
+            holder: Mapping or list that gets the value.
+            path: Path of the value.
+            value: Mappings, lists and scalars; their places are known already.
 
         Raises:
-            BadYaml: It cannot stand there.
+            BadYaml: The value is not allowed there.
         """
         holder[path[-1]] = value
 
@@ -80,7 +80,7 @@ class CaseFile:
         """Raise one error for all problems, in the order of the file.
 
         Raises:
-            InputError: There is at least one problem, here or found while reading.
+            InputError: There is at least one problem, given or found while reading.
         """
         lines = [*self.complaints, *(self._locate(p) for p in problems)]
         if lines:
@@ -88,7 +88,7 @@ class CaseFile:
 
     @contextmanager
     def placing(self) -> Iterator[None]:
-        """Put the place in the file before errors that begin with one of its keys.
+        """Prefix errors that begin with a key with its place in the file.
 
         Raises:
             InputError: One was raised within.
@@ -110,7 +110,7 @@ class CaseFile:
         return self._locate(Fault(path, found[2]))[1]
 
     def _locate(self, problem: Fault) -> tuple[tuple[int, int, int], str]:
-        """Sorting key and line of a problem: the place of its key, or of the nearest above."""
+        """Sorting key and message of a problem, at its key or the nearest one above."""
         for n in range(len(problem.path), -1, -1):
             if (place := self.places.get(problem.path[:n])) is not None:
                 break
@@ -126,7 +126,7 @@ class CaseFile:
 
 
 def printable(text: str) -> str:
-    """A message on one line, without control characters for a terminal, of bounded length."""
+    """Escape control characters of a message and bound its length."""
     shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
     return shown if len(shown) <= LONGEST else f"{shown[:LONGEST]} ..."
 
@@ -141,11 +141,11 @@ def path_text(path: Path) -> str:
 
 
 def at_override(message: str, places: Mapping[str, Path]) -> Fault | None:
-    """A defect of a value that overrides put into a case, at its place; None if it is of no such.
+    """Locate a message about an override in the file; None if it is about something else.
 
     Args:
         message: A message about the case.
-        places: Where each override stands in the file, by its key.
+        places: Path of each override in the file, by key.
     """
     for key, place in places.items():
         if message.startswith(start := f"--set {key}: "):
@@ -154,11 +154,11 @@ def at_override(message: str, places: Mapping[str, Path]) -> Fault | None:
 
 
 def clashes(overrides: Iterable[str], varied: Iterable[tuple[Path, str]]) -> list[Fault]:
-    """Options that hold for every case, of keys that vary from case to case: one would be in vain.
+    """Errors for ``--set`` keys that the file varies too.
 
     Args:
         overrides: ``--set`` options.
-        varied: Keys that vary, each with the place of its list, or of a value in it.
+        varied: Varied keys, each with the path of its list, or of a value in it.
     """
     places = {(p[:-1] if isinstance(p[-1], int) else p, key): None for p, key in varied}
     return [
@@ -170,7 +170,7 @@ def clashes(overrides: Iterable[str], varied: Iterable[tuple[Path, str]]) -> lis
 
 
 def key_parts(key: str) -> list[str]:
-    """The parts of an override key: ``a.b[0].c`` are a, b, 0, c."""
+    """Split an override key: ``a.b[0].c`` into a, b, 0, c."""
     return re.sub(r"\[([0-9]+)\]", r".\1", key).split(".")
 
 
@@ -208,7 +208,7 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
 
 
 def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
-    """A copy with more overrides applied; the file itself is not read again."""
+    """A copy with more overrides, without reading the file again."""
     copy = replace(
         case,
         data=deepcopy(case.data),
@@ -221,7 +221,7 @@ def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
 
 
 def apply(case: CaseFile, overrides: Sequence[str]) -> None:
-    """Put overrides into a case; what is wrong with one is a complaint."""
+    """Apply overrides to a case; errors become complaints."""
     for override in overrides:
         try:
             _override(case, override)
@@ -266,12 +266,12 @@ def _override(case: CaseFile, override: str) -> None:
     try:
         node = yaml_text.compose(text)
     except BadYaml:
-        # "[0, 0, -1] N" is not YAML without quotes, which the shell has already taken away.
+        # "[0, 0, -1] N" is no YAML without the quotes, which the shell has removed.
         if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):
             raise
         value: Any = text
     else:
-        if node is None:  # KEY= without a value is not the null that takes something away
+        if node is None:  # KEY= without a value is not the null that removes an entry
             case.given[key] = target[step] = None
             return
         reader = yaml_text.Reader()

@@ -1,7 +1,7 @@
 """YAML text as plain data with the line and column of each value, at bounded cost.
 
-YAML 1.2 by ruamel.yaml's parser. Its nodes are turned into data here, so that every duplicate key
-is found at once and aliases cannot blow up.
+YAML 1.2 by ruamel.yaml's parser. Nodes are converted here, so that all duplicate keys are found at
+once and aliases cannot expand without bound.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from ruamel.yaml.reader import ReaderError
 from app.errors import InputError
 
 Path = tuple[str | int, ...]
-# Bounds: bytes of a file, its values, how deep they stand, the longest text of one.
+# Bounds: bytes of a file, number of values, nesting, length of a text.
 LARGEST, MOST_NODES, DEEPEST, LONGEST = 4 << 20, 100_000, 50, 10_000
 TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"
-# A mapping or a list is marked as nothing but itself.
+# The only tags allowed on mappings and lists.
 PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
 
 
 class BadYaml(Exception):
-    """A text that is no YAML or no case; with the line and column of the defect."""
+    """Invalid YAML, or data that is no case; with line and column."""
 
     def __init__(self, text: str, place: tuple[int, int] = (1, 1)) -> None:
         self.text, self.place = text, place
@@ -80,7 +80,7 @@ def compose(text: str) -> Node | None:
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an anchor may be set again
+            warnings.simplefilter("ignore")  # anchors may be redefined
             # Without `pure` ruamel would use libyaml, which knows YAML 1.1 only.
             yaml = YAML(typ="safe", pure=True)
             yaml.Composer = _Counting
@@ -104,7 +104,7 @@ def compose(text: str) -> Node | None:
 
 
 class _Counting(Composer):
-    """Stops at a text that is too long to be a case: reading on takes seconds per megabyte."""
+    """Stops at too many nodes: parsing takes seconds per megabyte."""
 
     nodes = 0
 
@@ -124,11 +124,11 @@ def place(node: Node) -> tuple[int, int]:
 
 @dataclass
 class Reader:
-    """Turns nodes into data.
+    """Converts nodes to data.
 
     Attributes:
         places: Line and column of each value, or of its key.
-        twice: Keys that stand in a mapping twice, and where they do so again.
+        twice: Duplicate keys, and the place of the duplicate.
     """
 
     places: dict[Path, tuple[int, int]] = field(default_factory=dict)
@@ -136,10 +136,10 @@ class Reader:
     _count: int = 0
 
     def value(self, node: Node, path: Path = (), depth: int = 0) -> Any:
-        """The data of a node.
+        """Convert a node to data.
 
         Raises:
-            BadYaml: Too large, too deep or of a type without meaning here.
+            BadYaml: Too large, nested too deeply or of an unsupported type.
         """
         here = place(node)
         self._count += 1
@@ -173,7 +173,6 @@ class Reader:
 
 
 def _scalar(node: ScalarNode) -> Any:
-    """A text, a number, true, false or None."""
     kind = str(node.tag).rpartition(":")[2]
     if kind in ("str", "timestamp", "value"):
         return _text(node)
@@ -181,7 +180,7 @@ def _scalar(node: ScalarNode) -> Any:
         raise BadYaml(f"the tag {node.tag} has no meaning here", place(node))
     try:
         return _SCALARS.construct_object(node)
-    # A node that is marked as a number or as true may be anything.
+    # A tag can mark any text as a number or a truth value.
     except (ValueError, LookupError, YAMLError) as error:
         what = "true or false" if kind == "bool" else "a number"
         raise BadYaml(f"'{_text(node)[:60]}' is not {what}", place(node)) from error
@@ -191,7 +190,7 @@ _SCALARS = YAML(typ="safe", pure=True).constructor
 
 
 def _text(node: ScalarNode) -> str:
-    """The text of a scalar: of bounded length, and without half characters."""
+    """Text of a scalar, of bounded length and without surrogates."""
     text = str(node.value)
     if len(text) > LONGEST:
         raise BadYaml(f"a text of {len(text)} characters; at most {LONGEST}", place(node))

@@ -1,4 +1,4 @@
-"""Checkpoints of a run: files that are whole or not there, and which one a restart takes.
+"""Checkpoints of a run: writing, reading, and the choice of one for a restart.
 
 A checkpoint is the ``npz`` of numpy: arrays with checksums, and a header in JSON. Rows of arrays
 are those of all ranks in the order of their keys, so that any number of ranks reads them.
@@ -34,29 +34,23 @@ from app.version import __version__
 
 log = logging.getLogger("mantle")
 
-# Of the layout of the file.
+# Version of the file layout.
 FORMAT = 5
 # Names of the header, and of what stands for rows in it.
 HEADER, ROWS = "header", "@rows"
-# Checkpoints that are kept.
+# Number of checkpoints kept.
 KEPT = 2
 # Number of differences listed in a message.
 TOLD = 12
 
 
 class DamagedError(InputError):
-    """A file is no checkpoint, or not a whole one."""
+    """A file is not a complete checkpoint."""
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint that was read.
-
-    Attributes:
-        path: Its file.
-        header: Version, case, mesh, stage, step and times of the run that wrote it.
-        state: Saved state.
-    """
+    """A checkpoint; ``header`` has version, case, mesh, stage, step and times of its run."""
 
     path: Path
     header: Mapping[str, Any]
@@ -70,7 +64,7 @@ def write(comm: MPI.Comm, path: Path, header: Mapping[str, Any], state: Any) -> 
     """Write a checkpoint: a new file, flushed to disk and renamed; collective.
 
     Raises:
-        OSError: It cannot be written (on every rank); what was there stays.
+        OSError: It cannot be written (on every rank); an earlier file stays.
     """
     arrays: dict[str, Array] = {}
     tree = _gathered(comm, state, "state", arrays)
@@ -92,11 +86,7 @@ def write(comm: MPI.Comm, path: Path, header: Mapping[str, Any], state: Any) -> 
 def _gathered(comm: MPI.Comm, state: Any, name: str, arrays: dict[str, Array]) -> Any:
     """Move the rows of all ranks to arrays on rank 0; returns the rest of the state; collective.
 
-    Args:
-        comm: Communicator.
-        state: A state of this rank.
-        name: Its name.
-        arrays: Values and keys by name; keys that several rows have are there once.
+    ``arrays`` receives values and keys by name; keys on several rows occur once.
     """
     if isinstance(state, dict):
         return {k: _gathered(comm, v, f"{name}.{k}", arrays) for k, v in state.items()}
@@ -118,7 +108,7 @@ def read(path: Path) -> Checkpoint:
     """Read a checkpoint; not collective.
 
     Raises:
-        DamagedError: It cannot be read, is not whole, or nothing of this kind.
+        DamagedError: It cannot be read, is incomplete, or is no checkpoint.
     """
     try:
         path.stat()
@@ -137,7 +127,6 @@ def read(path: Path) -> Checkpoint:
 
 
 def _with_rows(tree: Any, arrays: Mapping[str, Array]) -> Any:
-    """A state with its rows in their places again."""
     if isinstance(tree, dict):
         if ROWS in tree:
             return Rows(*(arrays[name] for name in tree[ROWS]))
@@ -158,15 +147,15 @@ def find(
     force: bool,
     passed: Collection[Path] = (),
 ) -> Checkpoint | None:
-    """The checkpoint to go on from, if there is one; collective.
+    """Checkpoint to restart from, or None; collective.
 
     Args:
         comm: Communicator.
-        wanted: A file, or ``auto``: the newest in the run directory that can be read.
+        wanted: A file, or ``auto``: the newest readable one in the run directory.
         folder: The run directory.
         case: The configuration.
-        force: Whether that of the checkpoint may be another one.
-        passed: What ``auto`` passes over.
+        force: Whether to accept a checkpoint of another configuration.
+        passed: Files that ``auto`` skips.
 
     Raises:
         InputError: It is of another configuration, or the file cannot be read.
@@ -193,16 +182,12 @@ def find(
 
 
 def pass_over(path: Path, error: Exception) -> None:
-    """Tell that ``auto`` does not take a checkpoint, and why."""
+    """Log that ``auto`` skips a checkpoint, and why."""
     log.warning("%s cannot be used: %s; trying the one before", path, error)
 
 
 def _refuse_another(found: Checkpoint, case: Case, force: bool) -> None:
-    """Refuse a checkpoint of another version or configuration.
-
-    Raises:
-        InputError: It is, with what differs.
-    """
+    """Raise InputError for a checkpoint of another version or configuration."""
     if found.header["mantle"] != __version__ and not force:
         raise InputError(
             f"--restart: {found.path} was written by mantle {found.header['mantle']}, this is "
@@ -226,7 +211,7 @@ def _refuse_another(found: Checkpoint, case: Case, force: bool) -> None:
 
 
 def described(case: Case) -> dict[str, Any]:
-    """All of a case that its states depend on."""
+    """All data of a case that its states depend on."""
     data = plain(case)
     data.pop("title", None)
     data["output"] = {"probes": data.get("output", {}).get("probes", {})}
@@ -235,7 +220,6 @@ def described(case: Case) -> dict[str, Any]:
 
 
 def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted keys and their values."""
     if isinstance(data, dict) and data:
         for name, value in data.items():
             yield from _leaves(value, f"{key}.{name}" if key else name)
@@ -250,7 +234,7 @@ def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 class CheckpointWriter:
-    """Saves the state of a run when that is due, and takes it up again."""
+    """Write checkpoints when they are due, and restore one."""
 
     def __init__(
         self,
@@ -268,11 +252,11 @@ class CheckpointWriter:
         self._saved, self._when = 0, clock.monotonic()
 
     def resume(self) -> int:
-        """Take up the checkpoint, if there is one; the stage it is in; collective.
+        """Restore the checkpoint, if there is one; returns its stage; collective.
 
         Raises:
             InputError: It is of another mesh, or of other unknowns.
-            DamagedError: It is of this case, but not what a run of it saves.
+            DamagedError: It claims to be of this case, but does not fit it.
         """
         if (found := self._found) is None:
             return 0
@@ -295,7 +279,6 @@ class CheckpointWriter:
         return int(header["stage"])
 
     def _parts(self) -> dict[str, Any]:
-        """Objects that save something, in the order in which they are restored."""
         return {**self._model.saved_parts(), "recorder": self._recorder}
 
     def _fill(self, found: Checkpoint, parts: dict[str, Any]) -> None:
@@ -305,7 +288,7 @@ class CheckpointWriter:
             raise self._misfit(found, str(error)) from error
 
     def _misfit(self, found: Checkpoint, what: str) -> InputError:
-        """Error for a state that does not fit: damaged if it is said to be of this case."""
+        """Error for a state that does not fit: damaged if it claims to be of this case."""
         if found.header["case"] == described(self._case):
             return DamagedError(f"its state does not fit: {what}")
         return InputError(
@@ -314,11 +297,7 @@ class CheckpointWriter:
         )
 
     def _refuse_another_model(self, found: Checkpoint) -> None:
-        """Refuse a checkpoint of another mesh, or arrays that are not those of the model.
-
-        Raises:
-            InputError: They are not; collective.
-        """
+        """Raise InputError for a checkpoint of another mesh or other arrays; collective."""
         stages = len(self._model.scene.stages)
         where = f"--restart: {found.path}"
         if found.header["mesh"] != self._model.mesh_hash:
@@ -343,7 +322,7 @@ class CheckpointWriter:
         on_root(self._comm, compare, share=False)
 
     def _now(self, k: int) -> tuple[dict[str, Any], Any]:
-        """Header and state of the step just recorded, in a stage."""
+        """Header and state of the step last recorded, in stage k."""
         header = {
             "mantle": __version__,
             "case": described(self._case),
@@ -358,7 +337,7 @@ class CheckpointWriter:
         return header, collect({"parts": self._parts(), "fields": self._recorder.grids})
 
     def mark(self, k: int) -> None:
-        """Remember the state, which is in a stage, and save it if that is due; collective."""
+        """Remember the state, in stage k, and save it if that is due; collective."""
         self._last = self._now(k)
         steps, minutes = self._options.steps, self._options.minutes
         due = bool(steps and self._recorder.step_count - self._saved >= steps)
@@ -370,7 +349,7 @@ class CheckpointWriter:
             self.save()
 
     def save(self) -> Path | None:
-        """Save what was remembered last, unless it is; where it is; collective."""
+        """Save the state last remembered, unless it is saved; returns its file; collective."""
         if self._last is None:
             return None
         header, state = self._last
@@ -390,7 +369,7 @@ class CheckpointWriter:
 
 
 def _keep(folder: Path, newest: Path) -> None:
-    """Leave the newest checkpoints; what is said to be newer is of another try."""
+    """Delete all but the newest checkpoints; later ones than `newest` are of an earlier try."""
     every = folders.saved(folder)
     place = every.index(newest)
     for path in [*every[:place], *every[place + KEPT :]]:

@@ -1,4 +1,4 @@
-"""Cases related to one: cheaper to solve, with the same stiffness, with the same matrices."""
+"""Companions of a case: a cheaper one, and keys of equal stiffness or equal matrices."""
 
 from __future__ import annotations
 
@@ -17,12 +17,7 @@ TOLERANCE = 1e-4
 
 
 def cheaper(case: Case, unknowns: int) -> Case | None:
-    """The case on a coarser mesh, or at first order where there is none; None unless it is large.
-
-    Args:
-        case: A case.
-        unknowns: Of its mechanics.
-    """
+    """The case on a coarser mesh, else at first order; None unless its mechanics is large."""
     if unknowns < LARGE:
         return None
     if COARSER * case.mesh.size <= case.geometry.coarsest_size:
@@ -44,14 +39,14 @@ def cheaper(case: Case, unknowns: int) -> Case | None:
 
 
 def stiffness(case: Case) -> tuple[Any, ...]:
-    """All of a case that the stiffness of the bonded model and its solver depend on."""
+    """All data of a case that the stiffness of the bonded model and its solver depend on."""
     solver = case.solver.model_copy(update={"augmentation_factor": 1.0, "tolerance": 0.0})
     stages = [stage.name for stage in case.stages]
     return case.geometry, case.mesh, case.regions, case.supports, solver, stages
 
 
 def matrices(case: Case) -> tuple[Any, ...]:
-    """All of a case that its matrices and its compiled forms depend on."""
+    """All data of a case that its matrices and compiled forms depend on."""
     loads = [(name, load.place) for name, load in case.loads.items()]
     contacts = [name for name, law in case.interfaces.items() if law.can_part]
     return *stiffness(case), loads, contacts

@@ -1,4 +1,4 @@
-"""Before a run: its folder, and what of it this program and stack have finished already."""
+"""Before a run: its folder, and results already finished by this program and stack."""
 
 from __future__ import annotations
 
@@ -16,12 +16,9 @@ from app.system import folders, identity
 
 
 def finished(folder: Path, case: Case) -> bool:
-    """Tell whether a run directory is complete, that of a case, and of this very program.
+    """Whether a run directory is complete, of this case, and written by this very program.
 
-    Args:
-        folder: The run directory.
-        case: The configuration, without variations. A mesh file that is newer than the results
-            makes another case of it.
+    The case has no variations; a mesh file newer than the results counts as another case.
     """
     try:
         done = (folder / "DONE").stat().st_mtime
@@ -37,12 +34,7 @@ def finished(folder: Path, case: Case) -> bool:
 
 
 def summaries(output: Path, varied: Sequence[Varied]) -> dict[int, dict[str, Any]]:
-    """The summaries of the variations that are finished, by their places.
-
-    Args:
-        output: The folder above theirs.
-        varied: The variations.
-    """
+    """Summaries of the finished variations in folders below ``output``, by position."""
     return {
         i: _summary(output / v.name)
         for i, v in enumerate(varied)
@@ -61,14 +53,14 @@ def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str
         case: The case.
         output: The run directory.
         force: Whether results in it are replaced, also those of this very case.
-        restart: A checkpoint to go on from, ``auto`` or nothing.
+        restart: A checkpoint to restart from, ``auto`` or "".
 
     Returns:
-        Whether all that the case asks for is there and stays.
+        Whether all results of the case are there and stay.
 
     Raises:
         InputError: The case does not fit this machine, or the folder cannot be used.
-        UnusableError: All is there, but not to be used.
+        UnusableError: All results are there, but not to be used.
     """
     if restart not in ("", "auto") and case.config.variations:
         raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")

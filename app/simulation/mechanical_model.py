@@ -16,11 +16,11 @@ from app.system.timing import Timing
 
 
 class Mechanical:
-    """Mechanics of a model, or of models one after another that differ in loads and laws alone.
+    """Mechanics of a model, or of successive models that differ in loads and laws alone.
 
     Attributes:
         bonds: Stresses of bonded interfaces.
-        neighbours: States of the models before, as starts.
+        neighbours: States of earlier models, as warm starts.
     """
 
     saved = ("problem", "solver")
@@ -43,11 +43,7 @@ class Mechanical:
         self.problem.take_up(*self.solver.u_and_q())
 
     def balance(self, about: NDArray[np.float64]) -> Balance:
-        """Balances of the model at rest; collective.
-
-        Args:
-            about: Point that moments are taken about (3,) [mm], always the same.
-        """
+        """Balances of the model at rest, with moments about a fixed point (3,) [mm]; collective."""
         if self._balance is None:
             self._balance = Balance(self.problem, about)
         else:

@@ -1,4 +1,4 @@
-"""A case made ready to be solved: mesh, mechanics, heat, and what is published of its states."""
+"""A case ready to be solved: mesh, mechanics, heat, and published numbers of its states."""
 
 from __future__ import annotations
 
@@ -51,20 +51,20 @@ log = logging.getLogger("mantle")
 
 
 def _nothing(*_: Any) -> None:
-    """Ignore what is told."""
+    """Ignore the arguments."""
 
 
 @dataclass(frozen=True)
 class Observer:
-    """Functions called on the way through the stages.
+    """Callbacks of a run through the stages.
 
     Attributes:
         on_step: After each step of the mechanics.
         on_heat: After each step of the heat, the mechanics having followed.
-        on_trouble: With what is tried when a step fails.
+        on_trouble: With the remedy tried when a step fails.
         on_stage: Before each stage.
         checkpoint_point: With the number of the stage, wherever `Model.saved_parts` may be saved.
-        resume: First: may take up a state, and returns the stage that it is in.
+        resume: First: may restore a state, and returns its stage.
     """
 
     on_step: OnStep = _nothing
@@ -76,21 +76,17 @@ class Observer:
 
 
 class Model:
-    """A case made ready to be solved; made on all ranks.
+    """A case ready to be solved; made on all ranks.
 
     Args:
         options: Raw PETSc options from the command line.
         stop: Returns the name of a pending stop signal, or "".
-        reuse: The model before, with the same options. From it and those before it this one takes
-            meshes, and mechanics if loads and laws alone differ, which are of no use to it then.
+        reuse: An earlier model with the same options. Its meshes are reused, and its mechanics
+            too if loads and laws alone differ; it must not be used afterwards.
 
     Attributes:
-        scene: What is solved.
-        tagged: On what mesh.
-        mesh_hash: Digest of that mesh.
-        parts: What that mesh consists of, on rank 0.
-        mechanics: Its mechanics, if it has any.
-        thermal: Its heat, if it has any.
+        mesh_hash: Digest of the mesh.
+        parts: Connected pieces of the mesh, on rank 0.
     """
 
     def __init__(
@@ -116,7 +112,7 @@ class Model:
         self._others[:] = [m for m in self._others if not self.deforms_like(m._case)] + [self]
 
     def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, Parts | None]:
-        """The mesh, its digest, and what it consists of, on rank 0; collective."""
+        """The mesh, its digest, and its connected pieces on rank 0; collective."""
         case = self._case
         for model in self._others:
             if (model._case.geometry, model._case.mesh) == (case.geometry, case.mesh):
@@ -134,7 +130,7 @@ class Model:
         """Warnings about the case on its mesh; collective.
 
         Raises:
-            InputError: It cannot be solved.
+            InputError: The case cannot be solved.
         """
         found = self.parts
         notes = on_root(
@@ -144,7 +140,7 @@ class Model:
         return notes or []
 
     def deforms_like(self, case: Case) -> bool:
-        """Whether a case has the matrices of this one, its contacts, and loads in its places."""
+        """Whether a case differs from this one in loads and laws alone."""
         return coarser_case.matrices(self._case) == coarser_case.matrices(case)
 
     def _solver(self, system: System) -> Solver:
@@ -161,7 +157,6 @@ class Model:
         )
 
     def _mechanics(self) -> Mechanical | None:
-        """Problem and solver, where anything deforms."""
         if not self.scene.elastic:
             return None
         case, like = self._case, None
@@ -181,7 +176,6 @@ class Model:
         return Mechanical(problem, solver, case.geometry.is_around_z, timing)
 
     def _heat(self) -> ThermalModel | None:
-        """Heat and what solves it, where anything conducts."""
         if not self.scene.conductors:
             return None
         heat = ImplicitStep(HeatOperators(self.scene, self.tagged, self._timing))
@@ -197,7 +191,7 @@ class Model:
         return sizes | (self.mechanics.solver.block_sizes if self.mechanics else {})
 
     def layers(self) -> list[FieldGroup]:
-        """Groups of fields to be written: mechanical, and of heat."""
+        """Groups of fields to be written: mechanics, heat."""
         groups: list[FieldGroup] = []
         if m := self.mechanics:
             groups.append(MechanicalFields(m.problem, m.stresses))
@@ -206,7 +200,7 @@ class Model:
         return groups
 
     def go(self, observer: Observer) -> Summary:
-        """Solve all stages; returns what it took; collective.
+        """Solve all stages; returns a summary of the effort; collective.
 
         Raises:
             ConvergenceError: As `run_stages`.
@@ -240,7 +234,7 @@ class Model:
         return total
 
     def saved_parts(self) -> dict[str, Any]:
-        """All that the steps to come depend on, in the order in which it is restored."""
+        """All state that later steps depend on, in the order in which it is restored."""
         load_stepper, heat_stepper = self._steppers
         return {
             "mechanics": self.mechanics,
@@ -250,7 +244,7 @@ class Model:
         }
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
-        """States of models before and, if that pays, a start from a cheaper model."""
+        """States of earlier models and, for large models, a start from a cheaper one."""
         if m.problem.contact is None or self.scene.conductors:
             return (m.neighbours,)
         case = coarser_case.cheaper(self._case, sum(m.solver.block_sizes.values()))
@@ -259,35 +253,29 @@ class Model:
         return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
 
     def _cheaper(self, case: Case) -> LoadStepper:
-        """Load stepping of a cheaper model; collective."""
         other = self._other(case, self._timing.of("cheaper model"))
         m = other.mechanics
         assert m is not None
         return LoadStepper(m.problem, m.solver, _nothing, log.debug, other._predictors(m))
 
     def _other(self, case: Case, timing: Timing) -> Model:
-        """A model of another case that takes over what it can; collective."""
         return Model(case, self.tagged.mesh.comm, self.options, timing, self.stop, self)
 
     @staticmethod
     def _beside_heat(
         heating: HeatState, load_stepper: LoadStepper | None
     ) -> SolvedAfterHeat | SolvedWithHeat | None:
-        """The mechanics beside the heat: in one system with it, or after it."""
+        """Mechanics beside the heat: in one system with it, or after it."""
         if load_stepper is None:
             return None
         if heating.coupled is not None:
             return SolvedWithHeat(load_stepper, heating, heating.coupled)
         return SolvedAfterHeat(load_stepper, heating, heating.options.mechanical_step)
 
-    # What is published of the state last committed
+    # Published numbers of the state last committed
 
     def numbers(self, samples: ContactSamples | None) -> dict[str, Any]:
-        """All numbers; collective.
-
-        Args:
-            samples: Of the contact points, if there are any.
-        """
+        """All published numbers; collective."""
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}, "stem": {}}
         if m := self.mechanics:
             elastic = m.problem.scene.elastic
@@ -303,7 +291,7 @@ class Model:
         return numbers
 
     def places(self, samples: ContactSamples | None) -> dict[str, Any]:
-        """Numbers that only some geometries have: mantle, layers, Gruen zones; collective."""
+        """Published numbers of some geometries: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
         if (m := self.mechanics) and self._case.geometry.has_gruen_zones:

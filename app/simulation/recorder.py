@@ -45,7 +45,7 @@ class AcceptedStep:
         time: Time at its end: stage k runs from k to k + 1.
         end: Time at the end of the last stage.
         seconds: Wall time since the run began [s].
-        row: Its row in history.csv: numbers by the titles of their columns, units and all.
+        row: Its row in history.csv: numbers by the titles of their columns, with units.
     """
 
     folder: Path
@@ -61,11 +61,11 @@ OnAccepted = Callable[[AcceptedStep], None]
 
 
 class Recorder:
-    """Turns converged steps into lines, rows, fields and the summary; made on all ranks.
+    """Write converged steps as log lines, table rows, fields and summary; made on all ranks.
 
     Args:
         model: The model, at rest.
-        begin: When the run began, by `time.perf_counter`.
+        begin: Start of the run, by `time.perf_counter`.
         progress: Called after each step.
 
     Attributes:
@@ -112,13 +112,13 @@ class Recorder:
 
     @property
     def row_keys(self) -> dict[str, Ints]:
-        """Keys of own contact points."""
+        """Keys of owned contact points."""
         m = self._model.mechanics
         contact = m.problem.contact if m else None
         return {"_contact": contact.row_keys} if contact else {}
 
     def restored(self) -> None:
-        """Go on from a restored model; collective."""
+        """Continue from a restored model; collective."""
         if (m := self._model.mechanics) and self._balance:
             u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
@@ -164,7 +164,7 @@ class Recorder:
                 self._line(step)
 
     def heat(self, step: LoadStep, accepted: HeatStep) -> None:
-        """Record a step of the heat, which the mechanics have followed; collective."""
+        """Record a step of the heat, with the mechanics at its end; collective."""
         with self._timing.phase("output"):
             self._total.count(accepted.outcome)
             wall = clock.perf_counter() - self._begin
@@ -188,7 +188,6 @@ class Recorder:
         )
 
     def _row_of(self, step: LoadStep, balance: Balance) -> dict[str, Any]:
-        """Columns of the mechanics."""
         row: dict[str, Any] = {
             "newton [-]": step.outcome.iterations,
             "krylov [-]": step.outcome.linear_iterations,
@@ -207,7 +206,6 @@ class Recorder:
         return row
 
     def _row(self, step: LoadStep) -> None:
-        """A row of history.csv, and fields where they are due."""
         self.time = step.time
         self.step_count += 1
         row: dict[str, Any] = {"step": self.step_count, "time [-]": step.time} | self._mechanical
@@ -239,7 +237,7 @@ class Recorder:
         self._writer.fields(self.time, self.samples)
 
     def flush(self) -> None:
-        """Write the fields of the last step, unless they are; the last alone; the pictures."""
+        """Write pending fields of the last step, fields of the last step alone, and pictures."""
         if self._written < self.step_count:
             self._fields()
         self._writer.last_fields()
@@ -313,7 +311,7 @@ class Recorder:
                 log.warning("%s", error)
 
     def last_state(self) -> str:
-        """Say where the last converged state is."""
+        """Sentence on the last converged state and its folder."""
         if not self.step_count:
             return "no step has converged: nothing is on disk"
         return (

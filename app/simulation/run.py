@@ -37,19 +37,15 @@ LONG = 10.0
 
 @dataclass
 class Setup:
-    """Parts that runs one after another share.
+    """Parts shared by successive runs.
 
     Attributes:
-        comm: Communicator.
-        loaded: The case file.
-        options: Raw PETSc options.
         stop: Returns the name of a pending stop signal, or "".
         progress: Called on every rank after each accepted step.
-        begin: When the run began, by `time.perf_counter`.
+        begin: Start of the run, by `time.perf_counter`.
         started: The same, by the clock.
-        timing: Seconds by phase.
-        model: The model before, from which the next one takes over what it can.
-        noted: Notes that were told.
+        model: The model of the last run, for reuse.
+        noted: Notes already logged.
     """
 
     comm: MPI.Comm
@@ -64,14 +60,14 @@ class Setup:
     noted: set[str] = field(default_factory=set)
 
     def note(self, messages: Sequence[str]) -> None:
-        """Tell what is suspicious, each thing once."""
+        """Log notes on the case, each once."""
         for message in messages:
             if message not in self.noted:
                 log.warning("note: %s", message)
         self.noted.update(messages)
 
     def begin_next(self) -> None:
-        """Begin to measure another run."""
+        """Start the clocks of another run."""
         self.begin, self.started = clock.perf_counter(), datetime.now(UTC)
         self.timing.clear()
 
@@ -79,12 +75,8 @@ class Setup:
 class CaseRun:
     """The run of one case: its model, its records and its checkpoints; made on all ranks.
 
-    Args:
-        setup: What it shares with other runs.
-        case: The case of the file, or a variation of it.
-        changes: The overrides that make the variation.
-        output: The run directory.
-        found: The checkpoint to go on from.
+    ``case`` is the case of the file or a variation of it with overrides ``changes``, ``found`` the
+    checkpoint to restart from.
     """
 
     def __init__(
@@ -130,7 +122,7 @@ class CaseRun:
         self._checkpoints = CheckpointWriter(case, self._model, self._recorder, output, found)
 
     def solve(self) -> Summary:
-        """Go through all stages; returns what it took; collective.
+        """Solve all stages; returns a summary of the effort; collective.
 
         Raises:
             ConvergenceError: With the last converged state on disk, if there is one.
@@ -150,7 +142,7 @@ class CaseRun:
 
     @contextmanager
     def _last_state_kept(self) -> Iterator[None]:
-        """Leave the last converged state on disk where a solve fails or is stopped; collective."""
+        """Write the last converged state to disk where a solve fails or is stopped; collective."""
         try:
             yield
         except (ConvergenceError, StoppedError) as failure:
@@ -165,7 +157,7 @@ class CaseRun:
             raise StoppedError("\n".join(lines)) from failure
 
     def finish(self, total: Summary) -> dict[str, Any]:
-        """Write the results of a run that has converged; returns its summary; collective."""
+        """Write the results of a converged run; returns its summary; collective."""
         setup, case, model = self._setup, self._case, self._model
         blas_check.check(setup.comm)  # once more: what has converged by wrong sums is no result
         if clock.perf_counter() - setup.begin > LONG:
@@ -200,7 +192,6 @@ def _errors(
     summary: dict[str, Any],
     case: Case,
 ) -> dict[str, Any]:
-    """Solve the companions of a run and put the errors of its numbers into its summary."""
     solved, failed = [], []
     for companion in companions:
         begin = clock.perf_counter()

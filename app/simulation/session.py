@@ -1,4 +1,4 @@
-"""A run as it was asked for: one case, or its variations one after another."""
+"""A run as requested: one case, or its variations one after another."""
 
 from __future__ import annotations
 
@@ -14,13 +14,8 @@ from typing import Any
 
 from mpi4py import MPI
 
+from app import errors
 from app.case.case import Case, LoadedCase, Varied
-from app.errors import (
-    ConvergenceError,
-    EnvironmentProblem,
-    InputError,
-    StoppedError,
-)
 from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results.run_folder import on_root
@@ -52,9 +47,9 @@ def run(
         case: The case.
         output: The run directory.
         petsc_options: Raw PETSc options from the command line.
-        restart: A checkpoint to go on from, ``auto`` or nothing.
-        force: Whether it may be of another configuration.
-        walltime: How long the run may take [s].
+        restart: A checkpoint to restart from, ``auto`` or "".
+        force: Whether to accept a checkpoint of another configuration.
+        walltime: Time limit of the run [s].
         signals: Whether SIGINT, SIGTERM, SIGHUP and SIGUSR1 stop the run, with its state saved.
         progress: Called on every rank after each accepted step.
 
@@ -64,7 +59,7 @@ def run(
     comm, started, begin = MPI.COMM_WORLD, datetime.now(UTC), clock.perf_counter()
     expected = ranks.world_size()
     if expected and expected != comm.size:
-        raise EnvironmentProblem(
+        raise errors.EnvironmentProblem(
             f"started as one of {expected} ranks, but MPI sees {comm.size}: mpirun belongs to "
             "another MPI; use the one of this installation, or mantle run -n"
         )
@@ -97,11 +92,9 @@ class Session:
         self._restart, self._force = restart, force
 
     def vary(self, output: Path, *, keep: bool) -> None:
-        """Solve the variations of the case, each in a folder of its own; collective.
+        """Solve the variations of the case, each in a folder below ``output``; collective.
 
-        Args:
-            output: The folder above theirs.
-            keep: Whether those that are finished stay.
+        With ``keep`` finished ones are not solved again.
 
         Raises:
             ConvergenceError: Some did not converge; the others are done.
@@ -137,7 +130,7 @@ class Session:
             self._setup.begin_next()
         log.info("%s", variations.table(self._write_table(rows, output)))
         if failed:
-            raise ConvergenceError(
+            raise errors.ConvergenceError(
                 f"{len(failed)} of {len(chain)} variations did not converge: {', '.join(failed)} "
                 f"(in {output})"
             )
@@ -145,40 +138,29 @@ class Session:
         text.check_usable(solved)
 
     def _variation(self, varied: Varied, folder: Path, place: str) -> dict[str, Any]:
-        """Solve a variation; returns its summary, empty if it does not converge; collective.
-
-        Raises:
-            StoppedError: With its place among all.
-        """
+        """Solve a variation; returns its summary, empty if it does not converge; collective."""
         on_root(self._comm, partial(_prepare, folder), share=False)
         try:
             summary = self.solve(varied.case, varied.overrides, folder)
-        except ConvergenceError as failure:
+        except errors.ConvergenceError as failure:
             log.warning("%s: %s", varied.name, failure)
             why = partial(write_text, folder / FAILED, f"{failure}\n")
             on_root(self._comm, why, share=False)
             return {}
-        except StoppedError as stop:
-            raise StoppedError(f"{place}: {stop}") from stop
+        except errors.StoppedError as stop:
+            raise errors.StoppedError(f"{place}: {stop}") from stop
         text.report(summary, table=False)
         return summary
 
     def _write_table(self, rows: dict[int, variations.Row], output: Path) -> list[variations.Row]:
-        """Write the common table in the order of the file; collective."""
         done = [rows[k] for k in sorted(rows)]
         on_root(self._comm, partial(variations.write, done, output), share=False)
         return done
 
     def solve(self, case: Case, changes: Sequence[str], output: Path) -> dict[str, Any]:
-        """Solve a case and write its run directory; collective.
+        """Solve the case or a variation, write its run directory; returns its summary; collective.
 
-        Args:
-            case: The case of the session, or a variation of it.
-            changes: The overrides that make the variation.
-            output: The run directory.
-
-        Returns:
-            Its summary.
+        ``changes`` are the overrides of the variation.
 
         Raises:
             MantleError: With the last converged state on disk where there is one.
@@ -191,7 +173,9 @@ class Session:
             except checkpoint.DamagedError as damaged:
                 assert found is not None
                 if self._restart != "auto":
-                    raise InputError(f"--restart {found.path}: cannot be used: {damaged}") from None
+                    raise errors.InputError(
+                        f"--restart {found.path}: cannot be used: {damaged}"
+                    ) from None
                 checkpoint.pass_over(found.path, damaged)
                 passed.append(found.path)
                 self._setup.model = None  # it has taken up some of it
@@ -206,11 +190,6 @@ class Session:
 
 @contextmanager
 def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
-    """Keep other runs out of a folder meanwhile; collective.
-
-    Raises:
-        InputError: Another run has it.
-    """
     held = on_root(comm, partial(claim, output), share=False)
     try:
         yield
@@ -220,10 +199,6 @@ def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
 
 
 def _prepare(folder: Path) -> None:
-    """Make the folder of a variation; that it failed once says nothing now.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Make the folder of a variation; remove the note of an earlier failure."""
     prepare_run(folder, force=True)
     (folder / FAILED).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""The heat of a model, and what is kept of it: temperatures, cure, heat balance."""
+"""The heat of a model and its records: temperatures, cure, heat balance."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ from app.results.interface_heat import exchange
 from app.results.thermal_record import ThermalRecord
 from app.stepping.heat_state import HeatState, HeatStep
 
-# Heat below so many times what rounding leaves of it in a step is none.
+# Heat below this multiple of its rounding error in a step counts as zero.
 NOTHING = 1e7
 
 
 class ThermalModel:
-    """The heat of a model, and what is kept of it.
+    """The heat of a model and its records.
 
     Attributes:
-        heating: Temperatures and degrees of cure in time.
         record: Reported temperatures.
-        cure: Reported degrees of cure, if anything sets.
+        cure: Reported degrees of cure, if anything cures.
         flows: Heat per time at the end of the last step: into the model by condition, and through
             interfaces of finite conductance from the first side to the second [mW].
     """
@@ -60,14 +59,14 @@ class ThermalModel:
         self.flows: dict[str, dict[str, float]] = {}
 
     def _reported(self, seconds: float) -> list[fem.Function]:
-        """Temperatures of the bodies, as they are reported at a time; collective."""
+        """Reported temperatures of the bodies at a time [s]; collective."""
         temperatures = self.operators.temperatures(self.heating.vectors())
         if not self._settled:
             self._first_contact.put(temperatures, seconds)
         return temperatures
 
     def update(self, accepted: HeatStep) -> None:
-        """Take in a step; collective."""
+        """Record an accepted step; collective."""
         heating, operators = self.heating, self.operators
         x = heating.vectors()
         temperatures = operators.temperatures(x)

@@ -1,4 +1,4 @@
-"""The runs of a ``variations`` section: in which order, and their common table."""
+"""Runs of a ``variations`` section: their order and their common table."""
 
 from __future__ import annotations
 
@@ -22,12 +22,7 @@ Row = dict[str, Any]
 
 
 def order(case: Case, varied: Sequence[Varied]) -> list[int]:
-    """A chain through all variations, from the nearest to the case and each time to the nearest.
-
-    Args:
-        case: The case without its variations.
-        varied: They.
-    """
+    """A chain through all variations, from the nearest to the case and each time to the nearest."""
     keys = [k for k in dict.fromkeys(k for v in varied for k in v.changes) if k != "title"]
     cases = [c.model_dump(mode="json") for c in (*(v.case for v in varied), case)]
     places = np.array([_ranks([value_at(c, key) for c in cases]) for key in keys])
@@ -49,7 +44,7 @@ def order(case: Case, varied: Sequence[Varied]) -> list[int]:
 
 
 def _ranks(values: Sequence[Any]) -> list[float]:
-    """Place of each value among the numbers there are, or far from all others."""
+    """Rank of each value among the distinct numbers; other values are far from all."""
     numbers = [_numbers(v) for v in values]
     texts = [str(v) for v in values]
     known = {n: i for i, n in enumerate(sorted({n for n in numbers if n}))}
@@ -59,7 +54,7 @@ def _ranks(values: Sequence[Any]) -> list[float]:
 
 
 def _numbers(value: Any) -> tuple[float, ...]:
-    """The numbers of a value with units, or of a list of such; empty if there is anything else."""
+    """Numbers of a value with units, or of a list of such; empty for anything else."""
     found: list[float] = []
     for item in value if isinstance(value, list | tuple) else [value]:
         try:
@@ -72,7 +67,8 @@ def _numbers(value: Any) -> tuple[float, ...]:
 def value_at(case: Mapping[str, Any], key: str) -> Any:
     """Value of a key of a case, or None; the default of a history is all ones.
 
-    Of ``*`` the first is taken, of an interface its kind: what else differs has keys of its own.
+    ``*`` stands for its first entry, an interface for its kind: other differences have keys of
+    their own.
     """
     data: Any = case
     for item in key_parts(key):
@@ -87,13 +83,10 @@ def value_at(case: Mapping[str, Any], key: str) -> Any:
 
 
 def row(v: Varied | Point, summary: Mapping[str, Any], status: str, seconds: float) -> Row:
-    """Row of the table of variations for one run.
+    """Row of the table of variations for one run: a variation or a point of a sweep.
 
-    Args:
-        v: Its variation, or its point of a sweep.
-        summary: Its summary; empty if it has none.
-        status: converged, not converged or stopped.
-        seconds: Wall time.
+    ``summary`` is empty if there is none; ``status`` is converged, not converged or stopped;
+    ``seconds`` are wall time.
     """
     solver = summary.get("solver", {})
     return {
@@ -109,7 +102,7 @@ def row(v: Varied | Point, summary: Mapping[str, Any], status: str, seconds: flo
 
 
 def headlines(summary: Mapping[str, Any]) -> dict[str, float]:
-    """The numbers that runs are compared by, as a study names them."""
+    """Numbers by which runs are compared, named as in a study."""
     return {
         f"{name}.{key}": numbers[key]
         for section, name, numbers in quantities.numbers_of(summary)
@@ -137,7 +130,7 @@ def write(rows: Sequence[Row], folder: Path) -> None:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """The table for people: what all have in common of the numbers, a line per run."""
+    """Table as text: numbers that all runs have, a line per run."""
     lines = []
     for r in rows:
         newton, krylov = (r[f"{kind}_iterations"] for kind in ("newton", "linear"))
@@ -147,7 +140,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def most(numbers: Mapping[str, float]) -> str:
-    """The largest slip of a run, or its highest temperature."""
+    """Largest slip of a run, or its highest temperature, as text."""
     for key, words in (("slip_p99", "slip on"), ("temperature_max", "in")):
         found = {k: n for k, n in numbers.items() if k.endswith(f".{key}")}
         if found:

@@ -1,7 +1,7 @@
-"""Whether the BLAS of this machine computes what it should: a few milliseconds at each start.
+"""Check the BLAS of this machine in a few milliseconds at each start.
 
-A wrong kernel (there are some for single models of processors) or a broken installation would be
-found by nothing else where it makes residuals small.
+A wrong kernel (there are some for single models of processors) or a broken installation would go
+unnoticed otherwise: it may make residuals small.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ ROUNDING = 1e-10
 
 
 def check(comm: MPI.Comm) -> None:
-    """Compute what is known; collective.
+    """Compute known results; collective.
 
     Raises:
-        EnvironmentProblem: It came out wrong, on any rank.
+        EnvironmentProblem: A result is wrong, on any rank.
     """
 
     def here() -> None:
@@ -75,7 +75,7 @@ def _errors() -> Iterator[tuple[str, float]]:
 
 
 def _eigenvalues(A: np.ndarray) -> float:
-    """By how much the sums of eigenvalues and of their squares are wrong, to the largest."""
+    """Error of the sums of eigenvalues and of their squares, relative to the largest."""
     try:
         λ = np.linalg.eigvals(A.astype(float))
     except np.linalg.LinAlgError:
@@ -85,7 +85,7 @@ def _eigenvalues(A: np.ndarray) -> float:
 
 
 def _factored(definite: np.ndarray, b: np.ndarray) -> float:
-    """The residual of a system solved by factors, summed without BLAS, to the largest entry."""
+    """Residual of a system solved by factors, summed without BLAS, over its largest entry."""
     n = len(b)
     K = PETSc.Mat().createDense((n, n), array=definite.astype(float), comm=PETSc.COMM_SELF)
     K.assemble()
@@ -102,12 +102,11 @@ def _factored(definite: np.ndarray, b: np.ndarray) -> float:
 
 
 def _most(values: np.ndarray) -> float:
-    """The largest size of any value; NaN if any is."""
     return float(np.abs(values).max())
 
 
 def crowd(ranks: int, environ: Mapping[str, str] = os.environ) -> str:
-    """Warning about more threads than cores on this machine; empty if there are not."""
+    """Warning about more threads than cores on this machine, or ""."""
     found = (environ.get(f"{name}_NUM_THREADS", "") for name in ("OPENBLAS", "OMP"))
     threads = next((int(n) for n in found if n.isdigit()), 1)
     cores = len(os.sched_getaffinity(0))

@@ -1,6 +1,6 @@
 """Report on this machine: versions, libraries, resources, and problems with them.
 
-Nothing here may fail because something is missing: telling what is missing is the purpose.
+Nothing here may fail because something is missing: reporting it is the purpose.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def is_reference_blas(path: str) -> bool:
 
 
 def _try(tell: Callable[[], str]) -> str:
-    """Answer of a call; that it failed, if a package cannot be loaded."""
+    """Result of a call, or the reason why a package cannot be loaded."""
     try:
         return tell()
     except ImportError:
@@ -172,7 +172,6 @@ def _size(count: int) -> str:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Tell whether a folder can be written to, or made."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     return os.access(folder, os.W_OK)

@@ -1,4 +1,4 @@
-"""Where things go: the cache, the run folder, and files that are whole or not there."""
+"""Cache and run folders, and files written whole or not at all."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from app import files
 from app.errors import EnvironmentProblem, InputError
 from app.files import write_bytes as write_bytes
 
-# How texts begin that spreadsheets take for formulas, if they are no numbers.
+# First characters of texts that spreadsheets take for formulas, unless they are numbers.
 FORMULA = re.compile(r"[=@+\-\t\r](?!\d*\.?\d*(e[+-]?\d+)?$)", re.IGNORECASE)
-# What stands in the folder of a variation that did not converge: why.
+# File in the folder of a variation that did not converge, with the reason.
 FAILED = "FAILED"
-# Where an image has what the caches of its users begin with.
+# Initial caches of users of an image.
 SEED = Path("/var/cache/mantle")
 
 
 def cache_home() -> Path:
-    """The folder below which caches are."""
+    """Parent folder of all caches."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
 
 
@@ -38,16 +38,16 @@ def form_cache() -> Path:
 
 
 def settle_cache() -> str:
-    """Have this process and those it starts keep caches in folders of this user alone.
+    """Put the caches of this process and its children into folders of this user alone.
 
-    The first time they begin with the forms that an image brings along.
+    A new cache starts from the compiled forms of the image, if there are any.
 
     Returns:
         A message, if ``XDG_CACHE_HOME`` cannot be written; caches are below ``/tmp`` then, as
         without a home.
 
     Raises:
-        EnvironmentProblem: There is no such folder.
+        EnvironmentProblem: No such folder can be made.
     """
     try:
         for name in ("fenics", "mantle/laws"):
@@ -73,7 +73,6 @@ def settle_cache() -> str:
 
 
 def _copy(seed: Path, folder: Path) -> None:
-    """Copy a folder under another name and rename it, if nothing is in the way."""
     with suppress(OSError):
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
@@ -94,7 +93,7 @@ def cache(name: str) -> Path | None:
 
 
 def prepare_run(folder: Path, force: bool) -> None:
-    """Make the folder of a run, and refuse one that holds something already.
+    """Make the folder of a run; refuse one that is not empty.
 
     Nothing is written into it: under MPI every rank comes here before the first collective call,
     and all have to see the same.
@@ -120,10 +119,10 @@ def prepare_run(folder: Path, force: bool) -> None:
 
 
 def claim(folder: Path) -> int:
-    """Keep other runs out of a folder, until the descriptor is closed or this process ends.
+    """Lock a run folder until the descriptor is closed or this process ends.
 
     Raises:
-        InputError: Another run has it.
+        InputError: Another run has locked it.
     """
     try:
         held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -159,7 +158,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV below the names of all that any of them has.
+    """Rows as CSV, with a column for every key of any row.
 
     Texts that a spreadsheet would run as a formula have an apostrophe in front.
     """
@@ -172,10 +171,9 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _cell(value: Any) -> Any:
-    """A value, not as a formula."""
     return f"'{value}" if isinstance(value, str) and FORMULA.match(value) else value
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a value as JSON, in the same way."""
+    """Write a value as JSON, whole or not at all."""
     write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")

@@ -1,4 +1,4 @@
-"""The cache of compiled forms: what a killed run or damage has left there, and why compiling fails.
+"""Cache of compiled forms: removal of incomplete modules, waiting, reasons why compiling fails.
 
 ffcx waits ten seconds for a form that another process compiles, whether that was killed or needs
 longer, and loads a module that was cut short, which takes the whole process down.
@@ -32,10 +32,9 @@ _told: list[str] = []
 
 
 def guard() -> None:
-    """Have forms compiled by one process at a time, and broken ones made again.
+    """Compile forms in one process at a time, and compile broken ones again.
 
-    Files of options in the home and in the working folder, which may be another's, have no say in
-    what is compiled.
+    Files of options in the home and in the working folder, which may be another's, are ignored.
     """
     from dolfinx import jit as of_dolfinx
     from ffcx import options
@@ -54,7 +53,7 @@ def guard() -> None:
 
 
 def usable(folder: Path, name: str) -> bool:
-    """Whether a module is compiled and as long as when its compiler had finished."""
+    """Whether a module is compiled and has the size noted by its compiler."""
     module, source = folder / (name + EXTENSION_SUFFIXES[0]), folder / f"{name}.c"
     try:
         size = (folder / f"{name}.c.cached").read_text(errors="replace")
@@ -67,9 +66,9 @@ def usable(folder: Path, name: str) -> bool:
 def _find(
     get: Callable[..., Any], name: str, objects: list[str], folder: Path, timeout: int
 ) -> Any:
-    """`ffcx.codegeneration.jit.get_cached_module`, when nobody compiles the module any more.
+    """`ffcx.codegeneration.jit.get_cached_module`, once no process compiles the module any more.
 
-    Whoever compiles it holds one byte of a file locked, which ends with its process.
+    A compiling process locks one byte of a file, which ends with the process.
     """
     folder = Path(folder)
     if usable(folder, name):
@@ -80,14 +79,14 @@ def _find(
     with suppress(OSError):  # a file system without locks, or a folder that cannot be written
         _compiling.append(files.lock_file(folder / LOCK))
         fcntl.lockf(_compiling[-1], fcntl.LOCK_EX, 1, int(name[-12:], 16))
-        # What was begun and is not ready now was left by a process that was killed.
+        # An incomplete module without a lock was left by a killed process.
         if not usable(folder, name):
             _remove(folder, name)
     return get(name, objects, folder, timeout)
 
 
 def _mark(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Compile a module, and note its size in the mark that it is ready."""
+    """Compile a module, and note its size in the mark of completion."""
     name, folder = arguments[3], Path(arguments[5])
     if not _told:
         log.info("     compiling forms, which later runs find")
@@ -99,7 +98,6 @@ def _mark(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
 
 
 def _compile(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Compile, and let go of what `_find` has locked for it."""
     try:
         with captured("compiler") as written:
             try:
@@ -113,7 +111,6 @@ def _compile(compile: Callable[..., Any], *arguments: Any, **options: Any) -> An
 
 
 def _remove(folder: Path, name: str) -> None:
-    """Remove a module and all that belongs to it."""
     for suffix in (".c.cached", EXTENSION_SUFFIXES[0], ".o", ".c"):
         with suppress(OSError):
             (folder / (name + suffix)).unlink(missing_ok=True)

@@ -1,6 +1,6 @@
 """Identity of a run beside its input: the sources of mantle and the versions of the stack.
 
-Nothing of the stack is imported for it: who asks for many runs does without MPI.
+It imports nothing of the stack: commands that start many runs work without MPI.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MISSING = "missing"
 
 
 def text() -> str:
-    """All of it as one text."""
+    """All parts as one text."""
     return json.dumps(parts(), sort_keys=True)
 
 
@@ -34,7 +34,7 @@ def text() -> str:
 def parts() -> dict[str, str]:
     """Versions of mantle (with a hash of its sources), dolfinx, PETSc, gmsh, BLAS with its kernel.
 
-    Of what is not installed: missing.
+    A package that is not installed is "missing".
     """
     petsc = _petsc()
     return {
@@ -57,7 +57,7 @@ def program() -> str:
 
 
 def sources() -> dict[str, Path]:
-    """Files of the program by their place below the folder that holds ``app``."""
+    """Source files of the program, by path relative to the folder that holds ``app``."""
     top = Path(__file__).resolve().parents[2]
     files = (p for folder in ("app", "forms", "meshes") for p in (top / folder).rglob("*.py"))
     return {p.relative_to(top).as_posix(): p for p in files}
@@ -71,7 +71,7 @@ def _version(package: str) -> str:
 
 
 def _petsc() -> ctypes.CDLL | None:
-    """PETSc and what it is linked to, loaded but not started, or None."""
+    """Load PETSc and its dependencies without starting it; None if missing."""
     spec = importlib.util.find_spec("petsc4py")
     folders = spec.submodule_search_locations or () if spec else ()
     found = sorted(p for folder in folders for p in Path(folder).glob("lib/**/PETSc*.so"))
@@ -79,7 +79,7 @@ def _petsc() -> ctypes.CDLL | None:
 
 
 def _version_of(petsc: ctypes.CDLL) -> str:
-    """The version of the library, which may be newer than that of petsc4py."""
+    """Version of the library, which may be newer than petsc4py."""
     numbers = [ctypes.c_int() for _ in range(4)]
     petsc.PetscGetVersionNumber(*map(ctypes.byref, numbers))
     return ".".join(str(n.value) for n in numbers[:3])
@@ -99,7 +99,7 @@ def _blas(petsc: ctypes.CDLL) -> str:
 
 
 class _Place(ctypes.Structure):
-    """Where a function is, as ``dladdr`` tells."""
+    """``Dl_info`` of ``dladdr``: the library that holds a function."""
 
     _fields_ = (
         ("file", ctypes.c_char_p),

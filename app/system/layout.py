@@ -10,7 +10,7 @@ NUMBER = re.compile(r"([-+<]?\s*[\d.][\d.,e+\-±/ ]*( ?[^\d\s]{1,3})?|[-/. ]*)")
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]], units: Sequence[str] = ()) -> str:
-    """A table: columns as wide as their widest cell, those of numbers to the right.
+    """Text table with columns as wide as their widest cell, numbers aligned to the right.
 
     A cell that is None is empty; units, if any, stand below the titles.
     """
@@ -28,7 +28,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], units: Sequence
 
 
 def duration(seconds: float) -> str:
-    """Seconds for people: 12.3 s, 40 s, 5 min, 1.5 h."""
+    """Duration as text: 12.3 s, 40 s, 5 min, 1.5 h."""
     if seconds < 20:
         return f"{seconds:.1f} s"
     if seconds < 120:
@@ -37,17 +37,17 @@ def duration(seconds: float) -> str:
 
 
 def count(number: float) -> str:
-    """A count with its thousands apart."""
+    """Count with thousands separated."""
     return f"{round(number):,}".replace(",", " ")
 
 
 def point_text(x: Iterable[float]) -> str:
-    """A point [mm]."""
+    """Coordinates of a point as text [mm]."""
     return "({:.4g}, {:.4g}, {:.4g}) mm".format(*(round(float(v), 4) + 0.0 for v in x))
 
 
 def noted(cases: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
-    """Each note of some cases once, with the names of the cases that have it."""
+    """Notes of several cases, each once, with the names of its cases."""
     every = list(cases)
     found: dict[str, list[str]] = {}
     for name, notes in every:
@@ -60,7 +60,7 @@ def noted(cases: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
 
 
 def plain(value: object) -> str:
-    """A value on one line, floats shortened for the eye."""
+    """A value on one line, floats rounded for reading."""
     if isinstance(value, dict):
         return ", ".join(f"{k} {plain(v)}" for k, v in value.items())
     if isinstance(value, list | tuple):

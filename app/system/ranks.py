@@ -1,7 +1,7 @@
-"""Starting several MPI ranks of the application: ``-n N`` on the command line.
+"""Start of several MPI ranks of the application: ``-n N`` on the command line.
 
 Only the standard library is used, so that it starts at once. Inside an existing ``mpirun`` or Slurm
-step nothing is started: the ranks are there already.
+step no ranks are started.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from typing import IO
 from app.errors import EnvironmentProblem, InputError, StoppedError
 from app.system import scratch
 
-# Where the number of ranks is found, by the process manager that started this process.
+# Variables with the number of ranks, by process manager.
 _WORLD_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "SLURM_NTASKS")
 _WORLD_MARKS = ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "SLURM_STEP_ID")
-# The rank of a process, by whatever started it.
+# Variables with the rank of a process, by process manager.
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 _SCHEDULERS = ("SLURM_JOB_ID", "PBS_JOBID", "LSB_JOBID")
 # On one node only shared memory is needed; looking for a network fails audibly.
@@ -48,8 +48,8 @@ def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
     """Take ``-n N``, ``-nN`` or ``-n=N`` out of the arguments.
 
     Returns:
-        The number of ranks asked for, ``None`` if none was, and the other arguments in order; those
-        behind a bare ``--`` are PETSc's and stay.
+        The number of ranks, or None, and the other arguments in order; those behind a bare ``--``
+        are PETSc's and stay.
 
     Raises:
         InputError: N is missing or not a positive whole number.
@@ -82,13 +82,13 @@ def world_size(environ: Mapping[str, str] = os.environ) -> int | None:
 
 
 def rank(environ: Mapping[str, str] = os.environ) -> int:
-    """MPI rank of this process, also where MPI is not up yet; 0 if unknown."""
+    """MPI rank of this process, also before MPI starts; 0 if unknown."""
     told = (environ.get(name, "") for name in RANK_VARIABLES)
     return next((int(value) for value in told if value.isdigit()), 0)
 
 
 def environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Environment of the ranks: one thread each, no noise from Open MPI; what is set stays."""
+    """Environment of the ranks: one thread each, a quiet Open MPI; variables already set stay."""
     defaults = {"OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
     if not any(name in environ for name in _SCHEDULERS):
         defaults |= ONE_NODE
@@ -98,9 +98,9 @@ def environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
 
 
 def keep_quiet(environ: MutableMapping[str, str] = os.environ) -> None:
-    """Keep Open MPI from looking for a network, audibly, where all ranks are on this node.
+    """Silence Open MPI's search for a network where all ranks are on this node.
 
-    To be called before MPI is initialised, for ranks that were started by a plain ``mpirun``.
+    Call it before MPI is initialised, for ranks started by a plain ``mpirun``.
     """
     size = environ.get("OMPI_COMM_WORLD_SIZE")
     if size is not None and environ.get("OMPI_COMM_WORLD_LOCAL_SIZE") == size:
@@ -108,10 +108,10 @@ def keep_quiet(environ: MutableMapping[str, str] = os.environ) -> None:
 
 
 def find_program(environ: MutableMapping[str, str] = os.environ) -> None:
-    """Have all that this process starts import mantle, and nothing from the current folder.
+    """Let child processes import mantle, and nothing from the current folder.
 
-    Python looks there first: an ``app.py`` or a ``numpy.py`` of the user's would come instead.
-    Folders in PYTHONPATH stay, behind the program's.
+    Python looks there first: an ``app.py`` or a ``numpy.py`` of the user's would be imported
+    instead. Folders in PYTHONPATH stay, behind the program's.
     """
     folders = [f for f in environ.get("PYTHONPATH", "").split(os.pathsep) if f and f != _FOLDER]
     environ["PYTHONPATH"] = os.pathsep.join([_FOLDER, *folders])
@@ -132,10 +132,10 @@ def stop_signals() -> list[signal.Signals]:
 
 
 class _Stop:
-    """Handler that passes the first signal on to mpirun, and ends the ranks at a second.
+    """Signal handler that passes the first signal on to mpirun, and ends the ranks at a second.
 
-    The ranks get SIGUSR1, the one signal that mpirun passes on without ending them: they have the
-    time they need to save their state and leave.
+    The ranks get SIGUSR1, the one signal that mpirun passes on without ending them: they have time
+    to save their state and leave.
     """
 
     def __init__(self) -> None:
@@ -158,7 +158,7 @@ class _Stop:
             self._child.send_signal(signal.SIGTERM if len(self.received) < 4 else signal.SIGKILL)
 
     def follow(self, child: subprocess.Popen[bytes]) -> None:
-        """Send signals to this mpirun, one that has come before included."""
+        """Send signals to this mpirun, earlier ones included."""
         self._child = child
         if self.received:
             child.send_signal(signal.SIGUSR1)
@@ -167,12 +167,12 @@ class _Stop:
 def launch(ranks: int, command: Sequence[str]) -> int:
     """Run a command on several ranks and wait for it.
 
-    The first SIGINT (Ctrl-C), SIGTERM, SIGHUP or SIGUSR1 has them save their state and leave; a
+    At the first SIGINT (Ctrl-C), SIGTERM, SIGHUP or SIGUSR1 the ranks save their state and leave; a
     second one, a second later or more, ends them at once.
 
     Returns:
         The exit code of the first rank that failed, 0 if none did; 5 where they were stopped before
-        they listened to signals, 130 where they were ended by a second one, 70 where one crashed.
+        they listened to signals, 130 where a second signal ended them, 70 where one crashed.
 
     Raises:
         EnvironmentProblem: There is no mpirun.
@@ -225,7 +225,7 @@ def alone() -> None:
 
 
 def _scratch() -> tuple[Path | None, int]:
-    """A folder for this node; under a scheduler, whose ranks may be elsewhere, its own is used."""
+    """Folder for this node; under a scheduler, whose ranks may be elsewhere, its own is used."""
     if any(name in os.environ for name in _SCHEDULERS):
         return None, -1
     try:
@@ -235,15 +235,15 @@ def _scratch() -> tuple[Path | None, int]:
 
 
 def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int] = ()) -> None:
-    """Copy what the ranks and mpirun say, less the banners that repeat the application's own words.
+    """Copy the output of ranks and mpirun, without banners that repeat the application's message.
 
-    mpirun takes ten lines to say that a rank left with a code; the application has said why in one.
-    What mpirun says about crashes stays.
+    mpirun takes ten lines to report the exit code of a rank; the application gives the reason in
+    one. Reports of crashes stay.
 
     Args:
         source: Standard error of mpirun, read to its end.
         target: Its new place.
-        received: Signals received so far; after one the end of a rank by a signal is no news.
+        received: Signals received so far; after one, ranks ended by a signal are not reported.
     """
     block: list[bytes] = []
     closing = False  # mpirun has begun to end the job; its banners leave blanks behind
@@ -288,5 +288,5 @@ def _write(target: IO[bytes], text: bytes) -> None:
 
 
 def tell(message: str) -> None:
-    """Say something on standard error, if anybody listens."""
+    """Print a message to standard error, unless it is closed."""
     _write(sys.stderr.buffer, f"mantle: {message}\n".encode())

@@ -1,7 +1,7 @@
-"""A folder for what MPI and compilers keep while a run goes on, which the next run clears away.
+"""Folder for temporary files of MPI and compilers, removed by the next run.
 
 Open MPI leaves the folder of its session behind, and where a rank is killed or aborts 16 MB of
-shared memory for each. In a folder that is locked as long as the run lives nothing is lost.
+shared memory for each. A folder is locked as long as its run lives, so that none is lost.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ def make() -> tuple[Path, int]:
     """Make the folder of this run, and remove those of runs that are over.
 
     Returns:
-        The folder, and a file descriptor that keeps it while it is open.
+        The folder, and a file descriptor that keeps it locked while open.
 
     Raises:
-        OSError: There is no place for it.
+        OSError: No folder can be made.
     """
     place = SHARED if os.access(SHARED, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
     for old in place.glob(f"{PREFIX}*"):
@@ -42,17 +42,12 @@ def make() -> tuple[Path, int]:
 
 
 def remove(folder: Path, held: int) -> None:
-    """Remove a folder that is locked here."""
+    """Remove a folder locked by this process."""
     shutil.rmtree(folder, ignore_errors=True)
     os.close(held)
 
 
 def _lock(folder: Path) -> int:
-    """Lock a folder.
-
-    Raises:
-        OSError: It is gone, or its run goes on.
-    """
     held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -12,13 +12,13 @@ from types import FrameType
 from app.errors import InputError
 from app.system import ranks
 
-# Part of the time that is left for saving, and the most of it that is [s].
+# Fraction of the time reserved for saving, and its limit [s].
 LEFT, MOST = 0.05, 60.0
 FORMS = "H:MM:SS, MM:SS or D-H:MM:SS"
 
 
 def seconds(text: str) -> float:
-    """A span of time as batch systems have it, ``[D-]H:MM:SS`` or ``MM:SS``, in seconds."""
+    """Seconds of a duration in the format of batch systems, ``[D-]H:MM:SS`` or ``MM:SS``."""
     found = re.fullmatch(r"(?:(?:(\d+)-)?(\d+):)?(\d+):(\d\d)", text.strip())
     if found is None or not (
         total := sum(
@@ -31,9 +31,9 @@ def seconds(text: str) -> float:
 
 
 def signals() -> Callable[[], str]:
-    """Note signals that ask the run to stop; they are looked at between Newton iterations.
+    """Record signals that ask the run to stop; the run checks them between Newton iterations.
 
-    A Ctrl-C after that, a second later or more, ends a rank that is alone at once.
+    A second Ctrl-C, a second later or more, ends a single rank at once.
 
     Returns:
         A function that returns the name of the signal received so far, or "".
@@ -66,9 +66,8 @@ def signals() -> Callable[[], str]:
 class WallTime:
     """Reason to stop a run while there is time to save its state.
 
-    It is asked between Newton iterations: one of them, or what is written between two steps, may
-    come before it is asked again, and takes as long as the longest so far. The run began at a time
-    of `time.perf_counter` and may take ``limit`` seconds.
+    It is asked between Newton iterations, and assumes that the time to the next call is the longest
+    so far. The run began at ``begin`` of `time.perf_counter` and may take ``limit`` seconds.
     """
 
     def __init__(self, begin: float, limit: float) -> None:
@@ -78,7 +77,7 @@ class WallTime:
         self._longest = 0.0
 
     def __call__(self) -> str:
-        """Why to stop now, or ""."""
+        """Reason to stop now, or ""."""
         now = clock.perf_counter()
         if self._last is not None:
             self._longest = max(self._longest, now - self._last)

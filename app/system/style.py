@@ -1,4 +1,4 @@
-"""The style that all pictures have: size, colours, markers, grid."""
+"""Style of all pictures: size, colours, markers, grid."""
 
 from __future__ import annotations
 
@@ -13,19 +13,15 @@ MARKERS = "osD^vP*X"
 
 
 def grid(axes: Any, axis: str = "both") -> None:
-    """A light grid behind what is drawn, along both axes or one."""
+    """Draw a light grid behind the data, along both axes or one."""
     axes.grid(True, which="major", axis=axis, color="0.9")
     axes.set_axisbelow(True)
 
 
 def panels(number: int, columns: int, width: float, height: float) -> tuple[Any, list[Any]]:
-    """A figure with room for a legend below, and panels beside and below each other.
+    """A figure of panels, at most ``columns`` side by side, with room for a legend below.
 
-    Args:
-        number: How many.
-        columns: How many stand beside each other, at most.
-        width: Of a panel [inch].
-        height: The same.
+    ``width`` and ``height`` are those of a panel [inch].
     """
     columns = min(columns, number)
     rows = math.ceil(number / columns)
@@ -37,7 +33,7 @@ def panels(number: int, columns: int, width: float, height: float) -> tuple[Any,
 
 
 def handles(every: Iterable[Any]) -> dict[str, Any]:
-    """The handles of what several panels have in common, by label."""
+    """Legend handles of several panels, by label."""
     found: dict[str, Any] = {}
     for axes in every:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -46,13 +42,13 @@ def handles(every: Iterable[Any]) -> dict[str, Any]:
 
 
 def curve(axes: Any, x: Sequence[Any], y: Sequence[Any], k: int, label: str) -> None:
-    """The k-th curve."""
+    """Draw the k-th curve."""
     colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
     axes.plot(x, y, color=colour, marker=marker, ms=5.5, lw=1.5, label=label, zorder=3)
 
 
 def crosses(axes: Any, x: Sequence[Any], k: int, height: float) -> None:
-    """Draw the failed points of the k-th curve at a part of the axes' height."""
+    """Draw the failed points of the k-th curve at a fraction of the axes' height."""
     axes.plot(
         x,
         [height] * len(x),

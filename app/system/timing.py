@@ -12,7 +12,7 @@ from pathlib import Path
 
 log = logging.getLogger("mantle")
 
-# What a run does in each phase, in words.
+# Description of each phase.
 DOING = {
     "mesh": "meshing",
     "assemble": "setting the equations up",
@@ -22,19 +22,19 @@ DOING = {
     "output": "computing and writing results",
     "error": "estimating errors",
 }
-# Phases that take long and come once; the others are told at the level of debugging.
+# Long phases that occur once; the others are logged at the level of debugging.
 ANNOUNCED = ("mesh", "assemble", "factorize", "error")
 
 
 @dataclass
 class Timing:
-    """Seconds by phase, of the wall's clock and of the CPU; a phase inside another counts alone.
+    """Wall and CPU seconds by phase; a phase inside another counts alone.
 
     Attributes:
-        part: What part of a run this is, in words, or nothing.
-        seconds: Of the wall's clock [s].
-        cpu: Of this process [s].
-        about: What is expected of a phase, or of what in particular, the first time [s].
+        part: Description of this part of a run, or "".
+        seconds: Wall time by phase [s].
+        cpu: CPU time of this process by phase [s].
+        about: Expected duration of a phase, or of its object, the first time [s].
     """
 
     part: str = ""
@@ -45,12 +45,7 @@ class Timing:
 
     @contextmanager
     def phase(self, name: str, of: str = "") -> Iterator[None]:
-        """Count the time of the block for a phase, and tell that it begins.
-
-        Args:
-            name: The phase, one of `DOING`.
-            of: What in particular, in words.
-        """
+        """Count the time of the block for a phase, one of `DOING`, and log its beginning."""
         words = f"{DOING[name]}: {of}" if of else DOING[name]
         if (expected := self.about.pop(of or name, 0.0)) > 1.0:
             words += f", about {expected:.0f} s"
@@ -71,19 +66,19 @@ class Timing:
                 self._open[-1] = (outer[0] + wall, outer[1] + cpu)
 
     def of(self, part: str) -> Timing:
-        """The same seconds, told as those of a part."""
+        """The same seconds, logged as those of a part."""
         return replace(self, part=part, about={})
 
     def clear(self) -> None:
-        """Begin again."""
+        """Reset all seconds."""
         self.seconds.clear()
         self.cpu.clear()
 
 
 def peak_memory() -> float:
-    """The most memory that this process has had so far [MB].
+    """Peak memory of this process [MB].
 
-    By the kernel's account of this program: that of `getrusage` counts what started it too.
+    From the kernel's account of this program: `getrusage` includes its parent before exec.
     """
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
     return int(re.findall(r"VmHWM:\s+(\d+) kB", status)[0]) * 1024 / 1e6
