@@ -21,12 +21,12 @@ from forms import elasticity, loads
 
 
 class Balance:
-    """Sums kept from step to step, relative to the largest of the history.
+    """Sums of force, moment and energy over the steps, relative to the largest so far.
 
     Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
-    forces. What sets has no energy to come back to: there the work of its stress in its strain,
-    trapezoidal too, takes the place of stored energy and of the work of free strain.
+    forces. Curing regions have no stored energy: the work of their stress in their strain, also
+    trapezoidal, takes the place of stored energy and of the work of free strain.
 
     Args:
         about: Point that moments are taken about (3,) [mm].
@@ -98,11 +98,10 @@ class Balance:
         self.force = self.moment = self.energy = 0.0
 
     def go_on(self, u: PETSc.Vec, trial: TrialState | None) -> None:
-        """Measure a restored state, whose displacements are spread; collective."""
+        """Measure a restored state with updated displacements; collective."""
         self._last = self._measure(u, trial)
 
     def _work_of(self, e: Elastic, strain: Expr) -> Any:
-        """Work of a region's stress in a free strain."""
         mechanics, problem = self._problem.mechanics, self._problem
         U = problem.displacements()[problem.bodies.of_region[e.region]]
         σ = elasticity.stress(
@@ -155,7 +154,7 @@ class Balance:
         return np.array(part.array)
 
     def update(self, u: PETSc.Vec, trial: TrialState | None) -> None:
-        """Take in a committed step, whose displacements have been spread; collective."""
+        """Add a committed step with updated displacements; collective."""
         old, new = self._last, self._measure(u, trial)
         self._last = new
         problem, comm = self._problem, self._problem.comm
@@ -195,10 +194,10 @@ class Balance:
         ]
         scale = float(sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.time)))
         if not scale:
-            # What only swells has reactions of rounding alone.
+            # Free strain alone leaves reactions of rounding.
             scale = float(comm.allreduce(np.abs(reaction).sum(), MPI.SUM))
             scale = max(scale, problem.load_size)
-        # What is let go has forces of rounding alone.
+        # After unloading only forces of rounding are left.
         scale = self._largest = max(self._largest, scale)
         self.force = _relative(float(np.linalg.norm(sums[0] + sums[1] - new["springs"])), scale)
         moment = sums[2] + sums[3] - new["spring_moments"]

@@ -1,7 +1,7 @@
 """Bonded interfaces: would the bond hold?
 
 A bond that cannot part carries whatever loads, shrinking and cooling ask of it. Its tractions, from
-the stress of the softer side, are compared with what cement on bone stands.
+the stress of the softer side, are compared with the strength of cement on bone.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Bond:
 
     Attributes:
         name: Its name.
-        facets: How many of its facets this rank owns.
+        facets: Number of its facets that this rank owns.
 
     Args:
         soft: Regions whose stress counts.
@@ -91,6 +91,6 @@ class Bond:
 
 
 def bonds(problem: Problem, stresses: Stresses) -> tuple[Bond, ...]:
-    """The bonded interfaces of a scene that its mesh has facets of; collective."""
+    """Bonded interfaces of a scene with facets in its mesh; collective."""
     found = [Bond(problem, stresses, b.name, b.slave, b.master) for b in problem.scene.bonds]
     return tuple(b for b in found if problem.comm.allreduce(b.facets, MPI.SUM) > 0)

@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mantle")
 
-# The status of what is solved but not to be used.
+# Status of solved cases whose numbers are not to be used.
 UNUSABLE = "do not use"
 BEYOND = "exceeds the size of its facets: beyond small displacements"
 
-# What errors are of, where coarser meshes could be compared.
+# Error sources, where coarser meshes could be compared.
 BOTH = "mesh and step"
 
-# As many peaks are told that do not converge.
+# Unsettled peaks that the log lists.
 MOST = 3
 
 PERCENTILE = re.compile(r"_p\d+$")
 
-# How well what is summed has to be balanced: forces to rounding, heat to its solver's tolerance.
+# Limits of the balances: forces to rounding, heat to its solver's tolerance.
 BALANCES: dict[str, float] = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
 
 
@@ -76,7 +76,7 @@ def heat_header() -> str:
 
 
 def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: float) -> str:
-    """One line for a step of the heat."""
+    """One line for a heat step."""
     hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
     outcome = accepted.outcome
     return (
@@ -112,7 +112,7 @@ def too_far(summary: Mapping[str, Any]) -> list[str]:
 
 
 def reasons_not_to_use(summary: Mapping[str, Any]) -> list[str]:
-    """Why the numbers of a solved case are not to be used; nothing if they are."""
+    """Reasons not to use the numbers of a solved case; empty if they are sound."""
     lost = [
         f"the balance of {name} is {summary['balance'][name]:.1e}, not below {BALANCES[name]:g}"
         for name in unbalanced(summary)
@@ -121,7 +121,7 @@ def reasons_not_to_use(summary: Mapping[str, Any]) -> list[str]:
 
 
 def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
-    """Refuse results that are not to be used, by run directory.
+    """Refuse unusable results, by run directory.
 
     Raises:
         UnusableError: With the reasons of each.
@@ -133,14 +133,14 @@ def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A line on one thing: ``good``, ``doubtful``, ``bad``, or nothing where it is neither."""
+    """A line on one aspect: ``good``, ``doubtful``, ``bad``, or empty where it is neither."""
 
     text: str
     tone: str = ""
 
 
 def report(summary: dict[str, Any], table: bool = True) -> None:
-    """Log the end of a run: how good it is, below all its numbers if these are wanted."""
+    """Log the end of a run: its verdict, below all its numbers if these are wanted."""
     if table:
         log.info("%s", closing_table(summary))
     for clause in (*verdict(summary), *peaks(summary)):
@@ -148,7 +148,7 @@ def report(summary: dict[str, Any], table: bool = True) -> None:
 
 
 def verdict(summary: dict[str, Any]) -> list[Verdict]:
-    """How far the numbers can be trusted, a line for each reason."""
+    """Reliability of the numbers, a line for each reason."""
     solver, t, m = summary["solver"], summary["timing"], summary.get("memory")
     took = f", {m['peak']:.0f} MB ({m['per_unknown']:.1f} kB per unknown)" if m else ""
     solved = (
@@ -173,7 +173,7 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:
-    """How far bodies are inside each other."""
+    """Penetration of the bodies, at contact points and between them."""
 
     def length(key: str) -> str:
         q = TABLE["interfaces"][key]
@@ -189,7 +189,7 @@ def _contact(interfaces: Mapping[str, Any]) -> Verdict:
 
 
 def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
-    """Error of mesh and step, as far as it is estimated."""
+    """Estimated error of mesh and step."""
     estimated = summary.get("error", {})
     if not estimated.get("companions"):
         return Verdict(f"{BOTH}: error not estimated (--error does)")
@@ -210,7 +210,7 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
 
 
 def peaks(summary: Mapping[str, Any]) -> list[Verdict]:
-    """Peaks that change most with the mesh, with their values on every mesh that was solved."""
+    """Peaks that change most with the mesh, with their values on every mesh solved."""
     lines = []
     for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
         if q := quantities.get(name):

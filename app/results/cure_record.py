@@ -1,4 +1,4 @@
-"""How far and how fast regions set: section cure of the summary."""
+"""Extent and rate of cure: section cure of the summary."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEVELS = (0.5, 0.9)
 
 @dataclass
 class _CuringRegion:
-    """Cure recorded at the nodes of one region: (n,), and times that levels were reached (n, k)."""
+    """Cure recorded at the nodes of one region (n,), and times of reaching the levels (n, k)."""
 
     degree: Floats
     rate: Floats
@@ -32,7 +32,7 @@ class CureRecord:
     over degree, from degrees and rates at both ends of the step.
 
     Args:
-        degrees: Degree of cure of this rank's own nodes of each region that sets (n,).
+        degrees: Degree of cure at this rank's own nodes of each curing region (n,).
         keys: Keys of these nodes (n,).
     """
 
@@ -60,7 +60,7 @@ class CureRecord:
     def update(
         self, seconds: float, degrees: Mapping[str, Floats], rates: Mapping[str, Floats]
     ) -> None:
-        """Take in an accepted step.
+        """Record an accepted step.
 
         Args:
             seconds: Time at its end [s].
@@ -81,7 +81,7 @@ class CureRecord:
         self._seconds = seconds
 
     def row(self) -> dict[str, float]:
-        """Columns of history.csv for the state last taken in; collective."""
+        """Columns of history.csv for the last recorded state; collective."""
         result: dict[str, float] = {}
         for name, r in self._regions.items():
             low, high = self._range(r)
@@ -111,7 +111,7 @@ class CureRecord:
 
 
 def _crossing(level: float, start: Floats, end: Floats, before: Floats, after: Floats) -> Floats:
-    """Part of a step after which a degree is reached (n,), a cubic in the degree.
+    """Fraction of a step after which a degree is reached (n,), a cubic in the degree.
 
     Args:
         level: The degree, between start and end.

@@ -1,23 +1,23 @@
-r"""How wrong the numbers of a run are, from coarser companions of it.
+"""Errors of the numbers of a run, estimated from coarser companions.
 
 A number X on a mesh of size h is taken as :math:`X_h = X + C h^p`. A companion on the mesh of size
-2 h gives what is missing,
+2 h gives the error,
 
 .. math:: |X_h - X| = |X_h - X_{2h}| / (2^p - 1).
 
 The order p is not fitted: fitted to three meshes, or bounded by what three show, it was right for
-fewer numbers than those in `case.quantities`, which were the best on a femur of five sizes and on
-the cases ``configs/studies/errors_*``. They are lower than theory has them, as contact begins and
-ends inside cells and stress is large where a stem bends most. A second companion of 3 h or 4 h
-beside it was no better. Two meshes may also agree by chance: what is less than half of the median
-of its interface or region, relative to the number, is raised to that. Estimated over true error is
-within 0.5 and 3 for six numbers in ten; most of the others are closer to the truth, by chance, than
-any estimate can know.
+fewer numbers than the orders in `case.quantities`, which were the best on a femur of five sizes and
+on the cases ``configs/studies/errors_*``. They are below the orders of theory, as contact begins
+and ends inside cells and stress is large where a stem bends most. A second companion of 3 h or 4 h
+was no better. Two meshes may also agree by chance: an error below half of the median of its
+interface or region, relative to the number, is raised to that. Estimated over true error is within
+0.5 and 3 for six numbers in ten; most of the others are closer to the truth, by chance, than any
+estimate can know.
 
 Where friction makes the path matter, the error of n load steps is taken as C / n (the incremental
 minimisation is an implicit Euler method). The companion takes half the steps, which is cheaper; two
 on a mesh of 3 h take half of them and all (or one and two where the run takes one), and the
-difference gives C. Where time passes, half the steps means a tolerance with which the error of the
+difference gives C. In transient stages half the steps means a tolerance with which the error of the
 time steps is twice as large.
 """
 
@@ -32,14 +32,14 @@ import numpy as np
 from app.case.case import Case
 from app.case.quantities import MOTION, STRESS, TABLE, Quantity, numbers_of
 
-# Mesh sizes over that of the run: of the companion that shows the error of the mesh, and of those
-# that show the error of the step.
+# Mesh sizes over that of the run, of the companion for the error of the mesh and of those for the
+# error of the step.
 COARSER = (2.0, 3.0)
-# The power of the error of all time steps with which the tolerance of one of them goes.
+# Power of the error of all time steps with which the tolerance of one step scales.
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
-# A peak that still changes by more than this part of itself from the next mesh to that of the run.
+# A peak is unsettled if it changes by more than this part from the next mesh to that of the run.
 UNSETTLED = 0.1
-# A mesh that is not coarser than this tells nothing.
+# A mesh must be coarser than this to be compared.
 LEAST = 1.25
 # Sections in which two meshes may agree by chance: an error is at least this part of the median of
 # its interface, region or stem, where there are not too few.
@@ -55,9 +55,9 @@ class Companion:
     """A cheaper relative of a run.
 
     Attributes:
-        case: What is solved.
+        case: Its case.
         coarsening: Its mesh size over that of the run.
-        steps: Its increments over those of the run, and the error of its time steps the other way.
+        steps: Its increments over those of the run; the inverse for the error of its time steps.
     """
 
     case: Case
@@ -161,7 +161,7 @@ def estimate(
             values = _on_meshes(k, numbers, case, others)
             value, coarser = values[0][1], values[:2][-1][1]
             like = "motion" if k in ALIKE else k
-            # What is next to nothing beside its like on other interfaces is no peak.
+            # A peak that is negligible beside its like on other interfaces does not count.
             size = max(abs(value), UNSETTLED * max(v for of, v in peaks if of == like))
             if (change := abs(value - coarser)) > UNSETTLED * size:
                 unsettled[f"{name}.{k}"] = values
@@ -174,7 +174,7 @@ def estimate(
 def _on_meshes(
     key: str, run: Numbers, case: Case, others: Sequence[tuple[Companion, Numbers]]
 ) -> list[list[float]]:
-    """Size and value on each mesh, the finest first; of two on one that with the run's steps."""
+    """Size and value on each mesh, finest first; of two on one mesh that with the run's steps."""
     found = {case.mesh.size: run[key]}
     for c, o in sorted(others, key=lambda other: -abs(other[0].steps - 1)):
         if c.coarsening > LEAST and o.get(key) is not None:
@@ -210,14 +210,14 @@ def _raise_small(numbers: Numbers, known: Sequence[Quantity]) -> None:
 def _error(
     key: str, p: float, run: Numbers, others: Sequence[tuple[Companion, Mapping[str, Any]]]
 ) -> Any:
-    """Error of one number or vector; None if nothing is known of it."""
+    """Error of one number or vector; None if it is unknown."""
     value = np.asarray(run[key])
     known = [
         (c.coarsening, c.steps, np.asarray(o[key])) for c, o in others if o.get(key) is not None
     ]
     if not known:
         return None
-    # Two on the same mesh tell what the number of steps does: C / n.
+    # Two on the same mesh show the error of the number of steps: C / n.
     mesh, steps, last = known[-1]
     pairs = [(s, o) for c, s, o in [(1.0, 1.0, value), *known[:-1]] if c == mesh and s != steps]
     path = sum((o - last) / (1 / s - 1 / steps) for s, o in pairs)

@@ -1,8 +1,8 @@
 """The fields of a run on one grid, where bodies that can part have nodes of their own.
 
-A node of the mesh is there once for every body that meets there, so that gaps and jumps of the
-temperature can be seen. Bodies of the mechanics are not those of the heat: a bonded interface may
-resist heat and an open one may conduct; the grid tells both apart.
+A node of the mesh appears once for every body that meets there, so that gaps and temperature jumps
+are visible. Bodies of the mechanics are not those of the heat: a bonded interface may resist heat
+and an open one may conduct; the grid separates both.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from meshes.distribute import TaggedMesh
 
 @dataclass(frozen=True)
 class OutputNodes:
-    """Nodes of the grid that this rank writes, as one part sees them.
+    """Nodes of the grid that this rank writes, as one physics sees them.
 
     Attributes:
         body: Body of each node (n,).
         dof: Its row in the space the grid was made from (n,).
         cell: A cell that has it (n,).
-        ends: Vertices of that cell that it is, twice, or is in the middle of (n, 2).
+        ends: Vertices of that cell: the node's own, twice, or those of its edge (n, 2).
     """
 
     body: Ints
@@ -48,7 +48,7 @@ class OutputNodes:
 
 
 class FieldGroup(Protocol):
-    """One physics of a run: what it has to write."""
+    """The output of one physics of a run."""
 
     bodies: Bodies
     space: fem.FunctionSpace
@@ -85,7 +85,7 @@ class Fields:
         pairs, first, cells = np.unique(node, return_index=True, return_inverse=True)
         group, dof = np.divmod(pairs, stride)
         cell, local = np.divmod(first, dofs.shape[1])
-        # What the points and cells of the file are, in the order of the ranks.
+        # Keys of the points of the file, in the order of the ranks.
         of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
         for k, part in enumerate(groups):
             of_points = of_points * len(part.bodies.names) + bodies[group, k]
@@ -109,7 +109,7 @@ class Fields:
 
     @staticmethod
     def _vertices(tagged: TaggedMesh, cell: Ints, local: Ints) -> Ints:
-        """Between which vertices of the mesh file nodes of cells are (n,)."""
+        """Keys of the nodes of cells (n,), from the vertices of the mesh file around them."""
         geometry = tagged.mesh.geometry
         corners = geometry.input_global_indices[geometry.dofmap[:, :4]][cell]
         ends = np.take_along_axis(corners, ENDS[local], axis=1)
@@ -117,7 +117,7 @@ class Fields:
 
     @property
     def row_keys(self) -> dict[str, list[Ints]]:
-        """Places of points and cells in the file, on rank 0."""
+        """Keys of points and cells in the order of the file, on rank 0."""
         return {"_order": [np.arange(len(keys)) for keys in self._order]}
 
     def _own_order(self) -> list[Ints]:
@@ -134,7 +134,7 @@ class Fields:
         self._order, self.steps = self._own_order(), 0
 
     def go_on(self) -> bool:
-        """Go on after the restored number of steps of the file, if it is there; collective."""
+        """Continue the file after the restored number of steps, if it is there; collective."""
         order: list[Ints] = []
         if self._comm.rank == 0:
             for wanted, keys in zip(self._order, self._keys, strict=True):
@@ -149,7 +149,7 @@ class Fields:
         return True
 
     def close(self) -> None:
-        """Write the last step to a file of its own, for readers that know no time; on rank 0.
+        """Write the last step to a file of its own, for readers without time; on rank 0.
 
         Raises:
             OSError: It cannot be written.
@@ -168,15 +168,15 @@ class Fields:
 
 
 def _owners(comm: MPI.Comm, keys: Ints) -> tuple[NDArray[np.bool_], Ints]:
-    """Whose the points of several ranks are: the first one's that has them; collective.
+    """Assign the points of several ranks to the first rank that has them; collective.
 
     Args:
         comm: The ranks.
-        keys: What the points of this rank are (n,), none twice.
+        keys: Keys of the points of this rank (n,), without duplicates.
 
     Returns:
-        Which are this rank's own (n,), and the number of each among those of all ranks, counted in
-        the order of the ranks (n,).
+        Which are this rank's own (n,), and the global number of each, counted in the order of the
+        ranks (n,).
     """
     parts = comm.allgather(keys)
     _, first, copies = np.unique(np.concatenate(parts), return_index=True, return_inverse=True)
@@ -189,12 +189,12 @@ def _owners(comm: MPI.Comm, keys: Ints) -> tuple[NDArray[np.bool_], Ints]:
 
 
 def none(n: int = 0) -> Ints:
-    """Keys of which nothing is known."""
+    """Keys without content."""
     return np.zeros(n, dtype=np.int64)
 
 
 class HeatFields:
-    """Temperature, heat doses, cure, and what passes interfaces of finite conductance."""
+    """Temperature, heat doses, cure, and heat through interfaces of finite conductance."""
 
     def __init__(self, heating: HeatState, record: ThermalRecord, interfaces: Interfaces) -> None:
         self._heating, self._record, self._interfaces = heating, record, interfaces
@@ -207,9 +207,9 @@ class HeatFields:
         """By node.
 
         Temperature [degC]; in bone seconds at or above 47 degC, CEM43 [min] and Henriques-Moritz;
-        where anything sets its degree of cure; by interface of finite conductance the jump of the
-        temperature (second side minus first) [K] and the heat flux from first to second side
-        [W/m2], zero away from it.
+        degree of cure in curing regions; by interface of finite conductance the temperature jump
+        (second side minus first) [K] and the heat flux from first to second side [W/m2], zero away
+        from it.
         """
         x = self._heating.vectors()
         temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]

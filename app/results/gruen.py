@@ -1,4 +1,4 @@
-"""Strain energy of the bone and what interfaces do, by Gruen zone."""
+"""Strain energy of the bone and numbers of the interfaces, by Gruen zone."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
 
 Zone = dict[str, Any]
 
-# Of a zone's bone, what has less than this part has no numbers of its own: it is what the mesh
-# leaves of cancellous bone between cement and cortex.
+# A region with less than this part of a zone's bone has no numbers there: it is cancellous bone
+# that the mesh leaves between cement and cortex.
 LEAST = 0.01
 
 
 def summary(
     problem: Problem, stresses: Stresses, samples: ContactSamples | None, zones: Zones
 ) -> dict[str, Zone]:
-    """The numbers of each zone, by its own; collective.
+    """Numbers by zone; collective.
 
     Returns:
-        For each: ``strain_energy_density`` [MPa], the mean over the ``volume`` [mm3] of the bone
-        that is in it and that the operation leaves, and ``interfaces``: what those that are in it
-        do. What a zone has nothing of has no entry.
+        For each: ``strain_energy_density`` [MPa], the mean over the ``volume`` [mm3] of the zone's
+        bone that the operation leaves, and ``interfaces``: numbers of the interfaces within it.
+        Parts that a zone lacks have no entry.
     """
-    # A region that does not deform has no strain energy; of one that sets it is not known.
+    # A rigid region has no strain energy; that of a curing one is not known.
     elastic = {e.region for e in problem.scene.elastic} - set(problem.mechanics.growth)
     regions = [r for r in zones.regions if r in elastic]
     sums = {r: _energy_and_volume(problem, stresses, r, zones) for r in regions}
@@ -58,9 +58,9 @@ def summary(
 def _energy_and_volume(
     problem: Problem, stresses: Stresses, region: str, zones: Zones
 ) -> tuple[Floats, Floats]:
-    """Strain energy [N mm] and volume [mm3] of a region by zone, zone 0 for what is in none.
+    """Strain energy [N mm] and volume [mm3] of a region by zone, zone 0 outside of all.
 
-    By the points at which its stress is known: cells may be larger than what parts two zones.
+    By the points at which its stress is known: cells may span several zones.
     """
     x, volume = stresses.places(region)
     dx = volume.ravel()

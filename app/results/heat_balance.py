@@ -1,13 +1,13 @@
-r"""Heat that came in, is stored and left, with the sums of the integrator and beside them.
+r"""Balance of heat: inflow, storage and outflow, by the integrator's and by trapezoidal sums.
 
-The integrator's own sum of a step of length Δt with weights :math:`b_i` is exact for what it
-solved, to the tolerance of its equations,
+The integrator's own sum of a step of length Δt with weights :math:`b_i` is exact for its discrete
+solution, to the tolerance of its equations,
 
 .. math:: E(t) - E(0) = \sum_{steps} Δt \sum_i b_i \sum_c Q_c(t_i),
 
 with E the stored heat and :math:`Q_c` the flow into the model by condition c. The second sum takes
-the flows at the ends of the steps by the trapezoidal rule: it knows nothing of the stages, and what
-is missing in it is the error of that rule.
+the flows at the ends of the steps by the trapezoidal rule: it does not use the stages, and its
+defect is the error of that rule.
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ Flows = Mapping[str, float]
 
 
 class HeatBalance:
-    """Sums kept from step to step.
+    """Sums of heat over the steps.
 
     Attributes:
-        heat: The most that was missing in the integrator's sum after any step, over the heat that
-            had moved.
-        quadrature: What is missing in the trapezoidal sum.
+        heat: Largest defect of the integrator's sum after any step, over the heat that had moved.
+        quadrature: Defect of the trapezoidal sum.
         heats: Heat that came in by each condition so far, by the integrator's sum [N mm].
 
     Args:
@@ -54,16 +53,16 @@ class HeatBalance:
         moved: float,
         least: float = 0.0,
     ) -> None:
-        """Take in an accepted step.
+        """Add an accepted step.
 
         Args:
             step: Its length [s].
             heats: Heat that came in by each condition, as the integrator sums its stages [N mm].
             end: Flows at the end [N mm/s].
             stored: Heat stored then [N mm].
-            moved: Heat that moved within the model in the step [N mm], of which balances are parts
+            moved: Heat that moved within the model in the step [N mm], the scale of the balances
                 (`ThermalRecord.moved`).
-            least: Heat that has to have moved so far, or rounding would be compared with rounding.
+            least: Heat moved so far below which only rounding would be compared [N mm].
         """
         for name, heat in heats.items():
             self.heats[name] = self.heats.get(name, 0.0) + heat
@@ -77,16 +76,16 @@ class HeatBalance:
             self._compare(stored)
 
     def event(self, flows: Flows) -> None:
-        """Flows just after a moment at which they jump, such as the end of a course [N mm/s]."""
+        """Replace the flows where they jump, as at the end of a course [N mm/s]."""
         self._last = dict(flows)
 
     def steady(self, flows: Flows, stored: float, rounding: float) -> None:
-        """Take in a steady state: what comes in leaves, and how much is stored says nothing.
+        """Add a steady state, where inflow equals outflow and storage does not count.
 
         Args:
             flows: Flows into the model, by condition [N mm/s].
             stored: Heat stored [N mm].
-            rounding: What rounding leaves of flows that cancel [N mm/s]; less than that is none.
+            rounding: Rounding error of flows that cancel; smaller defects count as zero [N mm/s].
         """
         through = sum(abs(f) for f in flows.values())
         if through > rounding:

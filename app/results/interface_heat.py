@@ -1,4 +1,4 @@
-"""Heat that passes interfaces of finite conductance, the entropy it makes, and their extremes."""
+"""Heat through interfaces of finite conductance, its entropy production, and their extremes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class HeatPassed:
 
     Attributes:
         names: Names of the interfaces.
-        interface: Which of them each point belongs to.
+        interface: Index into `names` of each point.
         flux: Heat from master to slave per area [N/(mm s)].
         entropy: Entropy production per area [N/(mm s K)].
     """
@@ -51,7 +51,7 @@ def exchange(
         temperatures: Of the bodies [K].
         τ: Jumps at own points (n,) [K].
         friction: Friction heat per area there (n,) [N/(mm s)].
-        share: The part of it that goes into the slave (n,).
+        share: Fraction of it that enters the slave (n,).
     """
     table = np.stack([t.x.array[jumps.dof] for t in temperatures])
     master, slave = (table[jumps.bodies[:, k], np.arange(len(jumps.dof))] for k in (0, 1))
@@ -62,7 +62,7 @@ def exchange(
 
 @dataclass
 class InterfaceExtremes:
-    """Largest jump and flux, entropy production of one interface, of all ranks."""
+    """Largest jump and flux, and entropy production of one interface, over all ranks."""
 
     jump: float = 0.0
     flux: float = 0.0
@@ -70,7 +70,7 @@ class InterfaceExtremes:
     entropy_max: float = -np.inf
 
     def take(self, comm: MPI.Comm, flux: Floats, entropy: Floats) -> None:
-        """Take in what passes own points (n,) [N/(mm s)], [N/(mm s K)]; collective."""
+        """Update from own points: flux (n,) [N/(mm s)], entropy [N/(mm s K)]; collective."""
         highest = np.array([np.abs(flux).max(initial=0.0), -entropy.min(initial=np.inf)])
         highest = np.append(highest, entropy.max(initial=-np.inf))
         comm.Allreduce(MPI.IN_PLACE, highest, MPI.MAX)
@@ -82,7 +82,7 @@ class InterfaceExtremes:
     def summary(self) -> dict[str, float]:
         """Their numbers in the summary."""
         result = {"temperature_jump_max": self.jump}
-        # Where both sides have one temperature nothing of the rest is known.
+        # Where both sides share one temperature the rest is unknown.
         if self.entropy_min < np.inf:
             result["heat_flux_max"] = W_PER_M2 * self.flux
             result["entropy_production_min"] = W_PER_M2 * self.entropy_min

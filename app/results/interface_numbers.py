@@ -1,4 +1,4 @@
-"""The numbers that people publish of interfaces.
+"""Published numbers of interfaces.
 
 All functions are collective and return the same plain values on every rank. Percentiles are
 weighted by area or volume; maxima are reported beside them because peaks at edges grow with
@@ -25,7 +25,7 @@ MICROMOTION = 0.030  # mm: where biology reacts
 def _pressure(pressures: Floats, normals: Floats) -> Floats:
     """Normal force per area (n,) [MPa], from those of the faces of each point (n, 3).
 
-    Negative is tension, which laws that cannot open may have.
+    Negative is tension, possible for laws that cannot open.
     """
     size = np.linalg.norm(np.einsum("pk,pki->pi", pressures, normals), axis=1)
     return np.where(pressures.sum(axis=1) < 0, -size, size)

@@ -1,6 +1,6 @@
-"""How much of a region is hot or dead and how deep: where a level, linear in cells, is positive.
+"""Hot or dead volume of a region and its depth: where a level, linear in cells, is positive.
 
-Counting nodes would move in steps of the mesh, of which there are few across what dies.
+Counting nodes would move in steps of the mesh, which has few cells across the dead zone.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class RegionCells:
         self._spread = fem.Function(forms.space)
 
     def _at_corners(self, dof: Ints, values: Floats, away: float) -> Floats:
-        """Values of own nodes at the corners of the cells (m, 4); collective."""
+        """Values of own nodes at the corners of cells (m, 4), ``away`` elsewhere; collective."""
         self._spread.x.array[:] = away
         self._spread.x.array[dof] = values
         self._spread.x.scatter_forward()
@@ -56,7 +56,7 @@ class RegionCells:
         return float(self._comm.allreduce(float(self._volume @ share), MPI.SUM))
 
     def depth(self, dof: Ints, level: Floats, surface: Floats) -> float:
-        """How far below a surface a level is not negative [mm]; collective.
+        """Depth below a surface to which a level is not negative [mm]; collective.
 
         Args:
             dof: Own nodes of the region (n,).
@@ -82,7 +82,7 @@ class RegionCells:
 
 
 def positive_share(f: Floats) -> Floats:
-    """Part of each tetrahedron where a linear function is not negative (m,).
+    """Fraction of each tetrahedron where a linear function is not negative (m,).
 
     Args:
         f: Its values at the corners (m, 4).
@@ -92,7 +92,7 @@ def positive_share(f: Floats) -> Floats:
     count = (f >= 0).sum(axis=1)
 
     def cut(high: Floats, low: Floats, here: NDArray[np.bool_]) -> Floats:
-        """Where an edge crosses zero, from its higher end."""
+        """Position along an edge at which it crosses zero, from its higher end."""
         return np.divide(high, high - low, out=np.zeros_like(high), where=here & (high > low))
 
     share = np.where(count == 4, 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""Fields of the mechanics: displacement, stress, and what contact points do."""
+"""Fields of the mechanics: displacement, stress, and contact quantities."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from forms.contact import OPEN
 
 
 class MechanicalFields:
-    """Displacement, stress, and what contact points do."""
+    """Displacement, stress, and contact quantities."""
 
     def __init__(self, problem: Problem, stresses: Stresses) -> None:
         self._problem, self._stresses = problem, stresses
@@ -72,7 +72,7 @@ class MechanicalFields:
         return found
 
     def _contact_rows(self, nodes: OutputNodes) -> dict[int, Ints]:
-        """For each interface, the contact points (n, 2) that nodes of the grid are or lie between.
+        """For each interface, the contact points (n, 2) at or around the nodes of the grid.
 
         The point twice at a corner, the ends of an edge of the interface at its middle, -1
         elsewhere.
@@ -100,7 +100,7 @@ class MechanicalFields:
         return rows
 
 
-# Of a symmetric tensor in the order in which VTK names them: XX, YY, ZZ, XY, YZ, XZ.
+# Components of a symmetric tensor in VTK's order: XX, YY, ZZ, XY, YZ, XZ.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 
 
@@ -109,7 +109,7 @@ def _components(σ: Floats) -> Floats:
 
 
 def _named(σ: Floats) -> dict[str, Floats]:
-    """Stress by components (n, 6), its von Mises and principal stresses [MPa]."""
+    """Components of stress (n, 6), von Mises and principal stresses [MPa], by name."""
     full = np.empty((len(σ), 3, 3))
     for k, (i, j) in enumerate(COMPONENTS):
         full[:, i, j] = full[:, j, i] = σ[:, k]
@@ -134,8 +134,8 @@ def _on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
 def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
     """Fields of an interface at the grid's nodes: zero away from it, status -1.
 
-    They are linear along edges. In the middle of one the status is the more mobile of its ends, an
-    open one the most, else the higher number.
+    They are linear along edges. In the middle of one the status is the more mobile of its ends:
+    open before all, else the higher number.
     """
     on = rows[:, 0] >= 0
 

@@ -1,10 +1,10 @@
-r"""Heat doses of bone from its temperature in time, and which of them kill it.
+"""Heat doses of bone from its temperature in time, and necrosis by several criteria.
 
 The criteria are reported side by side because they disagree: between 47 and 50 degC
-Henriques-Moritz, which is of skin, allows a hundred times longer than the bone rule.
+Henriques-Moritz, measured on skin, allows a hundred times longer than the bone rule.
 
-Within a step the temperature is linear in time, and the doses of that line are exact (better than
-1e-12 of themselves) however long the step is.
+Within a step the temperature is linear in time, and the doses of that line are exact (to a relative
+1e-12) for steps of any length.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ LEVELS = (47.0, 50.0, 56.0)  # degC
 # Bone dies after a minute at 47 degC (Eriksson & Albrektsson 1983, J Prosthet Dent 50). The minute
 # may be made of parts: exposure is cumulative, bone does not recover in between.
 MINUTE = 60.0
-# Sapareto & Dewey 1984, doi:10.1016/0360-3016(84)90379-1: minutes at 43 degC that do the same; one
-# degree more is half the time above 43 degC, a quarter below, and nothing counts below 39 degC.
+# Sapareto & Dewey 1984, doi:10.1016/0360-3016(84)90379-1: equivalent minutes at 43 degC; one degree
+# more is half the time above 43 degC, a quarter below, and nothing counts below 39 degC.
 CEM43_THRESHOLDS = (16, 60, 240)
 COUNTS_FROM = 39.0  # degC
 _PIECES = ((COUNTS_FROM, 43.0, np.log(4.0)), (43.0, np.inf, np.log(2.0)))
 # Henriques 1947, Moritz & Henriques 1947: rate of the damage integral, which is irreversible at 1.
 FREQUENCY = 3.1e98  # 1/s
 ACTIVATION = 6.28e5 / 8.314462618  # K
-# Below this change [K] the difference of antiderivatives loses digits and three points do not.
+# Below this change [K] the difference of antiderivatives loses digits; three points do not.
 _SHORT = 0.1
-# Doses below this part of what kills are as good as none.
+# Doses below this part of a lethal one count as none.
 _LEAST = 1e-4
 _GAUSS = np.polynomial.legendre.leggauss(3)
 
 
 def seconds_over(start: Floats, end: Floats, seconds: float, level: float) -> Floats:
-    """How long a temperature that goes linearly from start to end is at or above a level [s].
+    """Time during which a linear temperature is at or above a level [s].
 
     Args:
         start: Temperatures at the start of the step (n,) [K].
@@ -115,7 +115,7 @@ class Exposure:
         return Exposure(np.zeros((n, len(LEVELS))), np.zeros(n), np.zeros(n))
 
     def add(self, start: Floats, end: Floats, seconds: float) -> None:
-        """Count a step in which the temperature goes linearly from start to end (n,) [K]."""
+        """Add a step in which the temperature goes linearly from start to end (n,) [K]."""
         for k, level in enumerate(LEVELS):
             self.over[:, k] += seconds_over(start, end, seconds, level)
         self.cem43[:] += cem43(start, end, seconds)
@@ -134,8 +134,8 @@ class Exposure:
     def levels(self) -> dict[str, Floats]:
         """Level of each criterion (n,), by name; not negative where nodes are dead.
 
-        It goes with time where time is what counts, and with temperature where that does:
-        equivalent minutes and damage are exponentials of it.
+        It is linear in time for criteria in time, and in temperature where equivalent minutes and
+        damage are exponentials of it.
         """
         minutes = {
             f"cem43_{m}": np.log(np.maximum(self.cem43 / m, _LEAST)) for m in CEM43_THRESHOLDS

@@ -1,4 +1,4 @@
-"""How far bodies overlap between the contact points, where the law does not look.
+"""Overlap of bodies between the contact points, where the law does not act.
 
 The law holds at the points, along the mean normals of the facets around them. Between them the
 surfaces move apart by the displacements of both bodies, along the normals of the facets themselves.
@@ -12,7 +12,7 @@ from app.arrays import Floats, Ints
 from app.mechanics.contact import ContactInterfaces
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 
-# Where a facet is looked at: corners, middles of edges, and between them (barycentric).
+# Sampled points of a facet: corners, middles of edges, and between them (barycentric).
 LATTICE = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) / 4
 
 
@@ -40,11 +40,11 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
 def gaps(
     facets: InterfaceFacets, rows: Ints, motion: Floats, clearance: Floats
 ) -> tuple[Floats, Floats]:
-    """Gap along the normals of facets at `LATTICE` (f, q) [mm], and the area that it stands for.
+    """Gap along the normals of facets at `LATTICE` (f, q) [mm], and the area of each.
 
     Args:
         facets: All facets.
-        rows: Which of them (f,).
+        rows: Facets to evaluate (f,).
         motion: Displacement of their slave side against the master at their nodes (f, m, 3) [mm].
         clearance: Initial gap at their corners (f, 3) [mm].
     """
@@ -78,7 +78,7 @@ def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
 
 
 def _clearance(contact: ContactInterfaces) -> Floats:
-    """Initial gap at all contact points (n,) [mm]; 0 where supports hold every component."""
+    """Initial gap at all contact points (n,) [mm]; 0 where supports constrain every component."""
     here = np.zeros(len(contact.points.weight))
     here[contact.own.rows] = np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0])
     return contact.comm.allreduce(here)

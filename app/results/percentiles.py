@@ -7,7 +7,7 @@ import numpy as np
 from app.arrays import Floats
 
 PERCENTILE = 0.99
-# Bisections of a level: to the last digits.
+# Bisections of a level, to the last digits.
 HALVINGS = 50
 
 
@@ -39,7 +39,7 @@ class SurfaceField:
         return float(self._area @ self._corners.mean(axis=1) / whole) if whole > 0 else 0.0
 
     def area_above(self, level: float) -> float:
-        """Area where it exceeds a level [mm2]."""
+        """Area where the field exceeds a level [mm2]."""
         low, middle, high = self._sorted.T
         spread = np.where(high > low, high - low, 1.0)
         top = (high - level) ** 2 / (spread * np.where(high > middle, high - middle, 1.0))
@@ -49,7 +49,7 @@ class SurfaceField:
         return float(self._area @ share)
 
     def percentile(self, fraction: float = PERCENTILE) -> float:
-        """Smallest level that it does not exceed on this part of the area; 0 without triangles."""
+        """Smallest level not exceeded on this fraction of the area; 0 without triangles."""
         if not len(self._area):
             return 0.0
         low, high = float(self._corners.min()), float(self._corners.max())

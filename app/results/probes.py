@@ -34,7 +34,7 @@ class DisplacementProbes:
                 self._mine.append((k, problem.bodies.of_region[region], dofs, shape))
 
     def values(self) -> dict[str, list[float]]:
-        """Displacement (3,) at each point [mm], as last spread; collective."""
+        """Displacement (3,) at each point [mm], as last updated; collective."""
         local = np.zeros((len(self._names), 3))
         moved = self._problem.displacements()
         for k, body, dofs, shape in self._mine:

@@ -1,6 +1,6 @@
 """A run directory read back: summary, history, fields at every written step.
 
-Needs neither MPI nor dolfinx's meshes, so that what looks at many runs does not solve anything.
+Needs neither MPI nor dolfinx's meshes, so that tools over many runs load no solver.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Results:
 
     @cached_property
     def history(self) -> dict[str, Floats]:
-        """The columns of history.csv, by their titles (units and all); nan where there is none."""
+        """Columns of history.csv, by their titles with units; nan where there is no value."""
         with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
         return {key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]}
@@ -146,7 +146,7 @@ class Run(Results):
         return self.on_points("temperature", step)
 
     def nodes_of(self, region: int) -> Ints:
-        """The nodes of a region, which may have some in common with others."""
+        """Nodes of a region, some of which other regions may share."""
         return np.unique(self.cells[self.region == region])
 
     def volumes(self) -> Floats:
@@ -170,13 +170,13 @@ class Run(Results):
         return self.on_points(f"{name}_{quantity}", step)
 
     def on_interface(self, name: str) -> NDArray[np.bool_]:
-        """The nodes that are contact points of an interface (n,), those of both sides."""
+        """Nodes that are contact points of an interface (n,), on both sides."""
         corners = np.zeros(len(self.points), dtype=bool)
         corners[self.cells[:, :4]] = True
         return corners & (self.at_interface(name, "status", 0) >= 0)
 
     def areas(self, name: str) -> Floats:
-        """Area of an interface that belongs to each node (n,), half of it on each side [mm2].
+        """Area of an interface by node (n,), half of it on each side [mm2].
 
         A third of every facet whose corners are contact points of both bodies it lies between.
         """
@@ -236,7 +236,7 @@ class Run(Results):
             return np.asarray(field[k * rows : (k + 1) * rows])
 
     def _last_of(self, stage: str) -> int:
-        """The last written step of a stage.
+        """Last written step of a stage.
 
         Raises:
             InputError: There is none.

@@ -1,9 +1,9 @@
 """Temperatures of one region over time: its peaks, its heat doses, and their numbers.
 
 Peaks are those of the nodes; between steps the peak in time is that of a parabola, where the steps
-before and after leave room for it. Heat doses follow the parabola through the step and the one
-before it in straight pieces, bent no further than leaves it between the ends of the step; after a
-kink in what heats, the parabola that ends with the right slope.
+before and after allow one. Heat doses follow the parabola through the step and the one before it in
+straight pieces, bent no further than leaves it between the ends of the step; after a kink in the
+heat source, the parabola that ends with the right slope.
 """
 
 from __future__ import annotations
@@ -59,22 +59,22 @@ class RegionTemperatures:
 
     @property
     def begin(self) -> Floats:
-        """Temperatures before the step last taken in."""
+        """Temperatures before the last recorded step."""
         return self.before[-1][1]
 
     @property
     def warm(self) -> Bools:
-        """Nodes that are warm enough for doses at either end of that step."""
+        """Nodes warm enough for doses at either end of that step."""
         return np.maximum(self.begin, self.now) > CELSIUS + COUNTS_FROM
 
     def take(self, last: float, temperatures: Sequence[fem.Function]) -> None:
-        """Take in the temperatures at the end of a step that began at a last time."""
+        """Record the temperatures at the end of a step that began at time ``last``."""
         self.before = [*self.before[-2:], (last, self.now)]
         self.now = self.nodes.values(temperatures)
         self.lowest = np.minimum(self.lowest, self.now)
 
     def bend(self, seconds: float, rates: Sequence[Floats]) -> Floats:
-        """How far the middle of a step that ends now is off a straight line [K].
+        """Deviation of the middle of a step from a straight line [K].
 
         Args:
             seconds: Time at its end [s].
@@ -86,14 +86,14 @@ class RegionTemperatures:
         return bend(self.before[max(len(self.before) - 2, 0)], last, now)
 
     def expose(self, bends: Floats, pieces: int, step: float) -> None:
-        """Count the doses of a step of so many seconds, in straight pieces."""
+        """Add the doses of a step of some seconds, in straight pieces."""
         at, begin = np.linspace(0.0, 1.0, pieces + 1), self.begin
         curve = [begin + s * (self.now - begin) - 4 * s * (1 - s) * bends for s in at]
         for first, then in pairwise(curve):
             self.exposure.add(first, then, step / pieces)
 
     def raise_peak(self, seconds: float, highest: float) -> None:
-        """Raise the peaks to the state at a time, and to what was before it, `highest` at most."""
+        """Raise the peaks to those at and before a time, at most to ``highest``."""
         raise_to(self.peak, self.peak_time, self.now, np.full(len(self.now), seconds))
         states = [*self.before, (seconds, self.now)]
         if len(states) == 4 and all(a[0] < b[0] for a, b in pairwise(states)):
@@ -103,7 +103,7 @@ class RegionTemperatures:
     # The summary
 
     def temperatures(self, comm: MPI.Comm, cells: RegionCells) -> dict[str, Any]:
-        """Extremes and mean [degC], and volumes that were warmer than each level; collective."""
+        """Extremes and mean [degC], and volumes warmer than each level; collective."""
         volume = self.nodes.volume
 
         def total(values: Floats) -> float:
@@ -154,7 +154,7 @@ def _longest(comm: MPI.Comm, dose: Floats) -> float:
 def largest(
     comm: MPI.Comm, values: Floats, x: Floats, times: Floats
 ) -> tuple[float, list[float], float]:
-    """Largest value of all ranks with place and time; of equal ones the first place."""
+    """Largest value of all ranks with place and time; of equal values the first place."""
     best = (-np.inf, [0.0, 0.0, 0.0], 0.0)
     if len(values):
         equal = np.flatnonzero(values == values.max())

@@ -36,14 +36,14 @@ T = TypeVar("T")
 UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
 SECTION = "temperature_section.png"
-# What is written at the end; all that a run directory has.
+# Files written at the end, and all of a run directory.
 ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", SECTION, "report.html"),)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
 log = logging.getLogger("mantle")
 
 
 def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
-    """Do something on rank 0, and share the result or None; its errors are raised on every rank."""
+    """Run an action on rank 0; share its result, or None, and raise its errors on every rank."""
     result = everywhere(comm, lambda: action() if comm.rank == 0 else None)
     return comm.bcast(result) if share else result
 
@@ -58,7 +58,7 @@ def _full_disk(what: str) -> Iterator[None]:
 
 
 def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
-    """Write something on rank 0; a failure stops every rank.
+    """Write on rank 0; a failure stops every rank.
 
     Raises:
         StoppedError: The disk is full or the folder cannot be written.
@@ -75,10 +75,10 @@ class Writer:
     """Writes a run directory step by step.
 
     Args:
-        groups: What the fields are of: the mechanics, if there are any, then the heat.
+        groups: Sources of the fields: the mechanics, if there are any, then the heat.
         resolved: The resolved configuration, as YAML.
-        record: Gives the provenance when the run ends.
-        again: Whether a restart follows: what is there may stay.
+        record: Called for the provenance when the run ends.
+        again: Whether a restart follows, so that existing files may stay.
 
     Attributes:
         grids: The field file, if fields are written.
@@ -123,7 +123,7 @@ class Writer:
                 grid.begin()
 
     def restored(self) -> None:
-        """Go on with what has been written; collective.
+        """Continue the files of a restored run; collective.
 
         Raises:
             StoppedError: The directory cannot be written.
@@ -147,7 +147,7 @@ class Writer:
                 grid.write(time, samples)
 
     def last_fields(self) -> None:
-        """Write the last written step of the fields alone, too; collective.
+        """Write the last written step of the fields to a file of its own; collective.
 
         Raises:
             StoppedError: The disk is full.
@@ -156,7 +156,7 @@ class Writer:
             _write(self._comm, grid.close, "final.vtkhdf")
 
     def history(self, row: dict[str, Any]) -> None:
-        """Add a row to history.csv, with what there is to say then; collective."""
+        """Add a row to history.csv; collective."""
         self._rows.append(row)
         self._table()
 
@@ -192,7 +192,7 @@ class Writer:
 def provenance(
     ranks: int, digests: Mapping[str, str], overrides: list[str], mesh_hash: str, started: datetime
 ) -> dict[str, Any]:
-    """Where a result comes from.
+    """Provenance of a result.
 
     Digests are by name, of the case, then of the files that it builds upon, as they were read.
     """
@@ -216,7 +216,6 @@ def provenance(
 
 @cache
 def _processor() -> str:
-    """The model of the processor, as Linux names it, else its architecture."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""How the stem moves: against the bone around it, and at its ends."""
+"""Motion of the stem: against the bone around it, and at its ends."""
 
 from __future__ import annotations
 
@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 from app.arrays import Floats, Ints
 from app.case.case import Case
 from app.mechanics.problem import Problem
-from app.scene.bodies import (
-    FACET_VERTICES,
-    FacetCells,
-    cell_tags,
-    facet_coordinates,
-    facets_between,
-)
+from app.scene import bodies
 
 # Nodes at an end of the stem are within this part of its length [-].
 END = 1e-6
@@ -31,10 +25,10 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     """Motion of the implant; nothing without implant or bone; collective.
 
     ``subsidence`` [mm] (distal, -z), ``retroversion`` and ``varus`` [deg] are the rigid motion that
-    fits best, by area, how the surface of the stem that faces cement or bone moves against the
-    nearest surface of bone that faces cement or stem. The neck has no part in them, nor have the
-    rigid motion and the bending of the femur. Retroversion turns the medial side towards posterior,
-    varus tilts the top towards medial; `Case.side` says where medial is.
+    fits best, by area, the motion of the stem's surface facing cement or bone against the nearest
+    surface of bone that faces cement or stem. The neck has no part in them, nor have the rigid
+    motion and the bending of the femur. Retroversion turns the medial side towards posterior, varus
+    tilts the top towards medial; `Case.side` says where medial is.
 
     ``tip_displacement`` and ``top_displacement`` (3,) [mm] are those of the stem's lowest and
     highest nodes in the frame of the model, with the bending of the femur.
@@ -59,7 +53,7 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Surface:
-    """Facets between regions, of all ranks: centres (f, 3) [mm], how they move, and areas (f,)."""
+    """Facets between regions, of all ranks: centres (f, 3) [mm], displacements, and areas (f,)."""
 
     x: Floats
     u: Floats
@@ -75,12 +69,12 @@ class _Surface:
 
 def _surface(problem: Problem, inside: Sequence[str], outside: Sequence[str]) -> _Surface:
     """Facets between regions, as seen from those inside: few enough for every rank."""
-    f: FacetCells = facets_between(problem.tagged, inside, outside)
-    corners = facet_coordinates(problem.tagged, f)[0][:, :3]
+    f: bodies.FacetCells = bodies.facets_between(problem.tagged, inside, outside)
+    corners = bodies.facet_coordinates(problem.tagged, f)[0][:, :3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     dofs = _corner_dofs(problem, f.cells)
-    dofs = np.take_along_axis(dofs, np.array(FACET_VERTICES)[f.local].reshape(-1, 3), axis=1)
-    body = problem.bodies.of_tag[cell_tags(problem.tagged)[f.cells]]
+    dofs = np.take_along_axis(dofs, np.array(bodies.FACET_VERTICES)[f.local].reshape(-1, 3), axis=1)
+    body = problem.bodies.of_tag[bodies.cell_tags(problem.tagged)[f.cells]]
     u = _displacements(problem)[body[:, None], dofs].mean(axis=1)
     own = corners.mean(axis=1), u, np.linalg.norm(normal, axis=1) / 2
     return _Surface(*(np.concatenate(problem.comm.allgather(part)) for part in own))
@@ -89,8 +83,8 @@ def _surface(problem: Problem, inside: Sequence[str], outside: Sequence[str]) ->
 def _against(stem: _Surface, bone: _Surface) -> tuple[Floats, Floats]:
     """Translation [mm] and rotation of the stem against the bone.
 
-    The rigid motion of all bone moves stem and bone differently where they are apart: it is taken
-    out. What is left, the bone's deformation, is that of the nearest point.
+    The rigid motion of all bone is subtracted, as it moves stem and bone differently where they are
+    apart. The rest, the bone's deformation, is taken at the nearest point.
     """
     from scipy.spatial import cKDTree  # imported late: few runs need it
 
@@ -101,7 +95,6 @@ def _against(stem: _Surface, bone: _Surface) -> tuple[Floats, Floats]:
 
 
 def _ends(problem: Problem, implant: Sequence[str]) -> dict[str, list[float]]:
-    """Mean displacement of the lowest and the highest nodes."""
     comm, u = problem.comm, _displacements(problem)
     nodes = [
         (problem.bodies.of_region[region], np.unique(_corner_dofs(problem, cells)))

@@ -1,4 +1,4 @@
-"""Stress of the regions: at quadrature points, in cells, and the numbers published of it."""
+"""Stress of the regions: at quadrature points, in cells, and published numbers."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from app.results.percentiles import percentile
 from app.system.timing import Timing
 from forms import elasticity
 
-# Of a symmetric tensor, as `elasticity.symmetric` has them.
+# Components of a symmetric tensor, in the order of `elasticity.symmetric`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 STRESS_LEVELS = (5.0, 8.0, 10.0)  # MPa: PMMA endurance is 8 to 10
 
 
 @dataclass(frozen=True)
 class _Law:
-    """A compiled stress, and what it is of."""
+    """A compiled stress, and the functions it depends on."""
 
     expression: fem.Expression
     displacement: fem.Function
@@ -39,7 +39,7 @@ class _Law:
         for constant, value in zip(self.coefficients, e.coefficients, strict=True):
             constant.value = value
         if e.fibre:
-            # Straight ones have no point.
+            # A straight fibre has no point.
             for constant, vector in zip(self.fibre, (e.fibre.axis, e.fibre.through), strict=False):
                 constant.value = vector
         return self.expression
@@ -71,7 +71,7 @@ class Stresses:
             for e in elastic
             if e.region not in setting and e.region not in self._plain
         }
-        # Where stress is history it is known at the points where it was summed up.
+        # Stress that is history is known at the points where it was summed.
         self._history = {r: problem.setting for r in setting if problem.setting}
 
     def _law(self, e: Elastic) -> _Law:
@@ -121,7 +121,7 @@ class Stresses:
         return self._points if history is None else history.points
 
     def shares(self, region: str) -> Floats:
-        """Part of a cell that each of its points stands for (points,)."""
+        """Fraction of a cell's volume at each of its points (points,)."""
         history = self._history.get(region)
         weights = self._weights if history is None else history.weights
         return np.asarray(weights / weights.sum(), dtype=np.float64)
@@ -143,8 +143,7 @@ class Stresses:
     def energy_density(self, region: str) -> Floats:
         r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa].
 
-        The strain is that which the region's law gives the stress: what is free of stress, such as
-        thermal strain, has no part in it.
+        The strain is that of the region's law for the stress, without thermal or other free strain.
         """
         σ = self.evaluate(region)
         e = next(e for e in self._problem.scene.elastic if e.region == region)
@@ -198,14 +197,14 @@ class Stresses:
 
 
 def _lay(e: Elastic) -> str:
-    """Kind of the fibre: regions that share it share the form of their stress."""
+    """Kind of the fibre: regions of one kind share the form of their stress."""
     return e.fibre.kind if e.fibre else ""
 
 
 def _stiffness(e: Elastic) -> Floats:
     """Stress components (6, 6) of unit strains, in the order of `COMPONENTS` [MPa].
 
-    Of a fibre that turns in axes that turn with it, of which it is the third.
+    For a fibre that turns, in axes that turn with it, of which it is the third.
     """
     fibre = e.fibre.axis if e.fibre and not e.fibre.turns else (0.0, 0.0, 1.0)
 
@@ -225,10 +224,10 @@ def _stiffness(e: Elastic) -> Floats:
 
 
 def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
-    """Stress (f, p, 3, 3) at points (p, 3) of each cell, continued to others (f, q, 3) linearly."""
+    """Stress (f, p, 3, 3) at points (p, 3) of each cell, linearly extrapolated to X (f, q, 3)."""
 
     def basis(x: Floats) -> Floats:
-        # One point knows no slope.
+        # One point gives no slope.
         one = np.ones((*x.shape[:-1], 1))
         return np.concatenate([one, x], axis=-1) if len(points) > 1 else one
 

@@ -1,4 +1,4 @@
-"""The closing tables: what a run has found, for people."""
+"""The closing tables: results of a run, for people."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ SENTENCES = {
 
 
 def lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Interfaces, regions, bonds, temperatures, dead bone, cure, and how the stem moves."""
+    """Interfaces, regions, bonds, temperatures, dead bone, cure, and motion of the stem."""
     rows: dict[str, dict[str, dict[str, Any]]] = {section: {} for section in TABLE}
     for section, name, numbers in numbers_of(summary):
         rows[section][name] = numbers
@@ -71,12 +71,12 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def keys(section: str) -> list[str]:
-    """Quantities that the table of a section has, in its order."""
+    """Quantities in the table of a section, in its order."""
     return re.findall(r"\w+", " ".join(TABLES.get(section, {}).values()))
 
 
 def _table(section: str, rows: Rows) -> list[str]:
-    """A table of a section; what other packages have added stands on the right."""
+    """A table of a section; quantities added by other packages stand on the right."""
     own = TABLE[section]
     columns = TABLES[section] | {q.label: key for key, q in own.items() if q.compute}
     templates = list(filter(None, columns.values()))

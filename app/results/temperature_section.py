@@ -15,7 +15,7 @@ from app.scene.bodies import cell_tags
 from meshes.distribute import TaggedMesh
 from meshes.picture import AXES, cut, middle_plane
 
-# Triangles thinner than this part of a section are seen only by what shading makes of them.
+# Triangles thinner than this part of a section show only as shading.
 _THIN = 1e-3
 DEADLY = 47.0  # degC
 
@@ -73,7 +73,7 @@ Piece = tuple[Floats, Floats, Ints]
 def _corners(
     tagged: TaggedMesh, dofs: Ints, body: Mapping[str, int], temperatures: Sequence[Floats]
 ) -> tuple[Floats, Ints]:
-    """Corners of own cells with temperatures behind (m, 4, 4) [mm, degC], and their regions."""
+    """Corners of own cells with temperatures appended (m, 4, 4) [mm, degC], and their regions."""
     owned = tagged.mesh.topology.index_map(3).size_local
     tags, geometry = cell_tags(tagged)[:owned], tagged.mesh.geometry
     x = geometry.x[geometry.dofmap[:owned][:, :4]]
@@ -98,7 +98,7 @@ def _cut(corners: Floats, tags: Ints, axis: int, level: float) -> Piece:
 
 
 def _join(pieces: Sequence[Piece]) -> tuple[Floats, Floats]:
-    """Triangles of all ranks, and of their edges those between two regions or at the surface."""
+    """Triangles of all ranks, and their edges between two regions or at the surface."""
     triangles, edges, regions = (np.concatenate([p[k] for p in pieces]) for k in range(3))
     ends = np.round(edges[:, :, :3], 5)
     swap = np.array([tuple(a) > tuple(b) for a, b in ends], dtype=bool)

@@ -1,7 +1,7 @@
-"""How hot it gets, where and when, for how long, and what that kills: section thermal.
+"""Peak temperatures with place and time, their duration, and necrosis: section thermal.
 
-A record takes the temperatures of every accepted step (`region_temperatures`) and what passes the
-interfaces then (`heat_passed`). Temperatures are K inside and degC in what is reported; the other
+A record takes the temperatures of every accepted step (`region_temperatures`) and the heat through
+the interfaces then (`interface_heat`). Temperatures are K inside and degC in reports; the other
 units are those of ``UNITS``.
 """
 
@@ -35,7 +35,7 @@ from meshes.distribute import TaggedMesh
 
 Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
 
-# A piece of a step departs from the parabola by this [K] at most, unless it takes too many.
+# Largest deviation of a piece of a step from the parabola [K], unless that takes too many pieces.
 _STRAIGHT = 0.01
 _MOST_PIECES = 8
 TIMELESS = (
@@ -49,12 +49,12 @@ class ThermalRecord:
 
     Attributes:
         bone: Regions of bone.
-        seconds: Times of the states taken in, the initial one first [s].
-        rows: What `row` gave at each of them.
+        seconds: Times of the recorded states, the initial one first [s].
+        rows: Result of `row` at each of them.
         hottest: Temperatures of the bodies (nodes of this rank, ghosts too) [K] when the bone side
             of the interfaces, or without bone the whole model after the start, was hottest.
-        hottest_time: When that was [s].
-        hottest_at: Where it was hottest then (3,) [mm].
+        hottest_time: Its time [s].
+        hottest_at: Its hottest point (3,) [mm].
 
     Args:
         of_region: Thermal body of each region.
@@ -93,7 +93,7 @@ class ThermalRecord:
         self.rows: list[dict[str, float]] = []
 
     def start(self, temperatures: Sequence[fem.Function], seconds: float = 0.0) -> None:
-        """Take in the initial state; collective."""
+        """Record the initial state; collective."""
         for name, nodes in self._nodes.items():
             self._regions[name] = RegionTemperatures.of(nodes, temperatures, seconds)
         self._watched = -np.inf
@@ -107,18 +107,18 @@ class ThermalRecord:
         highest: float = np.inf,
         rates: Sequence[Floats] = (),
     ) -> None:
-        """Take in an accepted step; collective.
+        """Record an accepted step; collective.
 
-        How long the way to a steady state takes is not known: it adds to peaks, and leaves doses
-        without a value unless nothing is as warm as what counts, before it and after it.
+        The duration of the way to a steady state is unknown: it adds to peaks, and leaves doses
+        without a value unless all is too cool for doses before it and after it.
 
         Args:
             seconds: Time at its end [s].
             temperatures: Of the bodies then [K].
-            exchanges: What passes the interfaces of finite conductance then, if there are any.
-            highest: Where temperatures have to stay below [K], between steps too.
-            rates: If what heats has a kink where the step began, so that the states before say
-                nothing of it: rates of change at its end, of own nodes of the bodies [K/s].
+            exchanges: Heat through the interfaces of finite conductance then, if there are any.
+            highest: Upper bound of temperatures [K], between steps too.
+            rates: Rates of change at its end, of own nodes of the bodies [K/s], if the heat source
+                has a kink at its start, so that earlier states say nothing of it.
         """
         step = seconds - self.seconds[-1]
         for r in self._regions.values():
@@ -137,7 +137,7 @@ class ThermalRecord:
         self._take(seconds, temperatures)
 
     def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
-        """Count the doses of a step, in as many straight pieces as its curvature asks for."""
+        """Add the doses of a step, in as many straight pieces as its curvature asks for."""
         bends = {name: r.bend(seconds, rates) for name, r in self._regions.items()}
         most = (np.abs(b[self._regions[n].warm]).max(initial=0.0) for n, b in bends.items())
         worst = self._comm.allreduce(max(map(float, most)), MPI.MAX)
@@ -151,7 +151,7 @@ class ThermalRecord:
         return bool(self._comm.allreduce(local, MPI.LOR))
 
     def _take(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
-        """Keep what is shown over time, and the hottest state."""
+        """Keep the reported histories, and the hottest state."""
         now = {name: r.now for name, r in self._regions.items()}
         names, values = [], []
         for name, T in now.items():
@@ -189,11 +189,11 @@ class ThermalRecord:
             self.hottest = [t.x.array.copy() for t in temperatures]
 
     def row(self) -> dict[str, float]:
-        """Columns of history.csv for the state last taken in."""
+        """Columns of history.csv for the last recorded state."""
         return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
 
     def moved(self, capacities: Mapping[str, float]) -> float:
-        """Heat that has moved in the last step, by capacities of regions [N/(mm2 K)]; [N mm]."""
+        """Heat that moved in the last step, by capacities of regions [N/(mm2 K)]; [N mm]."""
         local = sum(
             capacities[name] * float(r.nodes.volume @ np.abs(r.now - r.begin))
             for name, r in self._regions.items()
@@ -201,7 +201,7 @@ class ThermalRecord:
         return float(self._comm.allreduce(local, MPI.SUM))
 
     def exposure(self, region: str) -> tuple[ThermalNodes, Exposure]:
-        """Nodes of a region and what they have been exposed to so far."""
+        """Nodes of a region and their exposure so far."""
         return self._nodes[region], self._regions[region].exposure
 
     @property
@@ -231,7 +231,7 @@ class ThermalRecord:
         return result
 
     def _bone_surface(self, cells: Mapping[str, RegionCells]) -> Floats:
-        """Where bone meets what is not bone, as triangles (f, 3, 3) [mm]; on every rank."""
+        """Surface of all bone towards other regions, as triangles (f, 3, 3) [mm]; on every rank."""
         found: list[Floats] = [np.zeros((0, 3, 3))]
         for side in self._bone_sides:
             for region, rows in side.rows.items():

@@ -1,8 +1,8 @@
-"""Interfaces unrolled: what happens on them over the angle about the stem's axis and the height.
+"""Interfaces unrolled: fields over the angle about the stem's axis and the height.
 
 Both geometries that have a stem, femur and cylinders, have its axis in z. The angle begins behind
-(posterior), so that medial and lateral both lie inside the picture. End faces, which are seen edge
-on, are left out. Other interfaces are drawn if they are flat, in their own plane.
+(posterior), so that medial and lateral both lie inside the picture. End faces, seen edge on, are
+left out. Other interfaces are drawn if they are flat, in their own plane.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Sheet:
 
     Attributes:
         corners: Of its triangles in the plane (m, 3, 2): degrees and mm, or mm.
-        nodes: The run's nodes that they are (m, 3).
+        nodes: The run's nodes at these corners (m, 3).
         round: Whether it was unrolled; else it is flat.
     """
 
@@ -64,8 +64,8 @@ def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     """Angle about the z axis and height of triangles that surround it.
 
     Returns:
-        Corners (k, 3, 2) [degrees, mm], each triangle in one piece, those across the seam on both
-        sides of it; and their nodes (k, 3). End faces are left out.
+        Corners (k, 3, 2) [degrees, mm] of unbroken triangles, those across the seam on both sides
+        of it; and their nodes (k, 3). End faces are left out.
     """
     x = points[triangles]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
@@ -107,7 +107,7 @@ class MapRow:
     """A quantity of a map.
 
     Attributes:
-        values: Of a run at its nodes, in that unit; None where it has none.
+        values: Its values at the nodes of a run, in that unit; None where it has none.
         from_zero: Whether colours begin at zero, else at the smallest value.
     """
 
@@ -125,7 +125,7 @@ def draw(
     The colours of a row are the same in all cases, so that they can be compared.
 
     Returns:
-        The labels of the rows that there are; no picture if there is none.
+        The labels of the rows drawn; no picture if there is none.
     """
     found = [(row, [row.values(run) for _, run, _ in columns]) for row in rows]
     found = [(row, values) for row, values in found if any(v is not None for v in values)]

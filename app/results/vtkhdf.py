@@ -4,10 +4,10 @@ VTKHDF is the HDF5 format of ParaView and VTK (``UnstructuredGrid``, version 2.0
 the geometry and constant cell data are stored once, and every step adds its rows to each field.
 Format: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
 
-Rank 0 writes alone what it gathers, a step at a time. Collective HDF5 would save that copy, but on
-a full disk its ranks wait for each other for ever, and serial HDF5 that has met a write error
-crashes at exit. So the room for a step is reserved first, where a full disk is an ordinary
-``OSError``, and the file is open only while a step is written: a killed run leaves it readable.
+Rank 0 gathers and writes one step at a time. Collective HDF5 would save that copy, but on a full
+disk its ranks wait for each other for ever, and serial HDF5 that has met a write error crashes at
+exit. So the room for a step is reserved first, where a full disk is an ordinary ``OSError``, and
+the file is open only while a step is written: a killed run leaves it readable.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Array = npt.NDArray[Any]
 CELL_TYPES = {3: 5, 4: 10, 10: 24}
 # The place in basix's order (edges 23 13 12 03 02 01) of each node in VTK's (01 12 02 03 13 23).
 QUADRATIC_NODES = (0, 1, 2, 3, 9, 6, 8, 7, 5, 4)
-# Bytes of HDF5's own beside an array's: 168 kB measured for the first offsets of 50 fields.
+# Bytes of HDF5's own beside an array: 168 kB measured for the first offsets of 50 fields.
 _METADATA = 1 << 20
 
 
@@ -49,7 +49,7 @@ class Grid:
         ghosts: Global numbers of points that other ranks own; the points of all ranks are numbered
             in the order of the ranks, as by ``dolfinx.common.IndexMap``.
         cell_data: Constant values in its cells (m,) or (m, components).
-        texts: Lists of words that belong to the whole grid.
+        texts: Lists of words, constant over the grid.
     """
 
     points: Array
@@ -63,13 +63,12 @@ class GridFile:
     """One grid and its fields in time, from the arrays of each rank.
 
     Args:
-        order: To go on, on rank 0: for each point and for each cell of the file the row of
-            those of all ranks that it is, in the order of the ranks.
-        steps: After how many steps to go on; later ones are overwritten.
+        order: To continue, on rank 0: the row of each point and of each cell of the file among
+            those of all ranks, in the order of the ranks.
+        steps: Number of steps to continue after; later ones are overwritten.
 
     Raises:
-        OSError: The file cannot be written, or has not so many steps of such a grid (on every
-            rank).
+        OSError: The file cannot be written, or has too few steps of such a grid (on every rank).
     """
 
     def __init__(
@@ -170,7 +169,7 @@ class GridFile:
         return values[:0] if received is None else received[0]
 
     def _on_root(self, action: Callable[[], None]) -> None:
-        """Do something on rank 0; its error is raised on every rank."""
+        """Run an action on rank 0; raise its error on every rank."""
         error = None
         if self.comm.rank == 0:
             try:
@@ -238,10 +237,10 @@ def write_last_step(path: Path, target: Path) -> None:
 
 
 def _cut(path: Path, points: int, cells: int, steps: int) -> None:
-    """Leave so many steps of a file.
+    """Truncate a file to some steps.
 
     Raises:
-        OSError: It is not there, damaged, of another grid, or has not as many.
+        OSError: It is not there, damaged, of another grid, or has too few.
     """
     try:
         with _edit(path, 0) as root:
@@ -255,7 +254,7 @@ def _cut(path: Path, points: int, cells: int, steps: int) -> None:
 
 
 def _commit(path: Path, step: int, time: float, offsets: Mapping[str, int]) -> None:
-    """Tell readers of a step, after its values."""
+    """Make a step visible to readers, after its values."""
     rows: dict[str, Array] = {"Values": np.array([float(time)]), "NumberOfParts": np.array([1])}
     rows |= {name: np.array([0]) for name in ("PartOffsets", "PointOffsets")}
     rows |= {name: np.array([[0]]) for name in ("CellOffsets", "ConnectivityIdOffsets")}
@@ -278,7 +277,7 @@ def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> 
         data = new.id
     if data.shape[1:] != shape:
         raise ValueError(f"{name}: components {shape} instead of {data.shape[1:]}")
-    # Without h5py's indexing, which takes longer than to write a small array.
+    # Not by h5py's indexing, which takes longer than writing a small array.
     data.set_extent((start + len(values), *shape))
     rows = data.get_space()
     rows.select_hyperslab((start, *(0 for _ in shape)), values.shape)
@@ -287,7 +286,7 @@ def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> 
 
 @contextmanager
 def _edit(path: Path, size: int) -> Iterator[h5py.Group]:
-    """Open the file to add arrays of a size in bytes.
+    """Open the file to add arrays of some bytes.
 
     Raises:
         OSError: There is no room, or the file cannot be written.

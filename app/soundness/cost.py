@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 # Measured on unstructured tetrahedral meshes: nodes and edges per cell.
 NODES_PER_CELL = 0.19
 EDGES_PER_CELL = 1.22
-# What a run costs on one core (measured). The mechanics: seconds at 1e5 unknowns by order, exponent
-# of growth, a later load step beside the first.
+# Cost of a run on one core (measured). Mechanics: seconds at 1e5 unknowns by order, exponent of
+# growth, a later load step beside the first.
 PRICE, GROWTH, LATER = {1: 20.0, 2: 25.0}, 1.2, 0.35
 # Heat: seconds of a time step, and per temperature; time steps of a stage, and of cement that sets.
 TIME_STEP, HEAT, HEAT_STEPS, SETTING_STEPS = 0.05, 3e-5, 35, 95
-# Errors beside the run alone, of the mechanics and with heat; a run that shares matrices beside one
-# that makes them; the start and the page; meshing, per cell.
+# Factors of runs with errors, of the mechanics and with heat, and of a run that shares matrices;
+# seconds of start and page; of meshing, per cell.
 WITH_ERRORS, WITH_HEAT_ERRORS, SHARED, START, MESHING = 1.25, 2.5, 0.6, 2.6, 1e-4
-# Compiling forms, which later runs find: of the mechanics, with fibres in addition, of heat.
+# Seconds of compiling forms, which are cached: of the mechanics, in addition with fibres, of heat.
 MECHANICAL_FORMS, FIBRE_FORMS, HEAT_FORMS = 5.0, 10.0, 2.0
-# What a phase takes per unknown, the first time; `phases`.
+# Seconds of a phase per unknown, the first time; `phases`.
 ASSEMBLE, FACTORIZE, OUTPUT = 3.5e-5, 5e-5, 4e-5
-# The size that is assumed where it is not known.
+# Assumed size where it is not known.
 UNKNOWN_SIZE = 3e4
 # Area of an interface per node on it, in units of the squared edge length.
 AREA_PER_NODE = 0.87
@@ -43,7 +43,7 @@ def estimated_size(case: Case) -> str:
 
 
 def unknowns(case: Case) -> float:
-    """Unknowns of a case, estimated; 0 where that is not known before it is meshed."""
+    """Estimated unknowns of a case; 0 where they are unknown before meshing."""
     cells, nodes, corners, each = _estimated(case)
     return sum(_unknowns(case, nodes, corners, each)) if cells else 0.0
 
@@ -51,9 +51,7 @@ def unknowns(case: Case) -> float:
 def seconds(case: Case, alone: bool = True) -> float:
     """Time of a run on one core [s], within a factor of two for the shipped cases.
 
-    Args:
-        case: The case.
-        alone: Whether it is the first of those that share mesh, forms and matrices.
+    A run that is not ``alone`` shares mesh, forms and matrices with an earlier one.
     """
     cells, nodes, corners, each = _estimated(case)
     sizes = _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
@@ -61,7 +59,7 @@ def seconds(case: Case, alone: bool = True) -> float:
 
 
 def phases(case: Case) -> dict[str, float]:
-    """Time of each phase of a run on one core, the first time [s], by its name in `Timing`."""
+    """Time of each phase of a first run on one core [s], by its name in `Timing`."""
     cells, nodes, corners, each = _estimated(case)
     sizes = _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
     unknowns = sum(sizes)
@@ -78,7 +76,7 @@ def phases(case: Case) -> dict[str, float]:
 
 
 def _duration(case: Case, cells: float, sizes: tuple[float, float], alone: bool = True) -> float:
-    """Time of a run on one core [s], of a size that is known."""
+    """Time of a run of known size on one core [s]."""
     solution = _solution(case, *sizes)
     return START + MESHING * cells + solution if alone else SHARED * solution
 
@@ -91,7 +89,7 @@ def compiling(case: Case) -> float:
 
 
 def _solution(case: Case, mechanical: float, thermal: float) -> float:
-    """Time of solving alone [s]; unknowns of the mechanics and of heat."""
+    """Time of the solver alone [s], from the unknowns of mechanics and heat."""
     price = PRICE[case.mesh.order] * (mechanical / 1e5) ** GROWTH
     timed = sum(1 for stage in case.stages if stage.duration)
     sets = any(r.thermal is not None and r.thermal.cure is not None for r in case.regions.values())
@@ -106,7 +104,7 @@ def _solution(case: Case, mechanical: float, thermal: float) -> float:
 
 
 def _proportional(case: Case) -> bool:
-    """Whether in the first stage the answer grows with the loads, as it does without gaps."""
+    """Whether the solution of the first stage is proportional to the loads, as without gaps."""
     histories = [load.history for load in case.loads.values()]
     gaps = [getattr(law, "gap", 0.0) for law in case.interfaces.values()]
     return not case.stages[0].duration and not any(histories) and not any(gaps)
@@ -118,7 +116,7 @@ def solid(case: Case) -> bool:
 
 
 def _estimated(case: Case) -> tuple[float, float, float, dict[str, float]]:
-    """Cells, nodes of the displacement, of the temperature, and of each interface."""
+    """Cells, nodes of the displacement, nodes of the temperature, nodes by interface."""
     count = case.geometry.estimate_cells(case.mesh)
     corners = NODES_PER_CELL * count + 50
     nodes = corners + (EDGES_PER_CELL * count if case.mesh.order == 2 else 0)
@@ -145,7 +143,7 @@ def _unknowns(
 
 
 def exact_size(case: Case, data: MeshData) -> str:
-    """Cells, unknowns and memory of a mesh, and what the mesher noted."""
+    """Cells, unknowns and memory of a mesh, and notes of the mesher."""
     import numpy as np
 
     from meshes.data import EDGES, interface_facets
@@ -185,16 +183,7 @@ def _size(
     corners: float,
     interfaces: Mapping[str, float],
 ) -> str:
-    """Unknowns of what there is: displacements, temperatures, jumps of either.
-
-    Args:
-        title: First line.
-        case: The case.
-        cells: Cells.
-        nodes: Nodes of the displacement.
-        corners: Nodes of the temperature.
-        interfaces: Nodes on each interface.
-    """
+    """Lines on unknowns and memory: ``nodes`` carry displacements, ``corners`` temperatures."""
     laws = case.interfaces.items()
     parts = [f"{count(cells)} cells"]
     if solid(case):

@@ -1,4 +1,4 @@
-"""Why a solve failed, in the words of the model: which interface, where, which body is free."""
+"""Why a solve failed, in terms of the model: which interface, where, which body is free."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from app.numerics.newton import NewtonResult, Solver
 from app.soundness import loose_bodies, uniqueness
 from app.system.layout import point_text
 
-# What a contact point does, by its status.
+# States of a contact point, by status.
 STATES = ("open", "stick", "slip")
 # Changing points that a message lists.
 SHOWN = 3
@@ -28,9 +28,9 @@ class Explanation:
     Attributes:
         outcome: Its outcome.
         short: One clause for the log.
-        free: Sentences on bodies that nothing holds.
-        notes: Sentences on bodies that friction hardly holds, on friction beyond which solutions
-            need not be unique, on the largest residual and on points that change their states.
+        free: Sentences on free bodies.
+        notes: Sentences on bodies that friction barely holds, on friction beyond which solutions
+            need not be unique, on the largest residual and on oscillating points.
         doubtful: Whether friction is among the notes.
     """
 
@@ -41,12 +41,12 @@ class Explanation:
     doubtful: bool
 
     def text(self, stage: str, reach: float, steps: Sequence[float]) -> str:
-        """The whole message for the user.
+        """The message for the user.
 
         Args:
             stage: Name of the stage.
             reach: Part of it at which the solve failed.
-            steps: Halved steps that were tried before, as parts of the stage.
+            steps: Halved steps tried before, as parts of the stage.
         """
         code = f" [{Reason.LOOSE_BODY}]" if self.free else ""
         tail = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
@@ -67,7 +67,7 @@ class Explanation:
 
 
 def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanation:
-    """Say why the last solve failed; collective."""
+    """Explain the failure of the last solve; collective."""
     free: list[str] = []
     friction: list[str] = []
     places: list[str] = []
@@ -94,11 +94,11 @@ def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanat
 
 
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:
-    """List what the solver tried, in words.
+    """List the attempts of the solver, in words.
 
     Args:
-        tried: Changes of the solver, and the residuals that they got to.
-        steps: Halved steps that were tried before, as parts of the stage.
+        tried: Changes of the solver, and the residuals they reached.
+        steps: Halved steps tried before, as parts of the stage.
     """
     words = [f"{what}: {residual:.1e}" for what, residual in tried]
     text = f"{'; '.join(words)} (with final residuals)" if words else "plain Newton only"
@@ -116,7 +116,7 @@ def _place(problem: Problem, contact: ContactInterfaces, row: int) -> str:
 
 
 def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet) -> list[str]:
-    """Contact points that change their states most in the last iterations; collective."""
+    """Contact points that changed state most in the last iterations; collective."""
     local = [
         (
             r.changes,

@@ -1,8 +1,8 @@
-"""Bodies that float: rigid motions that neither supports nor contact hold.
+"""Floating bodies: rigid motions that neither supports nor contact hold.
 
-Before solving they are found on the parts of a mesh, afterwards at the contact points of a state.
-Facets may hide them: a smooth stem turns in its cement without resistance, but its mesh is a prism,
-whose nodes have normals that are off by a fraction of the angle between facets: contact resists the
+Before solving they are found from the parts of a mesh, afterwards from the contact points of a
+state. Facets may hide them: a smooth stem turns in its cement without resistance, but its mesh is a
+prism, whose normals at nodes are off by a fraction of the angle between facets: contact resists the
 turn, with a stiffness and rotations that mean nothing.
 """
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 
-# A motion is free if what resists it is below this part of what resists any; contact without
-# friction hardly resists one that it is sloped against by less than so many degrees in the mean, or
-# now this way and now that by less than this part of the angle between its flat facets.
+# A motion is free if its resistance is below this part of the largest. Contact without friction
+# barely resists a motion that it is sloped against by less than so many degrees in the mean, or
+# with changing sign by less than this part of the angle between its flat facets.
 FREE, SLOPE, FACETS = 1e-10, 3.0, 0.4
 # Supports hold a body fast if they hold more than this of each direction; a body slides when so
-# much of the area that holds it bears so much of the most friction can.
+# much of the area that holds it bears so much of the friction limit.
 HELD, SLIDES, ALL_OF_IT = 1e-3, 0.95, 1 - 1e-6
 # Jumps run away beyond this part of the size of the interfaces and this motion in units of load /
 # (modulus of the softer side x size): 5 for a stem wedged by friction, 70 for a frictionless taper
@@ -51,7 +51,7 @@ SPREAD, PART = 0.25, 0.05
 
 
 class BodiesOnMesh:
-    """Rigid motions of groups of pieces: what supports leave, and how contact resists it."""
+    """Rigid motions of groups of pieces that supports leave, and their resistance by contact."""
 
     def __init__(self, case: Case, found: Parts) -> None:
         self._case, self._found, self._groups = case, found, groups_of(case, found)
@@ -59,14 +59,14 @@ class BodiesOnMesh:
         self._origin = found.x.mean(axis=0)
         self._size = float(np.linalg.norm(np.ptp(found.x, axis=0)))
         self._laws: Mapping[str, Any] = case.interfaces
-        # Where pieces touch: name of the interface, and its two bodies.
+        # Touching pieces: name of the interface, and its two bodies.
         self._touches = [
             (t, law_between(case, found, (a, b))[0], self._of[a], self._of[b])
             for t, (a, b) in ((t, t.pieces) for t in found.touches)
         ]
 
     def unheld(self) -> list[str]:
-        """Errors for motions that nothing would resist if all that touches were bonded."""
+        """Errors for motions that nothing would resist if all touching bodies were bonded."""
         K, M = self._resistance(None)
         errors = []
         for k, left in self._left_by_supports():
@@ -79,7 +79,7 @@ class BodiesOnMesh:
         return errors
 
     def loosely_held(self) -> list[str]:
-        """Notes on motions that contact without friction, or not yet closed, hardly resists."""
+        """Notes on motions barely resisted by contact, without friction or not yet closed."""
         gaps = gaps_of(self._case, self._found)
         frictions = {n: self._laws[n].friction for n in gaps}
         notes: list[str] = []
@@ -113,7 +113,7 @@ class BodiesOnMesh:
         return rigid_modes((x - self._origin) / self._size)
 
     def _left_by_supports(self) -> Iterator[tuple[int, Floats]]:
-        """Stages whose supports are others than before, with the motions they leave (6 n, k)."""
+        """Stages with changed supports, with the motions they leave free (6 n, k)."""
         before: dict[str, Any] = {}
         for k, stage in enumerate(self._case.stages):
             here = {n: s for n, s in self._case.supports.items() if holds(s, stage.name)}
@@ -122,7 +122,7 @@ class BodiesOnMesh:
             before = here
 
     def _left(self, supports: Any) -> Floats:
-        """Motions that supports leave (6 n, k), orthonormal."""
+        """Motions that supports leave free (6 n, k), orthonormal."""
         n = len(self._groups)
         held = np.zeros((n, 6, 6))
         for s in supports:
@@ -144,7 +144,7 @@ class BodiesOnMesh:
 
         Args:
             shears: Whether each interface resists sliding; None: all do.
-            absent: Interfaces that are open.
+            absent: Open interfaces.
         """
         n = 6 * len(self._groups)
         K, M = np.zeros((n, n)), np.zeros((n, n))
@@ -198,7 +198,7 @@ class BodiesOnMesh:
         return describe(free, names, moments / volumes[:, None], self._origin, self._size)
 
     def _name(self, group: list[Piece]) -> str:
-        """Regions of a body, and where it is if it is not all there is of them."""
+        """Regions of a body, and its place if it is only part of them."""
         names = list(dict.fromkeys(p.region for p in group))
         text = f"'{' + '.join(names)}'"
         if sum(p.region in names for p in self._found.pieces) == len(group):
@@ -216,9 +216,9 @@ class BodiesOnMesh:
 
 
 def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
-    """Rigid motions of bodies that no support and no closed contact resists; collective.
+    """Free rigid motions of bodies, resisted by no support and no closed contact; collective.
 
-    The resistance of the contacts is the generalized Jacobian at each point, seen through the
+    The resistance of the contacts is the generalized Jacobian at each point, projected onto the
     relative rigid motions of the two bodies; its null space beyond the supports is what is free.
     """
     contact, names = trial.contact, problem.bodies.names
@@ -250,7 +250,7 @@ def _assembled(problem: Problem, contact: ContactInterfaces, resistance: Floats)
 
 
 def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
-    """Bodies that friction alone held in the last converged state, and hardly did; collective.
+    """Bodies held by friction alone in the last converged state, near its limit; collective.
 
     Pulled further they may come off. That is no proof: smaller steps are tried all the same.
     """
@@ -276,10 +276,10 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
 
 
 def runaway(problem: Problem, trial: TrialState) -> str:
-    """A sentence if loads moved an interface as only a free body moves; collective.
+    """Sentence on an interface that loads moved as only a free body moves; collective.
 
     A body that contact does not hold may still be caught by the facets of a curved interface. It
-    has then moved further than small displacements allow, and against hardly any stiffness.
+    has then moved beyond small displacements, against hardly any stiffness.
     """
     contact = trial.contact
     forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
@@ -287,7 +287,7 @@ def runaway(problem: Problem, trial: TrialState) -> str:
     if any(problem.comm.allgather(pushed)) or not forces:
         return ""  # where supports move the model, they may move it far
     size = float(np.linalg.norm(np.ptp(contact.points.x, axis=0)))
-    # What closes a gap or makes room for an interference is no running away.
+    # Closing a gap or making room for an interference is not running away.
     moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
     for i, term in enumerate(problem.scene.contacts):
         largest = max(
@@ -308,11 +308,11 @@ def runaway(problem: Problem, trial: TrialState) -> str:
 
 
 def held_by_facets(problem: Problem, trial: TrialState) -> str:
-    """A sentence if smooth contact has let a body go where only its mesh resists; collective.
+    """Sentence on a body that smooth contact lets go and only its mesh resists; collective.
 
-    The stiffness of contact in relative rigid motions of the bodies is set beside what the spread
-    of the normals of facets gives in the same motions: where the quotient is small, only the mesh
-    resists. What all normals of an interface agree on is no spread: a taper, however slight.
+    The stiffness of contact in relative rigid motions of the bodies is compared with that of the
+    spread of facet normals in the same motions: where the quotient is small, only the mesh resists.
+    A slope common to all normals of an interface is no spread: a taper, however slight.
     """
     smooth = [c.law.can_open and not c.law.frictional for c in problem.scene.contacts]
     if not any(smooth):
@@ -327,7 +327,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
     if not A.any():
         return ""
-    # Where facets all agree there is nothing but rounding to compare with.
+    # Where all facets agree there is only rounding to compare with.
     N += np.finfo(float).eps * np.trace(A) * np.eye(len(rows))
     scale = np.linalg.inv(np.linalg.cholesky(N))
     values, vectors = np.linalg.eigh(scale @ A @ scale.T)
@@ -358,11 +358,11 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
 def _against_spread(
     problem: Problem, trial: TrialState, R: Floats, smooth: Bools
 ) -> tuple[Floats, Floats]:
-    """Resistance of contact to rigid motions R (p, 3, 6), and that by the spread of normals."""
+    """Resistance of contact to rigid motions R (p, 3, 6), and that of the spread of normals."""
     contact, points = trial.contact, trial.contact.points
     r = np.where(trial.law.status == OPEN, 0.0, contact.law.stiffness * contact.own.weight)
     B = trial.law.jacobian
-    # Friction holds what it touches, though no stiffness tells so while it slips.
+    # Friction holds a touching point, though no stiffness shows it while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
     spread = spread_of_normals(points.x, points.normals, points.triangles)[contact.own.rows]
     A, N = (
@@ -382,7 +382,7 @@ def _against_spread(
 
 
 def _held(problem: Problem) -> dict[int, Floats]:
-    """How much supports and foundations hold of each direction, by body (3, 3)."""
+    """Part of each direction that supports and foundations hold, by body (3, 3)."""
     from app.scene.bodies import bodies_at  # brings dolfinx, which checks of a case do without
 
     scene, frames = problem.scene, problem.stiffness.frames

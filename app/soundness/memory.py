@@ -1,4 +1,4 @@
-"""Refuse a mesh that this machine cannot hold, before the mesher tries to make it."""
+"""Refuse a mesh beyond the memory of this machine, before meshing."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from app.errors import EnvironmentProblem
 from app.schema.yaml_file import CaseFile, Fault
 from app.soundness import cost
 
-# Bytes that a run takes at least: in all, per unknown (measured: 6 kB) and per cell.
+# Least memory of a run [byte]: in all, per unknown (measured: 6 kB) and per cell.
 BASE, PER_UNKNOWN, PER_CELL = 3e8, 4e3, 3e2
-# Addresses that libraries take without using them (measured: 0.5 GB); without them some of them
+# Address space that libraries reserve without using it (measured: 0.5 GB); without it some of them
 # wait for ever.
 UNUSED = 6e8
-# What the libraries say where there is no more memory: C++, the system, CHOLMOD, MUMPS by PETSc.
+# Messages of libraries out of memory: C++, the system, CHOLMOD, MUMPS by PETSc.
 SAID = ("bad_alloc", "Cannot allocate memory", "Out of memory", "status -2", "INFOG(1)=-13")
 OUT_OF_MEMORY = 55  # of PETSc
 NEARLY = 0.9  # of what a process may have
 GIGABYTE = 1e9
-# The control groups of this process, and where what limits them stands.
+# The control groups of this process, and the root of their limits.
 OWN_GROUPS, GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 ABSURD = 1e4  # mm; a geometry that needs larger cells is itself wrong
 
 
 def needed(case: Case) -> float:
-    """Memory that a run takes at least [byte], estimated; 0 where its mesh is not known yet."""
+    """Least memory of a run [byte], estimated; 0 where its mesh is not known yet."""
     cells = case.geometry.estimate_cells(case.mesh)
     return BASE + PER_UNKNOWN * cost.unknowns(case) + PER_CELL * cells if cells else 0.0
 
 
 def available(environ: Mapping[str, str] = os.environ) -> float:
-    """Memory of the machines that a run has [byte]: installed, or what it may use of that."""
+    """Memory available to a run [byte]: installed, or as limited."""
     limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
     if (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) != resource.RLIM_INFINITY:
         limits.append(limit - UNUSED)
@@ -55,7 +55,7 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
 def _group_limits() -> Iterator[Path]:
     """Files that may limit the control groups of this process, and the groups above them.
 
-    In a container the path may be that outside of it; its own group is the root there.
+    In a container the path may be the outer one; its own group is the root there.
     """
     with suppress(OSError):
         for line in OWN_GROUPS.read_text().splitlines():
@@ -95,7 +95,7 @@ def _lacks_memory(error: BaseException) -> bool:
 
 
 def _nearly_full() -> bool:
-    """Whether this process has nearly had all that it may: libraries do not always say why."""
+    """Whether this process has nearly reached its limit: libraries do not always say why."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
     peak = re.search(r"VmPeak:\s+(\d+) kB", status)
@@ -110,15 +110,11 @@ def _limits() -> str:
 
 
 def check(file: CaseFile, case: Case) -> None:
-    """Refuse what cannot be held.
-
-    Args:
-        file: Where the case comes from.
-        case: The case.
+    """Refuse a case that needs more memory than there is.
 
     Raises:
-        InputError: With the estimate, what there is, and a size that would work.
-        EnvironmentProblem: No case can be held.
+        InputError: With the estimate, the available memory, and a size that would work.
+        EnvironmentProblem: No case fits.
     """
     memory = available()
     if memory < BASE:
@@ -141,7 +137,7 @@ def check(file: CaseFile, case: Case) -> None:
 
 
 def _fitting(case: Case, memory: float) -> float:
-    """A size with which a case fits [mm]: of two digits, and a few tenths too large at most."""
+    """Size with which a case fits [mm]: two digits, a few tenths too large at most."""
     size = case.mesh.size
     while needed(_with_size(case, size)) > memory:
         size *= 1.02
@@ -150,7 +146,7 @@ def _fitting(case: Case, memory: float) -> float:
 
 
 def _with_size(case: Case, size: float) -> Case:
-    """The same with another mesh, as fine in proportion far from the interfaces."""
+    """The case with another mesh size, in proportion far from the interfaces."""
     far = case.mesh.far_size and case.mesh.far_size * size / case.mesh.size
     mesh = case.mesh.model_copy(update={"size": size, "far_size": far})
     return case.model_copy(update={"mesh": mesh})

@@ -1,4 +1,4 @@
-"""Parts of a mesh as its case sees them: laws between pieces, what supports hold, gaps."""
+"""Parts of a mesh as its case sees them: laws between pieces, supported directions, gaps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Input that is allowed but rarely meant: wrong units, nothing that acts, elements that lock."""
+"""Allowed but doubtful input: wrong units, nothing that acts, elements that lock."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from app.laws.thermal import PressureConductance
 from app.schema.section import Section
 from app.system.layout import plain
 
-# Data that some material has, in internal units: from foam to diamond and osmium. Absolute
-# temperatures between dry ice and burning.
+# Ranges of material data, in internal units: from foam to diamond and osmium. Absolute temperatures
+# between dry ice and burning.
 TEMPERATURES = (190.0, 800.0)
 USUAL = {
     "conductivity": (1e-2, 3e3),
@@ -24,8 +24,8 @@ USUAL = {
     "thermal_expansion": (1e-8, 1e-3),
 }
 MODULI = ("youngs_modulus", "axial_youngs_modulus", "transverse_youngs_modulus")
-# Young's moduli of what the name of a region says it is, else of all from gel to diamond [MPa]:
-# wide enough for any such material, and a thousand times off for none.
+# Young's moduli by the name of a region, else of all from gel to diamond [MPa]: wide enough for any
+# such material, too narrow for a factor of a thousand.
 STIFFNESS = {
     "cancellous": (5.0, 2e4),
     "cortical": (1e3, 1e5),
@@ -40,7 +40,7 @@ HIP_FORCES = (20.0, 5e4)
 
 
 def warnings(case: Case) -> list[str]:
-    """Warnings about input that is allowed but rarely meant, for `mantle check` and the log."""
+    """Warnings about allowed but doubtful input, for `mantle check` and the log."""
     messages = []
     if not case.conducts and not _acts(case):
         messages.append("nothing acts on the model: the result will be zero")

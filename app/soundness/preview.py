@@ -1,4 +1,4 @@
-"""Output of ``mantle check``: the parts of a case as they were understood."""
+"""Output of ``mantle check``: the parts of a case as the program reads them."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class CheckedCase:
     """Result of the check of a case.
 
     Attributes:
-        description: The case as it was understood, in words and tables.
+        description: The case in words and tables.
         size: Cells, unknowns and memory: estimated, or counted if it was meshed.
-        notes: What is allowed but rarely meant.
+        notes: Warnings about allowed but doubtful input.
     """
 
     description: str
@@ -35,12 +35,7 @@ class CheckedCase:
 
 
 def describe(case: Case, given: Mapping[str, Any]) -> str:
-    """The case in words and tables.
-
-    Args:
-        case: The case.
-        given: The data of the file, to show values in the units they were given in.
-    """
+    """The case in words and tables; ``given`` is the data of the file, for its units."""
     lines = [case.title or "(no title)", ""]
     lines += ["geometry", *_entries(case.geometry, given.get("geometry"))]
     lines += ["mesh", *_entries(case.mesh, given.get("mesh")), "regions"]
@@ -81,7 +76,7 @@ def _stage(stage: Stage) -> str:
 
 
 def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
-    """A line per field: internal value, and as given where that differs."""
+    """A line per field: internal value, and the given one where that differs."""
     written = model.model_dump(mode="json", exclude_none=True)
     source = given if isinstance(given, dict) else {}
     for key, value in written.items():
@@ -111,7 +106,7 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
 
 
 def _resultant(case: Case) -> Iterable[str]:
-    """The sum of the forces at the end of the last stage."""
+    """Resultant force at the end of the last stage."""
     forces = [(load, load.resultant) for load in case.loads.values() if load.resultant is not None]
     if not forces:
         return

@@ -85,7 +85,7 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
     companion[:, 1, 0] = companion[:, 2, 1] = 1
     companion[:, 0, 2] = -2 * b / c
     companion[:, 1, 2] = -(2 * c - a) / c
-    # Of a complex root the real part is just one more direction, of no smaller value.
+    # The real part of a complex root is just one more direction, of no smaller value.
     τ = np.linalg.eigvals(companion).real
     value = (a[:, None] + 2 * b[:, None] * τ + c[:, None] * τ**2) / np.sqrt(1 + τ**2)
     critical[coupled] = value.min(axis=1) / size
@@ -131,7 +131,7 @@ def beyond(problem: Problem) -> list[str]:
 
 
 def _look(problem: Problem) -> tuple[dict[str, float], list[str]]:
-    """Least critical coefficient of each frictional interface, and what there is to say."""
+    """Least critical coefficient of each frictional interface, and sentences to report."""
     found: dict[str, float] = {}
     sentences: list[str] = []
     contact = problem.contact

@@ -1,6 +1,6 @@
-"""Whether a case on its mesh can be solved at all, and whether it says what was meant.
+"""Well-posedness of a case on its mesh, and doubtful sizes.
 
-What is certainly wrong is an error before anything is solved; what is rarely meant is a note.
+Certain errors are raised before anything is solved; doubts are notes.
 """
 
 from __future__ import annotations
@@ -27,41 +27,32 @@ if TYPE_CHECKING:
     from meshes import MeshData
 
 
-# Gaps beyond this part of the interface or of the bodies are no small displacements, interferences
-# beyond that part of the bodies cannot be; given displacements may slide a body, but not so far.
+# Gaps beyond this part of the interface or of the bodies are not small, interferences beyond that
+# part of the bodies are impossible; prescribed displacements may slide a body, but not so far.
 SMALL, TOO_MUCH, FAR = 0.05, 0.25, 0.5
-# Strains beyond which small-strain elasticity says nothing of any material.
+# Strains beyond small-strain elasticity of any material.
 STRAIN = 0.05
 # A piece is slender if it is thinner than this part of its length. Bars and plates of linear cells
 # of edge l and thickness h are stiffer than they are by BENDING (l / h)^2 (measured with 1 to 5
 # cells through them: 2.2 to 3.0); more than TOO_STIFF is noted.
 SLENDER, BENDING, TOO_STIFF = 0.2, 2.3, 0.1
-# Part of the points of an interface that supports have to hold on both sides to be noted.
+# Part of an interface's points that supports have to hold on both sides to be noted.
 MOSTLY = 0.5
 # Diagonals of anything in a human body or at a bench [mm].
 SIZES = (1.0, 3000.0)
-# Two given displacements differ if they do by this part of the larger; an axis this close to a
+# Two prescribed displacements differ if they do by this part of the larger; an axis this close to a
 # cell, in parts of its size, touches it.
 SAME, CLOSE = 1e-9, 1e-6
 
 
 def look(case: Case, data: MeshData) -> Parts:
-    """Parts of a mesh that `judge` looks at.
-
-    Args:
-        case: A case on it.
-        data: The mesh.
-    """
+    """Parts of a mesh that `judge` examines."""
     faces = {s.boundary for s in case.supports.values() if getattr(s, "normal", None) == "face"}
     return parts(data, {s.boundary for s in case.supports.values()}, faces)
 
 
 def judge(case: Case, found: Parts) -> list[str]:
     """Warnings about a case on its mesh.
-
-    Args:
-        case: The case.
-        found: What its mesh consists of.
 
     Raises:
         InputError: It cannot be solved: with all the reasons.
@@ -99,7 +90,7 @@ def _given(case: Case, support: Any, name: str, axis: str, x: Floats) -> Floats:
 
 
 def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
-    """Nodes that two supports give different displacements: all of one of them, or some."""
+    """Nodes with different displacements by two supports: all of one's nodes, or some."""
     holding = {
         name: np.unique(np.concatenate([*found.boundaries[s.boundary].values()]))
         for name, s in case.supports.items()
@@ -134,7 +125,7 @@ def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
 
 
 def _on_axis(case: Case, found: Parts) -> list[str]:
-    """Axes of fibres that meet the cells of their region: fibres have no direction there."""
+    """Fibre axes that meet cells of their region, where fibres have no direction."""
     errors = []
     for name, region in case.regions.items():
         owners = {f"regions.{name}": region, f"regions.{name}.thermal": region.thermal}
@@ -154,7 +145,7 @@ def _on_axis(case: Case, found: Parts) -> list[str]:
 
 
 def _meets(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
-    """Which tetrahedra of corners (n, 4, 3) a line meets.
+    """Tetrahedra of corners (n, 4, 3) that a line meets.
 
     Seen along the line, it is outside of a cell whose corners all lie on one side of it.
     """
@@ -168,7 +159,7 @@ def _meets(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
 
 
 def _clamped(case: Case, found: Parts) -> list[str]:
-    """Interfaces whose both sides supports hold along all axes."""
+    """Interfaces with both sides held by supports along all axes."""
     notes = []
     for name in gaps_of(case, found):
         held: list[NDArray[np.bool_]] = []
@@ -195,7 +186,7 @@ def _clamped(case: Case, found: Parts) -> list[str]:
 
 
 def _sides(case: Case, found: Parts, name: str) -> tuple[list[float], float]:
-    """Mean thickness behind each elastic side of an interface, and the size of it [mm]."""
+    """Mean thickness behind each elastic side of an interface, and the interface's size [mm]."""
     touches = [t for t in found.touches if law_between(case, found, t.pieces)[0] == name]
     area = sum(float(t.areas.sum()) for t in touches)
     near = {p for t in touches for p in t.pieces}
@@ -216,7 +207,7 @@ def _largest(case: Case, law: Any, gap: Floats) -> tuple[float, float]:
 
 
 def _too_tight(case: Case, found: Parts) -> list[str]:
-    """Interferences that the bodies have no room for."""
+    """Interferences larger than the bodies allow."""
     errors = []
     for name, gap in gaps_of(case, found).items():
         interference, _ = _largest(case, case.interfaces[name], gap)
@@ -232,7 +223,7 @@ def _too_tight(case: Case, found: Parts) -> list[str]:
 
 
 def _large(case: Case, found: Parts) -> list[str]:
-    """Gaps and given displacements that are no small ones."""
+    """Gaps and prescribed displacements that are not small."""
     notes = []
     for name, gap in gaps_of(case, found).items():
         interference, apart = _largest(case, case.interfaces[name], gap)
@@ -264,7 +255,7 @@ def _large(case: Case, found: Parts) -> list[str]:
 
 
 def _strained(case: Case, found: Parts) -> list[str]:
-    """Loads that the material under them cannot bear, by three decades or so."""
+    """Loads some thousand times beyond what the material under them can bear."""
     notes = []
     loads: Mapping[str, Any] = case.loads
     for name, load in loads.items():
@@ -291,12 +282,7 @@ def modulus(region: Any) -> float:
 
 
 def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
-    """Warnings about results: strains that are not small.
-
-    Args:
-        case: The case.
-        numbers: Of its regions, by name.
-    """
+    """Warnings about results: strains that are not small, from the numbers of regions by name."""
     notes = []
     for name, found in numbers.items():
         E = modulus(case.regions[name])
@@ -313,7 +299,7 @@ def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
 
 
 def _cracks(case: Case, found: Parts) -> list[str]:
-    """Nodes that coincide without being one."""
+    """Coincident nodes that are not joined."""
     notes = []
     for (a, b), x in found.doubled.items():
         where = f"regions '{a}' and '{b}'" if a != b else f"region '{a}'"
@@ -326,7 +312,7 @@ def _cracks(case: Case, found: Parts) -> list[str]:
 
 
 def _size(case: Case, found: Parts) -> list[str]:
-    """A mesh file in another unit."""
+    """Mesh files in a doubtful unit."""
     size = float(np.linalg.norm(np.ptp(found.x, axis=0)))
     if case.geometry.kind != "file" or SIZES[0] <= size <= SIZES[1]:
         return []
@@ -337,7 +323,7 @@ def _size(case: Case, found: Parts) -> list[str]:
 
 
 def _too_stiff(case: Case, found: Parts) -> list[str]:
-    """Slender regions of linear cells, which bend too little."""
+    """Slender regions of linear cells, which are too stiff in bending."""
     if case.mesh.order != 1:
         return []
     worst: dict[str, tuple[float, float, float]] = {}
