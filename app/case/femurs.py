@@ -23,11 +23,11 @@ MUSCLES: dict[str, Point3] = {
 
 # Meshes of this size and below are refinements of a coarser mesh (mm); as in `meshes.swept`.
 COARSEST = 5.0
-# Part of the lines along which the mantle fills the canal, beside and below the stem, by the
-# thickness that is asked for less what the canal is widened (mm).
+# Fraction of the lines along which the mantle fills the canal, beside and below the stem, by the
+# thickness of the mantle less the widening of the canal (mm).
 FILLED = (0.0, 0.13, 0.45, 0.72, 0.78, 0.83, 0.87, 0.92)
 FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
-# Part of the stem that is in the bone at least; angles of a neck with its shaft (deg).
+# Least fraction of the stem in the bone; range of the angle between neck and shaft (deg).
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
 
 
@@ -184,7 +184,7 @@ class _Femur(Shape):
 
     def _spokes(self, size: float) -> int:
         """Number of lines around the stem."""
-        # Half-way through the mantle, half-way from the tip to the neck cut.
+        # Half-way through the mantle, half-way between the tip and the neck cut.
         middle = 0.5 * (self._cut - self.stem_tip_z)
         part = middle / (self.stem_section_z - self.stem_tip_z)
         half, depth, corner = (

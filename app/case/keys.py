@@ -101,7 +101,6 @@ def campaigns_page() -> str:
 
 
 def _page(root: type[BaseModel], title: str) -> Iterator[str]:
-    """A heading, a sentence and a table for a file and for each of its sections."""
     written: dict[str, tuple[str, list[str]]] = {}
     for model, keys in table(root).items():
         path = keys[0].section
@@ -199,7 +198,7 @@ def _variants(model: type[BaseModel]) -> list[type[BaseModel]]:
 
 
 def _marks(annotation: Any) -> tuple[list[Any], Any]:
-    """The marks of an annotation, and the annotation without them."""
+    """Marks of an annotation, and the bare annotation."""
     marks: list[Any] = []
     while get_origin(annotation) is Annotated:
         annotation, *more = get_args(annotation)
@@ -239,7 +238,6 @@ def _value(annotation: Any, links: dict[type[BaseModel], str]) -> tuple[str, str
 
 
 def _union(found: list[tuple[str, str]]) -> tuple[str, str]:
-    """Text and unit of a union."""
     kinds = [text.removeprefix("kind ") for text, _ in found if text.startswith("kind ")]
     others = list(dict.fromkeys(text for text, _ in found if not text.startswith("kind ")))
     if {"text", "whole number", "number"} <= set(others):
@@ -249,7 +247,6 @@ def _union(found: list[tuple[str, str]]) -> tuple[str, str]:
 
 
 def _sequence(found: list[tuple[str, str]], endless: bool) -> tuple[str, str]:
-    """Text and unit of a list."""
     text, unit = found[0]
     if endless:
         return f"list of: {text}", unit
@@ -260,7 +257,6 @@ def _sequence(found: list[tuple[str, str]], endless: bool) -> tuple[str, str]:
 
 
 def _scalar(mark: Scalar) -> tuple[str, str]:
-    """Text and unit of a scalar or an expression."""
     match mark:
         case Varying():
             text, unit = _scalar(mark.constant)
@@ -281,7 +277,7 @@ def _bounds(mark: Any) -> str:
 
 
 def _default(key: str, field: FieldInfo) -> str:
-    """The default of a key, in Markdown; empty if it is required."""
+    """Default of a key, in Markdown; empty if required."""
     if field.is_required() or (key == "kind" and field.default != "isotropic"):
         return ""
     default = field.get_default(call_default_factory=True)

@@ -136,7 +136,7 @@ class Range(Section):
 
 
 class LatinHypercube(Section):
-    """Samples of uncertain inputs: each input has one value in each of as many equal parts."""
+    """Samples of uncertain inputs: one value of each input in each of equal intervals."""
 
     samples: Annotated[int, Field(ge=2, le=10_000)]
     """Number of samples."""

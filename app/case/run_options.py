@@ -1,4 +1,4 @@
-"""How a case is run: stages, solver, what is written."""
+"""Options of a run: stages, solver, time steps, output."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from app.schema.section import MAPPING, Name, Section, Truth, Word, fail, show
 
 
 class Stage(Section):
-    """A part of the loading history, from multiplier to multiplier."""
+    """A stage of the loading history; multipliers are linear in it."""
 
     name: Name
     """Name in the results."""

@@ -33,7 +33,7 @@ class Mantle:
 
 
 class Shape(Section):
-    """Base of the geometries: what only some of them have."""
+    """Base of the geometries, with defaults of optional properties."""
 
     @property
     def has_curved_surfaces(self) -> bool:
@@ -82,7 +82,7 @@ class Shape(Section):
 
 
 class MeshOptions(Section):
-    """How fine the mesh is and what the displacement is approximated by."""
+    """Mesh size and order of the displacement."""
 
     size: PositiveLength
     """Edge length at the interfaces."""

@@ -75,7 +75,7 @@ class Reference(Section):
 
 
 class Study(Section):
-    """Error against run time: what varies and what is measured."""
+    """Error against run time: varied keys and measured numbers."""
 
     quantities: Annotated[tuple[Annotated[str, BeforeValidator(_quantity)], ...], ITEMS]
     """Numbers of ``summary.json``: ``<interface or region>.<key>``, ``stem.<key>``, and what has a

@@ -45,7 +45,7 @@ class Autocatalytic(Section):
 
 
 class Prescribed(Section):
-    """Cure that follows a clock, whatever the temperature."""
+    """Cure at a prescribed rate, independent of temperature."""
 
     kind: Literal["prescribed"] = "prescribed"
     rate: RateCourse
@@ -60,7 +60,7 @@ class Prescribed(Section):
 
 
 class Cure(Named):
-    """How a region sets, and what comes of it."""
+    """Cure of a region: kinetics, heat, stiffness and shrinkage."""
 
     kinetics: Annotated[Autocatalytic | Prescribed, Kinds()]
     """Rate of cure."""

@@ -40,7 +40,7 @@ def _six(value: object) -> object:
 
 
 class Eigenstrain(Section):
-    """A strain that the region would take on if nothing held it: swelling, shrinkage, press fit."""
+    """Stress-free strain of a region: swelling, shrinkage, press fit."""
 
     strain: Annotated[Strain6, BeforeValidator(_six)]
     """Tensor components [xx, yy, zz, yz, xz, xy]; a single number is the same in all directions."""
@@ -208,7 +208,7 @@ def _true(value: object) -> object:
 
 
 class Rigid(Named):
-    """Not deformable: the region moves as one body."""
+    """Rigid: the region moves as one body."""
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
     """Says that the region moves as one body; must be true."""
@@ -227,7 +227,7 @@ class Rigid(Named):
 
 
 class Conductor(Named):
-    """Conducts heat, and is not looked at as a solid: all regions or none."""
+    """Conducts heat without deforming; all regions or none."""
 
     kind: Literal["conductor"] = "conductor"
     thermal: Thermal

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Thermal(Named):
-    """Conduction of heat in a region, and what temperature does to it."""
+    """Conduction of heat, thermal expansion and cure of a region."""
 
     conductivity: units.Conductivity | None = None
     """Conductivity in all directions; or give axial_conductivity and transverse_conductivity."""

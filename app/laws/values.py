@@ -25,7 +25,7 @@ Table = tuple[tuple[float, float], ...]
 
 
 class Named(Section):
-    """Base of what a case lists by name: the scene's copy knows its own."""
+    """Base of named parts of a case; the copy in a scene knows its name."""
 
     _name: str = PrivateAttr("")
 

@@ -59,7 +59,6 @@ def build_scene(case: Case) -> Scene:
 
 
 def _thermal(region: Any, name: str) -> Thermal:
-    """Conduction of a region, with the region's fibre if it has one."""
     thermal: Thermal = region.thermal
     fibre = None
     if thermal.conductivity is None:

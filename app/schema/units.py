@@ -306,7 +306,6 @@ SizeVector = Annotated[
 
 
 def _normalise(axis: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Normalise a direction; refuse zero."""
     if not any(axis):
         fail("is the zero vector; expected a direction")
     # Scaled first, so that neither huge nor tiny entries overflow.
