@@ -56,7 +56,7 @@ __all__ = [
     "run",
 ]
 
-# What an extension is written with, and where it is defined.
+# Names for extensions, and the modules that define them.
 _EXTENSIONS = {
     "InterfaceLaw": "app.laws.interface_laws",
     "Load": "app.laws.loads",
@@ -67,7 +67,7 @@ _EXTENSIONS = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import what an extension is written with, when it is asked for."""
+    """Import the classes and functions for extensions on demand."""
     if name not in _EXTENSIONS:
         raise AttributeError(f"module 'mantle' has no attribute '{name}'")
     return getattr(import_module(_EXTENSIONS[name]), name)
@@ -87,7 +87,7 @@ def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
         The case; ``case.config`` has its checked parts.
 
     Raises:
-        InputError: The file cannot be read or is wrong; every defect at once, one line each.
+        InputError: The file cannot be read or is wrong; lists every defect, one line each.
     """
     from app.case import case, points
 
@@ -97,12 +97,10 @@ def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
 
 
 def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
-    """Tell how a case was understood, how large it is, and what in it is rarely meant.
+    """Describe a case as understood, its size, and doubtful values in it.
 
-    Args:
-        case: What `load` gives.
-        meshed: Whether to make the mesh: sizes are counted then instead of estimated, and what is
-            loose or cannot be solved on it is found.
+    With ``meshed`` the mesh is made: sizes are counted instead of estimated, and loose parts and
+    unsolvable problems are found.
 
     Returns:
         Texts on the case: its ``description``, its ``size`` and its ``notes``; print it.
@@ -128,12 +126,9 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
 def mesh(case: LoadedCase) -> MeshData:
     """Make the mesh of a case, or take it from the cache.
 
-    Args:
-        case: What `load` gives.
-
     Returns:
         Plain arrays: ``points`` (n, 3) [mm], ``cells`` (m, 4) or (m, 10) in gmsh's order,
-        ``cell_tags`` (m,), names of regions, boundaries and interfaces, and what the mesher notes.
+        ``cell_tags`` (m,), names of regions, boundaries and interfaces, and notes of the mesher.
 
     Raises:
         InputError: The mesh does not fit this machine.
@@ -212,10 +207,7 @@ def run(
 
 
 def read(folder: str | os.PathLike[str]) -> Results:
-    """Read the results of a run.
-
-    Args:
-        folder: Output folder of a run.
+    """Read the results of a run from its folder.
 
     Returns:
         Its numbers (``summary``), its histories as arrays by column (``history``), its ``fields``
@@ -233,7 +225,7 @@ def read(folder: str | os.PathLike[str]) -> Results:
 
 @contextmanager
 def _reported(folder: Path, wanted: bool) -> Iterator[None]:
-    """Write the page of a run at its end, also of one that has failed or is not to be used."""
+    """Write the report of a run at its end, also if it failed or is not to be used."""
     failure = None
     try:
         yield
@@ -248,7 +240,6 @@ def _reported(folder: Path, wanted: bool) -> Iterator[None]:
 
 
 def _results(folder: Path) -> Results:
-    """The results in a run directory."""
     with stack_needed():
         from app.results.reading import Results
     return Results(folder)

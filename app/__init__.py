@@ -2,6 +2,6 @@
 
 import os
 
-# What pydantic does at import beside its work: look for plugins, and check the schemas it has made.
+# Switch off pydantic's search for plugins and its check of schemas at import.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")

@@ -1,4 +1,4 @@
-"""Types of arrays: one name for each, wherever they are."""
+"""Array types."""
 
 from collections.abc import Callable
 

@@ -14,15 +14,12 @@ log = logging.getLogger("mantle")
 
 @contextmanager
 def captured(library: str) -> Iterator[Callable[[], list[str]]]:
-    """Catch what a library writes, and log it at the end (debug).
+    """Catch the output of a library, and log it under its name at the end (debug).
 
-    What mantle logs meanwhile, also from other threads, goes where it always goes.
-
-    Args:
-        library: Its name, for the log.
+    Log records of mantle, also from other threads, are not caught.
 
     Yields:
-        Gives the lines caught so far.
+        A function that returns the lines caught so far.
     """
     with ExitStack() as stack:
         caught = os.memfd_create(library)
@@ -47,7 +44,7 @@ def captured(library: str) -> Iterator[Callable[[], list[str]]]:
 
 
 def _redirect(number: int, to: int, stack: ExitStack) -> None:
-    """Send a stream of the process elsewhere, and leave the handlers of the log where it was."""
+    """Redirect a stream of the process; handlers of the log keep the original."""
     kept = os.dup(number)
     stack.callback(os.close, kept)
     for handler in log.handlers:
@@ -62,7 +59,6 @@ def _redirect(number: int, to: int, stack: ExitStack) -> None:
 
 
 def _number(stream: object) -> int | None:
-    """The descriptor of a stream, if it has one."""
     try:
         return int(stream.fileno())  # type: ignore[attr-defined]
     except (AttributeError, OSError, ValueError):
@@ -70,7 +66,6 @@ def _number(stream: object) -> int | None:
 
 
 def _flush() -> None:
-    """Have C and Python write what they hold back."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, OSError, ValueError):
             stream.flush()

@@ -1,9 +1,9 @@
 # PYTHON_ARGCOMPLETE_OK
 """The command line: ``mantle run | check | mesh | study | sweep | report | verify | ...``.
 
-`command_line.parser` has the options and `command_line.commands` what is done; here is how it
-ends. With python3-argcomplete installed, ``eval "$(register-python-argcomplete mantle)"`` completes
-commands and options in bash.
+`command_line.parser` has the options, `command_line.commands` the commands; this module handles
+errors and exit codes. With python3-argcomplete installed,
+``eval "$(register-python-argcomplete mantle)"`` completes commands and options in bash.
 
 Exit codes: 0 ok, 1 a verification problem fails or a benchmark cannot be measured, 2 input,
 3 geometry or mesh, 4 not converged, 5 stopped, 69 environment, 70 internal.
@@ -76,7 +76,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _explain(error: Exception) -> EnvironmentProblem | None:
-    """The machine's part in an error, if it has any."""
     from app.soundness import memory
     from app.system import form_cache
 
@@ -90,7 +89,7 @@ def _explain(error: Exception) -> EnvironmentProblem | None:
 
 
 def _leave(error: MantleError) -> int:
-    """Say what is wrong, once, and leave together; ranks that do not come too are ended."""
+    """Print an error once, and exit with all ranks; ranks that do not come too are ended."""
     if rank() == 0:
         print(painted(error, "bad", sys.stderr), file=sys.stderr, flush=True)
     else:
@@ -105,7 +104,7 @@ def _leave(error: MantleError) -> int:
 
 
 def _world() -> Any:
-    """The communicator of all ranks, if there are others."""
+    """Communicator of all ranks, or None for a single rank."""
     mpi = sys.modules.get("mpi4py.MPI")
     if mpi is None or not mpi.Is_initialized() or mpi.Is_finalized():
         return None

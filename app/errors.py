@@ -19,7 +19,7 @@ PATIENCE = 5.0
 
 
 class Reason(StrEnum):
-    """Why there is no answer, for programs: it stands in brackets in the message."""
+    """Reason of a failure, for programs: in brackets in the message."""
 
     LOOSE_BODY = "loose-body"
     """Nothing holds a body, or friction hardly does."""
@@ -32,7 +32,7 @@ class Reason(StrEnum):
 
     @classmethod
     def within(cls, text: str) -> set[Reason]:
-        """Those that a message gives."""
+        """Reasons in a message."""
         return {reason for reason in cls if f"[{reason}]" in text}
 
 
@@ -86,7 +86,7 @@ class EnvironmentProblem(MantleError):
 
 
 class AloneError(MantleError):
-    """An error of one rank, of which the others know nothing: all that is left is to end them."""
+    """An error on one rank, unknown to the others, which have to be ended."""
 
     def __init__(self, error: MantleError) -> None:
         super().__init__(str(error))
@@ -100,7 +100,7 @@ def stack_needed(petsc: bool = True) -> Iterator[None]:
     PETSc is started without its files of options: the one in the working folder may be another's.
 
     Raises:
-        EnvironmentProblem: A package that is not of mantle's own is missing.
+        EnvironmentProblem: A package from outside mantle is missing.
     """
     try:
         if petsc:
@@ -124,14 +124,14 @@ KINDS = (
 
 
 def gravest(codes: Iterable[int], message: str) -> MantleError:
-    """An error with the highest of the exit codes of failed runs; one that is not ours is 70."""
+    """Error with the highest of the exit codes of failed runs; unknown codes count as 70."""
     kinds: dict[int, type[MantleError]] = {kind.exit_code: kind for kind in KINDS}
     worst = max((kinds.get(code, MantleError) for code in codes), key=lambda kind: kind.exit_code)
     return worst(message)
 
 
 def together(comm: Any) -> bool:
-    """Whether all ranks come here soon; those that met no error wait for this one elsewhere."""
+    """Whether all ranks call this within a timeout; ranks without an error wait elsewhere."""
     here, end = comm.Ibarrier(), time.monotonic() + PATIENCE
     while not here.Test():
         if time.monotonic() > end:
@@ -141,7 +141,7 @@ def together(comm: Any) -> bool:
 
 
 def agree(comm: Any, error: MantleError) -> None:
-    """See that all ranks have met an error, before they do anything about it together.
+    """Confirm that all ranks have met an error, before any collective reaction to it.
 
     Raises:
         AloneError: They have not.

@@ -1,4 +1,4 @@
-"""Figures that need no screen and look alike whatever files of options there are."""
+"""Figures without a screen, independent of matplotlib's files of options."""
 
 from __future__ import annotations
 
@@ -6,12 +6,7 @@ from typing import Any
 
 
 def new(width: float, height: float) -> Any:
-    """An empty figure, by the object interface.
-
-    Args:
-        width: Inches.
-        height: Inches.
-    """
+    """An empty figure of this size [inch], by the object interface."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and folders of one user alone."""
+"""Files written whole or not at all, and private folders."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
 
 
 def clear(folder: Path, name: str = "*") -> None:
-    """Remove what killed processes have left of files, where no other process writes them."""
+    """Remove temporary files left by killed processes, unless another process writes them."""
     for path in folder.glob(f"{name}.*{PARTIAL}"):
         if LEFT.search(path.name):
             path.unlink(missing_ok=True)
 
 
 def lock_file(path: Path) -> int:
-    """Open a file to be locked, which is made if need be; links are not followed.
+    """Open a lock file, made if need be; links are not followed.
 
     Raises:
         OSError: It is a link or cannot be written.

@@ -68,7 +68,7 @@ def _gmsh_version() -> str:
     return str(gmsh.__version__)
 
 
-# What is kept of a mesh, beside its names.
+# Arrays of a mesh in the cache.
 ARRAYS = ("points", "cells", "cell_tags", "facets", "facet_tags")
 
 

@@ -329,7 +329,7 @@ def _at_edges(facets: InterfaceFacets, points: ContactPoints, at_vertex: Entries
     )
     rows, _, _ = distinct_rows(rows)
     stride = int(max(facets.vertices.max(), vertex.max())) + 1
-    # What supports give at both ends may be what they hold in the middle.
+    # A jump prescribed at both ends may be constrained in the middle too.
     known, first, number = np.unique(vertex, return_index=True, return_inverse=True)
     held = np.zeros((len(known), 3), dtype=bool)
     np.logical_or.at(held, number, points.held)

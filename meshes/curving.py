@@ -15,7 +15,7 @@ ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be o
 
 
 def straight(points: Floats, cells: Ints) -> Floats:
-    """The points with the middle nodes of quadratic cells half-way between their vertices."""
+    """Points with the middle nodes of quadratic cells half-way between their vertices."""
     first, second = np.array(EDGES).T
     x = points.copy()
     x[cells[:, 4:]] = 0.5 * (points[cells[:, first]] + points[cells[:, second]])

@@ -66,7 +66,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
 
 def _tetrahedra(geometry: Any, mesh: Any, swept: bool) -> tuple[Floats, Any, Any]:
-    """Nodes, cells and their volumes: gmsh tetrahedra, or swept from the plane."""
     inner = geometry.stem_radius
     middle = inner + geometry.cement_thickness
     outer = middle + geometry.bone_thickness

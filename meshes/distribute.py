@@ -27,17 +27,13 @@ os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")
 
 @dataclass(frozen=True)
 class TaggedMesh:
-    """A distributed mesh with its tags and their names.
+    """A distributed mesh; names and notes as in `MeshData`.
 
     Attributes:
         mesh: Tetrahedra, ghosted across shared facets (interface integrals need both sides).
             ``mesh.geometry.input_global_indices`` are rows of ``MeshData.points``.
         cell_tags: Region of every cell, ghosts included.
         facet_tags: Patch of the tagged exterior facets; a facet carries one tag.
-        regions: Region name to cell tag.
-        boundaries: Boundary name to its patch tags.
-        interfaces: Interface name to the region names on either side.
-        notes: Notes of the mesher.
     """
 
     mesh: dolfinx.mesh.Mesh

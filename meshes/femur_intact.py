@@ -184,7 +184,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
 
 def _surfaces(geometry: Any, mesh: Any) -> tuple[Intact, int]:
-    """Surfaces before reaming, and number of refinements of the coarsest mesh."""
     size, times = swept.steps(mesh.size)
     whole = geometry.model_copy(update={"canal_widening": 0.0})
     return Intact(whole, size, mesh.far * size / mesh.size), times

@@ -93,13 +93,8 @@ class FemurSurfaces:
     """Surfaces of the operated femur, as `layers.Surfaces`.
 
     Attributes:
-        spokes: Number of lines around.
-        size: Mesh size [mm].
-        mantle: Stations of the plug's end and of the neck cut.
         tip: Station of the stem's tip.
         cut: Station of the neck cut.
-        stations: Number of stations.
-        mirrored: No steps: sections turn one way.
     """
 
     mirrored = range(0)
@@ -223,7 +218,6 @@ class FemurSurfaces:
         return radius(np.arctan2(y, x), z) - np.hypot(x, y)
 
     def _stem_above(self, phi: Floats, s: Floats) -> Floats:
-        """The stem's outline above the cut (n, 3) [mm]."""
         at = s - self.cut
         _, out, blend, cone = self._above
         x = np.empty((len(s), 3))

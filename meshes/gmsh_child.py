@@ -30,7 +30,7 @@ from meshes.curving import untangle
 
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 LOG_LINES = 6  # of gmsh's log, quoted when it fails
-# What gmsh's recovery of surfaces prints, and what it means.
+# Messages of gmsh's recovery of surfaces, and their meaning.
 CROSSING = "PLC Error"
 CROSS = "surfaces of the geometry cross each other"
 GROWTH = 0.4  # mm of element size per mm of distance from an interface

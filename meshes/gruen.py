@@ -31,8 +31,6 @@ class Zones:
     """Zones of a femur with a stem, or with a planned one, in the frame of the stem.
 
     Attributes:
-        numbers: Numbers of the zones.
-        regions: Bone regions divided into zones.
         tip: Level of the stem's tip [mm].
         top: Level at which its axis leaves the bone [mm].
     """

@@ -116,7 +116,6 @@ class Swept:
     """A swept mesh.
 
     Attributes:
-        surfaces: Surfaces of its nodes.
         nodes: Its nodes; those of curved cells include middle nodes.
         cells: Tetrahedra (m, 4 or 10).
         layer: Layer of each cell: 0 inside, then 1 to 3 outwards.

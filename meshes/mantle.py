@@ -14,7 +14,7 @@ from meshes.data import MeshData, cell_volumes, facet_areas, interface_facets
 CLIPPED = 0.9  # of the nominal thickness: thinner is where the canal had no room
 PARTS = 3  # into which the edges of facets are divided, to follow their curvature
 NEAREST = 12  # candidates for the nearest facet
-# Points in a tetrahedron, evenly spread, that tell how much of it is below a level (barycentric).
+# Evenly spread points in a tetrahedron, for its fraction below a level (barycentric).
 LATTICE = np.array(
     [(i, j, k, 5 - i - j - k) for i in range(6) for j in range(6 - i) for k in range(6 - i - j)]
 )

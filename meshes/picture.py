@@ -80,7 +80,7 @@ def section(data: MeshData, axis: int, at: float) -> tuple[list[tuple[Floats, In
     edges = [np.stack([x, np.roll(x, -1, axis=1)], axis=2).reshape(-1, 2, 3) for x, _ in polygons]
     ends = np.concatenate(edges)
     owner = np.concatenate([np.repeat(cell, x.shape[1]) for x, cell in polygons])
-    # What two pieces of a cell share is inside it.
+    # Facets shared by two pieces of a cell are inside it.
     span = np.abs(ends[:, 1] - ends[:, 0])
     keys = np.column_stack([owner, np.round(ends.sum(axis=1), 6), np.round(span, 6)])
     _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)

@@ -26,7 +26,6 @@ class Piece:
     """A connected part of a region.
 
     Attributes:
-        region: Name of the region.
         cells: Number of cells.
         centre: Centroid (3,) [mm].
         volume: Volume [mm3].

@@ -80,7 +80,7 @@ def _best(points: Floats, local: Ints) -> Ints:
 
 
 def _partners(made: Swept, best: Ints) -> Ints:
-    """Partners of the children as of `match_faces`, whose diagonals are the `best` (m,)."""
+    """Partners of the children, as of `match_faces`, around the diagonals `best` (m,)."""
     first = 32 * np.arange(len(best))
     inner = _INNER[best]
     partner = np.where(inner < 0, -1, inner + first[:, None]).ravel()
@@ -148,7 +148,6 @@ def _steep(made: Swept, a: Ints, b: Ints) -> Floats:
 
 
 def _thickness(made: Swept) -> Floats:
-    """Used thickness of the layer between mantle and endosteum at each node [mm]."""
     nodes = made.nodes
     lines, line = lines_of(made.surfaces, nodes.phi, nodes.s, made.unit)
     return np.where(nodes.rho <= 0, 0.0, np.maximum(lines.gap[line] + nodes.error, 0.0))

@@ -196,7 +196,6 @@ def _merged(surfaces: Surfaces) -> tuple[Bools, Floats, Floats]:
 
 
 def _packed(made: Swept) -> Swept:
-    """The mesh without unused nodes, its cells positive."""
     used, cells = np.unique(made.cells, return_inverse=True)
     cells = cells.reshape(made.cells.shape)
     nodes = Nodes(**{name: values[used] for name, values in vars(made.nodes).items()})

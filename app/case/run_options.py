@@ -8,14 +8,8 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from app.laws.interface_laws import USUAL_AUGMENTATION
 from app.laws.loads import Point
+from app.schema import units
 from app.schema.section import MAPPING, Name, Section, Truth, Word, fail, show
-from app.schema.units import (
-    NonNegativeInteger,
-    PositiveDifference,
-    PositiveInteger,
-    PositiveNumber,
-    PositiveTime,
-)
 
 
 class Stage(Section):
@@ -23,13 +17,13 @@ class Stage(Section):
 
     name: Name
     """Name in the results."""
-    increments: PositiveInteger = 1
+    increments: units.PositiveInteger = 1
     """Number of load steps, before any is halved."""
     adaptive: Truth = True
     """Whether a step that does not converge is halved, and grows again when it is easy."""
-    max_cut_backs: NonNegativeInteger = 6
+    max_cut_backs: units.NonNegativeInteger = 6
     """How often in a row a step may be halved."""
-    duration: PositiveTime | None = None
+    duration: units.PositiveTime | None = None
     """Time that the stage takes; by default none, and temperatures stay as they are."""
     steady: Truth = False
     """Whether the stage goes to the steady state of the temperature."""
@@ -62,9 +56,9 @@ def _petsc(value: object) -> object:
 class SolverOptions(Section):
     """How the equations are solved."""
 
-    tolerance: PositiveNumber = 1e-10
+    tolerance: units.PositiveNumber = 1e-10
     """Residual relative to the scale of the forces at which a step has converged."""
-    max_iterations: PositiveInteger = 40
+    max_iterations: units.PositiveInteger = 40
     """Largest number of Newton iterations in a step."""
     linear: Annotated[Literal["auto", "direct", "multigrid"], Word()] = "auto"
     """Linear solver; `auto` is direct for small models."""
@@ -72,7 +66,7 @@ class SolverOptions(Section):
         default_factory=dict
     )
     """Raw PETSc options, without the leading dash."""
-    augmentation_factor: PositiveNumber = USUAL_AUGMENTATION
+    augmentation_factor: units.PositiveNumber = USUAL_AUGMENTATION
     """Augmentation r over the stiffness per area that a point meets, where r is not given."""
 
 
@@ -81,11 +75,11 @@ class TimeOptions(Section):
 
     method: Annotated[Literal["sdirk4", "backward_euler"], Word()] = "sdirk4"
     """Time integrator; both are L-stable, of order 4 and 1."""
-    tolerance: PositiveDifference = 1e-3
+    tolerance: units.PositiveDifference = 1e-3
     """Largest error of the temperature in a time step."""
-    first_step: PositiveTime | None = None
+    first_step: units.PositiveTime | None = None
     """First time step of a stage; chosen by mantle by default."""
-    mechanical_step: PositiveDifference = 5.0
+    mechanical_step: units.PositiveDifference = 5.0
     """Change of temperature after which the mechanics are solved again; cure counts as the
     temperature that it releases."""
 
@@ -109,9 +103,9 @@ class Probe(Section):
 class CheckpointOptions(Section):
     """When the state of a run is saved; at a signal and at `--walltime` it always is."""
 
-    steps: PositiveInteger | None = None
+    steps: units.PositiveInteger | None = None
     """Number of steps between two checkpoints."""
-    minutes: PositiveNumber | None = None
+    minutes: units.PositiveNumber | None = None
     """Minutes between two checkpoints; saved after the step that passes them."""
 
 
@@ -120,7 +114,7 @@ class OutputOptions(Section):
 
     fields: Truth = True
     """Whether field files are written."""
-    every: PositiveInteger = 1
+    every: units.PositiveInteger = 1
     """Steps between two field outputs; the last step is always written."""
     condition: Truth = False
     """Whether the condition number of the last Jacobian is estimated, which factorizes it."""

@@ -1,4 +1,4 @@
-"""The command line: its grammar, and what each command does.
+"""The command line: its grammar and its commands.
 
 It imports all packages and the public functions of `mantle`. Begin with `commands`.
 """

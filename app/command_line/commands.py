@@ -57,7 +57,6 @@ def dispatch(arguments: list[str]) -> int:
 def _run(
     options: argparse.Namespace, petsc_options: list[str], count: int | None, rest: list[str]
 ) -> int:
-    """Solve a case, on several ranks if asked for."""
     from app.simulation import finished_runs
     from app.system import stopping
 
@@ -91,14 +90,12 @@ def _run(
 
 
 def _load(options: argparse.Namespace) -> LoadedCase:
-    """The case that a command is about."""
     from app.case.case import load
 
     return load(options.case, options.overrides)
 
 
 def _init(options: argparse.Namespace) -> int:
-    """Write a case to start from, and tell what comes next."""
     from app.case import new_case
 
     path = new_case.write(options.name, options.kind, options.stem)
@@ -111,7 +108,6 @@ def _init(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    """Tell how a case was understood."""
     case = _load(options)
     found = mantle.check(case)
     print(found.description)
@@ -125,7 +121,6 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _mesh(options: argparse.Namespace) -> int:
-    """Write the mesh and a picture of it."""
     case = _load(options)
     import meshes
     from app.soundness import cost, memory
@@ -154,7 +149,6 @@ def _mesh(options: argparse.Namespace) -> int:
 
 
 def _mesh_path(output: Path | None, stem: str) -> Path:
-    """The file to write the mesh to; its folder is made."""
     path = output or Path("out") / f"{stem}.msh"
     if path.is_dir() or path.suffix != ".msh":
         path = path / f"{stem}.msh"
@@ -168,7 +162,6 @@ def _mesh_path(output: Path | None, stem: str) -> Path:
 
 
 def _campaign(options: argparse.Namespace) -> int:
-    """Error against run time of a case, or the cases of a sweep."""
     configure_log("info")
     from app.campaigns import study, sweep
 
@@ -182,7 +175,7 @@ def _campaign(options: argparse.Namespace) -> int:
 
 
 def _suite(options: argparse.Namespace) -> int:
-    """Known answers, extremes or costs; 1 if a check is not as it should be."""
+    """Run a suite; 1 if a check fails."""
     configure_log("info")
     from app.verification import engine
 
@@ -194,7 +187,6 @@ def _suite(options: argparse.Namespace) -> int:
 
 
 def _many(options: argparse.Namespace, folder: Path) -> Options:
-    """Options of a command that makes many runs."""
     from app.campaigns.plan import Options
 
     return Options(
@@ -207,7 +199,6 @@ def _many(options: argparse.Namespace, folder: Path) -> Options:
 
 
 def _report(options: argparse.Namespace) -> int:
-    """Write the report of a run, a sweep or several runs; say where, and how the trends fare."""
     configure_log("info")
     with stack_needed():
         from app.report import compare, run_report, sweep_report
@@ -233,7 +224,6 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _explain(options: argparse.Namespace) -> int:
-    """Print what a key or a name of the library means, or the schema."""
     import json
 
     from app.case import explain
@@ -250,7 +240,6 @@ def _explain(options: argparse.Namespace) -> int:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    """Print what is found on this machine."""
     from app.system import doctor
 
     print(doctor.report())

@@ -19,7 +19,7 @@ EXIT_CODES = (
 )
 CASE, MANY = "case --set --allow-scripts", "-o --cores --dry-run --slurm"
 SUITE = f"{MANY} -k --tier"
-# Of each command what it does, and its arguments.
+# Each command: its help and its arguments.
 COMMANDS = {
     "init": ("write a short case to start from; it runs as it is", "name --kind --stem"),
     "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error -v"),
@@ -161,14 +161,10 @@ REMOVED = {
 
 
 class Parser(argparse.ArgumentParser):
-    """Argparse that raises instead of leaving, and speaks on one rank only."""
+    """Argparse that raises instead of exiting, and prints on one rank only."""
 
     def error(self, message: str) -> NoReturn:
-        """Report a wrong command line.
-
-        Raises:
-            InputError: Always.
-        """
+        """Raise InputError for a wrong command line."""
         raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
 
     def _print_message(self, message: str, file: Any = None) -> None:
@@ -177,11 +173,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def refuse_removed(arguments: Sequence[str]) -> None:
-    """Say what replaces a command or option that an earlier version had.
-
-    Raises:
-        InputError: The command line has one.
-    """
+    """Raise InputError for a removed command or option, with its replacement."""
     command = arguments[0] if arguments else ""
     for word in [command, *(f"{command} {a.partition('=')[0]}" for a in arguments[1:])]:
         if word in REMOVED:

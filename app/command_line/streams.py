@@ -9,26 +9,26 @@ from typing import TextIO
 
 from app.system.ranks import rank, world_size
 
-# Colours of a terminal: what is good, doubtful, bad.
+# Terminal colours of good, doubtful and bad.
 TONES = {"good": "32", "doubtful": "33", "bad": "1;31"}
 # Set for ranks that print to a terminal: mpirun gives them one of its own in any case.
 COLOURS = "MANTLE_COLOURS"
 
 
 def coloured(stream: TextIO) -> bool:
-    """Whether a stream is a terminal with colours, and they are wanted (no-color.org)."""
+    """Whether a stream is a terminal with colours, and colours are wanted (no-color.org)."""
     if os.environ.get("NO_COLOR") or os.environ.get("TERM", "dumb") == "dumb":
         return False
     return COLOURS in os.environ if world_size() is not None else stream.isatty()
 
 
 def painted(text: object, tone: str, stream: TextIO) -> str:
-    """A text in one of the `TONES`, where a stream has colours."""
+    """Text in one of the `TONES`, where a stream has colours."""
     return f"\033[{TONES[tone]}m{text}\033[m" if tone and coloured(stream) else str(text)
 
 
 def pass_colours() -> None:
-    """Let ranks that are started now have the colours of this terminal."""
+    """Let child ranks use the colours of this terminal."""
     if coloured(sys.stdout) and coloured(sys.stderr):
         os.environ[COLOURS] = "1"
     else:
@@ -36,21 +36,21 @@ def pass_colours() -> None:
 
 
 def silence(stream: TextIO) -> None:
-    """The reader of a stream (head, less) has left: there is nobody to say anything to."""
+    """Discard further output to a stream whose reader (head, less) has left."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 class Handler(logging.StreamHandler[TextIO]):
-    """Paints warnings and errors, and goes on without its reader."""
+    """Log handler that colours warnings and errors, and survives a closed stream."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """A record in the colour of its ``tone``: a warning is doubtful, an error bad."""
+        """Format a record in the colour of its ``tone``: a warning is doubtful, an error bad."""
         tone = "doubtful" if record.levelno >= logging.WARNING else ""
         tone = "bad" if record.levelno >= logging.ERROR else tone
         return painted(super().format(record), getattr(record, "tone", tone), self.stream)
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Forget a stream that has been closed."""
+        """Ignore a closed stream."""
         if isinstance(sys.exc_info()[1], BrokenPipeError):
             silence(self.stream)
         else:
@@ -58,12 +58,7 @@ class Handler(logging.StreamHandler[TextIO]):
 
 
 def configure_log(level: str, stream: TextIO | None = None) -> None:
-    """Send progress to standard output and warnings to standard error, from rank 0 only.
-
-    Args:
-        level: Least level.
-        stream: Where progress goes instead.
-    """
+    """Send progress to standard output or ``stream``, warnings to standard error, from rank 0."""
     logger = logging.getLogger("mantle")
     logger.propagate = False
     logger.setLevel(logging.CRITICAL if rank() else level.upper())

@@ -1,5 +1,4 @@
 """The discrete equations of temperature and of curing cement.
 
-It imports `scene`, `numerics` and `forms`; `mechanics` and it do not know each other. Begin
-with `conduction`.
+It imports `scene`, `numerics` and `forms`, never `mechanics`. Begin with `operators`.
 """

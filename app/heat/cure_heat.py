@@ -1,4 +1,4 @@
-r"""Heat of cure: what the nodes of setting regions release within an implicit step.
+r"""Heat of cure: heat that the nodes of curing regions release within an implicit step.
 
 The degree of cure follows from the temperature at the end of the step, a(T) = a* + h f(a, T), node
 by node (`heat.curing`). A node that stands for the volume V releases Q V (a(T) - a*)/h: whatever
@@ -21,14 +21,14 @@ from app.scene.scene import Scene
 
 @dataclass(frozen=True)
 class CuringNodes:
-    """Own nodes of a region that sets.
+    """Own nodes of a curing region.
 
     Attributes:
         region: Its name.
         body: Thermal body whose temperature they have.
         dof: Own nodes, rising (n,).
         heat: Heat that each releases from degree 0 to 1 (n,) [N mm].
-        adiabatic_rise: By how much that would warm the region [K].
+        adiabatic_rise: Adiabatic temperature rise of the region by that heat [K].
     """
 
     region: str
@@ -42,8 +42,8 @@ class CureHeat:
     """Degrees of cure and their heat in an implicit step.
 
     Attributes:
-        nodes: Nodes of each region that sets.
-        curing: Its kinetics.
+        nodes: Nodes of each curing region.
+        curing: Their kinetics.
     """
 
     def __init__(self, scene: Scene, bodies: Bodies, forms: HeatForms) -> None:
@@ -70,7 +70,7 @@ class CureHeat:
         self._last: tuple[list[Floats], list[Degrees]] | None = None
 
     def begin(self, start: Sequence[Floats], h: float, seconds: float) -> bool:
-        """Prepare a step; False if it starts from degrees that are none; collective."""
+        """Prepare a step; False if it starts from inadmissible degrees; collective."""
         self._start = [a.copy() for a in start]
         self._h, self._seconds, self._last = h, seconds, None
         return self.curing.admissible(start)
@@ -78,7 +78,7 @@ class CureHeat:
     def at(self, T: Sequence[Floats]) -> list[Degrees]:
         """Degrees of cure for temperatures of own nodes of each body [K].
 
-        In a steady state they are those it starts from: nothing is released that would not be over.
+        A steady state keeps its initial degrees: all heat of cure is already released.
         """
         here = [T[n.body][n.dof] for n in self.nodes]
         if self._last is None or not all(map(np.array_equal, here, self._last[0])):
@@ -102,7 +102,7 @@ class CureHeat:
         return self._spread(self.released(T))
 
     def growth(self, T: Sequence[Floats]) -> dict[int, Floats]:
-        """How it grows with temperature at own nodes of bodies that set [N mm/(s K)]."""
+        """Derivative of released heat by temperature at own nodes of curing bodies [N mm/(s K)]."""
         rate = 1 / self._h
         slopes = [
             rate * n.heat * d.by_temperature for n, d in zip(self.nodes, self.at(T), strict=True)

@@ -1,8 +1,8 @@
-"""Degree of cure: a state of every node of a region that sets, advanced node by node.
+"""Degree of cure: a state of every node of a curing region, advanced node by node.
 
 A time integration asks for the degree of cure at the end of an implicit step, a = a* + h f(a, T),
-with its derivative by the temperature there; the heat that is released is that of a - a*, so none
-is lost. What the curing does to strains is in `FreeStrain`.
+with its derivative by the temperature there; the heat released is that of a - a*, so none is lost.
+`FreeStrain` holds the strains of cure.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from app.laws.values import multiplier
 from app.numerics.pointwise import Pointwise
 from forms import cure as forms
 
-# A reaction ends this far below its limit. What would be left takes ever longer and warms by less
-# than any tolerance, but the stages of a long step would overshoot the limit for it.
+# A reaction ends this far below its limit. The rest would take ever longer and warm by less than
+# any tolerance, but stages of a long step would overshoot the limit.
 UNREACTED = 1e-6
-# Degrees further than this from [0, 1] are not there by rounding.
+# Degrees further than this from [0, 1] are not rounding errors.
 ROUNDING = 1e-12
-# Times are equal up to this part of them.
+# Relative difference up to which times count as equal.
 SAME = 1e-10
-# Below this degree errors count by their part of the degree, down to the second.
+# Below this degree errors count relative to the degree, down to the second.
 _SMALL, _SMALLEST = 1e-2, 1e-9
-# Newton's method is in the logarithm of what reacts over what does not.
+# Newton's method is in the logarithm of the reacting over the remaining part.
 _CONVERGED = 1e-8
-# Parts of what may react that are taken from the last step without looking at the ends, and the
-# logarithm of what is less than any.
+# Fractions of the reactive part accepted from the last step without a check of the ends, and the
+# logarithm of a negligible one.
 _HARDLY, _HALF, _LOWEST = 1e-12, 0.5, -50.0
-# Temperatures between which iterates of a solver mean something [K], and the least share of what
-# may react whose powers are numbers.
+# Range of meaningful temperatures of solver iterates [K], and the least reactive share whose powers
+# are finite.
 _COLDEST, _HOTTEST, _LEAST = 1.0, 1e9, 1e-300
 _ITERATIONS = 100
 
@@ -52,11 +52,11 @@ class Degrees:
 
 
 class Curing:
-    """The degrees of cure of all regions that set, on the nodes of this rank.
+    """The degrees of cure of all curing regions, on the nodes of this rank.
 
     Args:
         comm: Communicator of the mesh.
-        cures: Regions that set.
+        cures: Curing regions.
         nodes: Number of nodes of each on this rank.
     """
 
@@ -78,7 +78,7 @@ class Curing:
     def admissible(self, start: Sequence[Floats]) -> bool:
         """Whether every degree lies in [0, 1] up to rounding; collective.
 
-        A stage of a time step that is too long may start from one that does not.
+        A stage of too long a time step may start from one that does not.
         """
         inside = all(bool((np.abs(a - 0.5) <= 0.5 + ROUNDING).all()) for a in start)
         return bool(self._comm.allreduce(inside, op=MPI.LAND))
@@ -95,7 +95,7 @@ class Curing:
             seconds: Time at its end [s].
 
         Raises:
-            ValueError: If the step has no end: what sets has no steady state but the set one.
+            ValueError: The step is infinite: curing has no steady state but the cured one.
         """
         if not np.isfinite(h):
             raise ValueError("Cure needs a time step of finite length.")
@@ -112,7 +112,7 @@ def _kinetics(comm: MPI.Comm, cure: Cure, nodes: int) -> AutocatalyticKinetics |
 
 
 class PrescribedKinetics:
-    """Cure that follows a clock, whatever the temperature."""
+    """Cure as a function of time, whatever the temperature."""
 
     def __init__(self, terms: Prescribed, initial: float) -> None:
         self._course = terms.rate
@@ -122,9 +122,9 @@ class PrescribedKinetics:
         self.events = tuple(map(float, times))
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
-        """The same for every node."""
-        # Before and after its course the reaction rests. Where it begins or ends at once, what ends
-        # there sees the rate before; the clock is rounded.
+        """Advance all nodes alike."""
+        # Before and after its course the reaction rests. Where it begins or ends abruptly, a step
+        # that ends there has the rate before; times are rounded.
         near = SAME * seconds
         runs = self.events[0] + near < seconds <= self.events[-1] + near
         r = multiplier(self._course, seconds) if runs else 0.0
@@ -169,13 +169,12 @@ class AutocatalyticKinetics:
         if terms.limit:
             self._limits = (Pointwise(comm, nodes, sizes, limits),)
             self._limits[0].set(**{k: np.full(nodes, constants[k]) for k in knots})
-        # Mean rates of the last step, at what temperatures and how they grow with these: of the
-        # next one they are not far.
+        # Mean rates of the last step, with their temperatures and derivatives: close to the next.
         self._mean, self._temperature, self._growth = np.zeros((3, nodes))
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
-        """Only nodes that still react are looked at."""
-        # Iterates of a solver may be cold beyond sense, or no number: nothing reacts there.
+        """Advance the nodes that still react."""
+        # Solver iterates may be unphysically cold, or NaN: nothing reacts there.
         T = np.minimum(np.fmax(temperature, _COLDEST), _HOTTEST)
         limit, limit_by_T = np.ones_like(T), np.zeros_like(T)
         for law in self._limits:
@@ -191,7 +190,7 @@ class AutocatalyticKinetics:
         share = np.where(self._mean[rows] > 0, h * mean / room, 0.0)
         low = np.full(len(rows), _LOWEST)
         high: Floats = np.log((room - UNREACTED) / UNREACTED)
-        # Where too little is known the ends are looked at first.
+        # The ends are evaluated first where the last step says too little.
         new = np.flatnonzero(~((share > _HARDLY) & (share < _HALF) & (start[rows] > 0)))
         if len(new):
             first = rates(rows[new], np.zeros(len(new)))[0]
@@ -210,7 +209,7 @@ class AutocatalyticKinetics:
         reacted, f, f_a, f_T = self._react(rows, room, share, low, high, h, rates)
         degree[rows] = start[rows] + reacted
         with np.errstate(divide="ignore", invalid="ignore"):
-            # The step itself, or what is left of it where the reaction has ended before.
+            # The step itself, or the rest of it where the reaction has ended before.
             taken = np.fmin(h, reacted / f)
             slope = taken * f_T / (1 - taken * f_a)
         by_T[rows] = np.where(np.isfinite(slope), slope, 0.0)
@@ -231,7 +230,7 @@ class AutocatalyticKinetics:
 
         Newton's method for s with a = a* + (a_max - a*) / (1 + exp(-s)), between bounds:
         ln(a - a*) - ln(h f) is nearly linear in s at both ends and, for m <= 1, increases: one
-        root. With m > 1 a step may be so long that there are more; one of them is found.
+        root. With m > 1 a long step may have several; one of them is found.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             s = np.log(share) - np.log1p(-share)
@@ -261,24 +260,24 @@ class AutocatalyticKinetics:
 def as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:
     """Errors of degrees of cure as temperatures (n,) [K], by the heat that they release.
 
-    At small degrees an error counts by its part of the degree, for both grow together.
+    At small degrees an error counts relative to the degree, for both grow together.
 
     Args:
         degree: Degrees of cure (n,).
         error: Their errors (n,).
-        rise: By how much full cure would warm the region that keeps its heat [K].
+        rise: Adiabatic temperature rise of the region by full cure [K].
     """
     return rise * error * np.maximum(1, _SMALL / np.maximum(degree, _SMALLEST))
 
 
 def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
-    """Part of the free strain of a way that is there at a part s of it (n,).
+    """Fraction of a step's free strain reached at a fraction s of the step (n,).
 
     Args:
         gel: Degree of cure at gelation.
-        start: Degrees of cure where it begins (n,).
-        end: Where it ends.
-        s: How much of it is gone, the degree being linear in it.
+        start: Degrees of cure at the start of the step (n,).
+        end: Degrees at its end.
+        s: Fraction of the step; the degree is linear in it.
     """
     grown = np.divide(gel - start, end - start, out=np.zeros_like(start), where=end > start)
     gelled = np.clip(grown, 0.0, 1.0)
@@ -291,7 +290,7 @@ class FreeStrain:
 
     Args:
         comm: Communicator of the mesh.
-        cure: The region that sets.
+        cure: The curing region.
         expansion: Its coefficient of thermal expansion [1/K].
         nodes: Number of its nodes on this rank.
     """
@@ -323,6 +322,6 @@ def _logistic(s: Floats) -> Floats:
 def _plain(*expressions: Expr) -> list[Expr]:
     """Expressions with derivatives taken and without the labels of their variables.
 
-    The labels differ from run to run; without them what is compiled is found again.
+    The labels differ from run to run: without them compiled code is found again.
     """
     return [strip_variables(expand_derivatives(e)) for e in expressions]

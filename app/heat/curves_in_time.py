@@ -1,4 +1,4 @@
-"""Temperature between the time steps, interpolated from the steps around."""
+"""Temperature between the time steps, interpolated from neighbouring steps."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from app.arrays import Floats
 
-# A time [s] and the temperatures then (n,) [K].
+# A time [s] and the temperatures at it (n,) [K].
 State = tuple[float, Floats]
 
 
 def raise_to(peak: Floats, time: Floats, value: Floats, when: Floats) -> None:
-    """Keep what is higher and when it was, in place (n,)."""
+    """Update peaks and their times in place where a value is higher (n,)."""
     higher = value > peak
     peak[higher], time[higher] = value[higher], when[higher]
 
@@ -19,12 +19,12 @@ def raise_to(peak: Floats, time: Floats, value: Floats, when: Floats) -> None:
 def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Floats]:
     """Peaks between the middle ones of four states, at rising times.
 
-    The vertex of the parabola through three of them, of which the hottest is in the middle, but no
-    higher than straight lines through the two states before and through the two after: heating that
-    is switched off leaves no peak.
+    The vertex of the parabola through three of them, the hottest in the middle, but no higher than
+    straight lines through the two states before and through the two after: heating that is switched
+    off leaves no peak.
 
     Returns:
-        Temperatures (n,), minus infinity where there is no peak, and times (n,).
+        Temperatures (n,), minus infinity without a peak, and times (n,).
     """
     (t0, a), (t1, b), (t2, c), (t3, d) = s0, s1, s2, s3
     before, across, after = (b - a) / (t1 - t0), (c - b) / (t2 - t1), (d - c) / (t3 - t2)
@@ -44,10 +44,10 @@ def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Fl
 
 
 def bend(before: State, start: State, end: State) -> Floats:
-    """How far below its chord a parabola is in the middle of the last step (n,) [K].
+    """Depth of a parabola below its chord in the middle of the last step (n,) [K].
 
-    It goes through the ends of the step and the state before, and is not bent further than leaves
-    it between the ends.
+    It passes through the ends of the step and the state before; its bend is limited so that it
+    stays between the ends.
     """
     (t0, a), (t1, b), (t2, c) = before, start, end
     if not t0 < t1 < t2:
@@ -58,12 +58,11 @@ def bend(before: State, start: State, end: State) -> Floats:
 
 
 def bend_after_kink(start: State, end: State, rate: Floats) -> Floats:
-    """The same where the state before says nothing, with the rate of change at the end [K/s]."""
+    """As `bend` where the state before is of no use, by the rate of change at the end [K/s]."""
     (t1, b), (t2, c) = start, end
     return _between((rate * (t2 - t1) - (c - b)) / 4, b, c)
 
 
 def _between(bend: Floats, start: Floats, end: Floats) -> Floats:
-    """No more than leaves the parabola between the ends."""
     limit = np.abs(end - start) / 4
     return np.asarray(np.clip(bend, -limit, limit))

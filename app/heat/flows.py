@@ -1,4 +1,4 @@
-"""Heat that enters a model and heat that it stores, for its balance."""
+"""Heat that enters and is stored in a model, for its balance."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from app.laws.values import multiplier
 def flows(step: ImplicitStep, x: Sequence[PETSc.Vec]) -> dict[str, float]:
     """Heat that enters the model per time in a state, by condition [N mm/s]; collective.
 
-    Of the interval last begun: the sum is the rate at which heat is stored in it, to the tolerance
-    of the solver.
+    Their sum is the rate at which heat is stored in the interval last begun, to the tolerance of
+    the solver.
     """
     here, operators = step.at(x), step.operators
     found: dict[str, float] = {}
@@ -51,7 +51,7 @@ def flows(step: ImplicitStep, x: Sequence[PETSc.Vec]) -> dict[str, float]:
 def through(step: ImplicitStep, x: Sequence[PETSc.Vec]) -> dict[str, float]:
     """Heat per time from the first side to the second [N mm/s]; collective.
 
-    Of each interface of finite conductance, friction heat left out.
+    By interface of finite conductance, without friction heat.
     """
     names = [c.name for c in step.operators.scene.thermal_contacts]
     sums, flux = np.zeros(len(names)), step.at(x).flux
@@ -61,7 +61,7 @@ def through(step: ImplicitStep, x: Sequence[PETSc.Vec]) -> dict[str, float]:
 
 
 def stored(operators: HeatOperators, x: Sequence[PETSc.Vec]) -> float:
-    """Heat stored, from an arbitrary but fixed temperature on [N mm]; collective."""
+    """Stored heat above an arbitrary but fixed temperature [N mm]; collective."""
     local = sum(
         float((m * (t - operators.reference)).sum())
         for m, t in zip(operators.capacity, operators.nodal(x), strict=True)

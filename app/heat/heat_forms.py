@@ -1,9 +1,9 @@
-"""The forms of heat on the mesh: conduction, exchange with surroundings, what nodes stand for.
+"""The forms of heat on the mesh: conduction, exchange with surroundings, lumped volumes and areas.
 
-Temperature is piecewise linear, on curved cells too. Everything but conduction is lumped: a node
-stands for the integral of its shape function over a region or over a body's part of a boundary, and
-laws hold at nodes. Capacity and exchange then have no off-diagonal entries that would let
-temperatures overshoot in short steps; densities and fluxes that vary in space are taken at nodes.
+Temperature is piecewise linear, on curved cells too. All but conduction is lumped: a node has the
+integral of its shape function over a region or over a body's part of a boundary, and laws hold at
+nodes. Capacity and exchange then have no off-diagonal entries, which would let temperatures
+overshoot in short steps; densities and fluxes that vary in space are evaluated at nodes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from app.system.timing import Timing
 from forms import heat
 from meshes.distribute import TaggedMesh
 
-# Of the quadrature where fibres turn: UFL would take 20, with the same fluxes to 0.01 %.
+# Degree of quadrature where fibres turn: UFL would choose 20, with the same fluxes to 0.01 %.
 TURNING_DEGREE = 2
 
 
@@ -40,10 +40,10 @@ class HeatForms:
 
     Attributes:
         space: Temperature space.
-        owned: Nodes of this rank.
+        owned: Number of nodes of this rank.
 
     Args:
-        bodies: Thermal bodies: what interfaces of finite conductance separate.
+        bodies: Thermal bodies, which interfaces of finite conductance separate.
     """
 
     def __init__(self, tagged: TaggedMesh, bodies: Bodies, timing: Timing) -> None:
@@ -76,7 +76,7 @@ class HeatForms:
         return {b: f.facets[body == b].astype(np.int32) for b in sorted(present)}
 
     def held_nodes(self, condition: FixedTemperature) -> dict[int, Ints]:
-        """Own nodes that a given temperature holds, by body; collective."""
+        """Own nodes with a given temperature, by body; collective."""
         found: dict[int, list[NDArray[np.int32]]] = {}
         if condition.boundary:
             for b, facets in self.facets(condition.boundary).items():
@@ -91,17 +91,17 @@ class HeatForms:
         """A field at some own nodes, zero at the others (owned,); collective.
 
         Raises:
-            InputError: It cannot be evaluated there.
+            InputError: The field cannot be evaluated there.
         """
         x = self.space.tabulate_dof_coordinates()[nodes]
         values = np.zeros(self.owned)
         values[nodes] = everywhere(self.comm, lambda: np.asarray(field(x), dtype=float).reshape(-1))
         return values
 
-    # What nodes stand for
+    # Lumped volumes and areas
 
     def volumes(self, region: str) -> Floats:
-        """Volume of a region that each own node stands for [mm3]."""
+        """Volume of a region at each own node [mm3]."""
         if region not in self._volumes:
             v = ufl.TestFunction(self.space)
             power = heat.heating_power(self._constant(1.0), v) * self._dx(region)
@@ -109,7 +109,7 @@ class HeatForms:
         return self._volumes[region]
 
     def areas(self, boundary: str) -> dict[int, Floats]:
-        """Area of a boundary that each own node stands for, by body [mm2]."""
+        """Area of a boundary at each own node, by body [mm2]."""
         if boundary not in self._areas:
             v = ufl.TestFunction(self.space)
             self._areas[boundary] = {
@@ -160,7 +160,6 @@ class HeatForms:
         return parts
 
     def _places(self, condition: Convection | Perfusion) -> list[tuple[int, ufl.Measure]]:
-        """Where surroundings are in touch with which body."""
         if isinstance(condition, Convection):
             return list(self._ds(condition.boundary).items())
         return [(self._bodies.of_region[r], self._dx(r)) for r in condition.regions]
@@ -169,7 +168,7 @@ class HeatForms:
         v, w = ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
         return ufl.derivative(ufl.derivative(potential, θ, v), θ, w)
 
-    # One number for every measure: forms that differ in where they are taken are compiled once.
+    # One subdomain number for all measures: forms on different subdomains are compiled once.
 
     def _dx(self, region: str) -> ufl.Measure:
         return ufl.Measure("dx", domain=self._mesh, subdomain_data=[(1, self.cells(region))])(1)
@@ -189,7 +188,7 @@ class HeatForms:
         return fem.Constant(self._mesh, np.asarray(value, dtype=default_scalar_type))
 
     def compiling(self) -> AbstractContextManager[None]:
-        """Counts the time of a block as that of compilation."""
+        """Count the time of a block as compilation."""
         return self._timing.phase("compile", "heat")
 
     def _form(self, form: Any) -> fem.Form:
@@ -197,7 +196,6 @@ class HeatForms:
             return fem.form(form)
 
     def _nodal(self, form: Any) -> Floats:
-        """A linear form at own nodes."""
         vector = assemble_vector(self._form(form))
         vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         values: Floats = vector.array[: self.owned].copy()
@@ -205,7 +203,6 @@ class HeatForms:
 
 
 def _with_diagonal(A: PETSc.Mat) -> PETSc.Mat:
-    """The matrix with every diagonal entry in its pattern."""
     start, end = A.getOwnershipRange()
     n = end - start
     zero = from_rows(

@@ -1,4 +1,4 @@
-"""Heat sources and prescribed temperatures of a scene at its nodes, body by body."""
+"""Heat sources and prescribed temperatures of a scene at its nodes, by body."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from app.scene.scene import Scene
 
 @dataclass(frozen=True)
 class HeatInput:
-    """Heat that comes in whatever the temperature: into own nodes of bodies [N mm/s]."""
+    """Heat input whatever the temperature: into own nodes of bodies [N mm/s]."""
 
     name: str
     course: Course | None
@@ -40,7 +40,7 @@ class FrictionHeating:
 
     Attributes:
         nodal: Heat into own nodes of each body [N mm/s].
-        flows: Heat of each interface by its name in the balance, over all ranks [N mm/s].
+        flows: Heat of each interface, by its name in the balance, over all ranks [N mm/s].
     """
 
     nodal: list[Floats]
@@ -55,7 +55,7 @@ class HeatLoads:
         exchange: Convection and perfusion.
 
     Raises:
-        InputError: A boundary is not there, or a field cannot be evaluated.
+        InputError: A boundary does not exist, or a field cannot be evaluated.
     """
 
     def __init__(self, scene: Scene, bodies: Bodies, forms: HeatForms) -> None:
@@ -77,7 +77,6 @@ class HeatLoads:
     def _heat(
         self, name: str, course: Course | None, density: Field, shares: list[tuple[int, Floats]]
     ) -> None:
-        """Note a density times what nodes stand for."""
         nodal: dict[int, Floats] = {}
         for b, share in shares:
             heat = share * self._forms.values(density, np.flatnonzero(share > 0))
@@ -112,18 +111,18 @@ class HeatLoads:
 class FixedTemperatures:
     """Given temperatures at own nodes.
 
-    Where given temperatures hold several bodies at a node, the body of lowest number is the base:
+    Where several bodies have given temperatures at a node, the body of lowest number is the base:
     the continuous temperature is its own (`meshes.contact_points`). Of two on one body the later
-    one in the case holds.
+    one in the case applies.
 
     Attributes:
         conditions: The conditions.
-        of_body: For each body held anywhere, which condition holds each own node, else -1.
-        base: The same of the continuous temperature.
+        of_body: Number of the condition at each own node or -1, by body with any.
+        base: The same for the continuous temperature.
         held: Own nodes whose continuous temperature is given.
 
     Raises:
-        InputError: A boundary is not there, or a field cannot be evaluated.
+        InputError: A boundary does not exist, or a field cannot be evaluated.
     """
 
     def __init__(self, scene: Scene, forms: HeatForms) -> None:
@@ -143,7 +142,7 @@ class FixedTemperatures:
         self.held: Bools = self.base >= 0
 
     def join(self, jumps: TemperatureJumps) -> None:
-        """Note bodies that nothing holds but whose jumps to held ones are given."""
+        """Add bodies without conditions whose jumps to bodies with given temperatures are given."""
         for p in np.flatnonzero(jumps.held):
             for k in (0, 1):
                 none = np.full(len(self.base), -1, dtype=np.int64)
@@ -180,7 +179,7 @@ class FixedTemperatures:
 
 
 def _pick(condition: Ints, values: list[Floats]) -> Floats:
-    """Of each row the value of its condition (n,); 0 where it has none."""
+    """Value of each row's condition (n,); 0 where it has none."""
     found: Floats = np.zeros(len(condition))
     for s, value in enumerate(values):
         found = np.where(condition == s, value, found)

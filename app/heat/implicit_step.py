@@ -1,4 +1,4 @@
-r"""One implicit solve of temperature and temperature jumps, as the solver sees it.
+r"""One implicit solve of temperature and temperature jumps, as a system for Newton's method.
 
 A stage of a time step asks for the state at the end of an interval h that started at T*. Unknowns
 are θ with the rows Σ r_b = 0 and τ with the rows Σ B_b^T r_b - W q = 0 (r_b, B_b: `heat.operators`,
@@ -28,8 +28,8 @@ from app.numerics.system import Measure, System, size
 
 # Rounding of a row in units of eps |diagonal| |temperature|: about the root of its entries.
 ROUNDING = 2.0
-# Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
-# balance, and temperatures are kept between their bounds to 1e-9 of the range.
+# Heat has this part of the solver's tolerance: errors of hundreds of solves add up in its balance,
+# and temperatures are kept between their bounds to 1e-9 of the range.
 STRICTER = 1e-2
 KEPT_FACTORS: Options = {
     "pc_type": "python",
@@ -44,9 +44,9 @@ class HeatEvaluation:
     Attributes:
         given: The state, and pressures and heat of friction, which are set from outside.
         T: Temperature of own nodes of each body [K].
-        lacking: Heat that they lack, interfaces left out [N mm/s].
-        parts: What balances in it, conduction left out [N mm/s].
-        flux: Heat through own points by area, and its derivatives (`TemperatureJumps.flux`).
+        lacking: Residual heat, without interfaces [N mm/s].
+        parts: Terms of that residual but conduction [N mm/s].
+        flux: Heat flux at own points, and its derivatives (`TemperatureJumps.flux`).
     """
 
     given: list[Floats]
@@ -57,7 +57,7 @@ class HeatEvaluation:
 
 
 class ImplicitStep(System):
-    """The solve that ``begin`` prepared.
+    """The solve prepared by ``begin``.
 
     Attributes:
         operators: The operators of heat.
@@ -65,13 +65,13 @@ class ImplicitStep(System):
     """
 
     prefix = "mantle_heat_"
-    # Nearly linear: two iterations do if the first is solved well.
+    # Nearly linear: two iterations suffice if the first is solved well.
     newton: Options = {"ksp_rtol": 1e-5}  # noqa: RUF012
     saved = ("operators",)
 
     def __init__(self, operators: HeatOperators) -> None:
         self.operators, self.comm = operators, operators.comm
-        # Conduction has no states to change.
+        # Conduction has no contact states.
         self.active = ActiveSet(self.comm)
         self.seconds = 0.0
         self._held = operators.fixed.held
@@ -90,12 +90,12 @@ class ImplicitStep(System):
 
     @property
     def version(self) -> int:
-        """Changes of the matrices from one time step to the next."""
+        """Number of changes of the matrices from one time step to the next."""
         return self._blocks.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """Temperature, and with finite conductance its jumps."""
-        # No interface, no second block.
+        # Without such an interface there is no second block.
         return dict(zip(("temperature", "temperature_jump"), self.vectors(), strict=False))
 
     def vectors(self) -> list[PETSc.Vec]:
@@ -109,7 +109,7 @@ class ImplicitStep(System):
     def options(self, linear: str) -> dict[str, Options]:
         """Both blocks at once if direct; multigrid for the temperature, direct for the jumps."""
         if is_direct(linear, self._blocks.matrix[0][0].getSize()[0]):
-            # Jumps are strong where conductance is low: taken in turns they take many turns.
+            # Low conductance couples the jumps strongly: block Gauss-Seidel takes many iterations.
             return {"": KEPT_FACTORS}
         every: dict[str, Options] = {"temperature": MULTIGRID, "temperature_jump": INTERFACE}
         return {name: every[name] for name in self.blocks()}
@@ -131,17 +131,13 @@ class ImplicitStep(System):
     def begin(
         self, start: Sequence[Floats], degrees: Sequence[Floats], h: float, seconds: float
     ) -> bool:
-        """Prepare a solve; collective.
+        """Prepare a solve; False if it starts from inadmissible degrees of cure; collective.
 
         Args:
-            start: Temperatures of own nodes, and with jumps those of own points, from which the
-                interval starts [K].
-            degrees: Degrees of cure from which it starts, of own nodes of each region that sets.
+            start: Temperatures of own nodes, and with jumps those of own points, at the start [K].
+            degrees: Degrees of cure at its start, of own nodes of each curing region.
             h: Its length [s]; infinite for a steady state.
             seconds: Time at its end, since the start of the run.
-
-        Returns:
-            Whether the degrees are ones to start from; if not, there is nothing to solve.
 
         Raises:
             InputError: A steady state does not exist: nothing sets the temperature of a body.
@@ -176,7 +172,6 @@ class ImplicitStep(System):
             )
 
     def _fill(self) -> None:
-        """Set the linear part of the Jacobian."""
         self._last = None
         pairs = zip(self.operators.capacity, self._per_kelvin, strict=True)
         self._blocks.fill(self.operators.principle.matrices, [m * self._rate + r for m, r in pairs])
@@ -194,19 +189,19 @@ class ImplicitStep(System):
         )
 
     def impose(self, x: Sequence[PETSc.Vec]) -> None:
-        """Put given temperatures and jumps into a state."""
+        """Set given temperatures and jumps in a state."""
         x[0].array[self._held] = self._given[0][self._held]
         if (j := self.operators.jumps) is not None:
             x[1].array[j.held] = self._given[1][j.held]
 
     def at(self, x: Sequence[PETSc.Vec]) -> HeatEvaluation:
-        """Evaluate a state, unless it is the one evaluated last; collective."""
+        """Evaluate a state, unless it is the last one evaluated; collective."""
         o = self.operators
         given = [v.array_r for v in x]
         given += [o.jumps.pressure] if o.jumps else []
         given += o.friction.nodal if o.friction else []
         if self._last is not None:
-            # Together, for what follows is collective: one rank may see a change, another none.
+            # Compared on all ranks, as the rest is collective: one may see a change, another none.
             same = all(map(np.array_equal, given, self._last.given))
             if self.comm.allreduce(same, MPI.LAND):
                 return self._last
@@ -232,7 +227,7 @@ class ImplicitStep(System):
         return self._last
 
     def residual(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> None:
-        """Heat that is lacking, zero where temperatures are given [N mm/s]."""
+        """Residual heat, zero where temperatures are given [N mm/s]."""
         here, j = self.at(x), self.operators.jumps
         f[0].array[:] = np.where(self._held, 0.0, sum(here.lacking))
         if j is not None and here.flux:
@@ -251,12 +246,12 @@ class ImplicitStep(System):
         self._blocks.set(by_jump, cure.growth(here.T) if cure else {})
 
     def degrees(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
-        """Degrees of cure in a state, of own nodes of each region that sets."""
+        """Degrees of cure in a state, of own nodes of each curing region."""
         cure = self.operators.cure
         return [d.degree for d in cure.at(self.operators.nodal(x))] if cure else []
 
     def bounds(self, x: Sequence[PETSc.Vec]) -> Bounds:
-        """Between what the temperatures of a state have to be; collective."""
+        """Bounds of the temperatures of a state; collective."""
         return self.operators.extremes.bounds(x[0].array_r)
 
     def outside(self, x: Sequence[PETSc.Vec]) -> bool:
@@ -264,26 +259,22 @@ class ImplicitStep(System):
         return self.operators.principle.outside(self.operators.nodal(x), self.bounds(x))
 
     def correct(self, x: Sequence[PETSc.Vec]) -> bool:
-        """Correct conduction where a state leaves its bounds; collective.
-
-        Returns:
-            Whether that may help: the step is to be done again.
-        """
+        """Correct conduction out of bounds; return whether to repeat the step; collective."""
         changed = self.operators.principle.correct(self.operators.nodal(x), self.bounds(x))
         if changed:
             self._fill()
         return changed
 
     def take_back(self, x: Sequence[PETSc.Vec]) -> None:
-        """Take corrections back where an accepted state no longer needs them; collective."""
+        """Withdraw corrections that an accepted state no longer needs; collective."""
         if self.operators.principle.take_back(self.operators.nodal(x), self.bounds(x)):
             self._fill()
 
     def measure(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> list[Measure]:
-        """How large a residual f of a state x is; collective [N mm/s].
+        """Size of a residual f of a state x [N mm/s]; collective.
 
-        Its scale is that of the heat stored, brought in and let through, not of what conduction
-        alone would move: in a state that hardly changes that is large and cancels.
+        Its scale is that of the heat stored, supplied and transferred, not that of conduction
+        alone, which is large and cancels in a state that hardly changes.
         """
         here = self.at(x)
         parts = [np.where(self._held, sum(here.lacking), 0.0), *here.parts]

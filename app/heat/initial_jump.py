@@ -1,10 +1,10 @@
 r"""The first instants of regions of different temperature in perfect contact.
 
-At once their interface takes the mean of both temperatures, weighted by the effusivities
-:math:`e = \sqrt{k c}` (two half-spaces, Carslaw & Jaeger, section 2.15). The nodes there begin at
-the mean by capacity instead, so that no heat is lost, and come to that temperature as fast as their
-cells let them: in times of the ratio of capacity and conduction of a node. Meanwhile theirs is one
-of the mesh, and what is reported of them is that of half-spaces.
+Their interface immediately takes the mean of both temperatures, weighted by the effusivities
+:math:`e = \sqrt{k c}` (two half-spaces, Carslaw & Jaeger, section 2.15). Nodes there begin at the
+mean by capacity instead, which conserves heat, and approach that temperature within some ratios of
+the capacity and conduction of a node. Until then their temperature is an artefact of the mesh, and
+that of half-spaces is reported.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from dolfinx import fem
 
 from app.heat.operators import HeatOperators
 
-# Times of a node after which it is near. Measured, in parts of the difference of the temperatures:
-# 1.1 % after 3, 0.4 % after 6, 0.1 % after 10, whatever the size of the cells.
+# Ratios of capacity and conduction until a node is close. Measured, as parts of the difference of
+# the temperatures: 1.1 % after 3, 0.4 % after 6, 0.1 % after 10, for any size of the cells.
 TIMES = 10.0
 
 
@@ -53,7 +53,7 @@ class InitialJump:
         self._last = float(forms.comm.allreduce(local, MPI.MAX))
 
     def put(self, temperatures: Sequence[fem.Function], seconds: float) -> None:
-        """Put what is reported into the temperatures of the bodies at a time; collective."""
+        """Set the reported values in the temperatures of the bodies at a time; collective."""
         if seconds >= self._last:
             return
         for T, nodes, contact, until in zip(

@@ -1,4 +1,4 @@
-r"""The Jacobian of an implicit solve of heat, filled again and again with the same pattern.
+r"""The Jacobian of an implicit solve of heat, refilled with the same pattern.
 
 With A_b = M_b/h + K_b + R_b of each body, the blocks are
 
@@ -29,7 +29,7 @@ class HeatMatrices:
 
     Attributes:
         matrix: One block, or two by two with jumps.
-        version: Counts how often the linear parts were filled.
+        version: Number of changes of the linear parts.
 
     Args:
         K: Conduction matrix of each body, with its whole diagonal in the pattern.
@@ -68,7 +68,7 @@ class HeatMatrices:
 
         Args:
             K: Conduction matrix of each body.
-            added: What capacity and exchange add to the diagonals [N mm/(s K)].
+            added: Capacity and exchange, added to the diagonals [N mm/(s K)].
         """
         self.version += 1
         self._A.zeroEntries()
@@ -95,8 +95,8 @@ class HeatMatrices:
         """Complete the Jacobian; collective.
 
         Args:
-            by_jump: What the interfaces add to the diagonal of the jumps [N mm/(s K)].
-            growth: How heat released at own nodes of some bodies grows with their temperature
+            by_jump: Contribution of the interfaces to the diagonal of the jumps [N mm/(s K)].
+            growth: Derivative of the heat released at own nodes by temperature, for some bodies
                 [N mm/(s K)].
         """
         if growth:
@@ -126,7 +126,6 @@ class HeatMatrices:
 
     @staticmethod
     def _subtract_diagonal(released: Floats, B: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
-        """Take a diagonal of a body out of the blocks of the jumps."""
         scaled, left = B.copy(), B.createVecLeft()
         left.array[:] = released
         scaled.diagonalScale(left)

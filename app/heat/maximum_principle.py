@@ -1,14 +1,14 @@
-r"""Temperatures between the extremes of the data, on any mesh.
+r"""Discrete maximum principle: correct conduction that violates it, on any mesh.
 
 On tetrahedra with obtuse dihedral angles conduction has positive off-diagonal entries
 :math:`k_{ij}`: heat flows from cold to warm along those edges, and in short steps temperatures
-leave the extremes of the data. Where a solution does, the edges of the nodes concerned are taken
-out by a diffusion
+leave the extremes of the data. Where a solution does, the edges of its nodes are removed by a
+diffusion
 
 .. math:: k_{ij} (e_i - e_j)(e_i - e_j)^T,
 
-which is symmetric, loses no heat and does nothing to a constant temperature (Kuzmin and Turek,
-doi:10.1006/jcph.2001.6955, there for all edges). With all edges of a node taken out its backward
+which is symmetric, conserves heat and leaves a constant temperature unchanged (Kuzmin and Turek,
+doi:10.1006/jcph.2001.6955, there for all edges). With all edges of a node removed its backward
 Euler value lies between those around and before it.
 """
 
@@ -25,24 +25,24 @@ import numpy as np
 from app.arrays import Bools, Floats
 from app.numerics.sparse import from_rows
 
-# What counts as outside, and as near a bound, in parts of the range of the data.
+# Distances from a bound, in parts of the range of the data, that count as outside and as near.
 OUTSIDE = 1e-9
 NEAR = 1e-5
 # Entries of a matrix and heat into nodes below this part of the largest are rounding.
 ZERO = 1e-12
-# Spans below this [K] count as this: temperatures are no better than their rounding.
+# Least span [K]: temperatures are no better than their rounding.
 LEAST = 1.0
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Between what temperatures have to be [K].
+    """Bounds of temperatures [K].
 
     Attributes:
-        low: Least temperature of the data, or minus infinity where something may cool below it.
-        high: Largest, or infinity where something may heat above it.
-        span: Difference of the temperatures there are.
+        low: Least temperature of the data, or minus infinity if something may cool below it.
+        high: Largest, or infinity if something may heat above it.
+        span: Range of the current temperatures.
     """
 
     low: float
@@ -53,8 +53,8 @@ class Bounds:
 class Extremes:
     """Extremes of all data so far: initial, given and surrounding temperatures.
 
-    Once anything has heated (a source, a flux, cure, friction) there is no upper bound, once
-    anything has cooled no lower one.
+    After any heating (a source, a flux, cure, friction) there is no upper bound, after any cooling
+    no lower one.
     """
 
     saved = ("_low", "_high", "_heated", "_cooled")
@@ -65,7 +65,7 @@ class Extremes:
         self._heated, self._cooled = heated, False
 
     def see(self, low: float, high: float, least: float, most: float) -> None:
-        """Take in given temperatures [K] and heat into nodes [N mm/s] of this rank; collective."""
+        """Include given temperatures [K] and heat into nodes [N mm/s] of this rank; collective."""
         every = np.array(self._comm.allgather((low, high, least, most)))
         self._low = min(self._low, float(every[:, 0].min()))
         self._high = max(self._high, float(every[:, 1].max()))
@@ -74,7 +74,7 @@ class Extremes:
         self._heated = self._heated or most > -ZERO * least
 
     def bounds(self, temperatures: Floats) -> Bounds:
-        """Between what temperatures have to be, some of this rank given [K]; collective."""
+        """Bounds of temperatures, given some of this rank [K]; collective."""
         local = temperatures.min(initial=np.inf), temperatures.max(initial=-np.inf)
         every = np.array(self._comm.allgather(local))
         span = max(self._high, float(every[:, 1].max())) - min(self._low, float(every[:, 0].min()))
@@ -84,14 +84,14 @@ class Extremes:
 
 
 class MaximumPrinciple:
-    """Conduction matrices of bodies, corrected where they have to be.
+    """Conduction matrices of bodies, corrected where necessary.
 
     Attributes:
         matrices: The corrected matrices.
 
     Args:
         K: Conduction matrix of each body, with its whole diagonal in the pattern.
-        capacity: Capacity of own nodes in each body: which nodes it has.
+        capacity: Capacity of own nodes in each body, zero where it has none.
     """
 
     saved = ("_flagged",)
@@ -110,12 +110,7 @@ class MaximumPrinciple:
         return bool(self._comm.allreduce(here, MPI.LOR))
 
     def correct(self, T: Sequence[Floats], bounds: Bounds) -> bool:
-        """Take out the edges of the nodes out of bounds; False if there are none left; collective.
-
-        Args:
-            T: Temperature of own nodes of each body [K].
-            bounds: Where they have to be.
-        """
+        """Remove edges of nodes at T [K] out of bounds; False if none are left; collective."""
         offending = self._offending(T, bounds)
         return self._flag(
             [
@@ -125,7 +120,7 @@ class MaximumPrinciple:
         )
 
     def take_back(self, T: Sequence[Floats], bounds: Bounds) -> bool:
-        """Put back the edges of nodes that went away from their bounds; whether any; collective."""
+        """Restore the edges of nodes no longer near their bounds; whether any; collective."""
         near = NEAR * max(bounds.span, LEAST)
         return self._flag(
             [
@@ -135,13 +130,13 @@ class MaximumPrinciple:
         )
 
     def restored(self) -> None:
-        """Take out the edges of flagged nodes; collective."""
+        """Remove the edges of restored flagged nodes; collective."""
         flagged, self._flagged = self._flagged, [np.zeros_like(f) for f in self._flagged]
         self._flag(flagged)
 
     @property
     def flagged(self) -> int:
-        """Nodes whose edges are out; collective."""
+        """Number of nodes whose edges are removed; collective."""
         return int(self._comm.allreduce(sum(int(f.sum()) for f in self._flagged), MPI.SUM))
 
     def _offending(self, T: Sequence[Floats], bounds: Bounds) -> list[Bools]:
@@ -152,7 +147,7 @@ class MaximumPrinciple:
         ]
 
     def _flag(self, flagged: list[Bools]) -> bool:
-        """Set the flags; whether any matrix changed."""
+        """Set the flags; return whether any matrix changed."""
         changed = self._comm.allreduce(
             np.array([int((a != b).any()) for a, b in zip(flagged, self._flagged, strict=True)]),
             MPI.SUM,
@@ -177,7 +172,6 @@ class MaximumPrinciple:
 
 
 def _positive(comm: MPI.Comm, K: PETSc.Mat) -> PETSc.Mat:
-    """The positive off-diagonal entries."""
     begin, end = K.getOwnershipRange()
     start, columns, values = K.getValuesCSR()
     row = begin + np.repeat(np.arange(end - begin), np.diff(start))

@@ -1,7 +1,7 @@
 """Nodes of regions, of the two sides of interfaces, and named points in the temperature field.
 
-Every node belongs to the rank that owns it, whoever owns the cells around it. A region's nodes come
-with their shares of its volume; where the temperature jumps, each side has its own value there.
+A node belongs to the rank that owns it, whoever owns the cells around it. A region's nodes have
+their shares of its volume; where the temperature jumps, each side has its own value.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from app.heat.heat_forms import HeatForms
 from app.scene.bodies import cell_tags
 from meshes.distribute import TaggedMesh
 
-# How far outside its cell a point may be, in barycentric coordinates: curved surfaces are cut.
+# Tolerance for points outside a cell, in barycentric coordinates: curved surfaces are cut.
 _OUTSIDE = 0.1
 
 
@@ -29,7 +29,7 @@ class ThermalNodes:
     """Nodes of a region that this rank owns.
 
     Attributes:
-        body: Whose temperature they have.
+        body: Thermal body whose temperature they have.
         dof: Their rows in it, rising (n,).
         x: Positions (n, 3) [mm].
         volume: Integrals of their shape functions over the region (n,) [mm3].
@@ -74,13 +74,7 @@ class NodePairs:
 def region_nodes(
     forms: HeatForms, regions: Sequence[str], of_region: Mapping[str, int]
 ) -> dict[str, ThermalNodes]:
-    """Nodes of regions; collective.
-
-    Args:
-        forms: The forms of heat.
-        regions: The regions.
-        of_region: Body of each.
-    """
+    """Nodes of regions, with the body of each region; collective."""
     x = forms.space.tabulate_dof_coordinates()
     found = {}
     for region in regions:
@@ -93,7 +87,7 @@ def region_nodes(
 def sides_of(
     nodes: Mapping[str, ThermalNodes], interface: tuple[Sequence[str], Sequence[str]]
 ) -> tuple[Side, Side]:
-    """The nodes that the regions of the two sides of an interface share, seen from either."""
+    """Nodes shared by the regions of the two sides of an interface, as rows of either side."""
     on = [np.unique(np.concatenate([nodes[r].dof for r in side])) for side in interface]
     shared = np.intersect1d(*on)
     first, second = (
@@ -116,7 +110,7 @@ def pairs_of(
 
 @dataclass(frozen=True)
 class ProbedPoint:
-    """A named point [mm] in a region; without a region in any that holds it."""
+    """A named point [mm] in a region; None for any region that holds it."""
 
     name: str
     at: tuple[float, float, float]
@@ -155,7 +149,7 @@ class Probes:
 
 
 def locate(tagged: TaggedMesh, probe: ProbedPoint) -> tuple[int, str, Floats] | None:
-    """The cell that holds a point, its region, and the barycentric coordinates there (4,).
+    """Cell that holds a point, its region, and the barycentric coordinates there (4,).
 
     Collective; one rank has it, the others None.
 
@@ -180,7 +174,7 @@ def locate(tagged: TaggedMesh, probe: ProbedPoint) -> tuple[int, str, Floats] | 
 
 
 def _nearest(tagged: TaggedMesh, cells: Ints, point: Floats) -> tuple[int, Floats, float]:
-    """The cell that holds a point best, its barycentric coordinates there (4,), the smallest."""
+    """Best cell for a point, its barycentric coordinates there (4,), the smallest of them."""
     if not len(cells):
         return -1, np.zeros(4), -np.inf
     geometry = tagged.mesh.geometry
@@ -193,6 +187,6 @@ def _nearest(tagged: TaggedMesh, cells: Ints, point: Floats) -> tuple[int, Float
     if geometry.dofmap.shape[1] > 4:
         nodes = np.ascontiguousarray(geometry.x[geometry.dofmap[cells[best]]])
         place = geometry.cmap.pull_back(point[None, :], nodes)[0]
-    # A point just outside takes the value of the surface.
+    # A point just outside gets the value of the surface.
     share = np.maximum([1 - place.sum(), *place], 0.0)
     return int(cells[best]), share / share.sum(), float(smallest[best])

@@ -1,12 +1,12 @@
-r"""Heat of a scene on its mesh: what no time step changes, but for conduction that is corrected.
+r"""Heat operators of a scene on its mesh: constant but for corrections of conduction.
 
-With T_b = θ + B_b τ the temperature of body b (see `heat.temperature_jumps`), the heat its nodes
-lack over an interval h that started at T* is
+With T_b = θ + B_b τ the temperature of body b (see `heat.temperature_jumps`), the residual heat of
+its nodes over an interval h that started at T* is
 
 .. math:: r_b = M_b (T_b - T_b^*)/h + K_b T_b + R_b (T_b - T_a) - f_b
 
-(M lumped capacity, K conduction, R exchange with surroundings at T_a, f what heats). The solve of
-such an interval is `heat.implicit_step`.
+(M lumped capacity, K conduction, R exchange with surroundings at T_a, f heat sources).
+`heat.implicit_step` solves such an interval.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class HeatOperators:
 
     Attributes:
         bodies: Thermal bodies: regions joined by all but interfaces of finite conductance.
-        loads: What heats, and what exchanges heat with surroundings.
+        loads: Heat sources and exchange with surroundings.
         fixed: Given temperatures.
-        jumps: The temperature jumps, where an interface has a finite conductance.
+        jumps: The temperature jumps, if an interface has a finite conductance.
         capacity: Heat capacity of own nodes in each body [N mm/K].
-        reference: Temperature that heat is counted from [K].
-        cure: Heat of cure, where anything sets.
-        friction: Heat of friction, where an interface rubs.
-        principle: The conduction matrices, corrected where they have to be.
+        reference: Temperature at which heat is zero [K].
+        cure: Heat of cure, if anything cures.
+        friction: Heat of friction, if an interface has any.
+        principle: The conduction matrices, corrected where necessary.
         extremes: Extremes of the data.
 
     Raises:
@@ -66,7 +66,7 @@ class HeatOperators:
             self.jumps = TemperatureJumps(scene, tagged, self.bodies, forms, self.fixed.of_body)
             self.fixed.join(self.jumps)
         self.capacity = forms.capacities(scene.conductors)
-        # Heat is counted from a temperature that is near all of them: less is lost to rounding.
+        # A reference near all temperatures: less of the heat is lost to rounding.
         self.reference = float(np.mean([c.initial_temperature for c in scene.conductors]))
         self.cure = CureHeat(scene, self.bodies, forms) if scene.cures else None
         rubbing = {f"friction {f.name}": 0.0 for f in scene.friction_heat}
@@ -90,7 +90,7 @@ class HeatOperators:
         return node_keys(self.forms.space)[: self.forms.owned]
 
     def block_keys(self) -> list[Ints]:
-        """Keys of temperatures, jumps and degrees of cure, as far as there are any."""
+        """Keys of temperatures, and of jumps and degrees of cure if there are any."""
         jumps = [self.jumps.mine] if self.jumps else []
         curing = [self.row_keys[n.dof] for n in self.cure.nodes] if self.cure else []
         return [self.row_keys, *jumps, *curing]
@@ -98,8 +98,8 @@ class HeatOperators:
     def initial(self) -> list[Floats]:
         """Temperature of own nodes of each body at the start [K].
 
-        Where regions share a temperature from the start, though theirs differ, it is the mean by
-        capacity: no heat is lost. Given temperatures hold from the start.
+        Regions of different temperature in perfect contact get the mean by capacity at shared
+        nodes, which conserves heat. Given temperatures apply from the start.
         """
         heat = self.forms.zeros()
         for c in self.scene.conductors:
@@ -123,7 +123,7 @@ class HeatOperators:
         return added
 
     def nodal(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
-        """Temperature of own nodes of each body [K]; what a body has not is without meaning.
+        """Temperature of own nodes of each body [K], meaningless at nodes outside the body.
 
         Args:
             x: Temperature of own nodes, and with jumps those of own points.

@@ -1,8 +1,8 @@
-"""Factors of the matrix of heat, kept while they are worth it.
+"""Factors of the matrix of heat, kept while they pay off.
 
 From one implicit solve to the next the matrix changes little: not at all in equal time steps, on
-the diagonal where something sets. Old factors precondition the new matrix then, at the price of
-some more Krylov iterations; when those have cost as much as new factors would, these are made.
+the diagonal where something cures. Old factors then precondition the new matrix at the price of
+some more Krylov iterations; when these have cost as much as new factors, they are rebuilt.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import numpy as np
 
 from app.numerics.preconditioners import FACTORED, configure, on_one_rank
 
-# Factors cost as much as so many solutions with them (measured: 8 to 12 for 7 000 to 30 000).
+# Number of solves with factors that cost one factorization (measured: 8 to 12 for 7 000 to 30 000).
 WORTH = 10
-# A diagonal that has changed by this part asks for new factors at once: a step of another length.
+# A change of the diagonal by this part requires new factors: the step has another length.
 MOVED = 0.1
 
 
 class KeptFactors:
-    """The context of a PCPYTHON: a direct solver of the matrix of some earlier solve.
+    """Context of a PCPYTHON: a direct solver of the matrix of some earlier solve.
 
     Attributes:
-        made: How often the matrix was factored.
+        made: Number of factorizations.
     """
 
     def __init__(self) -> None:
@@ -41,7 +41,7 @@ class KeptFactors:
             self._factor()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Solve with the factors there are, or with new ones if that is due; collective."""
+        """Solve with the current factors, or with new ones if due; collective."""
         state = self._of.stateGet()
         moved = False
         if state != self._seen:
@@ -56,11 +56,10 @@ class KeptFactors:
         for v in _parts(y):
             v.array[:] = self._y.array_r[begin : begin + v.getLocalSize()]
             begin += v.getLocalSize()
-        # A vector of blocks does not see that these have changed, and remembers its norm.
+        # A block vector does not notice changes of its blocks, and caches its norm.
         y.stateIncrease()
 
     def _moved(self) -> bool:
-        """Whether the diagonal is another one, on the whole."""
         diagonal = self._of.getDiagonal()
         diagonal.axpy(-1.0, self._diagonal)
         return float(diagonal.norm(PETSc.NormType.N1)) > MOVED * self._size
@@ -86,5 +85,4 @@ class KeptFactors:
 
 
 def _parts(x: PETSc.Vec) -> list[PETSc.Vec]:
-    """Blocks of a vector."""
     return list(x.getNestSubVecs()) if x.getType() == "nest" else [x]

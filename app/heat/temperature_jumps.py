@@ -1,14 +1,14 @@
-r"""Temperature jumps: what the two sides of interfaces of finite conductance differ by.
+r"""Temperature jumps between the two sides of interfaces of finite conductance.
 
 One continuous temperature θ and, at the vertices of these interfaces, jumps τ (slave minus master):
-body b has the temperature T_b = θ + B_b τ. With r_b the heat that nodes of body b lack, interfaces
-left out, and q the heat from master to slave per area,
+body b has the temperature T_b = θ + B_b τ. With r_b the residual heat of the nodes of body b,
+interfaces excluded, and q the heat from master to slave per area,
 
 .. math:: \sum_b r_b = 0, \qquad \sum_b B_b^T r_b - W q(τ, p) = 0,
 
-W the areas of the points. A large conductance makes jumps small and nothing else large that would
-have to cancel; without any the two sides are strangers. The rules where interfaces meet, or given
-temperatures hold one or both sides, are those of displacement (`meshes.contact_points`).
+W the areas of the points. A large conductance makes jumps small and causes no cancellation; without
+any the two sides are decoupled. Where interfaces meet, or one or both sides have given
+temperatures, the rules are those of displacement (`meshes.contact_points`).
 """
 
 from __future__ import annotations
@@ -35,22 +35,21 @@ class TemperatureJumps:
     """Jumps at all interfaces of finite conductance.
 
     Attributes:
-        points: All points, replicated; component 0 of what is said by component.
+        points: All points, replicated; component 0 of data by component.
         mine: Rows of ``points`` that this rank owns (n,).
         dof: Own node of each own point (n,).
         interface: Number of the own points' interfaces in ``scene.thermal_contacts`` (n,).
         bodies: Thermal bodies (master, slave) of own points (n, 2).
         weight: Areas of own points (n,) [mm2].
-        held: Whether given temperatures hold both sides of own points (n,).
-        given: Which given temperatures (master, slave), -1 where the jump is free (n, 2).
-        moves: B_b of each body that jumps move.
+        held: Whether both sides of own points have given temperatures (n,).
+        given: Their conditions (master, slave), -1 where the jump is free (n, 2).
+        moves: B_b of each body whose temperature includes jumps.
         pressure: Contact pressure at own points (n,) [MPa], set from outside.
         friction: Friction heat per area at own points (n,) [N/(mm s)], set from outside.
-        share: The part of it that goes into the slave (n,).
+        share: Share of it that enters the slave (n,).
 
     Args:
-        held: For each body that given temperatures hold anywhere, which one holds each own
-            node, -1 where none does.
+        held: Condition at each own node or -1, by body with any given temperature.
 
     Raises:
         InputError: An interface has no facets on this mesh.
@@ -121,12 +120,12 @@ def cut_off(
     jumps: TemperatureJumps | None,
     reached: Sequence[bool],
 ) -> list[int]:
-    """Bodies to which heat can come from none whose temperature something outside sets.
+    """Bodies that no heat path connects to a temperature set from outside.
 
     Args:
         contacts: Interfaces of finite conductance.
         jumps: Their jumps, if there are any.
-        reached: For each body, whether something outside sets its temperature.
+        reached: Whether something outside sets the temperature of each body.
     """
     group = list(range(len(reached)))
     for i, c in enumerate(contacts):

@@ -7,45 +7,38 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, model_validator
 
 from app.laws.values import Named, rising
+from app.schema import units
 from app.schema.section import ITEMS, Kinds, Section, fail
-from app.schema.units import (
-    ActivationEnergy,
-    HeatDensity,
-    NonNegativeNumber,
-    NonNegativeTime,
-    Plain,
-    PositiveNumber,
-    PositiveRate,
-    Temperature,
-)
 from app.schema.vectors import Pair
 
 RateCourse = Annotated[
-    tuple[Annotated[tuple[NonNegativeTime, NonNegativeNumber], Pair("[300 s, 1]")], ...],
+    tuple[
+        Annotated[tuple[units.NonNegativeTime, units.NonNegativeNumber], Pair("[300 s, 1]")], ...
+    ],
     ITEMS,
     AfterValidator(rising("time")),
 ]
-Conversion = Annotated[float, Plain(above=0.0, at_most=1.0)]
+Conversion = Annotated[float, units.Plain(above=0.0, at_most=1.0)]
 Limit = Annotated[
-    tuple[Annotated[tuple[Temperature, Conversion], Pair("[20 degC, 0.8]")], ...],
+    tuple[Annotated[tuple[units.Temperature, Conversion], Pair("[20 degC, 0.8]")], ...],
     ITEMS,
     AfterValidator(rising("temperature")),
 ]
 # A degree of cure that is not complete.
-Degree = Annotated[float, Plain(at_least=0.0, below=1.0)]
+Degree = Annotated[float, units.Plain(at_least=0.0, below=1.0)]
 
 
 class Autocatalytic(Section):
     """Rate of cure k0 exp(-Ea/RT) a^m (a_max - a)^n, with temperature T in K."""
 
     kind: Literal["autocatalytic"] = "autocatalytic"
-    rate_constant: PositiveRate
+    rate_constant: units.PositiveRate
     """k0, the rate constant of the reaction."""
-    activation_energy: ActivationEnergy
+    activation_energy: units.ActivationEnergy
     """Ea, the activation energy of the reaction."""
-    m: NonNegativeNumber
+    m: units.NonNegativeNumber
     """Exponent of the degree of cure a."""
-    n: NonNegativeNumber
+    n: units.NonNegativeNumber
     """Exponent of what is left to cure, a_max - a."""
     limit: Limit | None = None
     """Pairs of temperature and largest degree a_max there, linear in between; 1 by default."""
@@ -71,15 +64,15 @@ class Cure(Named):
 
     kinetics: Annotated[Autocatalytic | Prescribed, Kinds()]
     """Rate of cure."""
-    heat: HeatDensity
+    heat: units.HeatDensity
     """Heat released per volume from degree of cure 0 to 1."""
     initial: Degree = 1e-3
     """Degree of cure at the start; autocatalysis needs some."""
     gel: Degree = 0.85
     """Degree of cure of the gel: from there strain counts and stiffness grows."""
-    floor: Annotated[float, Plain(above=0.0, at_most=1.0)] = 0.01
+    floor: Annotated[float, units.Plain(above=0.0, at_most=1.0)] = 0.01
     """Stiffness before the gel, as a part of the final one."""
-    exponent: PositiveNumber = 1.0
+    exponent: units.PositiveNumber = 1.0
     """Exponent p of the stiffness, floor + (1 - floor) ((a - gel) / (1 - gel))^p of the final."""
     shrinkage: Degree = 0.0
     """Loss of volume from the gel to full cure, as a part of the volume."""

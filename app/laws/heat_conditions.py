@@ -8,36 +8,28 @@ from pydantic import AfterValidator, model_validator
 
 from app.errors import InputError
 from app.laws.values import Named, field, rising
+from app.schema import units
 from app.schema.expressions import Varying
 from app.schema.section import ITEMS, Kinds, Name, fail
-from app.schema.units import (
-    AbsoluteTemperature,
-    Density,
-    Dimension,
-    FilmCoefficient,
-    NonNegativeTime,
-    Number,
-    PositiveRate,
-    SpecificHeat,
-    Temperature,
-)
 from app.schema.vectors import Pair
 
 if TYPE_CHECKING:
     from app.arrays import Floats
 
-TemperatureField = Annotated[float | str, Varying(AbsoluteTemperature())]
-FluxField = Annotated[float | str, Varying(Dimension("mW/mm^2", "a power per area", "200 W/m^2"))]
+TemperatureField = Annotated[float | str, Varying(units.AbsoluteTemperature())]
+FluxField = Annotated[
+    float | str, Varying(units.Dimension("mW/mm^2", "a power per area", "200 W/m^2"))
+]
 SourceField = Annotated[
-    float | str, Varying(Dimension("mW/mm^3", "a power per volume", "1e6 W/m^3"))
+    float | str, Varying(units.Dimension("mW/mm^3", "a power per volume", "1e6 W/m^3"))
 ]
 Course = Annotated[
-    tuple[Annotated[tuple[NonNegativeTime, Number], Pair("[10 s, 0]")], ...],
+    tuple[Annotated[tuple[units.NonNegativeTime, units.Number], Pair("[10 s, 0]")], ...],
     ITEMS,
     AfterValidator(rising("time")),
 ]
 TemperatureCourse = Annotated[
-    tuple[Annotated[tuple[NonNegativeTime, Temperature], Pair("[10 s, 37 degC]")], ...],
+    tuple[Annotated[tuple[units.NonNegativeTime, units.Temperature], Pair("[10 s, 37 degC]")], ...],
     ITEMS,
     AfterValidator(rising("time")),
 ]
@@ -100,9 +92,9 @@ class Convection(Named):
     kind: Literal["convection"] = "convection"
     boundary: Name
     """Boundary of the geometry."""
-    coefficient: FilmCoefficient
+    coefficient: units.FilmCoefficient
     """Power per area and difference of temperatures."""
-    ambient: Temperature
+    ambient: units.Temperature
     """Temperature of the surroundings."""
 
 
@@ -128,13 +120,13 @@ class Perfusion(Named):
     kind: Literal["perfusion"] = "perfusion"
     regions: Annotated[tuple[Name, ...], ITEMS]
     """Regions that blood flows through."""
-    rate: PositiveRate
+    rate: units.PositiveRate
     """Volume of blood per volume of tissue and time."""
-    blood_density: Density
+    blood_density: units.Density
     """Mass per volume of blood."""
-    blood_specific_heat: SpecificHeat
+    blood_specific_heat: units.SpecificHeat
     """Heat per mass and temperature of blood."""
-    temperature: Temperature
+    temperature: units.Temperature
     """Temperature of the blood."""
 
     @property

@@ -13,19 +13,8 @@ from pydantic_core import core_schema
 from app.laws.cure import Cure
 from app.laws.fibres import FibreDirection
 from app.laws.values import Named
+from app.schema import units
 from app.schema.section import TAG, Scalar, Section, fail, show
-from app.schema.units import (
-    NUMBER,
-    ConductancePerArea,
-    ConductancePerPressure,
-    Conductivity,
-    Density,
-    ExpansionCoefficient,
-    FilmCoefficient,
-    Plain,
-    SpecificHeat,
-    Temperature,
-)
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
@@ -34,23 +23,23 @@ if TYPE_CHECKING:
 class Thermal(Named):
     """Conduction of heat in a region, and what temperature does to it."""
 
-    conductivity: Conductivity | None = None
+    conductivity: units.Conductivity | None = None
     """Conductivity in all directions; or give axial_conductivity and transverse_conductivity."""
-    axial_conductivity: Conductivity | None = None
+    axial_conductivity: units.Conductivity | None = None
     """Conductivity along the fibre."""
-    transverse_conductivity: Conductivity | None = None
+    transverse_conductivity: units.Conductivity | None = None
     """Conductivity across the fibre."""
     fibre: FibreDirection | None = None
     """Fibre direction where the region has none of its own; z by default."""
-    density: Density
+    density: units.Density
     """Mass per volume."""
-    specific_heat: SpecificHeat
+    specific_heat: units.SpecificHeat
     """Heat per mass and temperature."""
-    initial_temperature: Temperature
+    initial_temperature: units.Temperature
     """Temperature at the start."""
-    thermal_expansion: ExpansionCoefficient | None = None
+    thermal_expansion: units.ExpansionCoefficient | None = None
     """Strain per temperature; none by default."""
-    reference_temperature: Temperature | None = None
+    reference_temperature: units.Temperature | None = None
     """Temperature without thermal strain; the initial temperature by default."""
     cure: Cure | None = None
     """How the region sets; by default it does not."""
@@ -121,11 +110,11 @@ class PressureConductance(Section):
     """Conductance that grows with contact pressure: open + per_pressure * p, at most cap."""
 
     kind: Literal["pressure"] = "pressure"
-    open: ConductancePerArea
+    open: units.ConductancePerArea
     """Conductance where there is no pressure."""
-    per_pressure: ConductancePerPressure
+    per_pressure: units.ConductancePerPressure
     """Increase of the conductance per pressure."""
-    cap: FilmCoefficient | None = None
+    cap: units.FilmCoefficient | None = None
     """Largest conductance; no limit by default."""
 
     @model_validator(mode="after")
@@ -147,7 +136,7 @@ class _Conductance:
             if value == "perfect":
                 return None
             expected = "expected perfect, a value such as '300 W/(m^2 K)', or kind: pressure"
-            if isinstance(value, str) and not NUMBER.fullmatch(value):
+            if isinstance(value, str) and not units.NUMBER.fullmatch(value):
                 fail(f"{show(value)} is not a conductance; {expected}")
             if isinstance(value, dict) and value.get("kind") != "pressure":
                 wrong = (
@@ -162,7 +151,7 @@ class _Conductance:
 
         choices = {
             TAG + PressureConductance.__name__: handler.generate_schema(PressureConductance),
-            TAG + "constant": handler.generate_schema(ConductancePerArea),
+            TAG + "constant": handler.generate_schema(units.ConductancePerArea),
         }
         union = core_schema.nullable_schema(core_schema.tagged_union_schema(choices, tag))
         return core_schema.no_info_before_validator_function(check, union)
@@ -191,7 +180,7 @@ class _Heating(Scalar):
             if value != "effusivity":
                 fail(f"{show(value)} is not effusivity or a number from 0 to 1")
             return value
-        return float(Plain(at_least=0.0, at_most=1.0).read(value))
+        return float(units.Plain(at_least=0.0, at_most=1.0).read(value))
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler

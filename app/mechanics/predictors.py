@@ -79,11 +79,6 @@ def mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.
     s_i of
 
     .. math:: |R(x) + \sum_i s_i (R(x + d_i) - R(x))| = \min.
-
-    Args:
-        solver: Solver of a problem at the time of the step.
-        x: The state.
-        others: The others.
     """
     x = x.copy()
     here = solver.residual(x)

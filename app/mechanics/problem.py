@@ -146,9 +146,7 @@ class Problem:
     def set_stage(self, stage: int, u: PETSc.Vec) -> None:
         """Activate the supports of a stage; reassemble if they changed; collective.
 
-        Args:
-            stage: Number of the stage.
-            u: Unknowns of the displacement, which is kept.
+        The displacement of the unknowns u is kept.
         """
         if self.stiffness.set_stage(stage, u):
             self._follow_stiffness()

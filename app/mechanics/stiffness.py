@@ -82,9 +82,7 @@ class Stiffness:
     def set_stage(self, stage: int, u: PETSc.Vec) -> bool:
         """Activate the supports of a stage; reassemble and return True if they changed; collective.
 
-        Args:
-            stage: Number of the stage.
-            u: Unknowns of the displacement, which is kept.
+        The displacement of the unknowns u is kept.
         """
         before, self.stage = self.stage, stage
         scene = self._parts[0]

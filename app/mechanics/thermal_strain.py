@@ -77,11 +77,8 @@ class ThermalStrain:
     ) -> ThermalStiffness:
         """Derivatives of the forces by temperature.
 
-        Args:
-            moves: Matrix from temperature jumps to nodal temperatures, for each region they move.
-            constraints: Map from unknowns to nodal displacements.
-            contact: Contact, if any.
-            supported: Constrained rows of the displacement, which are zeroed.
+        ``moves`` are matrices from temperature jumps to nodal temperatures, by region moved. Rows
+        of the ``supported`` displacements are zeroed.
         """
         by_θ = _sums((self.body[x.region], self._scaled(x)) for x in self._terms)
         by_τ = _sums(

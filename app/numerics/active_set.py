@@ -20,10 +20,10 @@ class OscillatingPoint:
     """A contact point that keeps changing its state.
 
     Attributes:
-        row: The point, among those of its rank.
+        row: Its row among the points of its rank.
         changes: Number of its changes.
-        iterations: In so many iterations.
-        states: What it changed between.
+        iterations: Number of iterations in which they were counted.
+        states: States it alternates between.
     """
 
     row: int
@@ -40,7 +40,7 @@ class ActiveSet:
         self._known: list[Ints] = []
 
     def forget(self) -> None:
-        """Drop all states: a new run begins."""
+        """Forget all states before a new run."""
         self._known = []
 
     def add(self, status: Ints) -> None:
@@ -74,7 +74,7 @@ class ActiveSet:
             return []
         states = np.array(self._known)
         changes = (states[1:] != states[:-1]).sum(axis=0)
-        # Points that have not changed lately are left out.
+        # Points without recent changes are left out.
         late = (states[-2:] != states[-3:-1]).any(axis=0) if len(states) > 2 else changes > 0
         rows = np.flatnonzero(late)
         return [

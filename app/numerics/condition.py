@@ -1,4 +1,4 @@
-"""The condition number of a matrix, estimated."""
+"""Estimate of the condition number of a matrix."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ CONDITION_ITERATIONS = 20
 def condition_number(A: PETSc.Mat) -> float:
     """Condition number of a Jacobian: largest over smallest singular value; collective.
 
-    By power iteration with A^T A, and with its inverse by factors of A: an estimate, good to
-    some per cent. One matrix in displacements and jumps, not what a displacement method has.
+    Estimated to some per cent by power iteration with A^T A, and with its inverse by factors of A.
+    The matrix has displacements and jumps, unlike that of a displacement method.
 
     Raises:
-        MemoryError: There is none for the factors.
+        MemoryError: The factors do not fit into memory.
     """
     A = A.convert("aij", PETSc.Mat())
     factors = PETSc.PC().create(A.comm)

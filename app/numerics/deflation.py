@@ -1,8 +1,8 @@
 r"""Deflation: a preconditioner that solves for a coarse space of motions exactly.
 
 A body that slides on its interfaces, or bends away from them, meets little resistance, and a
-preconditioner that treats displacement and jumps in turn leaves such motions almost as they were:
-Krylov methods stall until they have found each of them. With Z the motions and A the Jacobian, a
+preconditioner that treats displacement and jumps in turn hardly reduces such motions: Krylov
+methods stall until they have found each of them. With Z the motions and A the Jacobian, a
 preconditioner M becomes (A-DEF1, Tang et al. 2009, https://doi.org/10.1007/s10915-009-9272-6)
 
 .. math:: Q + M (1 - A Q), \qquad Q = Z (Z^T A Z)^{-1} Z^T.
@@ -22,7 +22,7 @@ from app.arrays import Floats
 from app.numerics.sparse import block_diagonal, fill, from_rows, matrix_sum
 
 # Motions with less than this part of the largest stiffness are left to the Krylov method; the
-# others are made stiffer by a part, for the motions of small boxes may be linearly dependent.
+# others are stiffened by a part, as the motions of small boxes may be linearly dependent.
 NOTHING, STIFFER = 1e-10, 1e-8
 
 
@@ -32,7 +32,7 @@ class CoarseSpace:
     Attributes:
         displacement: The rows of the displacement.
         jump: The rows of the jumps in the free directions, as of `version`.
-        version: Counts changes; 0 as long as there are no motions.
+        version: Number of changes; 0 while there are no motions.
     """
 
     def __init__(self, displacement: PETSc.Mat, jump: PETSc.Mat) -> None:
@@ -43,7 +43,7 @@ class CoarseSpace:
         self.version = 0
 
     def set_free_directions(self, free: Floats) -> None:
-        """Let jumps move in some directions alone: projectors at own points (n, 3, 3)."""
+        """Restrict jumps to free directions, by projectors at own points (n, 3, 3)."""
         self.version += 1
         fill(self._free, free)
         self._free.matMult(self._all, result=self.jump)
@@ -55,7 +55,7 @@ class CoarseSpace:
         self.displacement.multTransposeAdd(u, out, out)
 
     def moved(self, weights: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
-        """Displacement and jumps of motions together: Z w."""
+        """Displacement and jumps of a combination of motions: Z w."""
         self.displacement.mult(weights, u)
         self._all.mult(weights, self._moved)
         self._free.mult(self._moved, q)
@@ -68,7 +68,7 @@ class Deflated:
         inner: The other preconditioner.
 
     Args:
-        blocks: Names of the blocks, "displacement" and "jump" among them; others rest.
+        blocks: Names of the blocks, "displacement" and "jump" among them; others are not deflated.
         motions: Returns the motions at the current Jacobian, or None.
     """
 
@@ -91,11 +91,7 @@ class Deflated:
             self.take(motions)
 
     def take(self, motions: CoarseSpace) -> None:
-        """Use these motions with the current Jacobian; factorize if they changed; collective.
-
-        Args:
-            motions: The motions.
-        """
+        """Use these motions with the current Jacobian; factorize if they changed; collective."""
         if motions is not self._motions:
             self._motions, self._made = motions, 0
             self._weights = motions.displacement.createVecRight()
@@ -126,7 +122,7 @@ class Deflated:
         parts = [made[name] for name in ("uu", "uq", "qu", "qq")]
         shift = np.abs(sum(P.getDiagonal().array for P in parts))
         largest = A.comm.tompi4py().allreduce(shift.max(initial=0.0), MPI.MAX)
-        # Motions without stiffness are not moved.
+        # Motions without stiffness are left out.
         shift = np.where(shift <= NOTHING * largest, largest or 1.0, STIFFER * shift)
         if self._sum is None:
             self._sum = matrix_sum([*parts, _diagonal(A.comm, shift)])

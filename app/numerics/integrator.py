@@ -1,9 +1,9 @@
 r"""Implicit integration in time with steps chosen by their error.
 
 Diagonally implicit Runge-Kutta methods, L-stable and stiffly accurate: every stage is a backward
-Euler step of length h = γ Δt from a start of its own, solved by the caller, and the last stage is
-the new state. Both damp what is faster than the step; the trapezoidal rule (Crank-Nicolson) does
-not and is not offered. A state is a list of arrays, the parts that this rank owns.
+Euler step of length h = γ Δt from its own start, solved by the caller, and the last stage is the
+new state. They damp modes faster than the step, unlike the trapezoidal rule (Crank-Nicolson), which
+is not offered. A state is a list of arrays, the parts that this rank owns.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Solve = Callable[[State, float, float, State], State | None]
 # Largest error of a state over its tolerance; collective, the same on every rank.
 Norm = Callable[[State], float]
 
-# Steps aim at this share of the tolerance, grow and shrink at most by these factors.
+# Share of the tolerance that steps aim at, and limits of their growth and shrinkage.
 _SAFETY = 0.9
 _GROWTH = 3.0
 _CUT = 0.2
-# Times are equal up to this part of them, steps up to that part of them.
+# Relative differences up to which times and steps count as equal.
 _SAME, _NEAR = 1e-9, 1e-6
 
 
@@ -50,12 +50,12 @@ class Method:
     @property
     def c(self) -> Floats:
         """Times of the stages as parts of the step (s,)."""
-        # The last stage ends the step: rounding of its sum would put it behind the end.
+        # The last stage ends the step: a rounded sum might lie beyond the end.
         return np.append(self.a[:-1].sum(axis=1), 1.0)
 
     @property
     def estimate_order(self) -> int:
-        """Power of the step that the estimated error goes with."""
+        """Exponent of the step size in the estimated error."""
         return self.order if len(self.embedded) else self.order + 1
 
 
@@ -80,7 +80,7 @@ METHODS = {m.name: m for m in (_SDIRK4, _BACKWARD_EULER)}
 
 @dataclass(frozen=True)
 class StageStep:
-    """A time step that was solved.
+    """A solved time step.
 
     Attributes:
         state: State at its end.
@@ -96,15 +96,9 @@ class StageStep:
 def step(
     method: Method, y: State, slope: State, dt: float, seconds: float, solve: Solve
 ) -> StageStep | None:
-    """Advance a state by one step, or say that a stage could not be solved.
+    """Advance a state by one step dt [s]; None if a stage could not be solved; collective.
 
-    Args:
-        method: Which method.
-        y: State at the start.
-        slope: Its rate of change there.
-        dt: Length of the step [s].
-        seconds: Time at the start.
-        solve: Solver of a stage; collective.
+    ``y``, ``slope`` and ``seconds`` are state, rate of change and time [s] at the start.
     """
     before, slopes, end = slope, list[State](), y
     known = [(0.0, slope)]
@@ -128,7 +122,7 @@ def step(
 
 
 def start_slope(y: State, seconds: float, shortest: float, solve: Solve) -> State | None:
-    """Rate of change of a state, from an implicit step that is short beside everything [s]."""
+    """Rate of change of a state, from an implicit step short beside all time scales [s]."""
     found = solve(y, shortest, seconds + shortest, y)
     if found is None:
         return None
@@ -136,18 +130,18 @@ def start_slope(y: State, seconds: float, shortest: float, solve: Solve) -> Stat
 
 
 def first_step(slope: State, norm: Norm, longest: float) -> float:
-    """A first step to try [s]: one in which the state changes by some hundred tolerances."""
+    """First step to try [s], in which the state changes by some hundred tolerances."""
     return 100 / max(norm(slope), 100 / longest)
 
 
 class Controller:
-    """Chooses steps so that their error stays below the tolerance, and stops at events.
+    """Choose steps so that their error stays below the tolerance, and stop at events.
 
-    A step follows from the error of the last one and from how much it grew since the one before
+    A step follows from the error of the last one and its growth since the one before
     (Gustafsson's predictive controller; Hairer and Wanner II, IV.8), which foresees an ignition.
 
     Args:
-        method: Which method.
+        method: Runge-Kutta method.
         events: Times that no step may cross [s], in any order.
         first: First step to try [s].
     """
@@ -189,24 +183,21 @@ class Controller:
             factor = min(factor, factor * dt / last_dt * (last_ratio / ratio) ** self._power)
         self._last = dt, max(ratio, 1e-2)
         grown = dt * min(_GROWTH, max(_CUT, factor))
-        # A step that was short because of an event says little against a longer one.
+        # A step shortened by an event says little about a longer one.
         self._next = max(grown, self._next) if dt < self._next else grown
         return True
 
     def failed(self, dt: float) -> None:
-        """A step could not be solved: try one of half its length."""
+        """Try half of a step that could not be solved."""
         self._next = dt / 2
 
 
 def _along(
     known: Sequence[tuple[float, State]], c: float, h: float
 ) -> tuple[Floats, Sequence[State]]:
-    """Weights of slopes in a step of length h at c: on the line through the two that are nearest.
+    """Weights of slopes in a step of length h [s] at c: on the line through the two nearest.
 
-    Args:
-        known: Times, as parts of the step, and slopes there.
-        c: Where the slope is wanted.
-        h: Length of the step [s].
+    ``known`` are times, as parts of the step, and the slopes there.
     """
     nearest = sorted(known, key=lambda k: abs(k[0] - c))[:2]
     slopes = [slope for _, slope in nearest]

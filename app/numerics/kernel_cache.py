@@ -1,8 +1,8 @@
-"""Compiled laws found again by name: without UFL, which takes longer to build one than to run it.
+"""Cache of compiled laws by name, without UFL, which takes longer to build one than to run it.
 
-dolfinx finds compiled code by a signature of the whole expression, so that the expression has to be
-built and walked through at every start: seconds for the contact law at corners. A law whose text is
-all in a few files is known by those files instead; a note beside the meshes says where its code is.
+dolfinx finds compiled code by a signature of the whole expression, which has to be built and
+traversed at every start: seconds for the contact law at corners. A law defined in a few files is
+identified by their text instead; a note beside the meshes names its compiled code.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ MODULE, SYMBOL = re.compile(r"libffcx_expressions_[0-9a-f]+"), re.compile(r"expr
 
 @dataclass(frozen=True)
 class Kernel:
-    """Code of several expressions in one.
+    """Compiled code of several expressions.
 
     Attributes:
         module: Name of the compiled module.
         symbol: Name of the expression in it.
         inputs: Names of the coefficients, in the order of the code.
-        shapes: Of the expressions.
+        shapes: Shapes of the expressions.
     """
 
     module: str
@@ -50,11 +50,11 @@ class Kernel:
 
 
 def note_of(law: str, sources: Sequence[ModuleType]) -> Path | None:
-    """Where the note of a law is, or would be; None without a cache.
+    """Path of the note of a law; None without a cache.
 
     Args:
-        law: What tells it from others made of the same sources.
-        sources: All modules that say what it is.
+        law: Key that tells it from others of the same sources.
+        sources: All modules that define it.
     """
     folder = folders.cache("laws")
     if folder is None:
@@ -69,11 +69,7 @@ def note_of(law: str, sources: Sequence[ModuleType]) -> Path | None:
 
 
 def find(comm: MPI.Comm, note: Path | None) -> tuple[Kernel, Any, ModuleType] | None:
-    """The code that a note tells of, its expression and module; collective.
-
-    Returns:
-        None, on all ranks, where it is missing on one.
-    """
+    """Noted code of a law, its expression and module; None if missing on any rank; collective."""
     found = None
     try:
         if note is not None:
@@ -90,7 +86,7 @@ def _load(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None:
         return None
     folder = Path(jit.get_options()["cache_dir"])
     path = folder / (kernel.module + EXTENSION_SUFFIXES[0])
-    # The mark that its compiler has finished, without which ffcx does not trust it either.
+    # ffcx writes this mark when its compiler has finished, and trusts no module without it.
     if not form_cache.usable(folder, kernel.module):
         return None
     spec = spec_from_file_location(kernel.module, path)
@@ -102,7 +98,7 @@ def _load(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None:
 
 
 def keep(comm: MPI.Comm, note: Path | None, kernel: Kernel) -> None:
-    """Write a note; where that is not possible there is none."""
+    """Write a note; a failure to write is ignored."""
     if note is None or comm.rank != 0:
         return
     try:

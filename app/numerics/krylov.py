@@ -1,9 +1,8 @@
-"""The linear solver inside Newton's method: Krylov method, and when preconditioners are made.
+"""The linear solver inside Newton's method: Krylov method, and when preconditioners are rebuilt.
 
 The Krylov method is preconditioned by block Gauss-Seidel (PCFIELDSPLIT, multiplicative, in the
 order of the blocks). Preconditioners of the large blocks are set up once and kept while they are
-good enough; that of the stiffness belongs to the problem, so that everything that solves with it
-shares it.
+good enough; that of the stiffness belongs to the problem, where all its solvers share it.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ log = logging.getLogger("mantle")
 
 KRYLOV: Options = {"ksp_type": "fgmres", "ksp_max_it": 300, "ksp_gmres_restart": 100}
 SYMMETRIC: Options = {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
-# Of several blocks: Gauss-Seidel. A block's preconditioner stays until it has to be made again.
+# For several blocks: Gauss-Seidel. A block's preconditioner is kept until it is rebuilt on purpose.
 SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}
 # Blocks of nodal unknowns keep their preconditioners from one Jacobian to the next.
 KEPT = ("displacement", "temperature")
-# Excess Krylov iterations after which preconditioners are made again; iterations per digit.
+# Excess Krylov iterations that cost as much as new preconditioners; iterations per digit.
 PRICE, USUAL = 30, 8
-# How the log calls the blocks and the methods.
+# Names of the blocks and methods in the log.
 BLOCKS = {
     "displacement": "bodies",
     "jump": "contact",
@@ -52,7 +51,7 @@ class Linear:
 
     Attributes:
         matrix: The Jacobian: one matrix, or one of blocks (MATNEST).
-        options: PETSc options it asks for.
+        options: PETSc options that the solver needs.
     """
 
     def __init__(self, system: System, linear: str, timing: Timing) -> None:
@@ -66,7 +65,7 @@ class Linear:
             self.matrix = PETSc.Mat().createNest(matrices, comm=system.comm)
             self.matrix.assemble()
         parts = system.options(linear)
-        # Options of blocks, or of all at once.
+        # Options by block, or of all blocks at once.
         self._split = len(blocks) > 1 and set(parts) == set(blocks)
         self.options = dict(KRYLOV)
         for name, of_block in parts.items():
@@ -86,7 +85,7 @@ class Linear:
         self._excess = self._spent = self._gained = 0.0
 
     def attach(self, ksp: PETSc.KSP, x: list[PETSc.Vec]) -> None:
-        """Set the preconditioners up, of the Jacobian at a state; options are set; collective."""
+        """Set up the preconditioners for the Jacobian at a state, after the options; collective."""
         self._ksp = ksp
         ksp.setConvergenceHistory(reset=True)
         pc = ksp.getPC()
@@ -119,7 +118,7 @@ class Linear:
         log.info("solver: %s%s", self._described(parts), deflated)
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
-        """Blocks in turn, each by its own preconditioner or by the one it shares."""
+        """Blocks in turn, each by its own preconditioner or a shared one."""
         fields = self.matrix.getNestISs()[0]
         pc.setFieldSplitIS(*zip(self._names, fields, strict=True))
         parts = {}
@@ -139,7 +138,7 @@ class Linear:
         return inverse.pc
 
     def update(self, x: list[PETSc.Vec]) -> None:
-        """Set the Jacobian to a state; rebuild the preconditioners where that is due."""
+        """Set the Jacobian to a state; rebuild the preconditioners if due."""
         self.observe()
         self._system.jacobian(x)
         self.matrix.assemble()

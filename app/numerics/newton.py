@@ -1,7 +1,7 @@
-"""Newton's method on a system by PETSc SNES: options, linear solver, and when it has converged.
+"""Newton's method on a system by PETSc SNES: options, linear solver, convergence test.
 
 Newton is semismooth, with the generalized Jacobian of the system; its linear solver is that of
-`numerics.krylov`. What is tried when it fails is in `numerics.remedies`.
+`numerics.krylov`. `numerics.remedies` handles its failures.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ NEWTON: Options = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "bt",
     "snes_linesearch_order": 1,
-    # Steps that lead on are halved three times at most (measured); ten halvings lead nowhere.
+    # Useful steps are halved three times at most (measured); ten halvings lead nowhere.
     "snes_linesearch_minlambda": 1e-3,
-    # A short step is no reason to stop: what has converged is decided here alone.
+    # A short step does not end the iteration: `_test` alone decides on convergence.
     "snes_stol": 0.0,
     "snes_max_linear_solve_fail": 3,
 }
-# Tolerance of the linear solver while contact points change their states, when less than a part of
-# them, few, do, and the power with which it falls with the residual (Eisenstat and Walker 1996).
+# Tolerance of the linear solver while contact points change their states, the part of them that
+# counts as few, and the power with which it falls with the residual (Eisenstat and Walker 1996).
 ROUGH, FEW, FINE, POWER = 0.1, 0.01, 0.01, (1 + math.sqrt(5)) / 2
-# When no states change and the residual is below this, the next one is some times its square.
+# When no states change and the residual is below this, the next is a multiple of its square.
 NEAR, SQUARE = 0.01, 100.0
 # Tolerances of the linear solver over those of Newton: the absolute one, and one that suffices.
 ENOUGH, SUFFICES = 0.3, 0.2
-# Newton is not converging if the residual has not fallen to this part of itself in so many
-# iterations; with full steps it may rise before it falls.
+# Newton stalls if the residual has not fallen to this part of itself in so many iterations; with
+# full steps it may rise before it falls.
 HARDLY, STUCK, STUCK_WHOLE = 0.5, {"bt": 4}, 15
-# Residuals that differ by less than this part after a cycle of the states will go on doing so.
+# Residuals that differ by less than this part after a cycle of the states repeat.
 CYCLING = 1e-2
 
 
@@ -57,10 +57,10 @@ class NewtonResult:
         iterations: Newton iterations.
         linear_iterations: Krylov iterations.
         residuals: Residual norm at each iteration, relative to the force scale.
-        changes: Contact points whose state changed, at each iteration.
-        linear_failed: Whether the linear solver gave up.
-        augmentation: Multiple of the augmentation in force that it ended with.
-        tried: Remedies in the order tried, each with the residual that it ended with.
+        changes: Number of contact points that changed state, at each iteration.
+        linear_failed: Whether the linear solver failed.
+        augmentation: Final multiple of the case's augmentation.
+        tried: Remedies in the order tried, each with its final residual.
         period: Length of the cycle in which contact states repeat at the end; 0 without.
     """
 
@@ -79,22 +79,18 @@ class Solver:
     """Newton's method on a system, with its current state; made collectively.
 
     Attributes:
-        system: What is solved.
         x: The current state.
-        failed_state: Where the last solve that failed ended.
-        snes: The solver of PETSc.
-        options: Its options.
-        linear: Its linear solver.
+        failed_state: Last state of the last solve that failed.
+        options: PETSc options of the SNES.
         converged: Whether the last run converged.
         residuals: Residual norm at each iterate of the last runs, relative to the scale.
-        changes: Contact points whose state changed, at each iterate.
-        scales: Of the residuals of the last converged state, by part.
+        changes: Number of contact points that changed state, at each iterate.
+        scales: Scales of the residuals of the last converged state, by part.
         tolerance: Residual over scale at which a run has converged.
-        augmentation: Multiple of the augmentation in force that the next solve begins with.
+        augmentation: Multiple of the case's augmentation at the start of the next solve.
 
     Args:
         max_iterations: Newton iterations allowed in a run.
-        timing: Where the seconds go.
         stop: Returns the name of a pending stop signal, or "".
     """
 
@@ -117,7 +113,7 @@ class Solver:
         defaults = NEWTON | {"snes_max_it": max_iterations} | system.newton
         self.options = defaults | self.linear.options | options
         self._search = self.usual_search
-        # Tolerances of the linear solver that the user chose.
+        # Linear tolerances chosen by the user.
         self._chosen = {"ksp_atol", "ksp_rtol"} & set(options)
         self.x, self.failed_state = self.vector(), self.vector()
         self.residuals: list[float] = []
@@ -150,16 +146,16 @@ class Solver:
         return PETSc.Vec().createNest(vectors, comm=self.system.comm)
 
     def blocks(self, x: PETSc.Vec | None = None) -> list[PETSc.Vec]:
-        """Blocks of a state, of the current one by default."""
+        """Blocks of a state, by default the current one."""
         x = self.x if x is None else x
         return [x] if len(self._templates) == 1 else list(x.getNestSubVecs())
 
     def blocks_by_name(self, x: PETSc.Vec | None = None) -> dict[str, PETSc.Vec]:
-        """Blocks of a state by name, of the current one by default."""
+        """Blocks of a state by name, by default the current one."""
         return dict(zip(self._templates, self.blocks(x), strict=True))
 
     def u_and_q(self, x: PETSc.Vec | None = None) -> tuple[PETSc.Vec, PETSc.Vec | None]:
-        """Displacement and jumps, if any, of a state, of the current one by default."""
+        """Displacement and jumps, if any, of a state, by default the current one."""
         blocks = self.blocks_by_name(x)
         return blocks["displacement"], blocks.get("jump")
 
@@ -174,13 +170,13 @@ class Solver:
         return "jump" in self._templates
 
     def begin(self, tolerance: float) -> None:
-        """Reset to the unloaded state, with a tolerance of the residual; the matrices stay."""
+        """Reset to the unloaded state, with a tolerance of the residual; matrices are kept."""
         self.x.zeroEntries()
         self.linear.sweep_interfaces()
         self.scales, self.tolerance, self.augmentation = [], tolerance, 1.0
 
     def restored(self) -> None:
-        """Put the augmentation in force again; the preconditioners are made anew."""
+        """Apply the restored augmentation; the preconditioners are rebuilt."""
         self.system.scale_augmentation(self.augmentation)
         self.linear.renew()
 
@@ -194,7 +190,7 @@ class Solver:
         return f
 
     def measure(self, x: PETSc.Vec, f: PETSc.Vec) -> list[Measure]:
-        """Residual by part, beside the scale of this state or of the converged ones before it."""
+        """Residual by part, with the scale of this state or of earlier converged ones."""
         parts = self.system.measure(self.blocks(x), self.blocks(f))
         known = self.scales or [0.0] * len(parts)
         return [
@@ -212,10 +208,10 @@ class Solver:
             try:
                 self.snes.solve(None, self.x)
             except PETSc.Error as error:
-                # What a callback raised comes back wrapped.
+                # Exceptions raised in a callback come back wrapped.
                 raise error.__cause__ or error from None
         if self.snes.getConvergedReason() == REASONS.DIVERGED_FNORM_NAN:
-            # PETSc calls neither monitor nor test with a residual that is not a number.
+            # PETSc calls neither monitor nor test if the residual is not finite.
             self.residuals.append(math.nan)
             self.changes.append(0)
         return self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
@@ -236,7 +232,7 @@ class Solver:
             self.system.linearize_at(None)
 
     def step(self) -> tuple[int, int]:
-        """One whole step from the current state, solved roughly; Newton and Krylov iterations."""
+        """Take one full step, solved roughly; return Newton and Krylov iterations."""
         f, dx, ksp = self.vector(), self.vector(), self.snes.getKSP()
         with self._timing.phase("solve"):
             self.system.residual(self.blocks(), self.blocks(f))
@@ -251,7 +247,7 @@ class Solver:
 
     @property
     def usual_search(self) -> str:
-        """The line search of the options."""
+        """Line search in the options."""
         return str(self.options["snes_linesearch_type"])
 
     def use_search(self, kind: str) -> None:
@@ -259,7 +255,7 @@ class Solver:
         if kind == self._search:
             return
         self._search = kind
-        # One of another type begins with the defaults of PETSc: it needs all options again.
+        # A new line search has PETSc's defaults: it needs all options again.
         settings = {k: v for k, v in self.options.items() if k.startswith("snes_linesearch_")}
         with options_set(self.system.prefix, settings | {"snes_linesearch_type": kind}):
             self.snes.setFromOptions()
@@ -267,7 +263,7 @@ class Solver:
     # Callbacks
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
-        # Every rank sees the same answer, so that none is left waiting for the others.
+        # Every rank sees the same signal, so that none is left waiting for the others.
         names = [name for name in self.system.comm.allgather(self._stop()) if name]
         if names:
             raise StoppedError(f"stopped by {names[0]}")
@@ -276,7 +272,7 @@ class Solver:
     def _test(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
     ) -> PETSc.SNES.ConvergedReason:
-        """Each part below its tolerance, or below what rounding leaves of it."""
+        """Whether each part is below its tolerance or its rounding."""
         parts = self.measure(snes.getSolution(), snes.getFunction()[0])
         self.residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
         self.system.record_active_set()
@@ -291,7 +287,7 @@ class Solver:
             snes.getKSP().setTolerances(rtol=self._linear_tolerance(iteration, parts))
         last, window = self.residuals, STUCK.get(self._search, STUCK_WHOLE)
         stuck = iteration >= window and last[-1] > HARDLY * last[-1 - window]
-        # Whole steps from the same states lead to the same states again.
+        # Full steps from the same states lead to the same states again.
         period = self.system.active.period() if self._search == "basic" and not stuck else 0
         stuck |= period > 0 and abs(last[-1] / last[-1 - period] - 1) < CYCLING
         return REASONS.DIVERGED_LINE_SEARCH if stuck else REASONS.ITERATING
@@ -302,12 +298,7 @@ class Solver:
         return self.has_kinks and "ksp_rtol" not in self._chosen
 
     def _linear_tolerance(self, iteration: int, parts: list[Measure]) -> float:
-        """Relative tolerance of the next linear solve: less where its step leads to other states.
-
-        Args:
-            iteration: Newton iterations so far.
-            parts: The residual.
-        """
+        """Relative tolerance of the next linear solve, looser if a step changes contact states."""
         last = self.residuals
         if not iteration or self.changes[-1] >= FEW * self.system.active.points():
             return ROUGH

@@ -19,7 +19,7 @@ class CoarseOrder:
 
     Attributes:
         space: The displacements of first order.
-        size: Unknowns.
+        size: Number of unknowns.
     """
 
     def __init__(self, fine: fem.FunctionSpace, constrained: Callable[[], Bools]) -> None:
@@ -34,10 +34,9 @@ class CoarseOrder:
         return matrix
 
     def prolongation(self) -> PETSc.Mat:
-        """The interpolation, in which constrained and free unknowns do not mix; collective.
+        """The interpolation, decoupled between constrained and free unknowns; collective.
 
-        The stiffness does not mix them either: so constrained vertices keep a diagonal of their
-        own.
+        The stiffness decouples them too, so constrained vertices keep a diagonal of their own.
         """
         fine, coarse = fem.Function(self._fine), fem.Function(self.space)
         held, below = (f.x.petsc_vec for f in (fine, coarse))
@@ -54,7 +53,7 @@ class CoarseOrder:
         return of_free
 
     def rigid(self, matrix: PETSc.Mat) -> PETSc.NullSpace:
-        """The rigid modes, for algebraic multigrid of a stiffness of first order."""
+        """Rigid modes for algebraic multigrid of a stiffness of first order."""
         x = self.space.tabulate_dof_coordinates()
         own = x[: self.space.dofmap.index_map.size_local]
         return near_null_space(matrix, rigid_modes(own).reshape(-1, 6).T)

@@ -1,7 +1,7 @@
 """UFL expressions at points that belong to no mesh: arrays in, arrays out.
 
-A law of `forms` that holds at every point for itself is compiled on a mesh whose cells are the
-points (a row of intervals on this rank alone) with one value of each input per cell. In one row, as
+A law of `forms` that holds at each point is compiled on a mesh whose cells are the points (a row of
+intervals on this rank alone) with one value of each input per cell. They form one row because
 dolfinx takes quadratic time to order cells that do not touch.
 """
 
@@ -35,9 +35,9 @@ class Pointwise:
         comm: Communicator on which the expressions are compiled once and shared.
         n: Number of points of this rank.
         sizes: Inputs by name: 1 for a scalar, 3 for a vector.
-        build: Gives the expressions, from the inputs by name.
-        note: Where it is noted what has been compiled of them (`kernel_cache`); without,
-            they are built at every start.
+        build: Returns the expressions, from the inputs by name.
+        note: Path of the note of the compiled code (`kernel_cache`); without one the expressions
+            are built at every start.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Pointwise:
     def _compile(
         self, comm: MPI.Comm, build: Callable[[dict[str, Expr]], Sequence[Expr]]
     ) -> tuple[kernel_cache.Kernel, Any, ModuleType]:
-        """One kernel for all expressions: what they have in common is evaluated once."""
+        """Compile all expressions into one kernel, which evaluates common terms once."""
         every = build(dict(self._inputs))
         together = ufl.as_vector([c for e in every for c in _components(e)])
         options = {"scalar_type": np.float64}
@@ -101,7 +101,7 @@ class Pointwise:
         return kernel, symbol, module
 
     def set(self, rows: Ints | None = None, **values: Floats) -> None:
-        """Set inputs: (n,) or (n, size) each, of the points or of some; others keep theirs."""
+        """Set inputs, (n,) or (n, size) each, at all points or some rows; others keep theirs."""
         cells = self._cell_of_point if rows is None else self._cell_of_point[rows]
         for name, value in values.items():
             function = self._inputs[name]
@@ -111,7 +111,7 @@ class Pointwise:
             array[space.dofmap.list[cells, 0]] = value.reshape(len(cells), size)
 
     def __call__(self, rows: Ints | None = None, **values: Floats) -> list[Floats]:
-        """Values of the expressions (n, ...), of the points or of some, after setting inputs."""
+        """Set inputs; return the values of the expressions (n, ...) at all points or some rows."""
         self.set(rows, **values)
         cells = self._cell_of_point if rows is None else self._cell_of_point[rows]
         found = np.zeros((len(cells), self._size))

@@ -29,7 +29,7 @@ MULTIGRID: Options = {
     "mg_coarse_pc_type": "cholesky",
     "mg_levels_ksp_type": "richardson",
     "mg_levels_ksp_max_it": 1,
-    # Whole steps: 1.5 of one saves an eighth of the iterations on one rank, and diverges on two,
+    # Full steps: 1.5 of one saves an eighth of the iterations on one rank, and diverges on two,
     # where a sweep of each rank's own part overshoots.
     "mg_levels_pc_type": "sor",
 }
@@ -47,7 +47,7 @@ MULTIGRID_BELOW: Options = {"ksp_type": "richardson", "ksp_max_it": 2}
 # fifth of the time; where conductance lets temperatures jump, factors are needed.
 SWEEP: Options = {"pc_type": "sor"}
 INTERFACE: Options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
-# Unknowns up to which a matrix can be factored after all where multigrid fails.
+# Largest number of unknowns of a matrix that is factored where multigrid fails.
 FACTORABLE = 300_000
 
 
@@ -57,14 +57,7 @@ def is_direct(linear: str, size: int, limit: int = DIRECT_LIMIT) -> bool:
 
 
 def stiffness_options(linear: str, K: PETSc.Mat, order: int, lower: CoarseOrder | None) -> Options:
-    """Options for a stiffness of displacements.
-
-    Args:
-        linear: direct, multigrid or auto (by size).
-        K: The stiffness.
-        order: Of the displacements.
-        lower: Those of lower order, if they can be used.
-    """
+    """Options for a stiffness; ``linear`` is direct, multigrid or auto (by size)."""
     serial = K.comm.size == 1
     limit = SERIAL_LIMITS[order] if serial else DIRECT_LIMIT
     if is_direct(linear, K.getSize()[0], limit):
@@ -86,11 +79,11 @@ def factors(matrix: PETSc.Mat) -> Options:
 
 
 def on_one_rank(options: Options, ranks: int) -> Options:
-    """A preconditioner as one rank makes it for all.
+    """Options of a preconditioner set up on one rank for all.
 
-    What several of them factor together depends in its rounding on which message comes first; up to
-    the size at which matrices are factored at all, one rank takes no more time (measured: 16 000
-    unknowns on two ranks, 13 CPU s of solving against 19).
+    The rounding of factors on several ranks depends on the order of their messages; up to the size
+    at which matrices are factored, one rank is no slower (measured: 16 000 unknowns on two ranks,
+    13 CPU s of solving against 19).
     """
     if ranks == 1:
         return options
@@ -107,13 +100,13 @@ class Inverse:
     """An approximate inverse of a symmetric positive definite matrix, made on first use.
 
     Attributes:
-        pc: It, as a preconditioner: made once, and again only where `refresh` says so.
-        lower: Displacements of lower order, if they can be used.
+        pc: The preconditioner, set up once, and again only by `refresh`.
+        lower: First-order displacements, if usable.
 
     Args:
         matrix: The matrix, which may change in place.
-        version: Counts how often it has changed.
-        options: PETSc options of the preconditioner, until others are asked for.
+        version: Returns the number of its changes.
+        options: Initial PETSc options of the preconditioner.
     """
 
     def __init__(
@@ -134,27 +127,27 @@ class Inverse:
 
     @property
     def size(self) -> int:
-        """Unknowns."""
+        """Number of unknowns."""
         return int(self._matrix.getSize()[0])
 
     @property
     def outdated(self) -> bool:
-        """Whether the matrix has changed since it was made."""
+        """Whether the matrix has changed since the last setup."""
         return self._made != self._version()
 
     def use(self, options: Options) -> None:
-        """Choose PETSc options; what was made with others is made again."""
+        """Choose PETSc options; other ones than before require a new setup."""
         if dict(options) != self._options:
             self._options, self._made = dict(options), None
 
     def make(self) -> None:
-        """Set up, unless that was done; collective."""
+        """Set up on first use; collective."""
         if self._made is None:
             self.pc.reset()
             self.refresh()
 
     def refresh(self) -> None:
-        """Set up for the matrix as it is; collective."""
+        """Set up for the current matrix; collective."""
         pc = self.pc
         pc.setReusePreconditioner(False)
         pc.setOperators(self._matrix)
@@ -193,15 +186,12 @@ class Inverse:
         return True
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> int:
-        """Solve with the matrix by conjugate gradients; collective.
+        """Solve with the matrix by conjugate gradients; return the iterations; collective.
 
         Args:
             b: Right-hand side.
             x: Initial guess, then the solution.
             rtol: Residual relative to that of ``b`` at which to stop.
-
-        Returns:
-            Iterations.
         """
         self.make()
         if self.outdated:
@@ -214,10 +204,10 @@ class Inverse:
 
 
 def configure(pc: PETSc.PC, options: Options) -> None:
-    """Set a preconditioner up by PETSc options that nobody else sees."""
+    """Set up a preconditioner by PETSc options under a prefix of its own."""
     with options_set(pc.getOptionsPrefix(), options):
         pc.setFromOptions()
-        # Inner solvers read their options when they are set up: that has to be now.
+        # Inner solvers read their options at setup, while these are set.
         pc.setUp()
 
 

@@ -1,4 +1,4 @@
-"""A nonlinear solve, and what is tried in turn where Newton's method does not converge."""
+"""A nonlinear solve, with remedies tried in turn where Newton's method does not converge."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from app.numerics.newton import REASONS, NewtonResult, Solver
 
 log = logging.getLogger("mantle")
 
-# Factors of the augmentation tried in turn, and whether Newton then continues from the current
-# state or from the start: mostly the augmentation is too large.
+# Factors of the augmentation tried in turn, and whether Newton continues from the current state or
+# from the start: mostly the augmentation is too large.
 AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
-# Factors of the default augmentation, if the case asks for another one and nothing has helped.
+# Factors of the default augmentation, tried last if the case sets another one.
 USUAL = (1.0, 0.1, 0.01)
 
 
@@ -61,13 +61,12 @@ def solve(solver: Solver) -> NewtonResult:
 def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     """Apply one remedy after the other until Newton has converged; yield each in words.
 
-    Interfaces that are open everywhere are tied and released, so that a body that a clearance
-    leaves free comes into contact. The contact block is factorized, for SOR may give poor
-    directions. The augmentation is scaled: a large one makes contact points change state back and
-    forth, and Newton continues from the current state with a smaller one. The line search is
-    switched on or off: at a kink of the contact law it may cut steps to nothing where full steps
-    converge. At last an augmentation that the case asked for is replaced by the default, for it may
-    be off by powers of ten.
+    Interfaces that are open everywhere are tied and released: a body free by a clearance comes into
+    contact. The contact block is factorized, as SOR may yield poor directions. The augmentation is
+    scaled: a large one makes contact points change state back and forth, and Newton continues from
+    the current state with a smaller one. The line search is switched on or off: at a kink of the
+    contact law it may cut steps to nothing where full steps converge. Last, an augmentation set by
+    the case, which may be off by powers of ten, is replaced by the default.
     """
     system = solver.system
     if not solver.converged and system.tie(True):
@@ -113,7 +112,7 @@ def hopeless(solver: Solver) -> bool:
 
 
 def failure_text(solver: Solver) -> str:
-    """How far Newton got."""
+    """Last residual and iterations, in words."""
     if solver.converged:
         return "converged"
     changing = ""

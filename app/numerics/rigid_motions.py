@@ -17,12 +17,12 @@ DIRECTIONS = (
     "turn about y",
     "turn about z",
 )
-# A named motion is free if so much of it (squared) lies among the free ones, and is worth telling
-# beside others if so much of it is not among them.
+# Part (squared) of a named motion among the free ones from which it is free, and part outside those
+# already named from which it is named too.
 WITHIN, NEW = 0.9, 0.2
-# Cosine of the angle to an axis of what is along it.
+# Cosine of the angle to an axis up to which a direction is along it.
 ALIGNED = 0.9999
-# Bodies of which all sets are looked at.
+# Number of bodies up to which all subsets are searched.
 MOST = 6
 
 
@@ -36,7 +36,7 @@ def rigid_modes(x: Floats) -> Floats:
 
 
 def add_relative(matrix: Floats, a: int, b: int, resistance: Floats) -> None:
-    """Add what resists motions of body a relative to body b (6, 6) to that of all (6 n, 6 n)."""
+    """Add the resistance (6, 6) to motions of body a relative to b to that of all (6 n, 6 n)."""
     for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
         matrix[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] += sign * resistance
 
@@ -44,14 +44,14 @@ def add_relative(matrix: Floats, a: int, b: int, resistance: Floats) -> None:
 def describe(
     free: Floats, names: Sequence[str], centres: Floats, origin: Floats, size: float
 ) -> list[str]:
-    """Sentences on motions that nothing resists, one for each set of bodies that share them.
+    """Sentences on motions without resistance, one for each set of bodies that share them.
 
     Args:
-        free: Free motions (6 n, k): of each body translation and rotation x size, about the origin.
+        free: Free motions (6 n, k): translation and rotation x size of each body, about the origin.
         names: Names of the n bodies, in quotes.
-        centres: A point of each body that it would turn about (n, 3) [mm].
-        origin: What the motions are about (3,) [mm].
-        size: Length that makes rotations translations [mm].
+        centres: A point on the axis of each body's rotations (n, 3) [mm].
+        origin: Origin of the motions (3,) [mm].
+        size: Length that scales rotations to translations [mm].
     """
     if not free.shape[1]:
         return []
@@ -66,7 +66,7 @@ def describe(
             continue
         known = np.column_stack([known, rest / np.linalg.norm(rest)])
         found.setdefault(bodies, []).append(DIRECTIONS[k])
-    # What is along no axis.
+    # Motions along no axis.
     left = Q - known @ (known.T @ Q)
     u, s, _ = np.linalg.svd(left, full_matrices=False)
     for v in u.T[: Q.shape[1] - known.shape[1]][s[: Q.shape[1] - known.shape[1]] > NEW]:
@@ -78,7 +78,7 @@ def describe(
 def _named(
     centres: Floats, origin: Floats, size: float
 ) -> Iterator[tuple[tuple[int, ...], int, Floats]]:
-    """Motions that have a name, of few bodies first: bodies, number, unit vector (6 n,)."""
+    """Named motions, of few bodies first: bodies, number, unit vector (6 n,)."""
     n = len(centres)
     for count in range(1, n + 1 if n <= MOST else 2):
         for bodies in combinations(range(n), count):

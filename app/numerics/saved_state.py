@@ -1,11 +1,11 @@
-"""Saved state of a run: what objects list of themselves, in rows that do not depend on ranks.
+"""Saved state of a run: attributes that objects list, in rows that do not depend on ranks.
 
 A class names its attributes: ``saved = ("jump", "force")``. Numbers, texts and None are the same on
-all ranks; lists, dicts and dataclasses hold more of the kind, other objects name their own. Arrays
-and functions are by contact point, node or cell: ``row_keys``, of the object or of one that holds
-it, numbers their rows, so that any number of ranks finds them again. It is one array of keys, or
-for attributes and items that differ a dict or list of them. Keys come from the numbers of vertices
-and cells in the mesh file.
+all ranks; lists, dicts and dataclasses are saved item by item, other objects by their own list.
+Arrays and functions are by contact point, node or cell: ``row_keys``, of the object or of its
+owner, numbers their rows, so that any number of ranks finds them again. It is one array of keys, or
+a dict or list of them for attributes and items with different keys. Keys come from the numbers of
+vertices and cells in the mesh file.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from app.arrays import Ints
 
 Array = NDArray[Any]
-# Key of a row that is not saved.
+# Key of rows that are not saved.
 LEFT_OUT = -1
-# Vertices of each node of a tetrahedron in basix's order: itself, or the ends of its edge.
+# Vertices of each node of a tetrahedron in basix's order: a vertex, or the ends of an edge.
 ENDS = np.array(
     [*((v, v) for v in range(4)), *basix.topology(basix.CellType.tetrahedron)[1]], dtype=np.int64
 )
@@ -32,7 +32,7 @@ ENDS = np.array(
 
 @dataclass(frozen=True)
 class Rows:
-    """Values (n, ...) with their keys (n,): of one rank, or of all ranks with the keys rising."""
+    """Values (n, ...) with their keys (n,), of one rank, or of all ranks in rising order."""
 
     keys: Ints
     values: Array
@@ -41,7 +41,7 @@ class Rows:
         """The rows of some keys, of a state of all ranks.
 
         Raises:
-            ValueError: Some are not there.
+            ValueError: A key is missing.
         """
         if not np.isin(keys, self.keys).all():
             raise ValueError("rows are missing")
@@ -49,7 +49,7 @@ class Rows:
 
 
 def collect(value: Any, keys: Any = None) -> Any:
-    """Copy what an object saves: dicts, lists, plain values, and arrays as `Rows`.
+    """Copy the saved attributes of an object: dicts, lists, plain values, and arrays as `Rows`.
 
     Args:
         value: The object.
@@ -72,10 +72,10 @@ def collect(value: Any, keys: Any = None) -> Any:
 
 
 def fill(value: Any, found: Any, keys: Any = None) -> Any:
-    """Put a saved state into an object; returns it, or what is to take its place.
+    """Fill an object from a saved state; return it or its replacement.
 
     Raises:
-        LookupError, TypeError, ValueError: The state is not that of such an object.
+        LookupError, TypeError, ValueError: The state does not fit the object.
     """
     if isinstance(value, fem.Function):
         own = keys != LEFT_OUT
@@ -103,7 +103,7 @@ def fill(value: Any, found: Any, keys: Any = None) -> Any:
 
 
 def restore(value: Any) -> None:
-    """Let objects that were filled find what follows from their values, inner ones first."""
+    """Call ``restored`` of filled objects, inner ones first, to update derived values."""
     inner: Iterator[Any] = iter(())
     if isinstance(value, dict):
         inner = iter(value.values())
@@ -118,14 +118,12 @@ def restore(value: Any) -> None:
 
 
 def _names(value: Any) -> tuple[str, ...]:
-    """Attributes that an object saves."""
     if is_dataclass(value) and not hasattr(value, "saved"):
         return tuple(f.name for f in fields(value))
     return getattr(value, "saved", ())
 
 
 def _inner(keys: Any, name: str | int) -> Any:
-    """Keys of an attribute or item."""
     if isinstance(keys, dict):
         return keys.get(name)
     return keys[int(name)] if isinstance(keys, list) else keys
@@ -138,13 +136,13 @@ def _rows(values: Array, keys: Ints) -> Rows:
 
 
 def _by_node(function: fem.Function) -> Array:
-    """Values of a function at the nodes of this rank, ghosts too (n, components)."""
+    """Values of a function at the nodes of this rank with ghosts (n, components)."""
     values: Array = function.x.array.reshape(-1, function.function_space.dofmap.bs)
     return values
 
 
 def node_keys(space: fem.FunctionSpace) -> Ints:
-    """Keys of the nodes of a space of first or second order, ghosts last (n,): by its vertices."""
+    """Keys of the nodes of a space of first or second order by vertices, ghosts last (n,)."""
     geometry, index_map = space.mesh.geometry, space.dofmap.index_map
     dofs = space.dofmap.list
     vertices = geometry.input_global_indices[geometry.dofmap[:, :4]]

@@ -15,11 +15,11 @@ from app.arrays import Floats, Ints
 
 
 def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:
-    """Give replicated points to the ranks that own their dofs.
+    """Assign replicated points to the ranks that own their dofs.
 
     Args:
         comm: Communicator.
-        index_map: Of the dofs.
+        index_map: Index map of the dofs.
         dof: Global dof of each point (n,).
 
     Returns:
@@ -36,10 +36,7 @@ def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:
 def from_triplets(
     comm: MPI.Comm, rows: int, columns: int, i: Ints, j: Ints, v: Floats
 ) -> PETSc.Mat:
-    """Matrix from triplets: local numbers of own rows, global columns; collective.
-
-    Values at the same place are summed.
-    """
+    """Matrix from triplets (own local rows, global columns), duplicates summed; collective."""
     order = np.lexsort((j, i))
     i, j = i[order], j[order]
     new = np.ones(len(i), dtype=bool)
@@ -53,7 +50,7 @@ def from_triplets(
 def from_rows(
     comm: MPI.Comm, sizes: tuple[int, int], start: NDArray, columns: NDArray, values: Floats
 ) -> PETSc.Mat:
-    """Matrix from the compressed own rows, its sizes on this rank given; collective."""
+    """Matrix from compressed own rows and its sizes on this rank; collective."""
     A = PETSc.Mat().createAIJ(
         ((sizes[0], None), (sizes[1], None)),
         csr=(
@@ -70,7 +67,7 @@ def from_rows(
 
 
 def matrix_sum(matrices: Sequence[PETSc.Mat]) -> PETSc.Mat:
-    """A new matrix, the sum of some that may differ in pattern; collective."""
+    """Sum of matrices that may differ in pattern, as a new one; collective."""
     first, *others = matrices
     total = first.copy()
     for A in others:

@@ -1,7 +1,7 @@
 """Systems of equations as the solver sees them: blocks of unknowns, residual, Jacobian.
 
-A system knows its own linear algebra: which blocks there are, how they are preconditioned, and how
-large a residual may be. Block order is that of the Gauss-Seidel preconditioner.
+A system defines its own linear algebra: its blocks, their preconditioners, the limit of its
+residual. Block order is that of the Gauss-Seidel preconditioner.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from app.numerics.preconditioners import Inverse, Options
 
 @dataclass(frozen=True)
 class Measure:
-    """How large a part of a residual is.
+    """Size of a part of a residual.
 
     Attributes:
         norm: Its norm.
-        scale: The size of what it balances.
-        rounding: What rounding leaves of it.
-        lasting: Whether the scale of a converged state holds for those after it: that of forces
-            does, that of the heat in the first instant of a contact does not.
+        scale: Size of the terms that it balances.
+        rounding: Its rounding error.
+        lasting: Whether the scale of a converged state holds for later ones: that of forces does,
+            that of the heat in the first instant of a contact does not.
     """
 
     norm: float
@@ -45,21 +45,21 @@ class Measure:
 class System(Protocol):
     """Interface between the nonlinear solver and a system of equations.
 
-    The answers given here are those of a system without contact; systems inherit them.
+    Defaults are those of a system without contact.
     """
 
     comm: MPI.Comm
     prefix: str
-    # States of its contact points at the last iterates.
+    # States of the contact points at the last iterates.
     active: ActiveSet
     # PETSc options of its Newton iteration that differ from the solver's.
     newton: Options = {}  # noqa: RUF012
-    # Inverses of diagonal blocks that others use too, by block.
+    # Shared inverses of diagonal blocks, by block.
     inverses: Mapping[str, Inverse] = {}
 
     @property
     def version(self) -> int:
-        """Counts changes of the matrices that outdate their preconditioners."""
+        """Number of changes of the matrices that outdate their preconditioners."""
         raise NotImplementedError
 
     def blocks(self) -> dict[str, PETSc.Vec]:
@@ -75,7 +75,7 @@ class System(Protocol):
         raise NotImplementedError
 
     def impose(self, x: list[PETSc.Vec]) -> None:
-        """Put prescribed values into a state."""
+        """Set prescribed values in a state."""
         raise NotImplementedError
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
@@ -87,7 +87,7 @@ class System(Protocol):
         return None
 
     def linearize_at(self, forces: Floats | None) -> None:
-        """Take contact laws as linear about forces at own points (n, 3) [MPa], or as they are."""
+        """Linearize contact laws about forces at own points (n, 3) [MPa]; None: about their own."""
         return None
 
     def record_active_set(self) -> None:
@@ -95,7 +95,7 @@ class System(Protocol):
         return None
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
-        """How large the residual f of a state x is, by part; collective."""
+        """Size of the residual f of a state x, by part; collective."""
         raise NotImplementedError
 
     def coarse_space(self) -> CoarseSpace | None:
@@ -103,7 +103,7 @@ class System(Protocol):
         return None
 
     def scale_augmentation(self, factor: float) -> bool:
-        """Solve with this multiple of the augmentation in force; whether there is any."""
+        """Set the multiple of the case's augmentation; return whether there is any."""
         return False
 
     def augmentation(self) -> dict[str, float]:
@@ -111,11 +111,11 @@ class System(Protocol):
         return {}
 
     def usual_augmentation(self) -> float:
-        """Multiple of the augmentation asked for that would be chosen; collective."""
+        """Default augmentation over the one in the case; collective."""
         return 1.0
 
     def tie(self, on: bool) -> bool:
-        """Solve with interfaces tied that were open everywhere so far; whether there are any."""
+        """Tie interfaces that were open everywhere so far; return whether there are any."""
         return False
 
 

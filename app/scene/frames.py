@@ -20,13 +20,7 @@ from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes, he
 from app.scene.scene import Scene
 from app.system.layout import point_text
 from meshes.contact_faces import projectors
-from meshes.contact_facets import (
-    NODES,
-    InterfaceFacets,
-    gather,
-    nodal_normals,
-    shape_functions,
-)
+from meshes.contact_facets import NODES, InterfaceFacets, gather, nodal_normals, shape_functions
 from meshes.contact_points import Holds
 from meshes.distribute import TaggedMesh
 

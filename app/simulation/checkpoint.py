@@ -34,11 +34,11 @@ from app.version import __version__
 
 log = logging.getLogger("mantle")
 
-# Of the layout of the file.
+# Version of the file layout.
 FORMAT = 5
 # Names of the header, and of what stands for rows in it.
 HEADER, ROWS = "header", "@rows"
-# Checkpoints that are kept.
+# Number of checkpoints kept.
 KEPT = 2
 # Number of differences listed in a message.
 TOLD = 12
@@ -50,13 +50,7 @@ class DamagedError(InputError):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint that was read.
-
-    Attributes:
-        path: Its file.
-        header: Version, case, mesh, stage, step and times of the run that wrote it.
-        state: Saved state.
-    """
+    """A checkpoint; ``header`` has version, case, mesh, stage, step and times of its run."""
 
     path: Path
     header: Mapping[str, Any]
@@ -285,7 +279,6 @@ class CheckpointWriter:
         return int(header["stage"])
 
     def _parts(self) -> dict[str, Any]:
-        """Objects with saved state, in the order in which they are restored."""
         return {**self._model.saved_parts(), "recorder": self._recorder}
 
     def _fill(self, found: Checkpoint, parts: dict[str, Any]) -> None:

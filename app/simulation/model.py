@@ -85,12 +85,8 @@ class Model:
             too if loads and laws alone differ; it must not be used afterwards.
 
     Attributes:
-        scene: Record of all that is solved.
-        tagged: Its mesh.
-        mesh_hash: Digest of that mesh.
-        parts: Connected pieces of that mesh, on rank 0.
-        mechanics: Its mechanics, if it has any.
-        thermal: Its heat, if it has any.
+        mesh_hash: Digest of the mesh.
+        parts: Connected pieces of the mesh, on rank 0.
     """
 
     def __init__(
@@ -257,14 +253,12 @@ class Model:
         return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
 
     def _cheaper(self, case: Case) -> LoadStepper:
-        """Load stepping of a cheaper model; collective."""
         other = self._other(case, self._timing.of("cheaper model"))
         m = other.mechanics
         assert m is not None
         return LoadStepper(m.problem, m.solver, _nothing, log.debug, other._predictors(m))
 
     def _other(self, case: Case, timing: Timing) -> Model:
-        """A model of another case that reuses parts of this one; collective."""
         return Model(case, self.tagged.mesh.comm, self.options, timing, self.stop, self)
 
     @staticmethod
@@ -278,7 +272,7 @@ class Model:
             return SolvedWithHeat(load_stepper, heating, heating.coupled)
         return SolvedAfterHeat(load_stepper, heating, heating.options.mechanical_step)
 
-    # What is published of the state last committed
+    # Published numbers of the state last committed
 
     def numbers(self, samples: ContactSamples | None) -> dict[str, Any]:
         """All published numbers; collective."""

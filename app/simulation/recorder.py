@@ -206,7 +206,6 @@ class Recorder:
         return row
 
     def _row(self, step: LoadStep) -> None:
-        """Write a row of history.csv, and fields where they are due."""
         self.time = step.time
         self.step_count += 1
         row: dict[str, Any] = {"step": self.step_count, "time [-]": step.time} | self._mechanical
@@ -312,7 +311,7 @@ class Recorder:
                 log.warning("%s", error)
 
     def last_state(self) -> str:
-        """Sentence on the position of the last converged state."""
+        """Sentence on the last converged state and its folder."""
         if not self.step_count:
             return "no step has converged: nothing is on disk"
         return (

@@ -40,14 +40,10 @@ class Setup:
     """Parts shared by successive runs.
 
     Attributes:
-        comm: Communicator.
-        loaded: The case file.
-        options: Raw PETSc options.
         stop: Returns the name of a pending stop signal, or "".
         progress: Called on every rank after each accepted step.
         begin: Start of the run, by `time.perf_counter`.
         started: The same, by the clock.
-        timing: Seconds by phase.
         model: The model of the last run, for reuse.
         noted: Notes already logged.
     """
@@ -79,12 +75,8 @@ class Setup:
 class CaseRun:
     """The run of one case: its model, its records and its checkpoints; made on all ranks.
 
-    Args:
-        setup: Parts shared with other runs.
-        case: The case of the file, or a variation of it.
-        changes: The overrides of the variation.
-        output: The run directory.
-        found: The checkpoint to restart from.
+    ``case`` is the case of the file or a variation of it with overrides ``changes``, ``found`` the
+    checkpoint to restart from.
     """
 
     def __init__(

@@ -14,13 +14,8 @@ from typing import Any
 
 from mpi4py import MPI
 
+from app import errors
 from app.case.case import Case, LoadedCase, Varied
-from app.errors import (
-    ConvergenceError,
-    EnvironmentProblem,
-    InputError,
-    StoppedError,
-)
 from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results.run_folder import on_root
@@ -64,7 +59,7 @@ def run(
     comm, started, begin = MPI.COMM_WORLD, datetime.now(UTC), clock.perf_counter()
     expected = ranks.world_size()
     if expected and expected != comm.size:
-        raise EnvironmentProblem(
+        raise errors.EnvironmentProblem(
             f"started as one of {expected} ranks, but MPI sees {comm.size}: mpirun belongs to "
             "another MPI; use the one of this installation, or mantle run -n"
         )
@@ -135,7 +130,7 @@ class Session:
             self._setup.begin_next()
         log.info("%s", variations.table(self._write_table(rows, output)))
         if failed:
-            raise ConvergenceError(
+            raise errors.ConvergenceError(
                 f"{len(failed)} of {len(chain)} variations did not converge: {', '.join(failed)} "
                 f"(in {output})"
             )
@@ -147,18 +142,17 @@ class Session:
         on_root(self._comm, partial(_prepare, folder), share=False)
         try:
             summary = self.solve(varied.case, varied.overrides, folder)
-        except ConvergenceError as failure:
+        except errors.ConvergenceError as failure:
             log.warning("%s: %s", varied.name, failure)
             why = partial(write_text, folder / FAILED, f"{failure}\n")
             on_root(self._comm, why, share=False)
             return {}
-        except StoppedError as stop:
-            raise StoppedError(f"{place}: {stop}") from stop
+        except errors.StoppedError as stop:
+            raise errors.StoppedError(f"{place}: {stop}") from stop
         text.report(summary, table=False)
         return summary
 
     def _write_table(self, rows: dict[int, variations.Row], output: Path) -> list[variations.Row]:
-        """Write the common table in the order of the file; collective."""
         done = [rows[k] for k in sorted(rows)]
         on_root(self._comm, partial(variations.write, done, output), share=False)
         return done
@@ -179,7 +173,9 @@ class Session:
             except checkpoint.DamagedError as damaged:
                 assert found is not None
                 if self._restart != "auto":
-                    raise InputError(f"--restart {found.path}: cannot be used: {damaged}") from None
+                    raise errors.InputError(
+                        f"--restart {found.path}: cannot be used: {damaged}"
+                    ) from None
                 checkpoint.pass_over(found.path, damaged)
                 passed.append(found.path)
                 self._setup.model = None  # it has taken up some of it
@@ -194,7 +190,6 @@ class Session:
 
 @contextmanager
 def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
-    """Lock a folder meanwhile; collective."""
     held = on_root(comm, partial(claim, output), share=False)
     try:
         yield

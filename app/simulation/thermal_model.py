@@ -15,7 +15,7 @@ from app.results.interface_heat import exchange
 from app.results.thermal_record import ThermalRecord
 from app.stepping.heat_state import HeatState, HeatStep
 
-# Heat below so many times what rounding leaves of it in a step is none.
+# Heat below this multiple of its rounding error in a step counts as zero.
 NOTHING = 1e7
 
 
@@ -23,7 +23,6 @@ class ThermalModel:
     """The heat of a model and its records.
 
     Attributes:
-        heating: Temperatures and degrees of cure in time.
         record: Reported temperatures.
         cure: Reported degrees of cure, if anything cures.
         flows: Heat per time at the end of the last step: into the model by condition, and through

@@ -1,11 +1,10 @@
 r"""Coarse start: a solve starts from the jumps and the interface forces of a cheaper model.
 
-The case is solved on a mesh twice as coarse too, load step by load step beside the run, and that
-one from a still cheaper one where it is large itself; a mesh that cannot be made coarser is solved
-at first order. Jumps and forces are interpolated on the interface. The displacement follows from
-the jumps, K u = f - C q, to a rough tolerance, and a step of Newton's method in displacement, jumps
-and forces from all three: contact points have the states of the cheaper model then, and Newton only
-has to find those of single points.
+A copy of the case on a mesh twice as coarse is solved load step by load step beside the run, itself
+started by a still coarser one if it is large; if no coarser mesh exists, the copy has first order.
+Its jumps and forces are interpolated on the interface. The displacement follows from the jumps,
+K u = f - C q, to a rough tolerance, and a Newton step in displacement, jumps and forces follows:
+contact points then have the states of the coarse model, and Newton corrects those of single points.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mantle")
 
-# Residual of the displacement that follows from interpolated jumps.
+# Relative residual of the displacement from interpolated jumps.
 ROUGH = 0.1
 # A start is good enough if its residual is below this part of that of the unloaded state.
 GOOD = 0.1
-# Triangles among which the nearest to a point is looked for, by their centres.
+# Number of triangles, nearest by their centres, that are searched for the nearest to a point.
 NEAREST = 8
 
 
@@ -57,7 +56,7 @@ class CoarseModelStart:
         self._known: list[tuple[float, Floats]] = []
 
     def predict(self, time: float) -> None:
-        """Start from the cheaper model's state, unless there is a good start already."""
+        """Start from the cheaper model's state, unless the current start is good."""
         if self._failed or self._good():
             return
         try:
@@ -71,11 +70,11 @@ class CoarseModelStart:
         self._start(*np.hsplit(found, 2))
 
     def commit(self, time: float) -> None:
-        """The cheaper model has to go through it too, when it is asked again."""
+        """Store the time, through which the cheaper model has to pass when next asked."""
         self._past.append(time)
 
     def _good(self) -> bool:
-        """Whether others have found a start that is good enough."""
+        """Whether the current guess has a small residual already."""
         solver, nothing = self._solver, self._solver.vector()
         here = imbalance(solver, solver.x.copy())
         return here <= GOOD * imbalance(solver, nothing)
@@ -90,13 +89,12 @@ class CoarseModelStart:
             self._known = [(0.0, np.zeros((len(contact.own), 6)))]
         for then in [*self._past, time]:
             while then > (last := self._known[-1][0]):
-                # A run that was taken up again has not told of the stages before.
+                # A resumed run has not passed through the stages before.
                 self._advance(self._coarse, min(then, math.floor(last) + 1.0))
         self._past = []
         return between(self._known, time)
 
     def _advance(self, coarse: LoadStepper, time: float) -> None:
-        """Take the cheaper model to a time within its stage."""
         begin = self._known[-1][0]
         k = math.ceil(time) - 1
         problem = coarse.problem
@@ -105,7 +103,7 @@ class CoarseModelStart:
         def set_load(s: float) -> None:
             problem.set_time(begin + s * (time - begin))
 
-        # A start that takes many steps to find is not worth it.
+        # A start that takes many steps to find is not worth them.
         stage = replace(problem.scene.stages[k], adaptive=False)
         coarse.run_path(stage, 1.0, set_load, begin, time)
         assert problem.contact is not None
@@ -113,7 +111,7 @@ class CoarseModelStart:
         self._known = [*self._known[-1:], (time, known)]
 
     def _start(self, jump: Floats, force: Floats) -> None:
-        """Start from jumps and forces, and the displacement in rough equilibrium with the jumps."""
+        """Start from jumps, forces, and a displacement in rough equilibrium with the jumps."""
         problem, solver = self._problem, self._solver
         named = solver.blocks_by_name()
         u, q = named["displacement"], named["jump"]
@@ -128,7 +126,7 @@ class CoarseModelStart:
 
 
 def between(known: list[tuple[float, Floats]], time: float) -> Floats:
-    """Values at a time, on the line through the last two of those known."""
+    """Values at a time, on the line through the last two known."""
     (t1, after) = known[-1]
     if time == t1 or len(known) == 1:
         return after
@@ -149,15 +147,15 @@ def replicated(contact: ContactInterfaces) -> Floats:
 def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> csr_array:
     """Weights that interpolate between meshes of the same interfaces; no communication.
 
-    Linear on the source's triangles: a point takes the nearest point of the nearest triangle.
+    Linear on the source's triangles: each point gets the nearest point of the nearest triangle.
 
     Args:
         source: Points with values.
         target: Points without.
-        mine: Those of them that are wanted (n,).
+        mine: Rows of the target points to interpolate to (n,).
 
     Returns:
-        Matrix with a row for each wanted point and a column for each source point.
+        Matrix with a row for each of these and a column for each source point.
     """
     none = np.zeros(0, dtype=np.int64)
     entries: list[tuple[Ints, Ints, Floats]] = [(none, none, np.zeros(0))]
@@ -173,12 +171,7 @@ def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> c
 
 
 def _nearest(corners: Floats, x: Floats) -> tuple[Ints, Floats]:
-    """Nearest triangle of each point and the barycentric coordinates there (n,), (n, 3).
-
-    Args:
-        corners: Triangles (t, 3, 3).
-        x: Points (n, 3).
-    """
+    """Nearest triangle (t, 3, 3) of each point (n, 3), and barycentric coordinates there (n, 3)."""
     k = min(NEAREST, len(corners))
     from scipy.spatial import cKDTree  # imported late, too
 
@@ -193,7 +186,7 @@ def _nearest(corners: Floats, x: Floats) -> tuple[Ints, Floats]:
     foot = np.stack([aa * bb - ab**2 - v - w, v, w], axis=2)
     inside = np.asarray((foot >= 0).all(axis=2))
     foot /= foot.sum(axis=2, keepdims=True)
-    # Outside the nearest point is on an edge.
+    # Otherwise the nearest point is on an edge.
     edges = np.roll(t, -1, axis=2) - t
     s = ((x[:, None, None] - t) * edges).sum(axis=3) / (edges**2).sum(axis=3)
     s = np.clip(s, 0.0, 1.0)[..., None]

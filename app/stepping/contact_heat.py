@@ -1,9 +1,9 @@
-r"""Contact as the heat sees it: pressures, the power of friction, and how both change.
+r"""Contact in the heat equation: pressures, friction power, and their derivatives.
 
-Friction heats by what it dissipates (`TrialState.rubbing`): w = F_T · s per area since the
-time step began, with the slip s = Δq + (F - F_T)/r, which leaves out what springs of a penalty
-stretch. A stage of length h that starts from the work w* has the power (w - w*)/h: w is one more
-unknown of the integrator, so that its sum over the stages is the work of the whole step.
+Friction heats by its dissipation (`TrialState.rubbing`): w = F_T · s per area since the time step
+began, with the slip s = Δq + (F - F_T)/r, which excludes the stretch of penalty springs. A stage of
+length h that starts from the work w* has the power (w - w*)/h: w is one more unknown of the
+integrator, so that its sum over the stages is the work of the whole step.
 
 With the law of a contact point, F = P(S), S = -e/W + r (q + g), and its generalized derivative P',
 pressure p = |F_n| and friction work change by
@@ -11,8 +11,8 @@ pressure p = |F_n| and friction work change by
 .. math:: dp = m·P' dS, \qquad dw = s·P' dS + F_T·(dq - (de/W + P' dS)/r),
           \qquad dS = -de/W + r\,dq
 
-with e the equilibrium of the rows of the contact points and m the direction of the pressure. A
-multiplier takes part in S and s by its share.
+with e the equilibrium of the rows of the contact points and m the direction of the pressure. S and
+s contain the multiplier by its share.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from forms import interface_heat
 
 @dataclass(frozen=True)
 class PointDerivatives:
-    """How a scalar of each own contact point changes: with equilibrium and with the jump (n, 3)."""
+    """Derivatives of a scalar at own contact points by equilibrium and by the jump (n, 3)."""
 
     by_equilibrium: Floats
     by_jump: Floats
@@ -50,10 +50,10 @@ class ContactHeat:
     """Input of the heat from the contact points: pressures and the power of friction.
 
     Attributes:
-        heats: For each thermal body, nodal heat by friction power per area (nodes x points) [mm2].
+        heats: Nodal heat by friction power per area, for each thermal body (nodes x points) [mm2].
         pressed: Pressure at the points of finite conductance by that at contact points, if any.
-        friction_work: Work of friction per area since the time step began, in the heat [N/mm].
-        expands: Regions whose expansion follows temperature; that of what sets is history.
+        friction_work: Friction work per area since the time step began, in the heat [N/mm].
+        expands: Regions whose expansion follows temperature; in curing regions it is history.
     """
 
     def __init__(self, scene: Scene, problem: Problem, operators: HeatOperators) -> None:
@@ -88,7 +88,7 @@ class ContactHeat:
             self.pressed = from_triplets(comm, len(found), self._n, on, found[on], ones)
 
     def to_mechanics(self, heat: Sequence[PETSc.Vec]) -> None:
-        """Set the temperatures that the mechanics use."""
+        """Set the temperatures of the mechanics."""
         if self.expands:
             self._operators.temperatures(heat)
             regions = {r: self._operators.of_region(r) for r in self.expands}
@@ -103,12 +103,12 @@ class ContactHeat:
 
         Args:
             h: Its length [s]; infinite for a steady state, in which friction has no power.
-            work: Work of friction per area from which it starts (n,) [N/mm].
+            work: Initial friction work per area (n,) [N/mm].
         """
         self._h, self._before = h, work
 
     def to_heat(self, trial: TrialState) -> None:
-        """Set the pressures and the friction heat that the heat equation uses."""
+        """Set the pressures and the friction heat of the heat equation."""
         contact = self._contact
         pressure = np.linalg.norm(_normal(trial.law, contact.own.normals), axis=1)
         self.friction_work = np.where(self.rubbing, _dot(*trial.rubbing()), 0.0)
@@ -124,16 +124,16 @@ class ContactHeat:
                     friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
 
     def report(self, seconds: float) -> None:
-        """Tell the heat what friction heats per area in the mean of a step of so many seconds."""
+        """Set the friction heat reported, the mean per area over a step of so many seconds."""
         power = np.asarray(self.friction_work / seconds, dtype=np.float64)
         if self.pressed is not None and self._operators.jumps is not None:
             self._operators.jumps.friction = _times(self.pressed, power)
 
     def rounding(self, trial: TrialState) -> float:
-        """Rounding error of the power of friction by long slips; collective [N mm/s]."""
+        """Rounding error of the friction power by long slips [N mm/s]; collective."""
         contact = self._contact
         slip = np.linalg.norm(trial.jump - contact.state.jump, axis=1)
-        # Forces are those of equilibrium, of bodies that may be far from where they were.
+        # Forces are those of equilibrium, of bodies that may have moved far.
         met = contact.law.multiplier_share * contact.coupling.D.getDiagonal().array.reshape(
             -1, 3
         ).max(axis=1)
@@ -145,14 +145,14 @@ class ContactHeat:
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
     def pressure_rows(self, trial: TrialState) -> PointDerivatives:
-        """How the pressure changes."""
+        """Derivatives of the pressure."""
         force = _normal(trial.law, self._contact.own.normals)
         size = np.linalg.norm(force, axis=1)
         direction = force / np.where(size > 0, size, 1.0)[:, None]
         return self._rows(direction, trial)
 
     def power_rows(self, trial: TrialState) -> PointDerivatives:
-        """How the friction power changes."""
+        """Derivatives of the friction power."""
         contact = self._contact
         force, slip = trial.rubbing()
         given = force / contact.law.stiffness[:, None]
@@ -164,7 +164,7 @@ class ContactHeat:
         )
 
     def _rows(self, along: Floats, trial: TrialState) -> PointDerivatives:
-        """Of the force along directions (n, 3): by -e/W as far as the trial force has it, by q."""
+        """Derivatives of the force along directions (n, 3): by -e/W (multiplier share), by q."""
         contact = self._contact
         by_force = np.einsum("pi,pij->pj", along, trial.law.jacobian)
         by_jump = np.einsum("pi,pij->pj", along, trial.law.by_jump)
@@ -208,7 +208,7 @@ def _heats(
 
 
 def _normal(law: PointForces, normals: Floats) -> Floats:
-    """Normal part of the forces of contact points (n, 3): what presses slave from master."""
+    """Normal part of the forces of contact points (n, 3), which separates slave and master."""
     return -np.asarray(np.einsum("pk,pki->pi", law.pressures, normals))
 
 
@@ -217,7 +217,6 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _times(A: PETSc.Mat, values: Floats) -> Floats:
-    """A matrix times own values."""
     right, left = A.createVecs()
     right.array[:] = values
     A.mult(right, left)

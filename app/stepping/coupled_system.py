@@ -1,10 +1,10 @@
 """Heat and mechanics in one system, where heat depends on contact: pressure or friction.
 
-Blocks are those of both. The residual of heat sees the pressures p and the friction power D of the
-trial state, that of the mechanics its temperatures T: the forces of thermal expansion are G T, in
-the rows of the contact points too, where equilibrium is e = C^T u + D q - f_q - G_q T. Pressures
-and friction power change with e and q (`stepping.contact_heat`): the products of these rows with
-C^T, D and G are the blocks.
+Its blocks are those of both. The residual of heat depends on the pressures p and the friction power
+D of the trial state, that of the mechanics on temperatures T: the forces of thermal expansion are
+G T, in the rows of the contact points too, where equilibrium is e = C^T u + D q - f_q - G_q T.
+Pressures and friction power change with e and q (`stepping.contact_heat`): the products of these
+rows with C^T, D and G are the coupling blocks.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 
 class CoupledSystem(ContactSystem):
-    """Displacement and jumps, with temperature and its jumps before them.
+    """Displacement and jumps, preceded by temperature and its jumps.
 
     Attributes:
-        exchange: Contact as the heat sees it.
+        exchange: Contact in the heat equation.
 
     Args:
-        committed: Their converged state: displacement and jumps, kept up to date.
+        committed: Converged displacement and jumps, kept up to date.
     """
 
     # Watts and newtons in one norm: a step that lowers it may be cut to nothing at a kink of the
-    # contact law, where whole steps converge.
+    # contact law, where full steps converge.
     newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
 
     def __init__(
@@ -57,7 +57,7 @@ class CoupledSystem(ContactSystem):
         self._nodes = self._entries()
         fresh = list(self.blocks().values())
         self._up, back = self._from_motion(problem.trial(*fresh[self._n :]), fresh)
-        # With expansion pressures depend on temperatures directly too.
+        # With expansion pressures depend directly on temperatures too.
         self._own = [
             [matrix_sum(pair) for pair in zip(row, more, strict=True)]
             for row, more in zip(heat.matrices(), back, strict=False)
@@ -74,7 +74,7 @@ class CoupledSystem(ContactSystem):
         Args:
             seconds: Time at its end [s].
             h: Its length [s]; infinite for a steady state.
-            work: Work of friction per area from which it starts (n,) [N/mm].
+            work: Initial friction work per area (n,) [N/mm].
         """
         if self._stage is not None:
             k, stage, start = self._stage
@@ -83,18 +83,18 @@ class CoupledSystem(ContactSystem):
         self.exchange.begin(h, work)
 
     def restore(self, x: list[PETSc.Vec]) -> None:
-        """Put the converged state of the mechanics into blocks x."""
+        """Set blocks x to the converged state of the mechanics."""
         for kept, v in zip(self._committed, x[self._n :], strict=True):
             kept.copy(v)
 
     def commit(self, x: list[PETSc.Vec]) -> None:
-        """Make blocks x the converged state of the mechanics."""
+        """Commit blocks x as the converged state of the mechanics."""
         for kept, v in zip(self._committed, x[self._n :], strict=True):
             v.copy(kept)
 
     @property
     def version(self) -> int:
-        """Changes of either's matrices."""
+        """Number of changes of the matrices of both."""
         return self._heat.version + super().version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
@@ -102,31 +102,31 @@ class CoupledSystem(ContactSystem):
         return self._heat.blocks() | super().blocks()
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
-        """Heat, mechanics, and what either does to the other."""
+        """Blocks of heat, of mechanics, and of their coupling."""
         none: list[PETSc.Mat | None] = [None] * self._n
         down = self._down or [none, none]
         top = [[*a, *b] for a, b in zip(self._own, self._up, strict=True)]
         return [*top, *([*a, *b] for a, b in zip(down, super().matrices(), strict=True))]
 
     def options(self, linear: str) -> dict[str, Options]:
-        """All blocks at once if the heat's are, else those of either."""
+        """All blocks at once if those of the heat are, else options by block."""
         heat = self._heat.options(linear)
         return {"": INTERFACE} if "" in heat else heat | super().options(linear)
 
     def impose(self, x: list[PETSc.Vec]) -> None:
-        """Put given temperatures, displacements and jumps into a state."""
+        """Set given temperatures, displacements and jumps in a state."""
         self._heat.impose(x[: self._n])
         super().impose(x[self._n :])
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
-        """Heat that is lacking with the contact as it is, forces with the heat as it is."""
+        """Residual heat at the current contact, forces at the current temperatures."""
         self.exchange.to_mechanics(x[: self._n])
         super().residual(x[self._n :], f[self._n :])
         self.exchange.to_heat(self.trial)
         self._heat.residual(x[: self._n], f[: self._n])
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
-        """All blocks, of the state whose residual was asked for last."""
+        """All blocks, at the state of the last residual."""
         super().jacobian(x[self._n :])
         trial = self.trial
         self.exchange.to_heat(trial)
@@ -141,14 +141,14 @@ class CoupledSystem(ContactSystem):
         _copy(self._from_heat(), self._down)
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
-        """Heat and forces, each beside its own scale."""
+        """Sizes of heat and forces, each with its own scale."""
         heat = self._heat.measure(x[: self._n], f[: self._n])[0]
         noise = self.exchange.rounding(self._problem.trial(*x[self._n :]))
         heat = replace(heat, rounding=heat.rounding + noise)
         return [heat, *super().measure(x[self._n :], f[self._n :])]
 
     def _thermal_forces(self) -> list[list[PETSc.Mat]]:
-        """Forces of temperatures and temperature jumps on displacement and jumps, negative."""
+        """Minus the forces of temperatures and their jumps on displacement and jumps."""
         operators = self._heat.operators
         by_body = operators.jumps.moves if operators.jumps else {}
         of_region = operators.bodies.of_region.items()
@@ -174,7 +174,7 @@ class CoupledSystem(ContactSystem):
         return [by_u, [self.rows.matMult(A) for A in by_q]]
 
     def _entries(self) -> list[PETSc.Mat]:
-        """Heat by friction power, negative: in the rows of temperature and of jumps."""
+        """Minus the heat by friction power, in the rows of temperature and of jumps."""
         operators, heats = self._heat.operators, self.exchange.heats
         keep = self._heat.vectors()
         nodes = [matrix_sum(list(heats.values()))]
@@ -190,7 +190,7 @@ class CoupledSystem(ContactSystem):
     def _from_motion(
         self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
-        """Rows of the heat: columns of the mechanics, and what comes back to its own."""
+        """Rows of the heat: columns of the mechanics, and additions to its own columns."""
         contact = self._contact
         power = self._point_rows(self.exchange.power_rows(trial))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
@@ -230,7 +230,7 @@ def _plus(A: PETSc.Mat, B: PETSc.Mat) -> PETSc.Mat:
 
 
 def _copy(new: list[list[PETSc.Mat]], kept: list[list[PETSc.Mat]]) -> None:
-    """Put the values of matrices of the same pattern into those that are kept."""
+    """Copy values of matrices into others of the same pattern."""
     for row, places in zip(new, kept, strict=True):
         for A, place in zip(row, places, strict=True):
             if A is not place:
@@ -238,7 +238,6 @@ def _copy(new: list[list[PETSc.Mat]], kept: list[list[PETSc.Mat]]) -> None:
 
 
 def _empty(comm: PETSc.Comm, height: tuple[int, int], width: tuple[int, int]) -> PETSc.Mat:
-    """A matrix without entries."""
     A = PETSc.Mat().createAIJ((height, width), nnz=0, comm=comm)
     A.assemble()
     return A

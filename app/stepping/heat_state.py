@@ -1,4 +1,4 @@
-"""Heat in time: its state, a time step of it, and the heat that enters in it.
+"""Heat in time: its state, a time step of it, and the heat that enters during the step.
 
 A time step is that of `numerics.integrator`; each of its stages is one solve of the system of heat,
 or of heat and mechanics together where heat depends on contact (`stepping.coupled_system`).
@@ -28,22 +28,22 @@ from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Summary
 from app.stepping.thermal_loading import ThermalLoading, ThermalState
 
-# First step of a stage, as a part of an increment, where the rate of change is not known.
+# First step of a stage, as a part of an increment, if the rate of change is unknown.
 FIRST = 1e-3
-# Times are equal up to this part of them.
+# Relative difference up to which times count as equal.
 SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class HeatStep:
-    """A heat step that is history.
+    """A committed heat step.
 
     Attributes:
         seconds: Time at its end, since the start of the run [s].
         dt: Its length [s]; 0 for a steady state.
-        heats: Heat that entered the model by condition, as the integration sums it [N mm].
+        heats: Heat that entered the model by condition, as integrated [N mm].
         flows: Heat that enters at its end by condition [N mm/s].
-        outcome: What the solver said at its last stage.
+        outcome: Outcome of its last stage.
     """
 
     seconds: float
@@ -60,7 +60,7 @@ class HeatState:
         step: One implicit solve of heat.
         operators: Its operators.
         solver: Solver of heat, or of heat and mechanics.
-        coupled: Heat and mechanics in one system, where heat depends on contact.
+        coupled: Heat and mechanics in one system, if heat depends on contact.
         outcome: Outcome of the last solve.
         state: Temperatures of own nodes, jumps of own points [K], degrees of cure of own nodes.
         seconds: Time since the start of the run [s].
@@ -98,13 +98,13 @@ class HeatState:
         return {"state": blocks, "_slope": blocks}
 
     def restored(self) -> None:
-        """Give restored temperatures to the solver."""
+        """Set the solver to the restored temperatures."""
         self.put(self.state)
 
     # Between lists of arrays and the vectors of the solver
 
     def vectors(self) -> list[PETSc.Vec]:
-        """Temperatures and jumps as the solver has them."""
+        """Temperatures and jumps in the solver."""
         named = self.solver.blocks_by_name()
         return [named[n] for n in ("temperature", "temperature_jump") if n in named]
 
@@ -112,7 +112,7 @@ class HeatState:
         return [*(v.array.copy() for v in x), *(a.copy() for a in self.step.degrees(x))]
 
     def put(self, state: State) -> None:
-        """Put temperatures and jumps into the solver."""
+        """Set temperatures and jumps in the solver."""
         for v, values in zip(self.vectors(), state, strict=False):
             v.array[:] = values
 
@@ -128,7 +128,7 @@ class HeatState:
         return float(self.operators.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
 
     def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
-        """One stage; with mechanics the work of friction is one more part of the state."""
+        """Solve a stage; with mechanics the work of friction is one more part of the state."""
         n, own, coupled = len(self.vectors()), len(self.state), self.coupled
         if not self.step.begin(start[:n], start[n:own], h, seconds):
             return None
@@ -146,15 +146,14 @@ class HeatState:
         return [*self._state(self.vectors()), *work]
 
     def _with_work(self, state: State) -> State:
-        """A state with the work of friction from there on."""
         coupled = self.coupled
         return [*state, *([coupled.exchange.zero_work()] if coupled is not None else [])]
 
     def start(self, longest: float) -> float:
-        """Find the rate of change at the start of a stage, and a first step for it [s].
+        """Find the rate of change at the start of a stage; return a first step for it [s].
 
-        Where mechanics are in the system a step that is short beside everything would ask for slips
-        that are lost to rounding: nothing is known of the rate then.
+        With mechanics in the system the rate is left unknown: slips in a very short step would be
+        lost to rounding.
         """
         first = FIRST * longest
         if self.coupled is None:
@@ -165,12 +164,12 @@ class HeatState:
         return self.options.first_step or first
 
     def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.StageStep, Method] | None:
-        """Solve a time step; None where a stage does not converge.
+        """Solve a time step; None if a stage does not converge.
 
-        A step that may not be shorter is done by backward Euler then.
+        A step that may not be shortened is then repeated by backward Euler.
 
-        A step that leaves the extremes of the data is done again: where the mesh makes it, with the
-        edges that do (`heat.maximum_principle`), else by backward Euler.
+        A step that leaves the extremes of the data is repeated: without the edges of the mesh that
+        cause it (`heat.maximum_principle`), else by backward Euler.
         """
         state, slope = (self._with_work(part) for part in (self.state, self._slope))
         for name in dict.fromkeys((self.method.name, "backward_euler")):
@@ -193,7 +192,7 @@ class HeatState:
         return integrator.StageStep(**parts), method
 
     def accept(self, found: integrator.StageStep, method: Method, dt: float) -> HeatStep:
-        """Make a step history."""
+        """Commit a step."""
         heats = {
             name: dt
             * sum(b * stage[name] for b, stage in zip(method.a[-1], self._stages, strict=True))
@@ -223,7 +222,7 @@ class HeatState:
     def warn_if_unstable(self, stage: str) -> None:
         """Warn if the steady state of a stage is unstable; collective.
 
-        Only where pressures that follow temperature change the conductance, and nothing sets.
+        Checked only where conductance changes with pressures that follow temperature, without cure.
         """
         system = self.coupled
         if system is None or self.cures:
@@ -247,7 +246,7 @@ class HeatState:
                 "lead to another"
             )
 
-    # What others ask of the state
+    # Queries
 
     @property
     def cures(self) -> bool:
@@ -263,7 +262,7 @@ class HeatState:
         return tuple(sorted({*courses, *curing}))
 
     def begins_at_event(self, accepted: HeatStep) -> bool:
-        """Whether a step begins where the one before had to end."""
+        """Whether a step begins at the event that ended the one before."""
         begin = accepted.seconds - accepted.dt
         return bool(np.isclose(self.events, begin, rtol=SAME, atol=0.0).any())
 
@@ -272,12 +271,12 @@ class HeatState:
         return self._nodal(self._slope)
 
     def degrees(self) -> dict[str, Floats]:
-        """Degrees of cure of own nodes of each region that sets."""
+        """Degrees of cure of own nodes of each curing region."""
         n = len(self.vectors())
         return {c.region: a for c, a in zip(self._curing, self.state[n:], strict=True)}
 
     def rates(self) -> dict[str, Floats]:
-        """Their rates [1/s]."""
+        """Rates of cure of own nodes of each curing region [1/s]."""
         n = len(self.vectors())
         return {c.region: a for c, a in zip(self._curing, self._slope[n:], strict=True)}
 

@@ -1,7 +1,7 @@
 """Time steps of heat through a stage: equal, chosen by their error, or one to a steady state.
 
-Mechanics that heat does not depend on follow it; mechanics that it does depend on are part of every
-one of its solves (`stepping.heated_mechanics`).
+Mechanics that heat does not depend on are solved after it; mechanics that it does depend on are
+part of each of its solves (`stepping.heated_mechanics`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, Summary, no_checkpoint
 
-# A time step below this part of its stage is given up.
+# Least time step, as a part of its stage.
 SHORTEST = 1e-10
 
 OnHeat = Callable[[LoadStep, HeatStep], None]
@@ -32,9 +32,9 @@ class HeatStepper:
 
     Attributes:
         heating: Its state.
-        mechanics: The mechanics beside it, if there are any.
-        on_heat: Called after each step, once it is history and the mechanics have followed.
-        on_trouble: Told in plain words what is tried when a step fails.
+        mechanics: The mechanics beside it, if any.
+        on_heat: Called after each committed step, once the mechanics have followed.
+        on_trouble: Called with a sentence on the remedy when a step fails.
     """
 
     saved: ClassVar = ("_under_way", "_begin", "_steps", "_controller", "mechanics")
@@ -45,7 +45,7 @@ class HeatStepper:
     on_trouble: Callable[[str], None]
 
     def __post_init__(self) -> None:
-        """Begin with nothing under way."""
+        """Set the initial progress: no stage under way."""
         self._under_way = False
         self._begin = 0.0
         self._steps = 0
@@ -60,7 +60,7 @@ class HeatStepper:
     def run_stage(
         self, k: int, stage: SceneStage, checkpoint_point: Callable[[], None] = no_checkpoint
     ) -> None:
-        """Go through a stage that takes time, or to a steady state."""
+        """Run a stage that takes time, or find a steady state."""
         self._checkpoint_point = checkpoint_point
         if not self._under_way:
             self._begin, self._steps = self.heating.seconds, 0
@@ -108,7 +108,6 @@ class HeatStepper:
             self._finish_step(k, stage, done / stage.increments, accepted, started, at_end)
 
     def _adaptive(self, k: int, stage: SceneStage) -> None:
-        """Steps chosen by their error."""
         heating, begin = self.heating, self._begin
         whole = stage.duration / stage.increments
         ends = [begin + (n + 1) * whole for n in range(stage.increments)]
@@ -146,7 +145,6 @@ class HeatStepper:
         started: float,
         whole: bool,
     ) -> None:
-        """Solve the mechanics that follow the heat, and report the step."""
         time = k + (1.0 if part > 1 - SHORTEST else part)
         if self.mechanics is not None:
             self.mechanics.follow(time, whole)

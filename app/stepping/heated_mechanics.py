@@ -16,8 +16,8 @@ from app.stepping.load_steps import LoadStepper
 class SolvedAfterHeat:
     """Mechanics that heat does not depend on.
 
-    They are solved at the ends of the increments of a stage and whenever a temperature has moved
-    far enough, along the straight line between two states of the heat.
+    They are solved at the ends of the increments of a stage and after each large change of
+    temperature, along the straight line between two states of the heat.
 
     Args:
         limit: Change of temperature, or of cure as the temperature it releases, after which
@@ -34,15 +34,15 @@ class SolvedAfterHeat:
 
     @property
     def row_keys(self) -> Ints:
-        """Keys of nodes, ghosts too."""
+        """Keys of nodes, ghosts included."""
         return self._heating.loading.row_keys
 
     def restored(self) -> None:
-        """Give the mechanics the thermal state that they were solved with; collective."""
+        """Load the mechanics with the thermal state of their last solve; collective."""
         self._heating.loading.restore(self._load_stepper.problem, self._before)
 
     def begin(self, k: int, stage: SceneStage, anew: bool) -> None:
-        """Begin a stage that takes time, or go on within it after a restart."""
+        """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
         if anew:
             self._time, self._before = float(k), self._heating.thermal_state()
@@ -78,12 +78,12 @@ class SolvedWithHeat:
         heating.loading.interpolate(load_stepper.problem, self._before, self._before, 1.0)
 
     def restored(self) -> None:
-        """Give the mechanics the thermal state that they were solved with; collective."""
+        """Load the mechanics with the thermal state of their last solve; collective."""
         self._before = self._heating.thermal_state()
         self._heating.loading.restore(self._load_stepper.problem, self._before)
 
     def begin(self, k: int, stage: SceneStage, anew: bool) -> None:
-        """Begin a stage that takes time, or go on within it after a restart."""
+        """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
         if anew:
             self._start = self._committed = self._heating.seconds

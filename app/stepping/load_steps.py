@@ -35,9 +35,9 @@ class LoadStep:
         stage: Name of its stage.
         time: Time at its end: stage k runs from k to k + 1.
         outcome: Outcome of the nonlinear solve.
-        augmentation: Multiple of the default augmentation that it converged with.
+        augmentation: Final multiple of the default augmentation.
         seconds: Wall time, failed attempts included.
-        whole: Whether it ends an increment of its stage; fields are written then.
+        whole: Whether it ends an increment of its stage, for which fields are written.
     """
 
     number: int
@@ -60,7 +60,7 @@ class Summary:
     augmentation: float = 1.0
 
     def add(self, other: Summary) -> None:
-        """Add what another part took."""
+        """Add the counts of another part."""
         self.steps += other.steps
         self.newton_iterations += other.newton_iterations
         self.linear_iterations += other.linear_iterations
@@ -77,7 +77,7 @@ OnStep = Callable[[LoadStep, TrialState | None], None]
 
 
 def no_checkpoint() -> None:
-    """Save nothing where a run may be saved."""
+    """Do nothing: no checkpoint is wanted."""
 
 
 @dataclass
@@ -85,9 +85,9 @@ class Progress:
     """Progress along a path of loads.
 
     Attributes:
-        step: Next step, as a part of the path; 0 where no path has been begun.
-        done: Part of the path that is behind.
-        cuts: How often the step was halved, less how often it has grown since.
+        step: Next step, as a part of the path; 0 if no path has been begun.
+        done: Completed part of the path.
+        cuts: Number of halvings of the step minus that of its increases since.
     """
 
     step: float = 0.0
@@ -95,22 +95,22 @@ class Progress:
     cuts: int = 0
 
     def goal(self, whole: float) -> float:
-        """End of the increment under way, which a shortened step does not go beyond."""
+        """End of the current increment, which a shortened step does not exceed."""
         goal = (math.floor(self.done / whole + 1e-9) + 1) * whole
         return 1.0 if goal > 1.0 - 1e-9 else goal
 
     def may_halve(self, stage: SceneStage, free: bool) -> bool:
-        """Whether to try half of a step that failed; once where a body is free: it hardly helps."""
+        """Whether to try half of a failed step; once only if a body is free, as it hardly helps."""
         most = min(1, stage.max_cut_backs) if free else stage.max_cut_backs
         return stage.adaptive and self.cuts < most
 
     def halve(self, reach: float) -> None:
-        """Try half of a step that failed."""
+        """Try half of a failed step."""
         self.cuts += 1
         self.step = (reach - self.done) / 2
 
     def advance(self, reach: float, whole: float, easy: bool) -> None:
-        """Take a step, and a longer one next if it was easy."""
+        """Complete a step, and lengthen the next one if it was easy."""
         self.done = reach
         if easy and self.step < whole:
             self.step, self.cuts = min(GROWTH * self.step, whole), max(self.cuts - 1, 0)
@@ -123,9 +123,9 @@ class LoadStepper:
     Attributes:
         problem: The mechanical problem.
         solver: Its solver.
-        on_step: Called after each converged step, once it is history.
-        on_trouble: Told in plain words what is tried when a step fails.
-        predictors: Predictors beside the line through the last states.
+        on_step: Called after each committed step.
+        on_trouble: Called with a sentence on the remedy when a step fails.
+        predictors: Predictors besides extrapolation.
         total: Counts of steps and iterations so far.
     """
 
@@ -139,7 +139,7 @@ class LoadStepper:
     total: Summary = field(default_factory=Summary)
 
     def __post_init__(self) -> None:
-        """The line through the last states comes first."""
+        """Put extrapolation before the other predictors."""
         self._line = Extrapolation(self.solver)
         self.predictors = (self._line, *self.predictors)
         self._progress = Progress()
@@ -168,19 +168,19 @@ class LoadStepper:
         progress: Progress | None = None,
         checkpoint_point: Callable[[], None] = no_checkpoint,
     ) -> None:
-        """Go along a path of loads, temperatures and supports.
+        """Follow a path of loads, temperatures and supports.
 
         Args:
-            stage: Whether steps may be cut, and how often.
+            stage: The stage, which limits cut-backs.
             whole: Largest step, as a part of the path.
             set_load: Sets the problem to a point of the path, 0 to 1.
-            begin: Time at its begin.
+            begin: Time at the start of the path.
             end: Time at its end.
             progress: Progress so far; kept up to date.
             checkpoint_point: Called after each step.
 
         Raises:
-            ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
+            ConvergenceError: A failed step cannot or may not be cut, or a body runs away.
         """
         problem, solver = self.problem, self.solver
         progress = progress or Progress(whole)
@@ -222,14 +222,9 @@ class LoadStepper:
     def commit(
         self, stage: SceneStage, time: float, outcome: NewtonResult, started: float, whole: bool
     ) -> None:
-        """Accept the state of the solver as history and report the step; collective.
+        """Commit the state of the solver and report the step; collective.
 
-        Args:
-            stage: The stage under way.
-            time: Time at the end of the step.
-            outcome: Outcome of the nonlinear solve.
-            started: When the step began.
-            whole: Whether it ends an increment.
+        The step ends at ``time``, and an increment if ``whole``; it ``started`` at a wall time.
 
         Raises:
             ConvergenceError: A body runs away.

@@ -1,10 +1,10 @@
-"""Whether a steady state of heat and mechanics is one that stays.
+"""Stability of a steady state of heat and mechanics.
 
-Newton's method finds states that nothing real stays in: conductance that grows with pressure and
-expansion that makes the pressure can feed each other. Near a steady state M dx/dt = -A x, with the
-capacity M in the rows of the heat and zero in those of the mechanics. A step of backward Euler of
-length h multiplies a mode of rate λ by 1 / (1 + h λ): what decays (λ > 0) by less than one, what
-grows by more than one while h |λ| < 2. So the largest factor, found by power iteration, tells.
+Newton's method also finds unstable states: conductance that grows with pressure and expansion that
+makes the pressure can feed each other. Near a steady state M dx/dt = -A x, with the capacity M in
+the rows of the heat and zero in those of the mechanics. A step of backward Euler of length h
+multiplies a mode of rate λ by 1 / (1 + h λ): decaying modes (λ > 0) by less than one, growing ones
+by more than one while h |λ| < 2. The largest factor, found by power iteration, decides.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from app.numerics.system import System
 
 # Lengths of the steps, in times of the slowest mode; iterations of each.
 STEPS, ITERATIONS = (0.7, 0.15, 0.03), 60
-# A factor beyond one that is no rounding.
+# Least factor beyond one that is not rounding.
 GROWS = 1.0 + 1e-6
 
 

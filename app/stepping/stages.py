@@ -18,18 +18,18 @@ def run_stages(
     checkpoint_point: Callable[[int], None] = lambda k: None,
     first: int = 0,
 ) -> None:
-    """Take a model through its stages.
+    """Run a model through its stages.
 
     Args:
-        stages: Parts of the loading.
+        stages: All stages of the scene.
         load_stepper: Its mechanics, at rest at time 0.
         heat_stepper: Its heat.
         begin: Called before each stage.
         checkpoint_point: Called with the number of the stage wherever a run may be saved.
-        first: The stage to begin with, in which both steppers have been restored.
+        first: First stage to run, in which both steppers have been restored.
 
     Raises:
-        ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
+        ConvergenceError: A failed step cannot or may not be cut, or a body runs away.
     """
     for k, stage in enumerate(stages[first:], first):
         begin(stage)

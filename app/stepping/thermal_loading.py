@@ -19,17 +19,17 @@ from app.mechanics.problem import Problem
 from app.numerics.saved_state import node_keys
 from app.scene.scene import Scene
 
-# Parts of a way are whole up to this.
+# Rounding error of a complete fraction of a step.
 SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class ThermalState:
-    """Input of the mechanics from a state of the heat.
+    """Temperatures [K], degrees of cure and free strains, by body or region, ghosts included.
 
     Attributes:
-        temperatures: Of the nodes of each thermal body, ghosts included [K].
-        degrees: Of cure, of the nodes of each region that sets, ghosts included.
+        temperatures: At the nodes of each thermal body [K].
+        degrees: At the nodes of each curing region.
         strains: Its free strain since gelation.
     """
 
@@ -39,7 +39,7 @@ class ThermalState:
 
 
 class ThermalLoading:
-    """Input of the mechanics from the heat, and the free strain that has grown so far."""
+    """Thermal load of the mechanics, and the free strain accumulated so far."""
 
     saved = ("_strains",)
 
@@ -59,11 +59,11 @@ class ThermalLoading:
 
     @cached_property
     def row_keys(self) -> Ints:
-        """Keys of nodes, ghosts too."""
+        """Keys of nodes, ghosts included."""
         return node_keys(self._operators.forms.space)
 
     def _put(self, function: fem.Function, own: Floats) -> None:
-        """Own values of a function, and those of ghosts; collective."""
+        """Set own values of a function and update its ghosts; collective."""
         function.x.array[: self._operators.forms.owned] = own
         function.x.scatter_forward()
 
@@ -89,11 +89,11 @@ class ThermalLoading:
             self._strains[k].x.scatter_forward()
 
     def at(self, T: Sequence[Floats], degrees: Sequence[Floats]) -> ThermalState:
-        """Input of the mechanics at a state, with the free strains of now; collective.
+        """Thermal state with the current free strains; collective.
 
         Args:
             T: Temperatures of own nodes of each body [K].
-            degrees: Degrees of cure of own nodes of each region that sets.
+            degrees: Degrees of cure of own nodes of each curing region.
         """
         for function, values in zip(self._temperatures, T, strict=True):
             self._put(function, values)
@@ -123,13 +123,13 @@ class ThermalLoading:
         return 1.0 / max(math.ceil(self.distance(a, b) / self._step - SAME), 1)
 
     def restore(self, problem: Problem, state: ThermalState) -> None:
-        """Tell restored mechanics of the state that they were solved with; collective."""
+        """Load restored mechanics with the thermal state of their last solve; collective."""
         self.interpolate(problem, state, state, 1.0)
         if problem.setting:
             problem.setting.begin_at(problem.displacements())
 
     def interpolate(self, problem: Problem, a: ThermalState, b: ThermalState, s: float) -> None:
-        """Tell the mechanics of a state between two others: a at s = 0, b at s = 1.
+        """Load the mechanics with a state between two others: a at s = 0, b at s = 1.
 
         Free strain grows from gelation on, temperature and cure all the way.
         """
@@ -151,6 +151,6 @@ class ThermalLoading:
             dict(zip(names, self._degrees, strict=True)),
             dict(zip(names, self._strains, strict=True)),
         )
-        # The sum of the free strain goes on from where the heat is.
+        # The sum of the free strain continues from the state of the heat.
         for function, values in zip(self._strains, strains, strict=True):
             function.x.array[:] = values

@@ -102,7 +102,6 @@ def _factored(definite: np.ndarray, b: np.ndarray) -> float:
 
 
 def _most(values: np.ndarray) -> float:
-    """Largest absolute value; NaN if any is."""
     return float(np.abs(values).max())
 
 

@@ -172,7 +172,6 @@ def _size(count: int) -> str:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Whether a folder can be written to, or made."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     return os.access(folder, os.W_OK)

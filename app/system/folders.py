@@ -19,11 +19,11 @@ from app import files
 from app.errors import EnvironmentProblem, InputError
 from app.files import write_bytes as write_bytes
 
-# How texts begin that spreadsheets take for formulas, if they are no numbers.
+# First characters of texts that spreadsheets take for formulas, unless they are numbers.
 FORMULA = re.compile(r"[=@+\-\t\r](?!\d*\.?\d*(e[+-]?\d+)?$)", re.IGNORECASE)
-# What stands in the folder of a variation that did not converge: why.
+# File in the folder of a variation that did not converge, with the reason.
 FAILED = "FAILED"
-# Where an image has what the caches of its users begin with.
+# Initial caches of users of an image.
 SEED = Path("/var/cache/mantle")
 
 

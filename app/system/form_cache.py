@@ -79,7 +79,7 @@ def _find(
     with suppress(OSError):  # a file system without locks, or a folder that cannot be written
         _compiling.append(files.lock_file(folder / LOCK))
         fcntl.lockf(_compiling[-1], fcntl.LOCK_EX, 1, int(name[-12:], 16))
-        # What was begun and is not ready now was left by a process that was killed.
+        # An incomplete module without a lock was left by a killed process.
         if not usable(folder, name):
             _remove(folder, name)
     return get(name, objects, folder, timeout)
@@ -98,7 +98,6 @@ def _mark(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
 
 
 def _compile(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Compile, and release the lock taken by `_find`."""
     try:
         with captured("compiler") as written:
             try:

@@ -25,10 +25,10 @@ from typing import IO
 from app.errors import EnvironmentProblem, InputError, StoppedError
 from app.system import scratch
 
-# Where the number of ranks is found, by the process manager that started this process.
+# Variables with the number of ranks, by process manager.
 _WORLD_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "SLURM_NTASKS")
 _WORLD_MARKS = ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "SLURM_STEP_ID")
-# The rank of a process, by whatever started it.
+# Variables with the rank of a process, by process manager.
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 _SCHEDULERS = ("SLURM_JOB_ID", "PBS_JOBID", "LSB_JOBID")
 # On one node only shared memory is needed; looking for a network fails audibly.

@@ -48,7 +48,6 @@ def remove(folder: Path, held: int) -> None:
 
 
 def _lock(folder: Path) -> int:
-    """Lock a folder; OSError if it is gone or its run goes on."""
     held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)

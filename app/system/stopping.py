@@ -12,7 +12,7 @@ from types import FrameType
 from app.errors import InputError
 from app.system import ranks
 
-# Part of the time that is left for saving, and the most of it that is [s].
+# Fraction of the time reserved for saving, and its limit [s].
 LEFT, MOST = 0.05, 60.0
 FORMS = "H:MM:SS, MM:SS or D-H:MM:SS"
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 log = logging.getLogger("mantle")
 
-# What a run does in each phase, in words.
+# Description of each phase.
 DOING = {
     "mesh": "meshing",
     "assemble": "setting the equations up",
@@ -22,7 +22,7 @@ DOING = {
     "output": "computing and writing results",
     "error": "estimating errors",
 }
-# Phases that take long and come once; the others are told at the level of debugging.
+# Long phases that occur once; the others are logged at the level of debugging.
 ANNOUNCED = ("mesh", "assemble", "factorize", "error")
 
 
@@ -34,7 +34,7 @@ class Timing:
         part: Description of this part of a run, or "".
         seconds: Wall time by phase [s].
         cpu: CPU time of this process by phase [s].
-        about: Expected duration or object of a phase, the first time.
+        about: Expected duration of a phase, or of its object, the first time [s].
     """
 
     part: str = ""

@@ -1,4 +1,4 @@
-"""The checks of ``mantle bench``: what frictional contact costs, beside what is asked.
+"""The checks of ``mantle bench``: the cost of frictional contact against its targets.
 
 CPU time is that of assembly, set-up and solution with coarse problems included, without making the
 mesh, compiling forms and writing results. Ratios are of runs made in turn.
@@ -50,15 +50,15 @@ CONDUCTION = (
     "regions.cement.thermal.cure=",
     *(f"interfaces.{name}.conductance=perfect" for name in INTERFACES),
 )
-# Second order: what is timed, and what it and first order are compared with.
+# Second order: the timed case, and the reference of both orders.
 SECOND, REFERENCE = "5 mm", "3 mm"
-# Phases of a run that are no part of set-up and solution.
+# Phases of a run outside set-up and solution.
 APART = ("mesh", "compile", "output", "error", "total")
 ROUNDING = 1e-12  # mm
 
 
 def benchmarks() -> list[Check]:
-    """All checks."""
+    """All checks of ``mantle bench``."""
     stem = (CheckRun(STEM, times=TIMES),)
     middle = stance("contact", "100k")
     ladder = tuple(stance("contact", rung) for rung in RUNGS)
@@ -105,7 +105,7 @@ def benchmarks() -> list[Check]:
 
 
 def _over_bonded() -> Iterator[Check]:
-    """CPU time of contact over that of the same model with bonded interfaces."""
+    """CPU time of contact over CPU time of the same model with bonded interfaces."""
     for rung in RUNGS:
         yield _goal(
             f"contact_over_bonded_{rung}",
@@ -133,7 +133,6 @@ def _goal(
     tolerance: float,
     tier: str = "default",
 ) -> Check:
-    """A figure that is asked to be at most so much."""
     return Check(name, what, tuple(runs), judge, tolerance, tier=tier, group="bench", timed=True)
 
 
@@ -146,7 +145,6 @@ def stance(kind: str, rung: str) -> CheckRun:
 
 
 def _stem(rung: str, overrides: Sequence[str]) -> CheckRun:
-    """The press-fitted stem, its interfaces in contact or bonded."""
     size = STEM_RUNGS[rung]
     sizes = (f"mesh.size={size}", f"mesh.far_size={size}")
     return CheckRun(STEM, (*overrides, *sizes), times=TIMES if rung in CHEAP else 1)
@@ -163,7 +161,7 @@ def cpu(run: Run) -> float:
 
 
 def wall(run: Run) -> float:
-    """The same on the wall's clock, which is what more ranks make shorter [s]."""
+    """Wall time of the solution, which falls with the number of ranks [s]."""
     return solution(run.summary["timing"])
 
 
@@ -199,12 +197,10 @@ def _penetration(runs: Sequence[Run]) -> Sample:
 
 
 def _numbers(run: Run, key: str) -> dict[str, float]:
-    """A number of each interface, by its name."""
     return {name: float(q[key]) for name, q in run.summary["interfaces"].items()}
 
 
 def _rungs(runs: Iterable[Run]) -> list[list[Run]]:
-    """Runs by their number of unknowns, the smallest first."""
     found: dict[int, list[Run]] = {}
     for run in runs:
         found.setdefault(int(run.summary["solver"]["dofs"]), []).append(run)
@@ -212,7 +208,7 @@ def _rungs(runs: Iterable[Run]) -> list[list[Run]]:
 
 
 def growth(runs: Sequence[Run]) -> Sample:
-    """The p of time ~ unknowns^p by least squares in logarithms, of median times."""
+    """Exponent p of time ~ unknowns^p by least squares in logarithms, of median times."""
     rungs = _rungs(runs)
     unknowns = [rung[0].summary["solver"]["dofs"] for rung in rungs]
     times = [median(map(cpu, rung)) for rung in rungs]
@@ -220,13 +216,13 @@ def growth(runs: Sequence[Run]) -> Sample:
 
 
 def spread(runs: Sequence[Run]) -> Sample:
-    """How far Newton iterations go up and down from the middle of their range."""
+    """Deviation of Newton iterations from the middle of their range."""
     newton = [run.summary["solver"]["newton_iterations"] for run in runs]
     return Sample((max(newton) - min(newton)) / 2, note=f"{min(newton)} to {max(newton)}")
 
 
 def _variations(runs: Sequence[Run]) -> Sample:
-    """Twelve cases in one process over one of them, with all but mesh and forms."""
+    """Time of twelve cases in one process over the time of one, without mesh and forms."""
 
     def whole(run: Run) -> float:
         seconds: dict[str, Any] = run.summary["cpu"]
@@ -250,8 +246,8 @@ def _orders(runs: Sequence[Run]) -> Sample:
 def equal_error(two: Run, ones: Sequence[Run], reference: Run) -> float:
     """Time of a run over that of others, from coarse to fine, at the same error of slip_p99.
 
-    By the straight line in logarithms between the two others about it. Where none of the others is
-    as good, the last is taken: one as good takes longer, the ratio is smaller.
+    Interpolated by a straight line in logarithms. Where none of the others is as good, the last is
+    taken: a run as good takes longer, so the ratio is smaller.
     """
     known = _numbers(reference, "slip_p99")
 

@@ -33,11 +33,10 @@ def scaled(data: MeshData, factor: float) -> MeshData:
 
 
 def flattened(data: MeshData, worst: float) -> MeshData:
-    """Nodes moved at random in the planes that they lie in, wherever that makes cells worse.
+    """Move nodes at random within the planes they lie in, wherever that makes cells worse.
 
-    Args:
-        data: A stack of blocks.
-        worst: Quality that cells may have in the end (signed inverse condition number).
+    ``data`` is a stack of blocks, ``worst`` the least quality of cells in the end (signed inverse
+    condition number).
     """
     random = np.random.default_rng(1)
     x = data.points.copy()
@@ -61,7 +60,7 @@ def flattened(data: MeshData, worst: float) -> MeshData:
 
 
 def mirrored(data: MeshData) -> MeshData:
-    """The whole of a quarter, by mirroring it about x = 0 and y = 0."""
+    """Mirror a quarter about x = 0 and y = 0 to the whole."""
     x, cells = data.points, data.cells
     tags, facets, marks = data.cell_tags, data.facets, data.facet_tags
     planes = {data.boundaries[f"symmetry_{a}"][0]: i for i, a in enumerate("xy")}

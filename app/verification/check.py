@@ -1,4 +1,4 @@
-"""A check: runs of cases, and a judge that says how far off they are.
+"""A check: runs of cases, and a judge of their error.
 
 `verify`, `stress` and `bench` are lists of them; `engine` runs and judges all.
 """
@@ -27,11 +27,11 @@ class CheckRun:
     Attributes:
         case: The case file, below `CONFIGS`.
         overrides: As after ``--set``.
-        mesh: How its mesh is changed first, a name in `changed_meshes`; empty if it is not.
-        size: What goes to zero where the runs are a ladder, else 0.
-        tier: The tier from which on it is one of the runs.
+        mesh: Change of its mesh before the run, a name in `changed_meshes`, or "".
+        size: Mesh size or time step where the runs are a ladder, else 0.
+        tier: The first tier with this run.
         ranks: Number of MPI ranks.
-        times: How often it is run, where its time is measured.
+        times: Number of repetitions, where its time is measured.
         share: Whether it shares a process with others of the check.
     """
 
@@ -47,13 +47,13 @@ class CheckRun:
 
 @dataclass(frozen=True)
 class Sample:
-    """How far off an answer is.
+    """Error of an answer.
 
     Attributes:
         error: In the check's own measure.
         value: The answer, where it is one number.
-        reference: What it should be.
-        note: What else is worth telling.
+        reference: The right answer.
+        note: Remark for the report.
         errors: Of each run, where several are judged one by one.
     """
 
@@ -70,20 +70,20 @@ Judge = Callable[[Sequence[Run]], Sample]
 
 @dataclass(frozen=True)
 class Check:
-    """Runs and what they must satisfy.
+    """Runs and the conditions they must satisfy.
 
     Attributes:
         name: Unique in its suite.
-        what: What is compared, with its unit, and what its error is relative to.
+        what: Quantity compared, with its unit, and the scale of its error.
         runs: The run in question first, then those that it is compared with; a ladder goes from
             coarse to fine. Empty where the judge needs none.
-        judge: How far off the answer is; None if there is no answer, and mantle has to say so.
+        judge: Computes the error; None if there is no answer, and mantle has to say so.
         tolerance: Largest error; of the last run if they are a ladder.
         order: Order that theory gives; None where the runs are no ladder.
         refusal: Why mantle may, or has to, refuse it; None where it may not.
-        tier: The first of `TIERS` that it belongs to.
-        group: What it is about, shared with others; the first word of its name by default.
-        rung: What a ladder makes smaller, with its unit.
+        tier: The first of `TIERS` with this check.
+        group: Subject shared with other checks; the first word of its name by default.
+        rung: Quantity that a ladder makes smaller, with its unit.
         timed: Whether nothing else runs beside its runs, and they are run in turn.
     """
 
@@ -100,7 +100,7 @@ class Check:
     timed: bool = False
 
     def __post_init__(self) -> None:
-        """A check without a group belongs to that of the first word of its name."""
+        """Set the default group: the first word of the name."""
         object.__setattr__(self, "group", self.group or self.name.partition("_")[0])
 
     def up_to(self, tier: str) -> Check:
@@ -109,20 +109,16 @@ class Check:
 
 
 def within(tier: str, wanted: str) -> bool:
-    """Whether a tier is part of another."""
+    """Whether the wanted tier includes a tier."""
     return TIERS.index(tier) <= TIERS.index(wanted)
 
 
 def ladder(
     case: str, overrides: Sequence[str], sizes: Sequence[float], finest: float | None = None
 ) -> tuple[CheckRun, ...]:
-    """Runs from coarse to fine; ``{}`` in an override stands for the size.
+    """Runs from coarse to fine; ``{}`` in an override stands for the mesh size or time step.
 
-    Args:
-        case: The case file.
-        overrides: As after ``--set``.
-        sizes: Mesh sizes or time steps.
-        finest: One more, for those who have time.
+    ``finest`` is one more size, for the tier "long".
     """
     runs = [CheckRun(case, tuple(o.format(h) for o in overrides), size=h) for h in sizes]
     if finest is not None:
@@ -132,7 +128,7 @@ def ladder(
 
 
 def each(*measures: Measure) -> Judge:
-    """The worst of what the runs give, by a measure for each or one for all."""
+    """Worst sample of all runs, by a measure for each or one for all."""
 
     def judge(runs: Sequence[Run]) -> Sample:
         by_run = measures * len(runs) if len(measures) == 1 else measures
@@ -143,7 +139,7 @@ def each(*measures: Measure) -> Judge:
 
 
 def finest(measure: Measure) -> Judge:
-    """Return the result of the last run of a ladder, with the errors of all."""
+    """Sample of the last run of a ladder, with the errors of all."""
 
     def judge(runs: Sequence[Run]) -> Sample:
         samples = [measure(run) for run in runs]
@@ -153,7 +149,7 @@ def finest(measure: Measure) -> Judge:
 
 
 def worst(samples: Sequence[Sample]) -> Sample:
-    """The sample with the largest error, where none is worse than one that is no number."""
+    """The sample with the largest error; NaN is the worst."""
     return max(samples, key=lambda s: math.inf if math.isnan(s.error) else s.error)
 
 
@@ -165,11 +161,9 @@ class CheckResult:
     """Result of a check.
 
     Attributes:
-        check: The check.
         outcome: One of `OUTCOMES`.
-        message: Why, in words.
-        results: Of its runs.
-        sample: What its judge says; None if there is nothing to be judged.
+        message: Reason of the outcome.
+        sample: Result of its judge, if it was called.
         order: Fitted order of a ladder.
     """
 
@@ -182,12 +176,12 @@ class CheckResult:
 
     @property
     def seconds(self) -> float:
-        """Wall time of its runs, those it shares with others included."""
+        """Wall time of its runs, shared ones included [s]."""
         return sum({r.folder: r.seconds for r in self.results}.values())
 
     @property
     def ratio(self) -> float:
-        """Error over tolerance; zero may be tolerated, and met."""
+        """Error over tolerance; 0 where a zero tolerance is met."""
         error = self.sample.error if self.sample else math.inf
         if math.isnan(error):
             return math.inf
@@ -222,5 +216,5 @@ class CheckResult:
 
 
 def _number(value: float | None) -> float | None:
-    """A number that JSON has."""
+    """The value if it is finite, else None: JSON has no other."""
     return None if value is None or not math.isfinite(value) else float(value)

@@ -1,9 +1,9 @@
 r"""Exact solutions of the verification problems: closed forms, each with its source.
 
 Nothing here comes from the code under test. Lengths in mm, stresses and moduli in MPa, forces in N;
-Young's modulus and Poisson's ratio travel as a pair (E, ν). Positions are arrays (n, 3).
+Young's modulus and Poisson's ratio are passed as a pair (E, ν). Positions are arrays (n, 3).
 
-The problems are those of `configs/verification`; `verification` measures how far they are off.
+The problems are those of `configs/verification`; `measures` computes their errors.
 """
 
 from __future__ import annotations
@@ -99,11 +99,7 @@ def compound_pressures(
     """Pressures at a and b of a core r < a, too large by δ, in rings a < r < b < r < c [MPa].
 
     Plane strain, no friction; Lamé's solution in each (Timoshenko & Goodier, section 28).
-
-    Args:
-        δ: Interference at a [mm].
-        radii: a, b, c [mm].
-        materials: Of the core, of the inner and of the outer ring.
+    ``radii`` are a, b, c [mm]; ``materials`` are those of the core, the inner and the outer ring.
     """
     a, b, c = radii
     (E_1, ν_1), (E_2, ν_2), (E_3, ν_3) = materials
@@ -140,13 +136,7 @@ class OvalFit:
     9.1): φ = (A r² + B r⁴) cos 2θ in the core, (A r² + B r⁴ + C r⁻² + D) cos 2θ in the ring, with
     no shear on r = b, no traction on r = c, equal normal traction and the given jump on r = b.
 
-    Attributes:
-        b: Radius of the interface [mm].
-        c: Outer radius [mm].
-        core: Material of the core.
-        ring: Material of the ring.
-        δ0: Mean interference [mm].
-        δ2: Amplitude of its cos 2θ [mm].
+    Radii b of the interface and c of the outer surface, δ₀ and δ₂ in mm.
     """
 
     b: float
@@ -226,12 +216,7 @@ class FibreRing:
     Equilibrium σ_θ = (r σ_r)' and compatibility ε_r = (r ε_θ)' leave σ_r = A r^(k-1) + B r^(-k-1)
     with k² = β_rr / β_θθ (Lekhnitskii, Anisotropic Plates, section 24).
 
-    Attributes:
-        a: Inner radius [mm].
-        b: Outer radius [mm].
-        pressure: On the inside [MPa].
-        material: Of the ring.
-        radial: Whether the fibres point away from the axis.
+    Radii a and b in mm, pressure in MPa; ``radial``: the fibres point away from the axis.
     """
 
     a: float

@@ -26,7 +26,7 @@ def hot_fit_pressure(
     """Pressure of a core at one temperature in a ring cooled from outside, plane strain [MPa].
 
     The bore of a free ring grows by (1 + ν) a b times its mean change of temperature (Timoshenko &
-    Goodier, section 151), the core by the same with its own; what is left is Lamé's interference.
+    Goodier, section 151), the core by the same with its own; the rest is Lamé's interference.
 
     Args:
         radii: b of the interface, c of the outer surface [mm].
@@ -50,13 +50,9 @@ def hot_fit_pressure(
 
 @dataclass(frozen=True)
 class ExactLayer:
-    """A ring, or a core if its inner radius is 0, in plane strain.
+    """A ring, or a core if its inner radius is 0, in plane strain; radii in mm.
 
-    Attributes:
-        inner: Radius [mm].
-        outer: Radius [mm].
-        material: Elastic.
-        free_strain: Stress-free strain, the same in all directions.
+    The free strain is the same in all directions.
     """
 
     inner: float
@@ -70,11 +66,11 @@ class ExactLayer:
         return E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
 
     def motion(self, r: float) -> list[float]:
-        """u_r = A r + B / r: its coefficients."""
+        """Coefficients of A and B in u_r = A r + B / r."""
         return [r, 1 / r if self.inner else 0.0]
 
     def traction(self, r: float, hoop: bool = False) -> list[float]:
-        """σ_rr, or the hoop stress: its coefficients of A and B [MPa]."""
+        """Coefficients of A and B in σ_rr, or in the hoop stress [MPa]."""
         λ, μ = self._lame
         sign = 1.0 if hoop else -1.0
         return [2 * (λ + μ), sign * 2 * μ / r**2 if self.inner else 0.0]
@@ -195,7 +191,7 @@ class HeatedWalls:
         return sum(L * (a * mean - p / E) for L, E, a, mean in each) - self.gap
 
     def states(self) -> tuple[Wall, ...]:
-        """All states that hold, by pressure; the excess times 1 + R h is quadratic in it."""
+        """All states in equilibrium, by pressure; the excess times 1 + R h is quadratic in it."""
         R = sum(L / k for L, k in zip(self.lengths, self.conductivities, strict=True))
         p = np.array([0.0, 1.0, 2.0])
         values = [self.excess(s) * (1 + R * (self.open + self.per_pressure * s)) for s in p]

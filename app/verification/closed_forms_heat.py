@@ -2,8 +2,8 @@ r"""Exact solutions of the verification problems of heat and cure: closed forms 
 
 Nothing here comes from the code under test. Units as everywhere: conductivity N/(s K) (= W/(m K)),
 capacity per volume N/(mm2 K) (= 1e6 J/(m3 K)), conductance N/(mm s K) (= 1e3 W/(m2 K)), heat flux
-N/(mm s) (= 1e3 W/m2); temperatures in degC where only differences count, else in K. A conductor
-travels as a pair (conductivity, capacity), an elastic material as (E, ν).
+N/(mm s) (= 1e3 W/m2); temperatures in degC where only differences count, else in K. A conductor is
+passed as a pair (conductivity, capacity), an elastic material as (E, ν).
 """
 
 from __future__ import annotations
@@ -31,11 +31,7 @@ def two_bars(
 ) -> tuple[float, float, float]:
     """Two bars in series between walls of given temperature, with a conductance between them.
 
-    Args:
-        hot: Temperature of the first wall.
-        cold: Of the second.
-        resistances: Length over conductivity of each bar [mm s K/N].
-        conductance: Between them.
+    ``resistances`` are length over conductivity of each bar [mm s K/N].
 
     Returns:
         Heat flux, temperatures of the first and of the second side of the interface.
@@ -52,7 +48,7 @@ def two_rings(
     conductivities: tuple[float, float],
     conductance: float,
 ) -> tuple[float, float, float]:
-    """The same of two rings: heat flow per length [N/s] and temperatures of the interface."""
+    """Heat flow per length [N/s] and interface temperatures of two rings, as `two_bars`."""
     a, b, c = radii
     first = math.log(b / a) / (2 * math.pi * conductivities[0])
     second = math.log(c / b) / (2 * math.pi * conductivities[1])
@@ -147,7 +143,7 @@ class HalfSpaces:
         return (e * self.temperatures[0] + f * self.temperatures[1]) / (e + f)
 
     def temperature(self, x: Floats, t: float, in_first: bool) -> Floats:
-        """Temperature (n,) at places (n,) of one body at a time t > 0."""
+        """Temperature (n,) at positions (n,) in one body at a time t > 0."""
         e, f = effusivity(self.first), effusivity(self.second)
         start = self.temperatures[0 if in_first else 1]
         k, c = self.first if in_first else self.second
@@ -185,7 +181,7 @@ class ExactKinetics:
         return float(k * a**self.m * (1 - a) ** self.n)
 
     def time(self, a: float, T: float, initial: float, rise: float) -> float:
-        """When the degree a is reached [s], of what warms by ``rise`` [K] per degree (0 if held).
+        """Time to the degree a [s], warming by ``rise`` [K] per degree of cure (0 if isothermal).
 
         The temperature depends on the degree alone: the time is an integral over ln a.
         """
@@ -197,7 +193,7 @@ class ExactKinetics:
         return float(quad(slowness, math.log(initial), math.log(a), epsrel=1e-12, limit=500)[0])
 
     def degree(self, t: float, T: float, initial: float, rise: float) -> float:
-        """The degree reached at a time, by inversion of the same."""
+        """Degree of cure at a time, by inversion of `time`."""
 
         def late(a: float) -> float:
             return self.time(a, T, initial, rise) - t

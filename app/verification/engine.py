@@ -1,6 +1,6 @@
-"""The engine of ``mantle verify``, ``stress`` and ``bench``: it runs checks, judges and tells.
+"""Engine of ``mantle verify``, ``stress`` and ``bench``: runs checks, judges and reports.
 
-Writes ``SUITE.json``, ``SUITE.csv`` (what each run cost) and ``SUITE.png`` beside the runs, of a
+Writes ``SUITE.json``, ``SUITE.csv`` (the cost of each run) and ``SUITE.png`` beside the runs, of a
 selection ``SUITE-TIER-NAME.json`` and so on. Finished runs are not done again.
 """
 
@@ -57,7 +57,7 @@ def run(suite: str, options: Options) -> bool:
     """Run the checks of a suite, one of `SUITES`, and judge them.
 
     Returns:
-        Whether all are as they should be; of a benchmark, whether all could be measured.
+        Whether all passed; of a benchmark, whether all could be measured.
 
     Raises:
         InputError: No check has such a name, or the folder cannot be written.
@@ -103,7 +103,7 @@ def _chosen(suite: str, options: Options) -> list[Check]:
 
 
 def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, str]]:
-    """The job of each run, and why it is refused before it begins; empty if it is not."""
+    """The job of each run, and the reason to refuse it before it begins, or ""."""
     for k, run in enumerate(check.runs, start=1):
         name = f"{check.name}_{k}" if len(check.runs) > 1 else check.name
         path, overrides, why = CONFIGS / run.case, run.overrides, ""
@@ -121,10 +121,10 @@ def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, str]]:
 def _run(
     checks: Sequence[Check], planned: Mapping[str, Sequence[tuple[Job, str]]], options: Options
 ) -> dict[tuple[Job, int], Result]:
-    """Results by `_same` job and by how often it was run before; what failed is not tried again.
+    """Results by `_same` job and number of earlier runs of it; failed jobs are not repeated.
 
-    Timed checks go one after the other, their runs in turn, so that what else happens on the
-    machine meets them all.
+    Timed checks go one after the other, their runs in turn, so that disturbances on the machine
+    affect them all.
     """
     found: dict[tuple[Job, int], Result] = {}
     together = [[c for c in checks if not c.timed], *([c] for c in checks if c.timed)]
@@ -146,7 +146,6 @@ def _run(
 
 
 def _same(job: Job) -> Job:
-    """Return a key that is the same for all checks that want the same run."""
     return replace(job, name="")
 
 
@@ -176,7 +175,7 @@ def judge(check: Check, results: Sequence[Result]) -> CheckResult:
 
 
 def table(outcomes: Sequence[CheckResult]) -> str:
-    """A line for each check, one for each group if there are several, and what went wrong."""
+    """A line for each check, one for each group if there are several, and the failures."""
     head = ("check", "error", "tolerance", "order", "expected", "seconds", "outcome", "")
     text = [layout.table(head, map(_line, outcomes))]
     groups: dict[str, list[CheckResult]] = {}
@@ -213,7 +212,7 @@ def _summed(name: str, own: Sequence[CheckResult]) -> Sequence[object]:
 
 
 def verdict(outcomes: Sequence[CheckResult]) -> str:
-    """How many checks passed, and which did not."""
+    """Number of checks passed, and names of the others."""
     names = {x: [o.check.name for o in outcomes if o.outcome == x] for x in OUTCOMES}
     said = ", ".join(f"{len(own)} {x}" for x, own in names.items() if own)
     off = ", ".join(names[MISSED] + names[FAILED])
@@ -233,7 +232,7 @@ def _write(suite: str, options: Options, outcomes: Sequence[CheckResult]) -> Non
 
 
 def costs(outcomes: Iterable[CheckResult]) -> Iterator[dict[str, Any]]:
-    """The cost of each run that is done, a row for each."""
+    """Cost of each finished run, a row for each."""
     done = {r.folder: r for o in outcomes for r in o.results if r.summary}
     for r in done.values():
         solver, timing = r.summary.get("solver", {}), r.summary.get("timing", {})

@@ -20,17 +20,16 @@ RADIUS = 7.0  # mm
 
 
 def extremes() -> list[Check]:
-    """The checks."""
+    """All checks at extremes."""
     return [*_augmentation(), *_penalty(), *_modulus(), *_poisson(), *_friction(), *_thin()]
 
 
 def _powers(exponents: Iterable[float]) -> tuple[float, ...]:
-    """Powers of ten."""
     return tuple(float(f"{10.0**k:.6g}") for k in map(float, exponents))
 
 
 def _augmentation() -> Iterator[Check]:
-    """R over eight decades: the answer of the default."""
+    """Augmentation over eight decades: the answer of the default."""
     pairs = [(ratio, μ) for ratio in (1, 50, 1000) for μ in (0.01, 0.05, 0.4, 1.0)]
     for ratio, μ in pairs:
         base = (
@@ -134,7 +133,7 @@ def _poisson() -> Iterator[Check]:
 
 
 def _friction() -> Iterator[Check]:
-    """No friction to more than solutions need to be unique."""
+    """Friction from zero to beyond the limit of uniqueness."""
     frictions = (0.0, 0.01, 0.3, 1.0, 2.0, 5.0)
     for μ in frictions:
         sides = ("stem_cement", "cement_bone")

@@ -1,4 +1,4 @@
-"""How far the thermal runs of ``mantle verify`` are off: one small function per quantity."""
+"""Errors of the thermal runs of ``mantle verify``: one small function per quantity."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ Field = Callable[[Floats, int, float], Floats]
 def temperatures(
     run: Run, field: Field, scale: float, ends: Sequence[float] = (), since: float = 0.0
 ) -> Sample:
-    """The node whose temperature is furthest off at any written step, over a scale [K].
+    """Largest temperature error of any node at any written step, over a scale [K].
 
-    ``ends`` are seconds at the start and at the end of each stage, empty for a steady state; before
-    ``since`` [s] nothing is compared.
+    ``ends`` are seconds at the start and at the end of each stage, empty for a steady state; steps
+    before ``since`` [s] are not compared.
     """
     samples = []
     for step, seconds in _written(run, ends):
@@ -59,7 +59,7 @@ def mean_square(run: Run, field: Field, zero: float, ends: Sequence[float] = ())
 
 
 def _by_region(x: Floats, region: Ints, field: Field, zero: float, seconds: float) -> Floats:
-    """A field (n, 1) over a temperature at points of several regions."""
+    """Field (n, 1) less a temperature at points of several regions."""
     T = np.zeros(len(x))
     for k in np.unique(region):
         T[region == k] = field(x[region == k], int(k), seconds) - zero
@@ -134,7 +134,7 @@ def half_spaces(run: Run, conductance: float) -> Sample:
 
 
 def rubbed(run: Run, share: float) -> Sample:
-    """Temperatures of rubbing.yaml over the rise of the hotter surface; part into the cement."""
+    """Temperatures of rubbing.yaml over the rise of the hotter surface; share of the cement."""
     flux = {1: 75 * share, 2: 75 * (1 - share)}
     materials = {1: CEMENT, 2: BONE}
 
@@ -157,13 +157,13 @@ def rubbing_heat(run: Run) -> Sample:
 
 
 def degree(run: Run, reference: float) -> Sample:
-    """Degree of cure of exotherm.yaml at its end, the same everywhere."""
+    """Degree of cure of exotherm.yaml at its end, uniform in space."""
     q = run.summary["cure"]["cube"]
     return worst([relative(q[key], reference) for key in ("degree_min", "degree_max")])
 
 
 def heat_of_cure(run: Run) -> Sample:
-    """Final temperature of exotherm.yaml, by the heat of what has set [degC]."""
+    """Final temperature of exotherm.yaml, from the heat of the degree of cure reached [degC]."""
     q = run.summary["cure"]["cube"]
     rise = 155 / 1.74 * (q["degree_max"] - 1e-3)
     value = run.summary["thermal"]["regions"]["cube"]["temperature_max"]
@@ -263,7 +263,7 @@ def wavy_temperature(run: Run) -> Sample:
 
 
 def wavy_displacement(run: Run) -> Sample:
-    """Displacement of the same."""
+    """Displacement of wavy_contact.yaml, relative in L2."""
 
     def field(x: Floats, region: Ints) -> Floats:
         below, above = WAVY.displacement(x, upper=False), WAVY.displacement(x, upper=True)
@@ -273,12 +273,11 @@ def wavy_displacement(run: Run) -> Sample:
 
 
 def endured(run: Run, low: float, high: float) -> Sample:
-    """Largest violation of what a stiff case must keep.
+    """Largest violation of the bounds of a stiff case.
 
     The error is the largest of: heat lost, over all heat that moved; temperatures [degC] beyond the
-    bounds, over their distance; degrees of cure beyond 0 and 1.
-
-    ``low`` and ``high`` are those of the data, the latter infinite if there is a source of heat.
+    bounds, over their distance; degrees of cure beyond 0 and 1. ``low`` and ``high`` are the bounds
+    of the data, the latter infinite if there is a source of heat.
     """
     summary = run.summary
     regions: list[dict[str, Any]] = list(summary["thermal"]["regions"].values())

@@ -18,7 +18,7 @@ RISE = 155 / 1.74  # K
 
 
 def heat_problems() -> list[Check]:
-    """All of them."""
+    """All thermal problems."""
     kinds = (_steady, _transient, _rubbing, _setting, _expanding, _stiff, _stiff_contact)
     return [check for kind in kinds for check in kind()]
 
@@ -26,7 +26,6 @@ def heat_problems() -> list[Check]:
 def _one(
     name: str, what: str, case: str, judge: Judge, tolerance: float, overrides: Sequence[str] = ()
 ) -> Check:
-    """A problem of one run."""
     run = CheckRun(f"verification/{case}.yaml", tuple(overrides))
     return Check(name, what, (run,), judge, tolerance)
 
@@ -232,7 +231,6 @@ def _cure(energy: float = 62866.0, heat: float = 1.55e8, initial: float = 1e-3) 
 
 
 def _forced(step: float, count: int) -> tuple[str, ...]:
-    """Steps of one length [s]."""
     stage = f"{{name: forced, duration: {step * count} s, increments: {count}, adaptive: false}}"
     return (f"stages=[{stage}]",)
 

@@ -1,4 +1,4 @@
-"""Rows of ``mantle stress`` on what must not matter, on loads, and on what holds bodies."""
+"""Rows of ``mantle stress`` on invariances, loads and supports."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ SIDES = ("stem_cement", "cement_bone")
 
 
 def invariants() -> list[Check]:
-    """The checks."""
+    """All checks of invariances, loads and supports."""
     kinds = (_loads, _units, _floating, _taper, _cycles, _increments, _symmetry)
     return [check for kind in kinds for check in kind()]
 
 
 def _pushed(force: float) -> tuple[str, ...]:
-    """Loads of the stem, of which 900 N are usual."""
+    """Loads of the stem; 900 N are usual."""
     c = force / 900
     return (
         f"loads.push.force=[0 N, 0 N, {-force!r} N]",
@@ -32,7 +32,7 @@ def _pushed(force: float) -> tuple[str, ...]:
 
 
 def _gaps(c: float) -> tuple[str, ...]:
-    """Interfaces that are tight above and open below, by c times 4 um."""
+    """Interfaces tight above and open below, by c times 4 um."""
     return (
         f"interfaces.stem_cement.gap={0.004 * c!r} * (1 - z / 10)",
         f"interfaces.cement_bone.gap={-0.002 * c!r} * (1 + x / 20)",
@@ -40,7 +40,7 @@ def _gaps(c: float) -> tuple[str, ...]:
 
 
 def _loads() -> Iterator[Check]:
-    """Loads of any size, either way, and none."""
+    """Loads of any size and sign, and none."""
     nothing = run(STEM, *_pushed(0.0))
     yield row("loads/stem/0 N", nothing, judges.nothing_moves, 1e-14)
     for force in (1e-6, 1e-3, 1.0, 1e2, 1e4, 1e6):
@@ -79,7 +79,7 @@ def _units() -> Iterator[Check]:
 
 
 def _floating() -> Iterator[Check]:
-    """Bodies that nothing holds: refused by name."""
+    """Unsupported bodies: refused by name."""
     both = tuple(f"interfaces.{side}.gap=0.1 mm" for side in SIDES)
     smooth = tuple(f"interfaces.{side}.friction_coefficient=0" for side in SIDES)
     pull = "loads.push.force=[0 N, 0 N, 900 N]"
@@ -104,7 +104,7 @@ def _floating() -> Iterator[Check]:
 
 
 def _taper() -> Iterator[Check]:
-    """A taper of 5 degrees, which friction holds from 0.0875 on."""
+    """A taper of 5 degrees, held by friction from 0.0875 on."""
     angle = float(np.radians(5))
 
     def pushed(μ: float, left: float) -> tuple[str, str]:
@@ -131,7 +131,7 @@ def _taper() -> Iterator[Check]:
 
 
 def _turns(count: int, low: str) -> tuple[str, str]:
-    """Stages and history of a first load, then so many cycles."""
+    """Stages and history of a first load and a number of cycles."""
     names = ["first", "back"] + [f"{way}{k}" for k in range(count) for way in ("up", "down")]
     stages = "[" + ", ".join(f"{{name: {n}, increments: 4}}" for n in names) + "]"
     return stages, ", ".join(f"1, {low}" for _ in range(count + 1))
@@ -157,11 +157,9 @@ def _cycles() -> Iterator[Check]:
 
 
 def _round(first: str, count: int) -> tuple[str, str]:
-    """The stem pushed down, then its side load carried round by a quarter turn, in so many steps.
+    """The stem pushed down, then its side load carried round by a quarter turn.
 
-    Args:
-        first: History of the load along x.
-        count: Increments of each stage.
+    ``first`` is the history of the load along x, ``count`` the increments of each stage.
     """
     loads = (
         "loads={push: {kind: force, boundary: stem_top, force: [0 N, 0 N, -900 N], "
@@ -174,7 +172,6 @@ def _round(first: str, count: int) -> tuple[str, str]:
 
 
 def _increments() -> Iterator[Check]:
-    """One to 64 increments along a path that turns."""
     counts = (1, 2, 4, 8, 16, 32, 64, 128)
     runs = tuple(run(STEM, *_round("[1, 0]", n)) for n in counts)
     yield row("increments/1 to 64", runs, partial(judges.first_order, counts=counts), 0.2)

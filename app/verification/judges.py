@@ -1,6 +1,6 @@
 """Judges of ``mantle stress``: an answer against a reference, an invariance, a balance.
 
-Each takes the runs of a case, the one in question first, and says how far off it is.
+Each takes the runs of a case, the one in question first, and returns its error.
 """
 
 from __future__ import annotations
@@ -18,22 +18,18 @@ from app.verification import closed_forms as exact
 from app.verification.check import Sample, worst
 
 OPEN, STICK = 0, 1
-# A share of what friction may bear that still counts as nothing.
+# Fraction of the friction limit that counts as zero.
 NOTHING = 1e-6
 
 
 def _off(values: Floats, reference: Floats, scale: float | None = None) -> float:
-    """Largest difference over the largest value of the reference; over nothing it is itself."""
+    """Largest difference over the largest value of the reference, or absolute if that is zero."""
     largest = float(np.abs(reference).max(initial=0.0)) if scale is None else scale
     return float(np.abs(values - reference).max(initial=0.0)) / (largest or 1.0)
 
 
 def _partners(run: Run, points: Floats, other: Run) -> NDArray[np.int64]:
-    """The node of another run at each point (n, 3) in the same region (n,).
-
-    Raises:
-        ValueError: Some have none: the meshes differ.
-    """
+    """Node of another run at each point (n, 3) of the same region; ValueError if meshes differ."""
     from scipy.spatial import cKDTree
 
     def labelled(r: Run, x: Floats) -> Floats:
@@ -57,7 +53,7 @@ def same(
     points: float = 1.0,
     turn: Floats | None = None,
 ) -> Sample:
-    """Every field after every step is that of the second run, times a factor.
+    """Difference of every field after every step from the second run, times a factor.
 
     Displacements, gaps and slips are multiplied by ``lengths``, tractions by ``stresses``, the mesh
     by ``points``; the model is turned by a rotation (3, 3).
@@ -73,7 +69,7 @@ def same(
         found.append(Sample(_off(run.displacement(step), u), note=f"displacement at time {time:g}"))
         for name in run.contacts:
             pressure = other.at_interface(name, "pressure", step)[k] * stresses
-            # Gap and slip are one vector. One that is nothing but rounding has no scale of its own.
+            # Gap and slip are one vector; rounding alone has no scale of its own.
             sizes = [
                 float(np.abs(other.at_interface(name, q, step)).max()) for q in ("gap", "slip")
             ]
@@ -95,7 +91,7 @@ def same(
 
 
 def augmented(runs: Sequence[Run], factor: float) -> Sample:
-    """The same as with the default augmentation; tells what was used of it."""
+    """As `same`, against the default augmentation; notes the augmentation used."""
     run, other = runs
     judged = same(runs)
     used, usual = (r.summary["solver"]["augmentation"] for r in (run, other))
@@ -106,7 +102,7 @@ def augmented(runs: Sequence[Run], factor: float) -> Sample:
 
 
 def lawful(runs: Sequence[Run]) -> Sample:
-    """Balances close; no tension, no penetration, no more friction than Coulomb's, none created."""
+    """Balance, no tension, no penetration, no more friction than Coulomb's, none created."""
     run = runs[0]
     balance = run.summary["balance"]
     off = {f"balance of {key}": float(abs(balance[key])) for key in balance}
@@ -131,19 +127,16 @@ def lawful(runs: Sequence[Run]) -> Sample:
 
 
 def _worst(errors: Mapping[str, float]) -> Sample:
-    """The largest error, by what it is of."""
     return worst([Sample(error, note=what) for what, error in errors.items()])
 
 
 def _friction(run: Run, name: str) -> float:
-    """Friction coefficient of an interface."""
     from app.case.case import load
 
     return load(run.folder / "case.yaml").config.interfaces[name].friction
 
 
 def _beyond(run: Run) -> str:
-    """Interfaces whose friction exceeds the critical one."""
     return ", ".join(
         name
         for name, q in run.summary["interfaces"].items()
@@ -152,7 +145,7 @@ def _beyond(run: Run) -> str:
 
 
 def nothing_moves(runs: Sequence[Run]) -> Sample:
-    """Without load: no displacement [mm], no pressure [MPa]."""
+    """Displacement [mm] and pressure [MPa] without load: zero."""
     run = runs[0]
     u = float(np.abs(run.displacement()).max())
     p = max(float(np.abs(run.at_interface(name, "pressure")).max()) for name in run.contacts)
@@ -160,7 +153,7 @@ def nothing_moves(runs: Sequence[Run]) -> Sample:
 
 
 def mirrored(runs: Sequence[Run]) -> Sample:
-    """A load the other way gives the displacement along it the other way."""
+    """A reversed load gives the reversed displacement along it."""
     ours, theirs = (np.array([r.displacement(k)[:, 0] for k in range(len(r.times))]) for r in runs)
     return Sample(_off(ours, -theirs), note="displacement along the load")
 
@@ -207,7 +200,7 @@ def shrink_fit(
 
 
 def cycles(runs: Sequence[Run], count: int, force: float, friction: float) -> Sample:
-    """Work lost in each cycle of the bar against F^3 / (12 EA f); its end comes back each time."""
+    """Work lost in each cycle of the bar against F^3 / (12 EA f), and return of its end."""
     run = runs[0]
     law = exact.FoundationBar(force, friction, 1.1e6)
     ends = np.arange(count + 1) * 2 + 3.0  # unloaded
@@ -241,12 +234,11 @@ def shakedown(runs: Sequence[Run], count: int) -> Sample:
 
 
 def wedge(runs: Sequence[Run], half_angle: float, friction: float, left: float) -> Sample:
-    """Force over integral of pressure of a cone pushed in by 100 N, then let go to a part.
+    """Force over integral of pressure of a cone pushed in by 100 N, then unloaded to a part.
 
     Where it slides it is sin a +- m cos a; where friction holds it, the law of friction and the
-    balances hold and pressure stays.
-
-    The half angle is that of the cone [rad]; a part of the force is left.
+    balances hold and pressure stays. ``half_angle`` is that of the cone [rad], ``left`` the part of
+    the force that is left.
     """
     run = runs[0]
     s, c = np.sin(half_angle), np.cos(half_angle)
@@ -283,13 +275,12 @@ def unpenalized(runs: Sequence[Run], penalties: Sequence[float], name: str) -> S
 
 
 def _final(run: Run) -> Floats:
-    """Displacement and slips at the end, as one vector."""
     slips = [run.at_interface(name, "slip").ravel() for name in run.contacts]
     return np.concatenate([run.displacement().ravel(), *slips])
 
 
 def first_order(runs: Sequence[Run], counts: Sequence[int]) -> Sample:
-    """The answer goes to that of the finest steps with the first power of their length."""
+    """The answer converges to that of the finest steps with the first power of their length."""
     *coarse, finest = map(_final, runs)
     scale = float(np.linalg.norm(finest))
     errors = [float(np.linalg.norm(x - finest)) / scale for x in coarse]
@@ -301,7 +292,7 @@ def first_order(runs: Sequence[Run], counts: Sequence[int]) -> Sample:
 
 
 def path_matters(runs: Sequence[Run]) -> Sample:
-    """Two orders of the same loads end apart, by more than the steps are wrong.
+    """Two orders of the same loads differ at the end by more than the error of the steps.
 
     Runs: one order with fine and coarse steps, the other with fine steps.
     """
@@ -312,7 +303,7 @@ def path_matters(runs: Sequence[Run]) -> Sample:
 
 
 def close(runs: Sequence[Run], factor: float = 1.0) -> Sample:
-    """Numbers of each interface are those of the second run, forces so many times those."""
+    """Numbers of each interface equal those of the second run, forces multiplied by a factor."""
     run, other = runs
     off = {}
     for name, q in other.summary["interfaces"].items():

@@ -1,4 +1,4 @@
-"""How far the runs of ``mantle verify`` are off: one small function per quantity."""
+"""Errors of the runs of ``mantle verify``: one small function per quantity."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def strains(run: Run, along_axes: Floats) -> Sample:
 
 
 def number(run: Run, name: str, reference: float) -> Sample:
-    """A number of the summary, by its name in studies."""
+    """A number of the summary, named as in studies."""
     value = quantities.read(run.summary, name)
     return relative(math.nan if value is None else value, reference)
 
@@ -72,7 +72,7 @@ def oval_displacement(run: Run, fit: exact.OvalFit) -> Sample:
 
 
 def oval_pressure(run: Run, fit: exact.OvalFit) -> Sample:
-    """Pressure at the contact points of the same, relative in L2 [MPa]."""
+    """Pressure at the contact points of the same press fit, relative in L2 [MPa]."""
     w = run.areas("stem_cement")
     w = w / w.sum()
     p, should = run.at_interface("stem_cement", "pressure"), fit.pressure(run.points)
@@ -99,7 +99,7 @@ def contact_width(run: Run, reference: float, axes: int, size: float) -> Sample:
 
 
 def approach(run: Run, reference: float) -> Sample:
-    """How far the plate, the second region, goes down [mm]."""
+    """Descent of the plate, the second region [mm]."""
     plate = np.unique(run.cells[run.region == 2])
     return relative(float(-run.displacement()[plate, 2].mean()), reference)
 
@@ -138,7 +138,7 @@ def push(run: Run, friction: float = 0.3) -> Sample:
 
 
 def wall_force(run: Run) -> Sample:
-    """Force of the bar on the wall [N]; what it penetrates of its motion is error too."""
+    """Force of the bar on the wall [N]; relative penetration counts as error too."""
     q = run.summary["interfaces"]["wall_bar"]
     force = relative(abs(q["force"][2]), 220 * 0.01 * 4)
     return Sample(max(force.error, q["penetration_max"] / 0.01), force.value, force.reference)
@@ -157,7 +157,7 @@ def corner(run: Run, poisson_ratio: float) -> Sample:
 
 
 def locking(run: Run, poisson_ratio: float) -> Sample:
-    """Whether a run that locks says so: error 0 if its log does, else 1."""
+    """Warning about locking in the log: error 0 if it is there, else 1."""
     rise = corner(run, poisson_ratio)
     warned = rise.error > 0.1 and re.search(r"\block", run.log)
     return Sample(0.0 if warned else 1.0, rise.value, rise.reference)

@@ -44,7 +44,7 @@ def draw(outcomes: Sequence[CheckResult], path: Path) -> None:
 
 
 def _ladder(axes: Any, outcomes: Sequence[CheckResult]) -> None:
-    """Errors over sizes, each with the slope that theory gives through its last point."""
+    """Errors over sizes, each with the theoretical slope through its last point."""
     every: set[float] = set()
     for o, colour in zip(outcomes, COLOURS, strict=False):
         assert o.sample and o.check.order
@@ -64,7 +64,7 @@ def _ladder(axes: Any, outcomes: Sequence[CheckResult]) -> None:
 
 
 def _margins(axes: Any, groups: dict[str, list[CheckResult]]) -> None:
-    """Error over tolerance of every check, a line for each group; the names of what is off."""
+    """Error over tolerance of every check, a line for each group, with the names of failures."""
     counts = Counter(o.outcome for members in groups.values() for o in members)
     for k, members in enumerate(groups.values()):
         for i, o in enumerate(members):

@@ -1,4 +1,4 @@
-"""The problems of ``mantle verify``: which runs of which case, and what is tolerated."""
+"""The problems of ``mantle verify``: runs of cases, judges and tolerances."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ QUICK = {
 
 
 def problems() -> list[Check]:
-    """All problems."""
+    """All mechanical problems of ``mantle verify``."""
     kinds = (
         _homogeneous,
         _sines,

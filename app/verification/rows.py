@@ -10,7 +10,7 @@ BAR, RINGS, WALL, INCLINE, COOK = (
     f"verification/{name}.yaml"
     for name in ("foundation_bar", "lame_plane_strain", "wall", "incline", "cook")
 )
-# What an answer may be off where a closed form is compared with a mesh.
+# Tolerance where a closed form is compared with a mesh.
 MESH = 0.02
 
 

@@ -14,7 +14,7 @@ from app.verification.problems import problems
 
 
 def rows() -> list[Check]:
-    """Those of ``mantle stress``: the stiff problems of ``mantle verify`` are among them."""
+    """Checks of ``mantle stress``, with the stiff problems of ``mantle verify``."""
     stiff = [p for p in heat_problems() if p.group == "stiff"]
     heat = [replace(p, name=p.name.replace("stiff", "heat", 1), group="heat") for p in stiff]
     return [*extremes(), *invariants(), *heat]
