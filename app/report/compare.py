@@ -21,11 +21,7 @@ NOT_COMPARED = ("title", "output")
 
 
 def write(folders: Sequence[Path], path: Path) -> Path:
-    """Write the page and return it.
-
-    Args:
-        folders: Directories of two runs or more; the others are compared with the first.
-        path: The page.
+    """Write a page that compares runs, two or more, with the first; return it.
 
     Raises:
         InputError: A folder has no results or unreadable ones, or the number of folders is wrong;

@@ -86,7 +86,6 @@ def _rows(name: str, columns: Sequence[Column]) -> list[MapRow]:
     sheets = {id(run): own for _, run, own in columns}
 
     def hottest(run: Run) -> Floats | None:
-        """Temperature at the written step with the hottest interface."""
         if not run.hot:
             return None
         steps = [run.temperature(k) for k in range(len(run.times))]

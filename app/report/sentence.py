@@ -24,12 +24,7 @@ Numbers = Mapping[str, Any]
 
 
 def sentence(summary: Numbers, case: SweptCase) -> str:
-    """Summarise a run in one sentence.
-
-    Args:
-        summary: Content of summary.json.
-        case: The run, for its loads.
-    """
+    """Summarise summary.json in one sentence; the case supplies the loads."""
     clauses = [*_contacts(summary), *_stem(summary), *_heat(summary), *_cure(summary)]
     # Loads are those at the end: a run that stopped before had others.
     ended = summary["status"] not in ("stopped", "not converged")
@@ -141,7 +136,6 @@ def _stresses(summary: Numbers) -> Iterator[str]:
 
 
 def _errors(summary: Numbers) -> str:
-    """Errors of the main numbers."""
     companions = summary.get("error", {}).get("companions")
     if not companions:
         return "how exact these numbers are was not estimated (mantle run --error)"

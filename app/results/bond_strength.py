@@ -27,7 +27,6 @@ class Bond:
     """A bonded interface, seen from its softer side.
 
     Attributes:
-        name: Its name.
         facets: Number of its facets that this rank owns.
 
     Args:

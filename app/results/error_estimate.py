@@ -55,7 +55,6 @@ class Companion:
     """A cheaper relative of a run.
 
     Attributes:
-        case: Its case.
         coarsening: Its mesh size over that of the run.
         steps: Its increments over those of the run; the inverse for the error of its time steps.
     """

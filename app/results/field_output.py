@@ -61,11 +61,7 @@ class FieldGroup(Protocol):
 
 
 class Fields:
-    """The field file.
-
-    Attributes:
-        steps: Steps in it.
-    """
+    """The field file."""
 
     saved = ("steps", "_order")
 

@@ -23,7 +23,6 @@ class HeatPassed:
     """Heat flux and entropy production at this rank's points of conducting interfaces (n,).
 
     Attributes:
-        names: Names of the interfaces.
         interface: Index into `names` of each point.
         flux: Heat from master to slave per area [N/(mm s)].
         entropy: Entropy production per area [N/(mm s K)].

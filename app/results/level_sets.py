@@ -46,22 +46,14 @@ class RegionCells:
         return np.concatenate(self._comm.allgather(self._x[:, _FACES][on]))
 
     def volume(self, dof: Ints, level: Floats) -> float:
-        """Volume where a level is not negative [mm3]; collective.
-
-        Args:
-            dof: Own nodes of the region (n,).
-            level: Its values there (n,).
-        """
+        """Volume where a level, known at own nodes (n,), is not negative [mm3]; collective."""
         share = positive_share(self._at_corners(dof, level, -1.0))
         return float(self._comm.allreduce(float(self._volume @ share), MPI.SUM))
 
     def depth(self, dof: Ints, level: Floats, surface: Floats) -> float:
-        """Depth below a surface to which a level is not negative [mm]; collective.
+        """Depth to which a level, known at own nodes (n,), is not negative [mm]; collective.
 
-        Args:
-            dof: Own nodes of the region (n,).
-            level: Its values there (n,).
-            surface: Triangles (f, 3, 3) [mm], at least one.
+        It is measured from the triangles of a surface (f, 3, 3) [mm], at least one.
         """
         from meshes.mantle import distance  # imported late: scipy takes its time
 
@@ -82,11 +74,7 @@ class RegionCells:
 
 
 def positive_share(f: Floats) -> Floats:
-    """Fraction of each tetrahedron where a linear function is not negative (m,).
-
-    Args:
-        f: Its values at the corners (m, 4).
-    """
+    """Fraction of each tetrahedron where f, linear between corners (m, 4), is not negative (m,)."""
     f = -np.sort(-f, axis=1)
     a, b, c, d = f.T
     count = (f >= 0).sum(axis=1)

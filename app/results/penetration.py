@@ -19,9 +19,7 @@ LATTICE = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) 
 def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     """Penetration of each interface on its facets: largest and mean over the area; collective.
 
-    Args:
-        contact: The contact points.
-        jump: Jumps of those of this rank (n, 3) [mm].
+    Jumps are those of own contact points (n, 3) [mm].
     """
     motion, clearance = _motion(contact, jump), _clearance(contact)
     found = []

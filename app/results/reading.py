@@ -31,11 +31,7 @@ FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
 
 
 class Results:
-    """The results of a run, or of the variations of one.
-
-    Attributes:
-        folder: The run directory.
-    """
+    """The results of a run directory, or of its variations."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -162,10 +158,7 @@ class Run(Results):
     def at_interface(self, name: str, quantity: str, step: int | str = -1) -> Floats:
         """An interface quantity at every node (n,), slip and motion (n, 3); zero away from it.
 
-        Args:
-            name: The interface.
-            quantity: gap, slip, slip_path, motion [mm], pressure, shear [MPa] or status.
-            step: Which written step.
+        Quantities: gap, slip, slip_path, motion [mm], pressure, shear [MPa] and status.
         """
         return self.on_points(f"{name}_{quantity}", step)
 

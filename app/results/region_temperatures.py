@@ -31,7 +31,6 @@ class RegionTemperatures:
     """Values recorded at this rank's nodes of one region (n,).
 
     Attributes:
-        nodes: The nodes.
         now: Temperatures of the last state [K].
         peak: Highest temperatures so far [K].
         peak_time: When they were [s].

@@ -255,7 +255,6 @@ class ThermalRecord:
 def _bone_sides(
     interfaces: Interfaces, sides: Mapping[str, tuple[Side, Side]], bones: Sequence[str]
 ) -> list[Side]:
-    """The bone side of each interface between bone and something else."""
     found = []
     for name, regions in interfaces.items():
         bone = [not set(bones).isdisjoint(side) for side in regions]

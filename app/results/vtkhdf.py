@@ -207,11 +207,7 @@ def _create(
 
 
 def write_last_step(path: Path, target: Path) -> None:
-    """Write the last step of a file alone, as a grid without time.
-
-    Args:
-        path: A closed file with a step at least.
-        target: The new one, replaced if it exists.
+    """Write the last step of a closed file to another, as a grid without time; replace that.
 
     Raises:
         OSError: It cannot be written.

@@ -129,7 +129,6 @@ def _estimated(case: Case) -> tuple[float, float, float, dict[str, float]]:
 def _unknowns(
     case: Case, nodes: float, corners: float, interfaces: Mapping[str, float]
 ) -> tuple[float, float]:
-    """Unknowns of the mechanics and of heat."""
     mechanical = thermal = 0.0
     if solid(case):
         jumps = sum(interfaces[name] for name, law in case.interfaces.items() if law.can_part)

@@ -26,7 +26,6 @@ class Explanation:
     """Why a solve failed.
 
     Attributes:
-        outcome: Its outcome.
         short: One clause for the log.
         free: Sentences on free bodies.
         notes: Sentences on bodies that friction barely holds, on friction beyond which solutions

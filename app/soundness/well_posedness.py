@@ -90,7 +90,7 @@ def _given(case: Case, support: Any, name: str, axis: str, x: Floats) -> Floats:
 
 
 def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
-    """Nodes with different displacements by two supports: all of one's nodes, or some."""
+    """Errors and notes on nodes where two supports prescribe different displacements."""
     holding = {
         name: np.unique(np.concatenate([*found.boundaries[s.boundary].values()]))
         for name, s in case.supports.items()
@@ -207,7 +207,7 @@ def _largest(case: Case, law: Any, gap: Floats) -> tuple[float, float]:
 
 
 def _too_tight(case: Case, found: Parts) -> list[str]:
-    """Interferences larger than the bodies allow."""
+    """Interferences too large for the thickness of the bodies."""
     errors = []
     for name, gap in gaps_of(case, found).items():
         interference, _ = _largest(case, case.interfaces[name], gap)
@@ -255,7 +255,7 @@ def _large(case: Case, found: Parts) -> list[str]:
 
 
 def _strained(case: Case, found: Parts) -> list[str]:
-    """Loads some thousand times beyond what the material under them can bear."""
+    """Loads that strain the material under them by more than `STRAIN`."""
     notes = []
     loads: Mapping[str, Any] = case.loads
     for name, load in loads.items():
