@@ -249,7 +249,6 @@ Length = Annotated[float, Dimension(*_length)]
 # Bound of lengths in a geometry, so that volumes do not overflow.
 _longest = 1e10
 PositiveLength = Annotated[float, Dimension(*_length, above=0.0, at_most=_longest)]
-NonNegativeLength = Annotated[float, Dimension(*_length, at_least=0.0, at_most=_longest)]
 Angle = Annotated[float, Dimension("rad", "an angle", "1.5 deg")]
 Stress = Annotated[float, Dimension("MPa", "a pressure", "2 MPa")]
 Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa")]
