@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from app.arrays import Floats, Ints
-from meshes import femur_bone, layers, swept
+from meshes import femur_bone, swept
 from meshes.data import MeshData, facet_areas
 from meshes.femur_bone import PATCH_RADIUS
 from meshes.femur_surfaces import FemurSurfaces
@@ -36,20 +36,18 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         GeometryError: The stem does not fit the canal (with the place), or its neck or shoulder
             does not go with the neck cut.
     """
-    size, times = swept.steps(mesh.size)
-    surfaces = FemurSurfaces(geometry, size, mesh.far * size / mesh.size)
-    made = swept.mesh(surfaces, times, mesh.curved)
+    surfaces = FemurSurfaces(geometry, mesh)
+    made = swept.mesh(surfaces, mesh.curved)
     regions = number(REGIONS)
-    tags = _regions(made, surfaces, regions)
+    tags = np.array([regions[name] for name in made.names])[made.region]
     facets, owner = made.facets
-    at = layers.on(made, facets)
     own = tags[owner]
     bone = np.isin(own, [regions["cortical_bone"], regions["cancellous_bone"]])
     masks = {
-        "distal_cut": at.s(0),
-        "bone_surface": at.rho(4),
-        "stem_trunnion": at.s(surfaces.stations - 1),
-        "resection": bone & at.s(surfaces.cut),
+        "distal_cut": made.on(facets, s=0),
+        "bone_surface": made.on(facets, rho=4),
+        "stem_trunnion": made.on(facets, s=surfaces.top),
+        "resection": bone & made.on(facets, s=surfaces.cut),
     }
     masks |= patches(made.nodes.x, facets, masks["bone_surface"])
     data = assemble(
@@ -62,19 +60,8 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         (facets, owner),
     )
     head = [geometry.head_offset, 0.0, geometry.head_height]
-    notes = {"head_centre": head, "layers": layers.describe(made)}
+    notes = {"head_centre": head, "layers": made.describe()}
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
-
-
-def _regions(made: layers.Swept, surfaces: FemurSurfaces, regions: dict[str, int]) -> Any:
-    mantle, tip = surfaces.mantle[0], surfaces.tip
-    cement = (made.layer <= 1) & (made.slab >= mantle)
-    stem = (made.layer == 0) & (made.slab >= tip)
-    tags = np.full(len(made.cells), regions["cancellous_bone"], dtype=np.int32)
-    tags[made.layer == 3] = regions["cortical_bone"]
-    tags[cement] = regions["cement"]
-    tags[stem] = regions["stem"]
-    return tags
 
 
 def patches(points: Floats, facets: Ints, surface: Any) -> dict[str, Any]:

@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 
 from app.arrays import Floats, Ints
-from meshes import layers, swept
+from meshes import swept
 from meshes.data import MeshData
 from meshes.femur import patches
 from meshes.femur_surfaces import SPREAD, FemurSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
+from meshes.reference_body import Block, Body
 from meshes.tags import assemble, number
 
 REGIONS = ("cortical_bone", "cancellous_bone")
@@ -32,7 +33,9 @@ NECK = (0.76, 0.65)
 # Cortex at the same places [mm]; the second is that of the head too.
 CORTEX = (3.5, 2.0)
 CORE = 0.35  # of sections of neck and head: where the innermost surface is
-STEPS = 5  # along the head, of any mesh size: its cells are as long as eight spokes are wide
+STEPS = 5  # along the head, at least
+ARC = 1.4  # of the head's radius: the length of the head along its axis
+WIDE = 0.6  # of the distance of lines on the head: its least step
 CAP = math.radians(50.0)  # half the opening of the lid that closes the head
 CLEAR = 6.0  # mm that the first ring of the neck is above the cut
 RISE = 6.0  # mm that the trochanter rises beyond the cut, across the shaft
@@ -64,11 +67,11 @@ class Intact(FemurSurfaces):
         blend = above - self._meet
         self.neck = self.cut + max(2, round(blend / self.size))
         self.mirrored = range(self.cut, self.neck)
-        self.stations = self.neck + STEPS + 2
-
-    def outermost(self, slab: int) -> int:
-        """The periosteum (4) everywhere; the cortex of the head is closed by a lid (3)."""
-        return 4 if slab < self.stations - 2 else 3
+        # The last section of the ball; beyond it the shell is closed by a lid of as many layers.
+        wide = WIDE * 2 * math.pi * self._radius / self.around
+        self.ball = self.neck + max(STEPS, round(ARC * self._radius / max(self.size, wide)))
+        bone = ("cancellous_bone", "cancellous_bone", "cancellous_bone", "cortical_bone")
+        self.blocks = (Block(self.ball, bone), Block(self.through[2], ("cortical_bone",) * 3))
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
         """Lines in the sections of shaft and neck; lines of the head are not used."""
@@ -107,32 +110,40 @@ class Intact(FemurSurfaces):
             CORTEX[0] + (CORTEX[1] - CORTEX[0]) * t,
         )
 
-    def ended(self, nodes: Nodes, unit: int) -> Nodes:
+    def ended(self, nodes: Nodes, number: Ints, body: Body) -> tuple[Nodes, Ints]:
         """Put the nodes of the head on sections, those of its cortex between two spheres."""
-        head = nodes.s > self.neck * unit
-        k, j = nodes.s[head] // unit - self.neck, nodes.rho[head] // unit
-        off = self._ball(nodes.phi[head] / (self.spokes * unit), j, np.minimum(k, STEPS))
-        shell = (j >= 3) | (k >= STEPS)
-        radius = np.where((j == 4) | (k > STEPS), self._radius, self._radius - CORTEX[1])
+        c, steps = len(body.at), self.ball - self.neck
+        head = nodes.s > 2 * self.neck
+        j, k = nodes.rho[head], nodes.s[head] // 2 - self.neck
+        turn = np.pi * nodes.phi[head] / self.around
+        part = np.interp(j, [1, 2, 3], [CORE, CORE + (1 - CORE) * SPREAD, 1.0])
+        flat = (part * [np.cos(turn), np.sin(turn)]).T.reshape(-1, c, 2)
+        rings = self.around * len(body.rho)
+        flat[:, rings:] = body.weights @ flat[:, : rings : len(body.rho)]
+        off = self._bulged(flat.reshape(-1, 2), np.minimum(k, steps), steps)
+        shell = (j >= 3) | (k >= steps)
+        out = np.maximum(j - 3, (k - steps) / self.through[2])
+        radius = self._radius - CORTEX[1] * (1 - out)
         off[shell] *= (radius / np.sqrt((off**2).sum(axis=1)))[shell, None]
         x, rho = nodes.x.copy(), nodes.rho.copy()
         x[head] = np.round(self._centre + off, DIGITS)
-        rho[head] = np.where(shell, -3 * unit, 0)
-        return replace(nodes, x=x, rho=rho, merged=nodes.merged & ~head)
+        rho[head] = np.where(shell, -3.0, 0.0)
+        # The rim of the lid is that of the shell.
+        grid, across = number.reshape(-1, c), np.arange(rings).reshape(self.around, -1)
+        grid[self.ball + 1 :, across[:, -1 - self.through[2]]] = grid[self.ball, across[:, -self.through[2] :]].T
+        return replace(nodes, x=x, rho=rho, merged=nodes.merged & ~head), number[number]
 
-    def _ball(self, phi: Floats, j: Ints, k: Ints) -> Floats:
-        """Positions on sections of the head within its cortex, from its centre (n, 3) [mm].
+    def _bulged(self, flat: Floats, k: Ints, steps: int) -> Floats:
+        """Positions on sections k (n,) of the head within its cortex, from its centre (n, 3) [mm].
 
-        Sections are even on the axis, and bulge until the last is a cap of the sphere.
+        Sections are even on the axis, and bulge until the last is a cap of the sphere. ``flat`` are
+        places in a section over its radius, medial and anterior (n, 2).
         """
         within = self._radius - CORTEX[1]
-        angles = np.linspace(math.asin(NECK[1]), math.pi - CAP, STEPS + 1)
+        angles = np.linspace(math.asin(NECK[1]), math.pi - CAP, steps + 1)
         rims = -within * np.cos(angles)
-        bulge = (np.linspace(rims[0], within, STEPS + 1) - rims) / (within - np.abs(rims))
-        part = np.array([CORE, CORE, CORE + (1 - CORE) * SPREAD, 1.0, 1.0])[j]
-        across = part * within * np.sin(angles[k])
-        down, ahead = across * np.cos(2 * np.pi * phi), across * np.sin(2 * np.pi * phi)
-        ahead[j == 0] = 0.0  # half-way between what is in front and behind
+        bulge = (np.linspace(rims[0], within, steps + 1) - rims) / (within - np.abs(rims))
+        down, ahead = flat.T * within * np.sin(angles[k])
         cap = np.sqrt(within**2 - down**2 - ahead**2)
         up = rims[k] + bulge[k] * (cap - np.abs(rims[k]))
         off = np.outer(down, self._medial) + np.outer(up, self._axis)
@@ -164,26 +175,17 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     Raises:
         GeometryError: The planned stem does not fit the canal.
     """
-    surfaces, times = _surfaces(geometry, mesh)
-    made = swept.mesh(surfaces, times, mesh.curved)
+    surfaces = Intact(geometry.model_copy(update={"canal_widening": 0.0}), mesh)
+    made = swept.mesh(surfaces, mesh.curved)
     regions = number(REGIONS)
-    cortical = (made.layer == 3) | (made.slab == surfaces.stations - 2)
-    tags = np.where(cortical, regions["cortical_bone"], regions["cancellous_bone"])
+    tags = np.array([regions[name] for name in made.names])[made.region]
     facets, owner = made.facets
-    at = layers.on(made, facets)
-    distal = at.s(0)
-    masks = {"distal_cut": distal, "bone_surface": ~distal, "head": at.above(surfaces.neck)}
-    shaft = at.rho(4) & ~at.above(surfaces.neck)
-    masks |= patches(made.nodes.x, facets, shaft)
+    distal, head = made.on(facets, s=0), made.above(facets, surfaces.neck)
+    masks = {"distal_cut": distal, "bone_surface": ~distal, "head": head}
+    masks |= patches(made.nodes.x, facets, made.on(facets, rho=4) & ~head)
     data = assemble(
         made.nodes.x, made.cells, tags.astype(np.int32), regions, {}, masks, (facets, owner)
     )
-    head = [geometry.head_offset, 0.0, geometry.head_height]
-    notes = {"head_centre": head, "layers": layers.describe(made)}
+    head_centre = [geometry.head_offset, 0.0, geometry.head_height]
+    notes = {"head_centre": head_centre, "layers": made.describe()}
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
-
-
-def _surfaces(geometry: Any, mesh: Any) -> tuple[Intact, int]:
-    size, times = swept.steps(mesh.size)
-    whole = geometry.model_copy(update={"canal_widening": 0.0})
-    return Intact(whole, size, mesh.far * size / mesh.size), times

@@ -23,12 +23,12 @@ from scipy.optimize.elementwise import find_root
 
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
-from meshes import femur_bone, femur_stem
-from meshes.layers import Lines, Nodes
-from meshes.swept import least_spokes
+from meshes import femur_bone, femur_stem, grid
+from meshes.layers import DIGITS, Lines, Nodes
+from meshes.reference_body import Block, Body
 
 TURN = 60.0  # mm below the neck cut over which sections turn to it
-CORE = 0.45  # of the canal: where the innermost surface goes below the plug
+CORE = 0.5  # of the canal: where the innermost surface goes below the plug
 CORE_OVER = 30.0  # mm that it takes to get there
 SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the plug
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
@@ -36,8 +36,6 @@ BLEND = (0.38, 0.8)  # of the neck's length: where it is round, at least and at 
 CLEAR = 2.0  # mm that the round neck is above the cut
 OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of the bone
 SHOULDER = 6.0  # mm that the shoulder may be below or above the cut without standing out
-COARSER = 0.25  # mm of mesh size per mm of distance from the plug, below it
-LONGEST = 2.5  # times the mesh size at most, below the plug
 REACH = 90.0  # mm: farther from the axis there is no bone
 WAYS = np.linspace(0.0, 1.2, 25)  # of a line, where it is asked how often it meets bone
 EXACT = 1e-11  # of roots, absolute and relative
@@ -99,8 +97,8 @@ class FemurSurfaces:
 
     mirrored = range(0)
 
-    def __init__(self, geometry: Any, size: float, far: float) -> None:
-        self.size = size  # below the plug it grows to `far`; GeometryError if lengths do not fit
+    def __init__(self, geometry: Any, mesh: Any) -> None:
+        self.size = mesh.size  # below the plug it grows; GeometryError if lengths do not fit
         self._body = femur_stem.body(geometry)
         self._grown = self._body.offset(geometry.cement_thickness)
         self._outer = femur_bone.outer(geometry.distal_cut_z)
@@ -108,39 +106,47 @@ class FemurSurfaces:
         normal, level = femur_bone.resection(geometry)
         self._top, self._steepest = level / normal[2], normal[0] / normal[2]
         plug = geometry.stem_tip_z - geometry.plug_length
-        below = _graded(plug - geometry.distal_cut_z, size, min(far, LONGEST * size))
+        below = np.array(grid.graded(plug - geometry.distal_cut_z, mesh))
         parts = [
-            _even(plug, geometry.stem_tip_z, size),
-            _even(geometry.stem_tip_z, self._top, size),
+            _even(plug, geometry.stem_tip_z, self.size),
+            _even(geometry.stem_tip_z, self._top, self.size),
         ]
         self._zeta = np.concatenate([(plug - below)[::-1], *parts])
         start = len(below) - 1
         self.tip = start + len(parts[0])
         self.cut = len(self._zeta) - 1
         self.mantle = (start, self.cut)
-        middle = 0.5 * (geometry.stem_tip_z + self._top)
-        a, b, r = self._body.section(middle)
+        self._middle = 0.5 * (geometry.stem_tip_z + self._top)
+        a, b, r = self._body.section(self._middle)
         t = 0.5 * geometry.cement_thickness
-        around = 4 * (a + b - 2 * r) + 2 * math.pi * (r + t)
-        self.spokes = max(least_spokes(size), 4 * round(around / (4 * size)))
+        self.around = grid.lines_around(4 * (a + b - 2 * r) + 2 * math.pi * (r + t), mesh)
+        self.through = grid.cells_through(geometry.cement_thickness, mesh)
         self._refuse()
         self._continue(geometry)
 
     def _continue(self, geometry: Any) -> None:
         """Divide the stem above the cut."""
         self._neck, self._out = _neck(geometry, self._body, self._top, self._steepest)
-        out = 0 if self._out is None else max(1, round((self._out - self._top) / self.size))
+        out = 0 if self._out is None else grid.steps(self._out - self._top, self.size)
         base = self._top if self._out is None else self._out
         blend = float(np.linalg.norm(self._neck.ring - np.array([0.0, 0.0, base])))
         cone = float(np.linalg.norm(self._neck.head - self._neck.ring))
         self._above = np.cumsum(
-            [0, out, max(1, round(blend / self.size)), max(1, round(cone / self.size))]
+            [0, out, grid.steps(blend, self.size), grid.steps(cone, self.size)]
         )
-        self.stations = self.cut + 1 + int(self._above[-1])
+        bone = ("cancellous_bone", "cortical_bone")
+        self.top = self.cut + int(self._above[-1])
+        self.blocks = (
+            Block(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
+            Block(self.tip - self.mantle[0], ("cement", "cement", *bone)),
+            Block(self.cut - self.tip, ("stem", "cement", *bone)),
+            Block(int(self._above[-1]), ("stem",)),
+        )
 
-    def outermost(self, slab: int) -> int:
-        """Outermost surface of a step: 1 (the stem) above the cut."""
-        return 4 if slab < self.cut else 1
+    def outline(self) -> Floats:
+        """Section of the stem half-way between tip and neck cut (around, 2) [mm]."""
+        x = self._body.point(np.arange(self.around) / self.around, self._middle, 0.0)
+        return np.round(x[:, :2], DIGITS)
 
     def plane(self, s: Floats) -> tuple[Floats, Floats]:
         """Height at the axis [mm] and slope of the sections at stations s <= cut."""
@@ -158,9 +164,9 @@ class FemurSurfaces:
         end[~bone] = start[~bone] + 1.0
         return Lines(start, end, mantle, endosteum)
 
-    def ended(self, nodes: Nodes, unit: int) -> Nodes:
+    def ended(self, nodes: Nodes, number: Ints, body: Body) -> tuple[Nodes, Ints]:
         """No ball."""
-        return nodes
+        return nodes, number
 
     def arc(self, a: Floats, b: Floats) -> Floats:
         """No ball."""
@@ -274,18 +280,8 @@ class FemurSurfaces:
 
 def _even(low: float, high: float, size: float) -> Floats:
     """Stations above `low` up to `high`, in steps of about `size` [mm]."""
-    steps = max(1, round((high - low) / size))
+    steps = grid.steps(high - low, size)
     return low + (high - low) * np.arange(1, steps + 1) / steps
-
-
-def _graded(length: float, size: float, longest: float) -> Floats:
-    """Distances from 0 to `length` in steps that grow from `size` [mm]."""
-    at = [0.0]
-    while at[-1] < length:
-        at.append(at[-1] + min(size + COARSER * at[-1], longest))
-    if len(at) > 2 and at[-1] - length > 0.5 * (at[-1] - at[-2]):
-        at.pop()
-    return np.array(at) * (length / at[-1])
 
 
 def _neck(

@@ -1,185 +1,179 @@
-"""Meshes of nested layers swept along a line.
+"""Meshes of nested layers: the reference body by gmsh, its image by the map of `layers`.
 
-One triangulation of the cross-section is swept through all sections; prisms are split by the ranks
-of their columns. Nodes are on surfaces that are formulas (`layers`), and so are those that
-refinement and curving add (`refine`): meshes of sizes 2 h and h are nested, with the same regions,
-surfaces and names, eight cells for each.
-
-Along a line where two layers would be thinner than a floor, the two surfaces are one: the nodes
-between them are merged, and cells that have a node twice are left out. The floor bounds the angle
-of the wedges in which a layer ends, so that refinement does not make them flat.
+gmsh's prisms are split by the ranks of their columns, both sides of a face alike. Along a line
+where two layers would be thinner than a floor, the two surfaces are one: the nodes between them are
+merged, and cells that have a node twice are left out. The floor bounds the angle of the wedges in
+which a layer ends. (gmsh's own splitting of prisms leaves flat cells there.)
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import GeometryError
-from meshes import refine
-from meshes.data import cell_volumes, match_faces
-from meshes.layers import ALONG, DIGITS, FLOOR, Nodes, Surfaces, Swept, place
+from meshes import grid, reference_body
+from meshes.curving import untangle
+from meshes.data import EDGES, cell_volumes, distinct, faces_of, match_faces
+from meshes.layers import DIGITS, Nodes, Surfaces, lines_of, place
+from meshes.reference_body import Body
 
-COARSEST = 5.0  # mm: meshes of this size and below are refinements of one that is coarser
-SPOKES = 8  # least number around: two in each quarter
-
-
-def least_spokes(size: float) -> int:
-    """Least number of lines around for a size of the coarsest mesh [mm].
-
-    The lines decide the error of a mesh: from 6 to 16 mm a stance with eight of them changes by a
-    quarter of its error. A mesh of more than 10 mm is a coarser companion of one with eight lines
-    and has four: cells are twice as large all around.
-    """
-    return SPOKES if size <= 2 * COARSEST else SPOKES // 2
-
-
-def steps(size: float) -> tuple[float, int]:
-    """Size of the coarsest mesh of a family [mm], and number of refinements for `size`."""
-    times = 0
-    while size * 2**times <= COARSEST:
-        times += 1
-    return size * 2**times, times
-
-
-def mesh(surfaces: Surfaces, times: int, curved: bool) -> Swept:
-    """Sweep the cross-section, divide every cell into eight some times, and curve cells if asked.
-
-    Raises:
-        GeometryError: Cells overlap: the surfaces are not nested.
-    """
-    made = _coarsest(surfaces, 2 ** (times + 1))
-    for _ in range(times):
-        made = refine.refined(made)
-    _check_volume(made)
-    return refine.curved(made) if curved else made
-
-
-def _section(spokes: int) -> tuple[Ints, Ints, Ints, list[Ints]]:
-    """One triangulation of the cross-section for all stations.
-
-    Returns:
-        Columns as rows of spoke and surface (c, 2), inner nodes being numbered by the spoke beside
-        them and surface 0; triangles of columns (t, 3); the layer of each; and the rank of each
-        column: from lateral to medial, all of one spoke together, outwards. Sections turn about an
-        antero-posterior axis, and diagonals from lateral to medial are the short ones; where
-        sections turn back, those by the second ranks, from medial to lateral.
-    """
-    half = spokes // 2
-    first = -(-half // 3)  # the ends of the spine, from which outlines fan out
-    spine = list(range(first, half - first + 1))
-    columns = [(i, j) for i in range(spokes) for j in range(1, 5)] + [(i, 0) for i in spine]
-    number = {column: k for k, column in enumerate(columns)}
-
-    def key(column: tuple[int, int]) -> tuple[int, int, int]:
-        i, j = column
-        return abs(i - half), 0 if j == 0 else 1 + (i > half), j
-
-    def rank(way: int) -> Ints:
-        keys = [(way * key(column)[0], *key(column)[1:]) for column in columns]
-        return np.argsort(sorted(range(len(columns)), key=lambda k: keys[k]))
-
-    triangles, layers = [], []
-
-    def add(layer: int, *corners: tuple[int, int]) -> None:
-        triangles.append([number[i % spokes, j] for i, j in corners])
-        layers.append(layer)
-
-    for i in range(spokes):
-        low, high = sorted((i, (i + 1) % spokes), key=lambda k: key((k, 1)))
-        for j in range(1, 4):
-            add(j, (low, j), (low, j + 1), (high, j + 1))
-            add(j, (low, j), (high, j), (high, j + 1))
-    for i in spine[:-1]:
-        for sign in (1, -1):
-            add(0, (sign * i, 1), (sign * (i + 1), 1), (i + 1, 0))
-            add(0, (sign * i, 1), (i, 0), (i + 1, 0))
-    for i in range(-first, first):
-        add(0, (i, 1), (i + 1, 1), (first, 0))
-    for i in range(half - first, half + first):
-        add(0, (i, 1), (i + 1, 1), (half - first, 0))
-    return np.array(columns), np.array(triangles), np.array(layers), [rank(1), rank(-1)]
-
+FLOOR = 0.12  # of the mesh size: layers thinner than this have no thickness
+ALONG = 0.10  # of the distance to the next section, where that is far: the same
+# How much of the larger thickness a mid-edge node keeps beside a layer's end: else cells invert.
+KEPT = 0.8
 
 # The tetrahedra of a prism, whose lower corners 0, 1, 2 are in the order of their ranks.
 _PRISM = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])
 
 
-def _coarsest(surfaces: Surfaces, unit: int) -> Swept:
-    columns, triangles, layers, ranks = _section(surfaces.spokes)
-    c, levels = len(columns), surfaces.stations
-    nodes = _grid(surfaces, columns, unit)
-    # Prisms, split by the ranks of their columns: both sides of a face are split alike.
-    orders = [np.take_along_axis(triangles, np.argsort(r[triangles]), axis=1) for r in ranks]
-    outer = columns[triangles][:, :, 1].max(axis=1)
-    cells, layer, slab = [], [], []
-    for k in range(levels - 1):
-        use = outer <= surfaces.outermost(k)
-        order = orders[k in surfaces.mirrored][use]
-        prism = np.hstack([order + k * c, order + (k + 1) * c])
-        cells.append(prism[:, _PRISM].reshape(-1, 4))
-        layer.append(np.repeat(layers[use], 3))
-        slab.append(np.full(3 * int(use.sum()), k))
-    # Nodes of a layer without thickness are one: that on the endosteum, the next in its column.
-    number: Ints = np.arange(len(nodes))
-    number += nodes.merged & (nodes.rho == 2 * unit)
-    if surfaces.outermost(levels - 2) == 3:
-        number = _lid(number, levels, c, surfaces.spokes)
-    tets = number[np.concatenate(cells)]
+@dataclass(frozen=True)
+class Swept:
+    """A mesh of layers.
+
+    Attributes:
+        nodes: Its nodes; those of curved cells include middle nodes.
+        cells: Tetrahedra (m, 4 or 10).
+        region: Number of the region of each cell (m,).
+        names: Regions.
+    """
+
+    surfaces: Surfaces
+    nodes: Nodes
+    cells: Ints
+    region: Ints
+    names: tuple[str, ...]
+
+    @cached_property
+    def partner(self) -> Ints:
+        """Row of the same face of another cell, as of `match_faces` (4 m,)."""
+        return match_faces(self.cells)
+
+    @property
+    def facets(self) -> tuple[Ints, Ints]:
+        """Nodes of the exterior facets (k, 3 or 6), and their cells (k,)."""
+        cell, face = np.divmod(np.flatnonzero(self.partner < 0), 4)
+        return faces_of(self.cells, cell, face), cell
+
+    def on(self, facets: Ints, rho: float | None = None, s: int | None = None) -> Bools:
+        """Facets (k, 3 or 6) wholly on a surface, or on a station (k,)."""
+        nodes, corners = self.nodes, facets[:, :3]
+        on = nodes.rho[corners] == rho if s is None else nodes.s[corners] == 2 * s
+        return np.asarray(on.all(axis=1))
+
+    def above(self, facets: Ints, s: int) -> Bools:
+        """Facets (k, 3 or 6) at a station or above (k,)."""
+        return np.asarray((self.nodes.s[facets[:, :3]] >= 2 * s).all(axis=1))
+
+    def describe(self) -> dict[str, Any]:
+        """Notes: the grid, and the deviation of the layers from the exact ones [mm]."""
+        nodes, surfaces = self.nodes, self.surfaces
+        mantle = (nodes.rho == 2) | nodes.merged
+        wrong = np.abs(nodes.error[mantle])
+        within = nodes.s[mantle] >= 2 * surfaces.mantle[0]
+        moved = np.where(nodes.merged[mantle], np.maximum(-nodes.error[mantle], 0.0), wrong)[within]
+        return {
+            "lines_around": surfaces.around,
+            "steps_along": sum(block.steps for block in surfaces.blocks),
+            "cells_through": list(surfaces.through),
+            "least_thickness_mm": FLOOR * surfaces.size,
+            "moved_nodes": float((moved > 10.0**-DIGITS).mean()),
+            "moved_max_mm": float(moved.max(initial=0.0)),
+        }
+
+
+def mesh(surfaces: Surfaces, curved: bool) -> Swept:
+    """Mesh the layers; cells are curved if asked.
+
+    Raises:
+        GeometryError: Cells overlap: the surfaces are not nested.
+    """
+    body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.blocks)
+    nodes, number = _grid(surfaces, body)
+    cells, parent = _split(surfaces, body, number)
+    made = _packed(surfaces, nodes, cells, body.region[parent], body.names)
+    _check_volume(made)
+    return _curved(made) if curved else made
+
+
+def _split(surfaces: Surfaces, body: Body, number: Ints) -> tuple[Ints, Ints]:
+    """Tetrahedra (m, 4) of distinct nodes, and their prisms (m,).
+
+    Columns rank from lateral to medial, all of one line together, outwards: sections turn about an
+    antero-posterior axis, and diagonals from lateral to medial are the short ones; where sections
+    turn back, those from medial to lateral.
+    """
+    c = len(body.at)
+    lines = surfaces.around * len(body.rho)
+    edge = np.concatenate([np.arange(lines) // len(body.rho) * len(body.rho), np.arange(lines, c)])
+    x, y = np.round(body.at[edge].T, DIGITS)
+    ranks = [np.argsort(np.lexsort((np.arange(c), y, way * x))) for way in (1, -1)]
+    back = np.isin(body.slab, surfaces.mirrored)[:, None]
+    order = np.argsort(np.where(back, ranks[1][body.columns], ranks[0][body.columns]), axis=1)
+    low = np.take_along_axis(body.columns, order, axis=1) + c * body.slab[:, None]
+    tets = number[np.hstack([low, low + c])[:, _PRISM].reshape(-1, 4)]
     ordered = np.sort(tets, axis=1)
-    keep = (ordered[:, 1:] != ordered[:, :-1]).all(axis=1)
-    made = Swept(
-        surfaces,
-        nodes,
-        cells=tets[keep],
-        layer=np.concatenate(layer)[keep],
-        slab=np.concatenate(slab)[keep],
-        partner=np.zeros(0, dtype=np.int64),
-        unit=unit,
-    )
-    return _packed(made)
+    kept = np.flatnonzero((ordered[:, 1:] != ordered[:, :-1]).all(axis=1))
+    return tets[kept], kept // 3
 
 
-def _grid(surfaces: Surfaces, columns: Ints, unit: int) -> Nodes:
-    """Nodes of all columns at all stations, station by station."""
-    c, levels = len(columns), surfaces.stations
-    merged, error, floor = _merged(surfaces)
-    i, j = np.tile(columns, (levels, 1)).T
+def _grid(surfaces: Surfaces, body: Body) -> tuple[Nodes, Ints]:
+    """Nodes of all columns at all stations, and the one that stands for each."""
+    n, r, c = surfaces.around, len(body.rho), len(body.at)
+    levels = sum(block.steps for block in surfaces.blocks) + 1
+    phi, s = np.meshgrid(np.arange(n) / n, np.arange(levels, dtype=float), indexing="ij")
+    lines = surfaces.lines(phi.ravel(), s.ravel())
+    bone = (lines.start + lines.endosteum[:, None] * (lines.end - lines.start))
+    gap = lines.gap.reshape(n, levels)
+    floor = _floor(surfaces, bone.reshape(n, levels, 3))
+    merged = gap < floor
+    # Below and above the mantle its first and its last section go on.
+    low, high = surfaces.mantle
+    merged[:, :low], merged[:, high + 1 :] = merged[:, low : low + 1], merged[:, high : high + 1]
+    used = np.where(merged, 0.0, np.maximum(gap, floor))
+    # Fewer cells across where they would be flat, and none where a layer has no thickness.
+    length, endosteum = lines.length.reshape(n, levels), lines.endosteum.reshape(n, levels)
+    widths = (endosteum * length - used, used, (1 - endosteum) * length)
+    place_of, same = np.ones((r, n, levels)), np.zeros((r, n, levels), dtype=np.int64)
+    first = 0
+    for ring, (cells, width) in enumerate(zip(surfaces.through, widths, strict=True), start=1):
+        across = grid.across(width, cells, surfaces.size)
+        for k in range(1, cells + 1):
+            place_of[first + k] = ring + np.minimum(k / across, 1.0)
+            same[first + k] = np.where(k < across, first + k, first + cells)
+        first += cells
+    endosteal = sum(surfaces.through[:2])
+    inner = (place_of >= 2) & (place_of < 3) & merged
+    same[(place_of == 2) & merged | inner] = endosteal
+
     k = np.repeat(np.arange(levels), c)
+    line = np.concatenate([np.repeat(np.arange(n), r), np.full(c - n * r, -1)])
+    i, j = np.tile(line, levels), np.tile(np.arange(c) % r, levels)
+    inside = i < 0
+    rho = np.where(inside, 0.0, place_of[j, i, k])
     nodes = Nodes(
-        phi=i * unit,
-        rho=j * unit,
-        s=k * unit,
-        merged=merged[i, k] & ((j == 2) | (j == 3)),
-        error=np.where(j == 0, 0.0, error[i, k]),
-        floor=np.where(j == 0, 0.0, floor[i, k]),
+        phi=2 * np.maximum(i, 0),
+        rho=rho,
+        s=2 * k,
+        merged=~inside & merged[i, k] & (rho >= 2) & (rho <= 3),
+        error=np.where(inside, 0.0, np.where(merged, -gap, 0.0)[i, k]),
+        floor=np.where(inside, 0.0, np.where(merged, 0.0, floor)[i, k]),
         x=np.zeros((len(i), 3)),
     )
-    nodes = place(surfaces, nodes, unit)
-    # The spine is half-way between the outlines in front of it and behind it.
+    nodes = place(surfaces, nodes)
     x = nodes.x.reshape(levels, c, 3)
-    spine = np.flatnonzero(columns[:, 1] == 0)
-    front, back = 4 * columns[spine, 0], 4 * (-columns[spine, 0] % surfaces.spokes)
-    x[:, spine] = np.round(0.5 * (x[:, front] + x[:, back]), DIGITS)
-    return surfaces.ended(nodes, unit)
+    x[:, n * r :] = np.round(body.weights @ x[:, : n * r : r], DIGITS)
+    number = np.arange(levels * c)
+    number[~inside] += same[j, i, k][~inside] - j[~inside]
+    return surfaces.ended(nodes, number, body)
 
 
-def _lid(number: Ints, levels: int, c: int, spokes: int) -> Ints:
-    """Node numbers where the last step is a lid: its rim is that of the section below it."""
-    same = np.arange(len(number)).reshape(levels, c)
-    same[-1, 2 : 4 * spokes : 4] = same[-2, 3 : 4 * spokes : 4]
-    return same.ravel()[number]
-
-
-def _merged(surfaces: Surfaces) -> tuple[Bools, Floats, Floats]:
-    """Mask where mantle and endosteum merge, by spoke and station; error and floor there [mm]."""
-    spokes, levels = surfaces.spokes, surfaces.stations
-    phi, s = np.meshgrid(np.arange(spokes) / spokes, np.arange(levels, dtype=float), indexing="ij")
-    lines = surfaces.lines(phi.ravel(), s.ravel())
-    bone = lines.start + lines.endosteum[:, None] * (lines.end - lines.start)
-    bone = bone.reshape(spokes, levels, 3)
+def _floor(surfaces: Surfaces, bone: Floats) -> Floats:
+    """Least thickness of the layer within the endosteum, by line and station [mm]."""
     apart = np.sqrt(((np.roll(bone, -1, axis=0) - bone) ** 2).sum(axis=2))
     apart = np.maximum(apart, np.roll(apart, 1, axis=0))
     floor = FLOOR * np.maximum(surfaces.size, apart)
@@ -188,20 +182,18 @@ def _merged(surfaces: Surfaces) -> tuple[Bools, Floats, Floats]:
     steps = ALONG * np.sqrt((np.diff(bone[:, low : high + 1], axis=1) ** 2).sum(axis=2))
     for at in (np.s_[:, low:high], np.s_[:, low + 1 : high + 1]):
         floor[at] = np.maximum(floor[at], steps)
-    gap = lines.gap.reshape(spokes, levels)
-    merged = gap < floor
-    # Below and above the mantle its first and its last section go on.
-    merged[:, :low], merged[:, high + 1 :] = merged[:, low : low + 1], merged[:, high : high + 1]
-    return merged, np.where(merged, -gap, 0.0), np.where(merged, 0.0, floor)
+    return floor
 
 
-def _packed(made: Swept) -> Swept:
-    used, cells = np.unique(made.cells, return_inverse=True)
-    cells = cells.reshape(made.cells.shape)
-    nodes = Nodes(**{name: values[used] for name, values in vars(made.nodes).items()})
+def _packed(
+    surfaces: Surfaces, nodes: Nodes, cells: Ints, region: Ints, names: tuple[str, ...]
+) -> Swept:
+    used, cells = np.unique(cells, return_inverse=True)
+    cells = cells.reshape(-1, 4)
+    nodes = Nodes(**{name: values[used] for name, values in vars(nodes).items()})
     flipped = cell_volumes(nodes.x, cells) < 0
     cells[flipped] = cells[flipped][:, [1, 0, 2, 3]]
-    return replace(made, nodes=nodes, cells=cells, partner=match_faces(cells))
+    return Swept(surfaces, nodes, cells, region, names)
 
 
 def _check_volume(made: Swept) -> None:
@@ -216,3 +208,50 @@ def _check_volume(made: Swept) -> None:
             f"geometry: layers cut through each other ({volume - enclosed:.3g} mm3 of"
             f" {volume:.0f} mm3 would be there twice); change what was set last"
         )
+
+
+def _curved(made: Swept) -> Swept:
+    """Give each edge a middle node on the surfaces; cells that bend too far are straightened."""
+    a, b = (made.cells[:, k].ravel() for k in np.array(EDGES).T)
+    n = len(made.nodes)
+    keys, of = distinct(np.minimum(a, b) * n + np.maximum(a, b))
+    middles = _middles(made, keys // n, keys % n)
+    nodes = Nodes(
+        **{k: np.concatenate([v, vars(middles)[k]]) for k, v in vars(made.nodes).items()}
+    )
+    cells = np.hstack([made.cells, of.reshape(-1, 6) + n])
+    return replace(made, nodes=replace(nodes, x=untangle(nodes.x, cells)), cells=cells)
+
+
+def _middles(made: Swept, a: Ints, b: Ints) -> Nodes:
+    """Nodes in the middle of edges between the nodes a and b (e,)."""
+    nodes, turn = made.nodes, 2 * made.surfaces.around
+    apart = nodes.phi[b] - nodes.phi[a]
+    apart = (apart + turn // 2) % turn - turn // 2  # the short way around
+    both = nodes.merged[a] & nodes.merged[b]
+    # A merged node is on mantle and endosteum: it takes whichever the other is nearer to.
+    ends = [
+        np.where(nodes.merged[own] & ~both, np.clip(nodes.rho[other], 2, 3), nodes.rho[own])
+        for own, other in ((a, b), (b, a))
+    ]
+    inner = (nodes.rho[a] <= 0) | (nodes.rho[b] <= 0) | (np.abs(apart) > 2)
+    shell = inner & (np.minimum(np.abs(nodes.rho[a]), np.abs(nodes.rho[b])) >= 3)
+    lines, line = lines_of(made.surfaces, nodes.phi, nodes.s)
+    thickness = np.maximum(lines.gap[line] + nodes.error, 0.0)
+    thick = np.where(nodes.rho > 0, thickness, 0.0)
+    thin, thick = np.minimum(thick[a], thick[b]), np.maximum(thick[a], thick[b])
+    # Beside their end layers must not get too thin: curved cells invert.
+    steep = np.where(2 * thin < thick, KEPT * 0.5 * (thin + thick), 0.0)
+    middle = Nodes(
+        phi=np.where(inner, 0, (nodes.phi[a] + apart // 2) % turn),
+        rho=np.where(inner, np.where(shell, -3.0, 0.0), np.where(both, 3.0, 0.5 * sum(ends))),
+        s=(nodes.s[a] + nodes.s[b]) // 2,
+        merged=both & ~inner,
+        error=np.where(inner, 0.0, 0.5 * (nodes.error[a] + nodes.error[b])),
+        floor=np.maximum(
+            np.where(inner, 0.0, 0.5 * (nodes.floor[a] + nodes.floor[b])), steep
+        ),
+        x=0.5 * (nodes.x[a] + nodes.x[b]),
+    )
+    middle.x[shell] = made.surfaces.arc(nodes.x[a[shell]], nodes.x[b[shell]])
+    return place(made.surfaces, middle)

@@ -10,6 +10,7 @@ from pydantic import model_validator
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
 from app.schema.section import fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
+from meshes import grid
 
 BONE = ("cortical_bone", "cancellous_bone")
 # Centre of each muscle's insertion on the bone (mm); as in `meshes.femur_bone`.
@@ -21,8 +22,6 @@ MUSCLES: dict[str, Point3] = {
     "vastus_lateralis": (-15.067, 4.018, -25.0),
 }
 
-# Meshes of this size and below are refinements of a coarser mesh (mm); as in `meshes.swept`.
-COARSEST = 5.0
 # Fraction of the lines along which the mantle fills the canal, beside and below the stem, by the
 # thickness of the mantle less the widening of the canal (mm).
 FILLED = (0.0, 0.13, 0.45, 0.72, 0.78, 0.83, 0.87, 0.92)
@@ -182,53 +181,41 @@ class _Femur(Shape):
         """Always: of the bone around the stem, or where it will be."""
         return True
 
-    def _spokes(self, size: float) -> int:
-        """Number of lines around the stem."""
-        # Half-way through the mantle, half-way between the tip and the neck cut.
+    @property
+    def _cut(self) -> float:
+        """Approximate height at which the neck cut meets the shaft's axis (mm)."""
+        return self.resection_height + 24.747 * math.tan(self.resection_angle)
+
+    def _grid(self, mesh: MeshOptions) -> tuple[float, float, float]:
+        """Tetrahedra below the neck cut, and in one step of the core and of all layers above it.
+
+        Three for each triangle of the section. Where the mantle fills the canal, along a part of
+        the circumference fitted to counted meshes, there is no cancellous bone.
+        """
+        # The perimeter half-way through the mantle, half-way between the tip and the neck cut.
         middle = 0.5 * (self._cut - self.stem_tip_z)
         part = middle / (self.stem_section_z - self.stem_tip_z)
         half, depth, corner = (
             (1.0 - part) * getattr(self, f"stem_tip_{name}") + part * getattr(self, f"stem_{name}")
             for name in ("half_width", "half_depth", "corner_radius")
         )
-        around = 4.0 * (half + depth - 2.0 * corner)
-        around += 2.0 * math.pi * (corner + 0.5 * self.cement_thickness)
-        least = 8 if size <= 2.0 * COARSEST else 4
-        return max(least, 4 * round(around / (4.0 * size)))
-
-    @property
-    def _cut(self) -> float:
-        """Approximate height at which the neck cut meets the shaft's axis (mm)."""
-        return self.resection_height + 24.747 * math.tan(self.resection_angle)
-
-    def _core_cells(self, size: float) -> int:
-        """Tetrahedra of the innermost layer in one step along the shaft."""
-        half = self._spokes(size) // 2
-        return 3 * (4 * half - 4 * math.ceil(half / 3))
-
-    def _shaft_cells(self, mesh: MeshOptions) -> tuple[float, float]:
-        """Size of the coarsest mesh (mm), and its cells below the neck cut.
-
-        Three layers around the core of six tetrahedra a spoke; two where the mantle fills the
-        canal, a part of the circumference fitted to counted meshes.
-        """
-        size = _coarsest(mesh.size)
+        perimeter = 4.0 * (half + depth - 2.0 * corner)
+        perimeter += 2.0 * math.pi * (corner + 0.5 * self.cement_thickness)
+        around = grid.lines_around(perimeter, mesh)
+        cement, cancellous, cortical = grid.cells_through(self.cement_thickness, mesh)
+        core = 3.0 * max(around - 2.0, 0.13 * around**2 + 0.8 * around - 4.0)
         plug = self.stem_tip_z - self.plug_length
-        stem = _steps(self._cut - self.stem_tip_z, size) + _steps(self.plug_length, size)
-        # Steps below the plug grow: s = size + d / 4, up to a longest one.
-        length, longest = plug - self.distal_cut_z, min(mesh.far * size / mesh.size, 2.5 * size)
-        below, at, step = 0, 0.0, size
-        while at < length and step < longest:
-            step = min(size + 0.25 * at, longest)
-            at += step
-            below += 1
-        below += max(0, round((length - at) / longest))
+        stem = grid.steps(self._cut - self.stem_tip_z, mesh.size)
+        stem += grid.steps(self.plug_length, mesh.size)
+        below = len(grid.graded(plug - self.distal_cut_z, mesh)) - 1
         filled = self.cement_thickness - self.canal_widening
-        spokes = self._spokes(size)
-        along = _between(filled, FILLED)
-        under = _between(filled, FILLED_BELOW)
-        layers = stem * (18.0 - 6.0 * along) + below * (18.0 - 6.0 * under)
-        return size, (stem + below) * self._core_cells(size) + spokes * layers
+        open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
+        beside = grid.across(min(self.cement_thickness, 3.0), cement, mesh.size)
+        under = grid.across(2.0, cement, mesh.size)
+        layers = stem * (beside + cortical + cancellous * open_)
+        layers += below * (under + cortical + cancellous * free)
+        whole = 6.0 * around * (cement + cancellous + cortical)
+        return (stem + below) * core + 6.0 * around * layers, core, core + whole
 
     @property
     def coarsest_size(self) -> float:
@@ -281,10 +268,10 @@ class Femur(_Femur):
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, to 10 %."""
-        size, cells = self._shaft_cells(mesh)
+        cells, core, _ = self._grid(mesh)
         length = self.head_offset / math.sin(self.neck_angle)
-        above = _steps(0.4 * length, size) + _steps(0.6 * length, size)
-        return round((cells + above * self._core_cells(size)) * _refined(mesh.size))
+        above = grid.steps(0.4 * length, mesh.size) + grid.steps(0.6 * length, mesh.size)
+        return round(cells + above * core)
 
 
 class IntactFemur(_Femur):
@@ -328,27 +315,7 @@ class IntactFemur(_Femur):
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, to 10 %."""
-        size, cells = self._shaft_cells(mesh)
+        cells, _, whole = self._grid(mesh)
         length = self.head_offset / math.sin(self.neck_angle)
-        # Neck, five steps of the head, and its lid without the outermost layer.
-        above = _steps(length - 1.07 * self.head_radius, size) + 5
-        layers = self._core_cells(size) + self._spokes(size) * 18
-        lid = layers - self._spokes(size) * 6
-        return round((cells + above * layers + lid) * _refined(mesh.size))
-
-
-def _steps(length: float, size: float) -> int:
-    """Number of steps of about `size` in a length."""
-    return max(1, round(length / size))
-
-
-def _coarsest(size: float) -> float:
-    """Size of the coarsest mesh that is refined to a size (mm)."""
-    while size <= COARSEST:
-        size *= 2.0
-    return size
-
-
-def _refined(size: float) -> float:
-    """Cells of a mesh per cell of the coarsest mesh."""
-    return (_coarsest(size) / size) ** 3
+        neck = grid.steps(length - 1.07 * self.head_radius, mesh.size)
+        return round(cells + whole * (neck + max(5, 1.4 * self.head_radius / mesh.size)))

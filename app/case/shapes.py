@@ -94,10 +94,27 @@ class MeshOptions(Section):
     """Whether the cells are curved (second order) to follow the geometry; by default where it is
     curved and `order` is 2."""
 
+    around: Annotated[int, Plain(integer=True, at_least=4, at_most=1000)] | None = None
+    """Lines around the stem of a femur, 4 to 1000; by default its perimeter over `size`, and at least
+    8 up to a size of 10 mm."""
+    through_cement: Annotated[int, Plain(integer=True, at_least=1, at_most=100)] | None = None
+    """Cells through the cement of a femur, 1 to 100; by default its thickness over `size`, and at
+    least 2 at first order."""
+
     @property
     def far(self) -> float:
         """Edge length far from the interfaces (mm)."""
         return 4.0 * self.size if self.far_size is None else self.far_size
+
+    def coarser(self, factor: float) -> MeshOptions:
+        """The same mesh with cells that are larger by a factor, in all directions."""
+        counts = {
+            name: max(least, round(count / factor))
+            for name, least in (("around", 4), ("through_cement", 1))
+            if (count := getattr(self, name)) is not None
+        }
+        sizes = {"size": factor * self.size, "far_size": factor * self.far}
+        return self.model_copy(update=sizes | counts)
 
     @model_validator(mode="after")
     def _ordered(self) -> MeshOptions:

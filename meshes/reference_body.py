@@ -1,0 +1,169 @@
+"""The reference body of a hip, by gmsh: a straight stack of rings about a core.
+
+The cross-section is a polygon, the *core*, in rings between larger ones of the same shape; gmsh
+triangulates the core, divides the rings and extrudes all of it in layers. A block of layers may
+end at an inner ring: the stem goes on alone above the neck cut. Each volume is in the physical
+group of its region. `layers` makes an anatomy of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from app.arrays import Floats, Ints
+from meshes.gmsh_child import session
+
+# Part of y that x is sheared by: mirrored cells would be cut by either diagonal equally well, and
+# rounding would decide.
+SHEAR = 0.03
+PRISM = 6  # gmsh's number of the type
+
+
+@dataclass(frozen=True)
+class Block:
+    """Layers with the same regions.
+
+    Attributes:
+        steps: Number of layers.
+        regions: Region of the core and of each ring outwards; fewer where outer rings end.
+    """
+
+    steps: int
+    regions: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Body:
+    """Prisms on a grid of columns and stations.
+
+    Columns are those of the first line from the core's edge outwards, of the second, ..., then
+    those inside the core.
+
+    Attributes:
+        rho: Place of the columns of a line, 1 at the edge of the core, then one more a ring (r,).
+        weights: Columns inside the core as means of those at its edge (q, around).
+        at: Section of the columns, before shearing (c, 2).
+        columns: Columns of the prisms (p, 3).
+        slab: Their layer (p,).
+        region: Number of their region in `names` (p,).
+        names: Regions.
+    """
+
+    rho: Floats
+    weights: Floats
+    at: Floats
+    columns: Ints
+    slab: Ints
+    region: Ints
+    names: tuple[str, ...]
+
+
+def make(outline: Floats, through: Sequence[int], blocks: Sequence[Block]) -> Body:
+    """Mesh the body.
+
+    Args:
+        outline: The core's corners, one a line, around 0 (around, 2) [mm].
+        through: Cells through each ring, from the core outwards.
+        blocks: Blocks from the bottom up; the first has all rings.
+    """
+    corners = outline + np.outer(outline[:, 1], [SHEAR, 0.0])
+    names = tuple(dict.fromkeys(name for block in blocks for name in block.regions))
+    with session("reference body") as gmsh:
+        _extruded(gmsh, corners, through, blocks, names)
+        gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 1)
+        gmsh.model.mesh.generate(3)
+        tags, nodes, _ = gmsh.model.mesh.getNodes()
+        prisms = [
+            np.concatenate(
+                [
+                    gmsh.model.mesh.getElementsByType(PRISM, volume)[1]
+                    for volume in gmsh.model.getEntitiesForPhysicalGroup(3, group)
+                ]
+            )
+            for group in range(1, len(names) + 1)
+        ]
+    x = nodes.reshape(-1, 3)
+    rho = np.concatenate(
+        [[1.0], *(1.0 + ring + np.arange(1, k + 1) / k for ring, k in enumerate(through))]
+    )
+    lines = (rho[None, :, None] * corners[:, None]).reshape(-1, 2)
+    low = x[np.round(x[:, 2]) == 0, :2]
+    inside = low[cKDTree(lines).query(low)[0] > 1e-6 * np.abs(corners).max()]
+    inside = inside[np.lexsort(np.round(inside, 6).T)]
+    at = np.concatenate([lines, inside])
+    column = cKDTree(at).query(x[:, :2])[1]
+    row = np.zeros(int(tags.max()) + 1, dtype=np.int64)
+    row[tags.astype(np.int64)] = np.arange(len(tags))
+    prism = row[np.concatenate(prisms).astype(np.int64)].reshape(-1, 6)
+    return Body(
+        rho=rho,
+        weights=_mean_values(inside, corners),
+        at=at - np.outer(at[:, 1], [SHEAR, 0.0]),
+        columns=column[prism[:, :3]],
+        slab=np.round(x[prism[:, 0], 2]).astype(np.int64),
+        region=np.repeat(np.arange(len(names)), [len(p) // 6 for p in prisms]),
+        names=names,
+    )
+
+
+def _extruded(
+    gmsh: object, corners: Floats, through: Sequence[int], blocks: Sequence[Block], names: Sequence[str]
+) -> None:
+    """Draw the section, extrude it block by block, and group the volumes by region."""
+    geo = gmsh.model.geo
+    n = len(corners)
+    rings = [
+        [geo.addPoint(*map(float, (ring * corner)), 0.0) for corner in corners]
+        for ring in range(1, len(through) + 2)
+    ]
+    edges = [[geo.addLine(ring[i], ring[(i + 1) % n]) for i in range(n)] for ring in rings]
+    faces = [[geo.addPlaneSurface([geo.addCurveLoop(edges[0])])]]
+    for edge in np.ravel(edges):
+        geo.mesh.setTransfiniteCurve(edge, 2)
+    for k, cells in enumerate(through):
+        ends = [0, n // 2]
+        rays = [geo.addLine(rings[k][i], rings[k + 1][i]) for i in ends]
+        for ray in rays:
+            geo.mesh.setTransfiniteCurve(ray, cells + 1)
+        faces.append([])
+        for side, part in enumerate((slice(0, n // 2), slice(n // 2, n))):
+            outer = [-edge for edge in edges[k + 1][part][::-1]]
+            loop = [*edges[k][part], rays[1 - side], *outer, -rays[side]]
+            faces[-1].append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
+            one, other = ends[side], ends[1 - side]
+            four = [rings[k][one], rings[k][other], rings[k + 1][other], rings[k + 1][one]]
+            geo.mesh.setTransfiniteSurface(faces[-1][-1], cornerTags=four)
+    volumes: dict[str, list[int]] = {name: [] for name in names}
+    for block in blocks:
+        faces = faces[: len(block.regions)]
+        flat = [(2, face) for layer in faces for face in layer]
+        made = geo.extrude(
+            flat, 0, 0, block.steps, numElements=[block.steps], recombine=True
+        )
+        at = [k for k, (dim, _) in enumerate(made) if dim == 3]
+        tops, bodies = iter([made[k - 1][1] for k in at]), iter([made[k][1] for k in at])
+        for name, layer in zip(block.regions, faces, strict=True):
+            volumes[name] += [next(bodies) for _ in layer]
+        faces = [[next(tops) for _ in layer] for layer in faces]
+    geo.synchronize()
+    for tag, (name, own) in enumerate(volumes.items(), start=1):
+        gmsh.model.addPhysicalGroup(3, own, tag, name)
+
+
+def _mean_values(points: Floats, polygon: Floats) -> Floats:
+    """Mean value coordinates of points (q, 2) inside a polygon (n, 2); shape (q, n).
+
+    Floater, Computer Aided Geometric Design 20 (2003).
+    """
+    away = polygon[None] - points[:, None]
+    after = np.roll(away, -1, axis=1)
+    far = np.sqrt((away**2).sum(axis=2))
+    cross = away[..., 0] * after[..., 1] - away[..., 1] * after[..., 0]
+    dot = (away * after).sum(axis=2)
+    half = (far * np.roll(far, -1, axis=1) - dot) / cross  # tan of half the angle
+    weights = (half + np.roll(half, 1, axis=1)) / far
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
