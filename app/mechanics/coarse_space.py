@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from mpi4py import MPI
-from petsc4py import PETSc
-
 import numpy as np
 from dolfinx import fem, la
+from scipy.sparse import csr_array, diags_array, hstack, kron
 
 from app.arrays import Bools, Floats, Ints
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
 from app.numerics.deflation import CoarseSpace
 from app.numerics.rigid_motions import rigid_modes
-from app.numerics.sparse import from_triplets, matrix_sum
+from app.numerics.sparse import from_rows, matrix_sum
 from app.scene.bodies import cell_tags
 
 # A direction is free if a law resists less than this part of it.
@@ -24,9 +22,6 @@ BOXES = 1.5
 SMALL = {1: 5.0, 2: 2.5}
 # Halvings of their edge.
 SMALLER = 0.95
-# The free directions of a point have changed if its projector differs by this; a part of the points
-# may change before they are updated.
-DIFFERENT, STALE = 0.5, 0.03
 
 
 def free_directions(slope: Floats) -> Floats:
@@ -72,79 +67,23 @@ class Boxes:
         return np.ravel_multi_index(tuple(np.moveaxis(corners, 2, 0)), self._count + 1), values
 
 
-class _Entries:
-    """Entries of a matrix (components of nodes or points x motions), collected in triplets."""
-
-    def __init__(self, comm: MPI.Comm, rows: int) -> None:
-        self._comm, self._rows = comm, rows
-        self._found: list[tuple[Ints, Ints, Floats]] = []
-        self.dense(np.zeros((0, 0)), 0)
-
-    def hats(self, at: tuple[Ints, Floats], place: Ints, used: Bools, factor: Floats) -> None:
-        """Each used function along each axis, from column ``place`` on, times a factor (n, 3)."""
-        functions, values = at
-        values = np.where(used[functions], values, 0.0)
-        shape = (*functions.shape, 3)
-        axes = np.arange(3)
-        rows = np.broadcast_to((3 * np.arange(len(values)))[:, None, None] + axes, shape)
-        columns = place[functions][:, :, None] + axes
-        entries = values[:, :, None] * factor[:, None, :]
-        keep = entries != 0
-        self._found.append((rows[keep], columns[keep], entries[keep]))
-
-    def dense(self, values: Floats, first: int) -> None:
-        """Columns of values (rows, m) from a column on."""
-        rows, columns = np.nonzero(values)
-        self._found.append((rows, first + columns, values[rows, columns]))
-
-    def votes(self, columns: int) -> Ints:
-        """Number of this rank's entries in each column."""
-        return np.bincount(np.concatenate([j for _, j, _ in self._found]), minlength=columns)
-
-    def matrix(self, owner: Ints) -> PETSc.Mat:
-        """The matrix, its columns ordered by owning rank; collective."""
-        number = np.empty_like(owner)
-        number[np.argsort(owner, kind="stable")] = np.arange(len(owner))
-        i, j, v = (np.concatenate(parts) for parts in zip(*self._found, strict=True))
-        columns = int((owner == self._comm.rank).sum())
-        return from_triplets(self._comm, self._rows, columns, i, number[j], v)
+def _hats(at: tuple[Ints, Floats], used: Bools, factor: Floats) -> csr_array:
+    """Used functions along each axis at n points, times a factor (n, 3): (3 n, motions)."""
+    functions, values = at
+    start = functions.shape[1] * np.arange(len(functions) + 1)
+    one = csr_array((values.ravel(), functions.ravel(), start), (len(functions), len(used)))
+    return diags_array(factor.ravel()) @ kron(one[:, np.flatnonzero(used)], np.eye(3), "csr")
 
 
-class SlidingMotions(CoarseSpace):
-    """Coarse space: smooth sliding motions of one body past the others, of displacement and jumps.
+def sliding_motions(problem: Problem) -> CoarseSpace:
+    """Smooth sliding motions of one body past the others, of displacement and jumps; collective.
 
     A deformable body has those of hat functions on boxes about the interfaces: large boxes with all
     they contain, and small ones along the interfaces of all bodies but the stiffest (where all move
     together nothing slides). A rigid one has six.
     """
-
-    def __init__(self, problem: Problem) -> None:
-        contact = problem.contact
-        assert contact is not None
-        self._comm, self._allowing = problem.comm, np.eye(3) - contact.own.projector
-        self._known: Floats = np.zeros_like(contact.own.projector)
-        super().__init__(*_motions(problem, contact))
-
-    def update(self, slope: Floats) -> None:
-        """Update the free directions if contact states changed much; collective.
-
-        Args:
-            slope: Generalized derivative P' of the law at own points (n, 3, 3).
-        """
-        free = self._allowing @ free_directions(slope) @ self._allowing
-        changed = (np.abs(free - self._known).max(axis=(1, 2)) > DIFFERENT).sum()
-        changed, points = self._comm.allreduce(np.array([changed, len(free)]))
-        if changed > STALE * points or (changed and not self.version):
-            self.set_free_directions(free)
-
-    def set_free_directions(self, free: Floats) -> None:
-        """As `CoarseSpace.set_free_directions`."""
-        self._known = free
-        super().set_free_directions(free)
-
-
-def _motions(problem: Problem, contact: ContactInterfaces) -> tuple[PETSc.Mat, PETSc.Mat]:
-    """Rows of the displacement and of the jumps in each motion; collective."""
+    contact = problem.contact
+    assert contact is not None
     comm, space, constraints = problem.comm, problem.space, problem.stiffness.constraints
     nodes = space.dofmap.index_map.size_local
     x, y = space.tabulate_dof_coordinates()[:nodes], contact.own.x
@@ -154,32 +93,40 @@ def _motions(problem: Problem, contact: ContactInterfaces) -> tuple[PETSc.Mat, P
     grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
     frame = _frame(contact.points.x)
     rigid = {r.region for r in problem.scene.rigid}
-    nodal, jumps = _Entries(comm, 3 * nodes), _Entries(comm, 3 * len(y))
-    others = _Entries(comm, len(constraints.constrained))
-    first, stiffest = 0, _stiffest(problem)
+    # Rows of nodal components, of the unknowns of rigid regions, of jumps; columns by body.
+    blocks: list[tuple[csr_array, csr_array, csr_array]] = []
+    unknowns, stiffest = len(constraints.constrained), _stiffest(problem)
     for body, name in enumerate(problem.bodies.names):
         own = _components(problem, contact, body)
         master, slave = (contact.own.bodies == body).T
         sign = slave.astype(float) - master
         if rigid.issuperset(name.split(" + ")):
-            moves = _unknowns(problem, own)[:, None]
-            others.dense(moves * (constraints.modes.T @ frame), first)
-            jumps.dense((sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6), first)
-            first += 6
+            moves = _unknowns(problem, own)[:, None] * (constraints.modes.T @ frame)
+            jumps = (sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6)
+            blocks.append((csr_array((3 * nodes, 6)), csr_array(moves), csr_array(jumps)))
             continue
         for boxes, at_nodes, at_points in grids[: 1 if body == stiffest else None]:
             inside = at_nodes[0][own.any(axis=1)] if boxes is large else at_points[0][sign != 0]
             used = comm.allreduce(np.bincount(inside.ravel(), minlength=boxes.size)) > 0
-            place = first + 3 * (np.cumsum(used) - 1)
-            nodal.hats(at_nodes, place, used, own.astype(float))
-            jumps.hats(at_points, place, used, np.repeat(sign[:, None], 3, axis=1))
-            first += 3 * int(used.sum())
+            nodal = _hats(at_nodes, used, own.astype(float))
+            slide = _hats(at_points, used, np.repeat(sign[:, None], 3, axis=1))
+            blocks.append((nodal, csr_array((unknowns, nodal.shape[1])), slide))
+    rows = [hstack(parts, "csr") for parts in zip(*blocks, strict=True)]
+    for part in rows:
+        part.eliminate_zeros()
     # A motion belongs to the rank that has most of it.
-    votes = sum(entries.votes(first) for entries in (nodal, others, jumps))
+    votes = sum(np.bincount(part.indices, minlength=part.shape[1]) for part in rows)
     owner = np.argmax(comm.allgather(votes), axis=0)
-    displacement = matrix_sum([constraints.rows(nodal.matrix(owner)), others.matrix(owner)])
-    displacement.zeroRows(problem.stiffness.rows.rows, diag=0.0)
-    return displacement, jumps.matrix(owner)
+    order, columns = np.argsort(owner, kind="stable"), int((owner == comm.rank).sum())
+    matrices = []
+    for part in (part[:, order] for part in rows):
+        part.sort_indices()
+        size = part.shape[0], columns
+        matrices.append(from_rows(comm, size, part.indptr, part.indices, part.data))
+    nodal, others, jumps = matrices
+    displacement = matrix_sum([constraints.rows(nodal), others])
+    displacement.zeroRows(problem.stiffness.rows, diag=0.0)
+    return CoarseSpace(displacement, jumps)
 
 
 def _stiffest(problem: Problem) -> int:
