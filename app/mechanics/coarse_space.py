@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import fem, la
-from scipy.sparse import csr_array, diags_array, hstack, kron
 
 from app.arrays import Bools, Floats, Ints
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
 from app.numerics.deflation import CoarseSpace
 from app.numerics.rigid_motions import rigid_modes
-from app.numerics.sparse import from_rows, matrix_sum
+from app.numerics.sparse import from_triplets, matrix_sum
 from app.scene.bodies import cell_tags
 
 # A direction is free if a law resists less than this part of it.
@@ -67,12 +66,26 @@ class Boxes:
         return np.ravel_multi_index(tuple(np.moveaxis(corners, 2, 0)), self._count + 1), values
 
 
-def _hats(at: tuple[Ints, Floats], used: Bools, factor: Floats) -> csr_array:
-    """Used functions along each axis at n points, times a factor (n, 3): (3 n, motions)."""
+# Rows, columns and values of entries of a matrix.
+Triplets = tuple[Ints, Ints, Floats]
+
+
+def _hats(at: tuple[Ints, Floats], place: Ints, used: Bools, factor: Floats) -> Triplets:
+    """Used functions along each axis at n points, times a factor (n, 3), from a column each."""
     functions, values = at
-    start = functions.shape[1] * np.arange(len(functions) + 1)
-    one = csr_array((values.ravel(), functions.ravel(), start), (len(functions), len(used)))
-    return diags_array(factor.ravel()) @ kron(one[:, np.flatnonzero(used)], np.eye(3), "csr")
+    values = np.where(used[functions], values, 0.0)
+    shape, axes = (*functions.shape, 3), np.arange(3)
+    rows = np.broadcast_to((3 * np.arange(len(values)))[:, None, None] + axes, shape)
+    columns = place[functions][:, :, None] + axes
+    entries = values[:, :, None] * factor[:, None, :]
+    keep = entries != 0
+    return rows[keep], columns[keep], entries[keep]
+
+
+def _dense(values: Floats, first: int) -> Triplets:
+    """All entries of columns (rows, m), from a column on."""
+    rows, columns = np.nonzero(values)
+    return rows, first + columns, values[rows, columns]
 
 
 def sliding_motions(problem: Problem) -> CoarseSpace:
@@ -91,42 +104,41 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
     edge = SMALL[problem.scene.order] * float(np.mean(contact.edge_lengths))
     small = Boxes(contact.points.x, edge)
     grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
-    frame = _frame(contact.points.x)
+    frame, modes = _frame(contact.points.x), constraints.modes
     rigid = {r.region for r in problem.scene.rigid}
-    # Rows of nodal components, of the unknowns of rigid regions, of jumps; columns by body.
-    blocks: list[tuple[csr_array, csr_array, csr_array]] = []
-    unknowns, stiffest = len(constraints.constrained), _stiffest(problem)
+    # Rows of nodal components, of own unknowns and of jumps.
+    found: list[list[Triplets]] = [[_dense(np.zeros((0, 0)), 0)] for _ in range(3)]
+    nodal, others, jumps = found
+    first, stiffest = 0, _stiffest(problem)
     for body, name in enumerate(problem.bodies.names):
         own = _components(problem, contact, body)
         master, slave = (contact.own.bodies == body).T
         sign = slave.astype(float) - master
         if rigid.issuperset(name.split(" + ")):
-            moves = _unknowns(problem, own)[:, None] * (constraints.modes.T @ frame)
-            jumps = (sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6)
-            blocks.append((csr_array((3 * nodes, 6)), csr_array(moves), csr_array(jumps)))
+            others.append(_dense(_unknowns(problem, own)[:, None] * (modes.T @ frame), first))
+            slides = (sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6)
+            jumps.append(_dense(slides, first))
+            first += 6
             continue
         for boxes, at_nodes, at_points in grids[: 1 if body == stiffest else None]:
             inside = at_nodes[0][own.any(axis=1)] if boxes is large else at_points[0][sign != 0]
             used = comm.allreduce(np.bincount(inside.ravel(), minlength=boxes.size)) > 0
-            nodal = _hats(at_nodes, used, own.astype(float))
-            slide = _hats(at_points, used, np.repeat(sign[:, None], 3, axis=1))
-            blocks.append((nodal, csr_array((unknowns, nodal.shape[1])), slide))
-    rows = [hstack(parts, "csr") for parts in zip(*blocks, strict=True)]
-    for part in rows:
-        part.eliminate_zeros()
-    # A motion belongs to the rank that has most of it.
-    votes = sum(np.bincount(part.indices, minlength=part.shape[1]) for part in rows)
+            place = first + 3 * (np.cumsum(used) - 1)
+            nodal.append(_hats(at_nodes, place, used, own.astype(float)))
+            jumps.append(_hats(at_points, place, used, np.repeat(sign[:, None], 3, axis=1)))
+            first += 3 * int(used.sum())
+    entries = [tuple(map(np.concatenate, zip(*parts, strict=True))) for parts in found]
+    # A motion belongs to the rank that has most of it; columns are in the order of the ranks.
+    votes = sum(np.bincount(j, minlength=first) for _, j, _ in entries)
     owner = np.argmax(comm.allgather(votes), axis=0)
-    order, columns = np.argsort(owner, kind="stable"), int((owner == comm.rank).sum())
-    matrices = []
-    for part in (part[:, order] for part in rows):
-        part.sort_indices()
-        size = part.shape[0], columns
-        matrices.append(from_rows(comm, size, part.indptr, part.indices, part.data))
-    nodal, others, jumps = matrices
-    displacement = matrix_sum([constraints.rows(nodal), others])
+    number, columns = np.argsort(np.argsort(owner, kind="stable")), int((owner == comm.rank).sum())
+    of_nodes, of_others, of_jumps = (
+        from_triplets(comm, rows, columns, i, number[j], v)
+        for rows, (i, j, v) in zip((3 * nodes, modes.shape[1], 3 * len(y)), entries, strict=True)
+    )
+    displacement = matrix_sum([constraints.rows(of_nodes), of_others])
     displacement.zeroRows(problem.stiffness.rows, diag=0.0)
-    return CoarseSpace(displacement, jumps)
+    return CoarseSpace(displacement, of_jumps)
 
 
 def _stiffest(problem: Problem) -> int:
