@@ -130,7 +130,9 @@ class Intact(FemurSurfaces):
         rho[head] = np.where(shell, -3.0, 0.0)
         # The rim of the lid is that of the shell.
         grid, across = number.reshape(-1, c), np.arange(rings).reshape(self.around, -1)
-        grid[self.ball + 1 :, across[:, -1 - self.through[2]]] = grid[self.ball, across[:, -self.through[2] :]].T
+        grid[self.ball + 1 :, across[:, -1 - self.through[2]]] = grid[
+            self.ball, across[:, -self.through[2] :]
+        ].T
         return replace(nodes, x=x, rho=rho, merged=nodes.merged & ~head), number[number]
 
     def _bulged(self, flat: Floats, k: Ints, steps: int) -> Floats:

@@ -131,12 +131,10 @@ class FemurSurfaces:
         base = self._top if self._out is None else self._out
         blend = float(np.linalg.norm(self._neck.ring - np.array([0.0, 0.0, base])))
         cone = float(np.linalg.norm(self._neck.head - self._neck.ring))
-        self._above = np.cumsum(
-            [0, out, grid.steps(blend, self.size), grid.steps(cone, self.size)]
-        )
+        self._above = np.cumsum([0, out, grid.steps(blend, self.size), grid.steps(cone, self.size)])
         bone = ("cancellous_bone", "cortical_bone")
         self.top = self.cut + int(self._above[-1])
-        self.blocks = (
+        self.blocks: tuple[Block, ...] = (
             Block(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
             Block(self.tip - self.mantle[0], ("cement", "cement", *bone)),
             Block(self.cut - self.tip, ("stem", "cement", *bone)),

@@ -72,11 +72,14 @@ class Surfaces(Protocol):
     size: float
     mirrored: range
 
+    def outline(self) -> Floats:
+        """Section of the innermost surface in the reference body (around, 2)."""
+
     def lines(self, phi: Floats, s: Floats) -> Lines:
         """The lines at angles `phi`, in turns, and stations `s`, both of shape (n,)."""
 
     def ended(self, nodes: Nodes, number: Ints, body: Body) -> tuple[Nodes, Ints]:
-        """Nodes of the grid, those of a ball at its end off their lines, and what stands for each."""
+        """Nodes with those of a ball at the end, and the node that stands for each."""
 
     def arc(self, a: Floats, b: Floats) -> Floats:
         """Middles of edges from a to b (n, 3) in the shell of the ball (n, 3)."""

@@ -11,7 +11,9 @@ import numpy as np
 from app import figures
 from app.arrays import Bools, Floats, Ints
 from meshes.data import EDGES, MeshData, interface_facets
-AROUND = {(4, 8): (6, 7, 9, 5)}; CORNERS = ((0, 4, 6, 7), (4, 1, 5, 9), (6, 5, 2, 8), (7, 9, 8, 3))
+
+AROUND = {(4, 8): (6, 7, 9, 5)}
+CORNERS = ((0, 4, 6, 7), (4, 1, 5, 9), (6, 5, 2, 8), (7, 9, 8, 3))
 
 COLOURS = {
     "stem": "#7f8fa6",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -111,7 +112,11 @@ def make(outline: Floats, through: Sequence[int], blocks: Sequence[Block]) -> Bo
 
 
 def _extruded(
-    gmsh: object, corners: Floats, through: Sequence[int], blocks: Sequence[Block], names: Sequence[str]
+    gmsh: Any,
+    corners: Floats,
+    through: Sequence[int],
+    blocks: Sequence[Block],
+    names: Sequence[str],
 ) -> None:
     """Draw the section, extrude it block by block, and group the volumes by region."""
     geo = gmsh.model.geo
@@ -141,9 +146,7 @@ def _extruded(
     for block in blocks:
         faces = faces[: len(block.regions)]
         flat = [(2, face) for layer in faces for face in layer]
-        made = geo.extrude(
-            flat, 0, 0, block.steps, numElements=[block.steps], recombine=True
-        )
+        made = geo.extrude(flat, 0, 0, block.steps, numElements=[block.steps], recombine=True)
         at = [k for k, (dim, _) in enumerate(made) if dim == 3]
         tops, bodies = iter([made[k - 1][1] for k in at]), iter([made[k][1] for k in at])
         for name, layer in zip(block.regions, faces, strict=True):

@@ -127,7 +127,7 @@ def _grid(surfaces: Surfaces, body: Body) -> tuple[Nodes, Ints]:
     levels = sum(block.steps for block in surfaces.blocks) + 1
     phi, s = np.meshgrid(np.arange(n) / n, np.arange(levels, dtype=float), indexing="ij")
     lines = surfaces.lines(phi.ravel(), s.ravel())
-    bone = (lines.start + lines.endosteum[:, None] * (lines.end - lines.start))
+    bone = lines.start + lines.endosteum[:, None] * (lines.end - lines.start)
     gap = lines.gap.reshape(n, levels)
     floor = _floor(surfaces, bone.reshape(n, levels, 3))
     merged = gap < floor
@@ -150,25 +150,25 @@ def _grid(surfaces: Surfaces, body: Body) -> tuple[Nodes, Ints]:
     inner = (place_of >= 2) & (place_of < 3) & merged
     same[(place_of == 2) & merged | inner] = endosteal
 
-    k = np.repeat(np.arange(levels), c)
+    station = np.repeat(np.arange(levels), c)
     line = np.concatenate([np.repeat(np.arange(n), r), np.full(c - n * r, -1)])
     i, j = np.tile(line, levels), np.tile(np.arange(c) % r, levels)
     inside = i < 0
-    rho = np.where(inside, 0.0, place_of[j, i, k])
+    rho = np.where(inside, 0.0, place_of[j, i, station])
     nodes = Nodes(
         phi=2 * np.maximum(i, 0),
         rho=rho,
-        s=2 * k,
-        merged=~inside & merged[i, k] & (rho >= 2) & (rho <= 3),
-        error=np.where(inside, 0.0, np.where(merged, -gap, 0.0)[i, k]),
-        floor=np.where(inside, 0.0, np.where(merged, 0.0, floor)[i, k]),
+        s=2 * station,
+        merged=~inside & merged[i, station] & (rho >= 2) & (rho <= 3),
+        error=np.where(inside, 0.0, np.where(merged, -gap, 0.0)[i, station]),
+        floor=np.where(inside, 0.0, np.where(merged, 0.0, floor)[i, station]),
         x=np.zeros((len(i), 3)),
     )
     nodes = place(surfaces, nodes)
     x = nodes.x.reshape(levels, c, 3)
     x[:, n * r :] = np.round(body.weights @ x[:, : n * r : r], DIGITS)
     number = np.arange(levels * c)
-    number[~inside] += same[j, i, k][~inside] - j[~inside]
+    number[~inside] += same[j, i, station][~inside] - j[~inside]
     return surfaces.ended(nodes, number, body)
 
 
@@ -216,9 +216,7 @@ def _curved(made: Swept) -> Swept:
     n = len(made.nodes)
     keys, of = distinct(np.minimum(a, b) * n + np.maximum(a, b))
     middles = _middles(made, keys // n, keys % n)
-    nodes = Nodes(
-        **{k: np.concatenate([v, vars(middles)[k]]) for k, v in vars(made.nodes).items()}
-    )
+    nodes = Nodes(**{k: np.concatenate([v, vars(middles)[k]]) for k, v in vars(made.nodes).items()})
     cells = np.hstack([made.cells, of.reshape(-1, 6) + n])
     return replace(made, nodes=replace(nodes, x=untangle(nodes.x, cells)), cells=cells)
 
@@ -248,9 +246,7 @@ def _middles(made: Swept, a: Ints, b: Ints) -> Nodes:
         s=(nodes.s[a] + nodes.s[b]) // 2,
         merged=both & ~inner,
         error=np.where(inner, 0.0, 0.5 * (nodes.error[a] + nodes.error[b])),
-        floor=np.maximum(
-            np.where(inner, 0.0, 0.5 * (nodes.floor[a] + nodes.floor[b])), steep
-        ),
+        floor=np.maximum(np.where(inner, 0.0, 0.5 * (nodes.floor[a] + nodes.floor[b])), steep),
         x=0.5 * (nodes.x[a] + nodes.x[b]),
     )
     middle.x[shell] = made.surfaces.arc(nodes.x[a[shell]], nodes.x[b[shell]])

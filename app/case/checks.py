@@ -21,7 +21,7 @@ def cross_check(case: Any) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
     faults = [*_held(case), *_side(case), *_heat(case)]
     if case.geometry is not None:
-        faults += [*_names(case), *_too_small(case), *_rigid(case)]
+        faults += [*_names(case), *_mesh(case), *_rigid(case)]
     if case.stages is not None:
         faults += _stages(case)
     return faults
@@ -72,8 +72,19 @@ def _names(case: Any) -> Iterable[Fault]:
             yield Fault(("regions", name), text)
 
 
-def _too_small(case: Any) -> Iterable[Fault]:
-    """Lengths too small for the mesh size."""
+def _mesh(case: Any) -> Iterable[Fault]:
+    """Lengths too small for the mesh size, and numbers of what the mesh does not have."""
+    largest = case.geometry.coarsest_size
+    if case.mesh is not None:
+        if not case.geometry.spans and 0.0 < largest < case.mesh.size:
+            text = (
+                f"{case.mesh.size:g} mm: no part holds such cells; expected at most {largest:g} mm"
+            )
+            yield Fault(("mesh", "size"), text)
+        for key in ("around", "through_cement"):
+            if getattr(case.mesh, key) and not case.geometry.grid(case.mesh):
+                text = f"geometry.kind: {case.geometry.kind} is not meshed by lines and layers"
+                yield Fault(("mesh", key), f"{text}; leave {key} out")
     size = 0.0 if case.mesh is None else case.mesh.size
     for key, (length, most) in case.geometry.spans.items():
         if size > most * length:

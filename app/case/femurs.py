@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import model_validator
 
@@ -110,6 +110,11 @@ class _Femur(Shape):
                     f"is not below the half-width and half-depth, {half:g} mm",
                     at=(f"{end}_corner_radius",),
                 )
+        if self._cut >= self.head_height:
+            text = (
+                f"puts the neck cut at z = {self._cut:.3g} mm on the shaft's axis, above the head's"
+            )
+            fail(f"{text} centre at {self.head_height:g} mm", at=("resection_height",))
         shoulder = self.stem_tip_z + self.stem_length
         inside = (self._cut - self.stem_tip_z) / INSIDE
         if self.stem_length > min(inside, longest := self.head_height - self.stem_tip_z):
@@ -186,12 +191,8 @@ class _Femur(Shape):
         """Approximate height at which the neck cut meets the shaft's axis (mm)."""
         return self.resection_height + 24.747 * math.tan(self.resection_angle)
 
-    def _grid(self, mesh: MeshOptions) -> tuple[float, float, float]:
-        """Tetrahedra below the neck cut, and in one step of the core and of all layers above it.
-
-        Three for each triangle of the section. Where the mantle fills the canal, along a part of
-        the circumference fitted to counted meshes, there is no cancellous bone.
-        """
+    def grid(self, mesh: MeshOptions) -> dict[str, Any]:
+        """Lines around, steps along the stem and below it, cells through the layers."""
         # The perimeter half-way through the mantle, half-way between the tip and the neck cut.
         middle = 0.5 * (self._cut - self.stem_tip_z)
         part = middle / (self.stem_section_z - self.stem_tip_z)
@@ -201,13 +202,25 @@ class _Femur(Shape):
         )
         perimeter = 4.0 * (half + depth - 2.0 * corner)
         perimeter += 2.0 * math.pi * (corner + 0.5 * self.cement_thickness)
-        around = grid.lines_around(perimeter, mesh)
-        cement, cancellous, cortical = grid.cells_through(self.cement_thickness, mesh)
-        core = 3.0 * max(around - 2.0, 0.13 * around**2 + 0.8 * around - 4.0)
         plug = self.stem_tip_z - self.plug_length
         stem = grid.steps(self._cut - self.stem_tip_z, mesh.size)
-        stem += grid.steps(self.plug_length, mesh.size)
-        below = len(grid.graded(plug - self.distal_cut_z, mesh)) - 1
+        return {
+            "lines around": grid.lines_around(perimeter, mesh),
+            "steps along the stem": stem + grid.steps(self.plug_length, mesh.size),
+            "steps below": len(grid.graded(plug - self.distal_cut_z, mesh)) - 1,
+            "cells through cement, cancellous and cortical bone": grid.cells_through(
+                self.cement_thickness, mesh
+            ),
+        }
+
+    def _cells(self, mesh: MeshOptions) -> tuple[float, float, float]:
+        """Tetrahedra below the neck cut, and in one step of the core and of all layers above it.
+
+        Three for each triangle of the section. Where the mantle fills the canal, along a part of
+        the circumference fitted to counted meshes, there is no cancellous bone.
+        """
+        around, stem, below, (cement, cancellous, cortical) = self.grid(mesh).values()
+        core = 3.0 * max(around - 2.0, 0.13 * around**2 + 0.8 * around - 4.0)
         filled = self.cement_thickness - self.canal_widening
         open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
         beside = grid.across(min(self.cement_thickness, 3.0), cement, mesh.size)
@@ -268,7 +281,7 @@ class Femur(_Femur):
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, to 10 %."""
-        cells, core, _ = self._grid(mesh)
+        cells, core, _ = self._cells(mesh)
         length = self.head_offset / math.sin(self.neck_angle)
         above = grid.steps(0.4 * length, mesh.size) + grid.steps(0.6 * length, mesh.size)
         return round(cells + above * core)
@@ -315,7 +328,7 @@ class IntactFemur(_Femur):
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, to 10 %."""
-        cells, _, whole = self._grid(mesh)
+        cells, _, whole = self._cells(mesh)
         length = self.head_offset / math.sin(self.neck_angle)
         neck = grid.steps(length - 1.07 * self.head_radius, mesh.size)
         return round(cells + whole * (neck + max(5, 1.4 * self.head_radius / mesh.size)))

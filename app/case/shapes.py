@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import model_validator
 
@@ -49,6 +49,10 @@ class Shape(Section):
     def coarsest_size(self) -> float:
         """Largest edge length that it can be meshed with (mm)."""
         return min((most * length for length, most in self.spans.values()), default=math.inf)
+
+    def grid(self, mesh: MeshOptions) -> dict[str, Any]:
+        """Lines around, steps along and cells through the layers, where there are layers."""
+        return {}
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
@@ -95,8 +99,8 @@ class MeshOptions(Section):
     curved and `order` is 2."""
 
     around: Annotated[int, Plain(integer=True, at_least=4, at_most=1000)] | None = None
-    """Lines around the stem of a femur, 4 to 1000; by default its perimeter over `size`, and at least
-    8 up to a size of 10 mm."""
+    """Lines around the stem of a femur, 4 to 1000; by default its perimeter over `size`, but 8 at
+    least up to a size of 10 mm."""
     through_cement: Annotated[int, Plain(integer=True, at_least=1, at_most=100)] | None = None
     """Cells through the cement of a femur, 1 to 100; by default its thickness over `size`, and at
     least 2 at first order."""

@@ -94,9 +94,7 @@ def companions(case: Case) -> tuple[Companion, ...]:
 
 
 def _companion(case: Case, coarsening: float, steps: float) -> Companion:
-    mesh = case.mesh.model_copy(
-        update={"size": coarsening * case.mesh.size, "far_size": coarsening * case.mesh.far}
-    )
+    mesh = case.mesh.coarser(coarsening)
     stages = tuple(
         s.model_copy(update={"increments": max(1, round(s.increments * steps))})
         for s in case.stages

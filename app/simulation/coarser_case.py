@@ -10,7 +10,7 @@ from app.case.case import Case
 # as none where that converges (within 10 %), and half as long where it does not: 7 iterations, not
 # 25.
 LARGE = 20_000
-# Mesh size of a coarser model over that of the run: meshes of the femur nest.
+# Mesh size of a coarser model over that of the run.
 COARSER = 2.0
 # Tolerance of the cheaper model, relative to the forces: far below its discretization error.
 TOLERANCE = 1e-4
@@ -21,18 +21,15 @@ def cheaper(case: Case, unknowns: int) -> Case | None:
     if unknowns < LARGE:
         return None
     if COARSER * case.mesh.size <= case.geometry.coarsest_size:
-        other = {
-            "size": COARSER * case.mesh.size,
-            "far_size": COARSER * case.mesh.far,
-        }
+        mesh = case.mesh.coarser(COARSER)
     elif case.mesh.order > 1:
-        other = {"order": 1}
+        mesh = case.mesh.model_copy(update={"order": 1})
     else:
         return None
     solver = {"tolerance": max(TOLERANCE, case.solver.tolerance)}
     return case.model_copy(
         update={
-            "mesh": case.mesh.model_copy(update=other),
+            "mesh": mesh,
             "solver": case.solver.model_copy(update=solver),
         }
     )

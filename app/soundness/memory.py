@@ -147,6 +147,4 @@ def _fitting(case: Case, memory: float) -> float:
 
 def _with_size(case: Case, size: float) -> Case:
     """The case with another mesh size, in proportion far from the interfaces."""
-    far = case.mesh.far_size and case.mesh.far_size * size / case.mesh.size
-    mesh = case.mesh.model_copy(update={"size": size, "far_size": far})
-    return case.model_copy(update={"mesh": mesh})
+    return case.model_copy(update={"mesh": case.mesh.coarser(size / case.mesh.size)})

@@ -38,7 +38,9 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     """The case in words and tables; ``given`` is the data of the file, for its units."""
     lines = [case.title or "(no title)", ""]
     lines += ["geometry", *_entries(case.geometry, given.get("geometry"))]
-    lines += ["mesh", *_entries(case.mesh, given.get("mesh")), "regions"]
+    lines += ["mesh", *_entries(case.mesh, given.get("mesh"))]
+    lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.grid(case.mesh).items()]
+    lines.append("regions")
     for name, region in case.regions.items():
         kind = "rigid" if isinstance(region, Rigid) else region.kind
         lines += [f"  {name}: {kind}", *_entries(region, given["regions"][name], 4)]
