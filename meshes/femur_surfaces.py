@@ -106,17 +106,15 @@ class FemurSurfaces:
         normal, level = femur_bone.resection(geometry)
         self._top, self._steepest = level / normal[2], normal[0] / normal[2]
         plug = geometry.stem_tip_z - geometry.plug_length
-        below = np.array(grid.graded(plug - geometry.distal_cut_z, mesh))
-        parts = [
-            _even(plug, geometry.stem_tip_z, self.size),
-            _even(geometry.stem_tip_z, self._top, self.size),
-        ]
+        below = np.array(grid.graded(plug - geometry.distal_cut_z, mesh, grid.BELOW))
+        above = np.array(grid.graded(self._top - geometry.stem_tip_z, mesh, grid.STEM))
+        parts = [_even(plug, geometry.stem_tip_z, self.size), (self._top - above)[-2::-1]]
         self._zeta = np.concatenate([(plug - below)[::-1], *parts])
         start = len(below) - 1
         self.tip = start + len(parts[0])
         self.cut = len(self._zeta) - 1
         self.mantle = (start, self.cut)
-        self._middle = 0.5 * (geometry.stem_tip_z + self._top)
+        self._middle = 0.25 * geometry.stem_tip_z + 0.75 * self._top
         a, b, r = self._body.section(self._middle)
         t = 0.5 * geometry.cement_thickness
         self.around = grid.lines_around(4 * (a + b - 2 * r) + 2 * math.pi * (r + t), mesh)
@@ -142,7 +140,7 @@ class FemurSurfaces:
         )
 
     def outline(self) -> Floats:
-        """Section of the stem half-way between tip and neck cut (around, 2) [mm]."""
+        """Section of the stem, a quarter of its way from cut to tip (around, 2) [mm]."""
         x = self._body.point(np.arange(self.around) / self.around, self._middle, 0.0)
         return np.round(x[:, :2], DIGITS)
 

@@ -12,9 +12,11 @@ from app import figures
 from app.arrays import Bools, Floats, Ints
 from meshes.data import EDGES, MeshData, interface_facets
 
-AROUND = {(4, 8): (6, 7, 9, 5)}
-CORNERS = ((0, 4, 6, 7), (4, 1, 5, 9), (6, 5, 2, 8), (7, 9, 8, 3))
-
+# The straight cells that share the nodes of a curved one: its corners, and four around a diagonal.
+PIECES = (
+    *((0, 4, 6, 7), (4, 1, 5, 9), (6, 5, 2, 8), (7, 9, 8, 3)),
+    *((4, 8, 6, 7), (4, 8, 7, 9), (4, 8, 9, 5), (4, 8, 5, 6)),
+)
 COLOURS = {
     "stem": "#7f8fa6",
     "cement": "#e8a0a8",
@@ -73,11 +75,8 @@ def section(data: MeshData, axis: int, at: float) -> tuple[list[tuple[Floats, In
         Corners of polygons and their cells; the edges of the cells' sections (n, 2, 3) and the cell
         of each (n,).
     """
-    pieces = [(0, 1, 2, 3)]
-    if data.curved:
-        (p, q), ring = next(iter(AROUND.items()))
-        pieces = [*CORNERS, *((p, q, ring[k], ring[(k + 1) % 4]) for k in range(4))]
-    parts = cut(data.points, data.cells[:, pieces].reshape(-1, 4), axis, at)
+    pieces = PIECES if data.curved else ((0, 1, 2, 3),)
+    parts = cut(data.points, data.cells[:, np.array(pieces)].reshape(-1, 4), axis, at)
     polygons = [(corners, piece // len(pieces)) for corners, piece in parts]
     edges = [np.stack([x, np.roll(x, -1, axis=1)], axis=2).reshape(-1, 2, 3) for x, _ in polygons]
     ends = np.concatenate(edges)

@@ -193,8 +193,8 @@ class _Femur(Shape):
 
     def grid(self, mesh: MeshOptions) -> dict[str, Any]:
         """Lines around, steps along the stem and below it, cells through the layers."""
-        # The perimeter half-way through the mantle, half-way between the tip and the neck cut.
-        middle = 0.5 * (self._cut - self.stem_tip_z)
+        # The perimeter half-way through the mantle, a quarter of the way from the cut to the tip.
+        middle = 0.75 * (self._cut - self.stem_tip_z)
         part = middle / (self.stem_section_z - self.stem_tip_z)
         half, depth, corner = (
             (1.0 - part) * getattr(self, f"stem_tip_{name}") + part * getattr(self, f"stem_{name}")
@@ -203,11 +203,11 @@ class _Femur(Shape):
         perimeter = 4.0 * (half + depth - 2.0 * corner)
         perimeter += 2.0 * math.pi * (corner + 0.5 * self.cement_thickness)
         plug = self.stem_tip_z - self.plug_length
-        stem = grid.steps(self._cut - self.stem_tip_z, mesh.size)
+        stem = len(grid.graded(self._cut - self.stem_tip_z, mesh, grid.STEM)) - 1
         return {
             "lines around": grid.lines_around(perimeter, mesh),
             "steps along the stem": stem + grid.steps(self.plug_length, mesh.size),
-            "steps below": len(grid.graded(plug - self.distal_cut_z, mesh)) - 1,
+            "steps below": len(grid.graded(plug - self.distal_cut_z, mesh, grid.BELOW)) - 1,
             "cells through cement, cancellous and cortical bone": grid.cells_through(
                 self.cement_thickness, mesh
             ),

@@ -1,4 +1,4 @@
-"""The femur's layers: exact surfaces, nested meshes, first attempts, the same bytes everywhere."""
+"""The femur's layers: exact surfaces, sizes, first attempts, the same bytes everywhere."""
 
 from __future__ import annotations
 
@@ -11,7 +11,16 @@ import pytest
 
 from app.case.geometries import Femur, IntactFemur, MeshOptions
 from app.errors import GeometryError
-from meshes import femur, femur_bone, femur_intact, femur_stem, layers, mantle, quality, swept
+from meshes import (
+    femur,
+    femur_bone,
+    femur_intact,
+    femur_stem,
+    mantle,
+    quality,
+    reference_body,
+    swept,
+)
 from meshes.data import (
     MeshData,
     cell_volumes,
@@ -19,7 +28,6 @@ from meshes.data import (
     facet_areas,
     interface_facets,
     jacobians,
-    match_faces,
 )
 from meshes.femur_surfaces import FemurSurfaces as Surfaces
 from tests import support
@@ -33,8 +41,11 @@ def hip(**values: float) -> Femur:
 
 @cache
 def built(size: float, curved: bool = False, **values: float) -> MeshData:
-    options = MeshOptions(size=f"{size!r} mm", curved=curved)
-    return femur.build(hip(**values), options)
+    return femur.build(hip(**values), sized(size, curved))
+
+
+def sized(size: float, curved: bool = False, **values: Any) -> MeshOptions:
+    return MeshOptions(size=f"{size!r} mm", curved=curved, **values)
 
 
 # ------------------------------------------------------------------------------ exact surfaces
@@ -120,48 +131,85 @@ def test_the_volume_of_the_stem_converges_to_its_integral() -> None:
     assert below(3.0) == pytest.approx(exact, rel=0.003)
 
 
-# ------------------------------------------------------------------------------ nested
+# ------------------------------------------------------------------------------ sizes
 
 
-@pytest.mark.parametrize("size", [3.0, 4.2])
-def test_half_the_size_is_the_mesh_refined(size: float) -> None:
-    """Eight cells for each, the nodes are kept, regions and boundaries are inherited."""
-    coarse, fine = built(2 * size), built(size)
-    assert len(fine.cells) == 8 * len(coarse.cells)
-    index = {tuple(x): n for n, x in enumerate(fine.points.tolist())}
-    assert all(tuple(x) in index for x in coarse.points.tolist())
-    for name, tag in coarse.regions.items():
-        count = int((coarse.cell_tags == tag).sum())
-        assert int((fine.cell_tags == fine.regions[name]).sum()) == 8 * count
-    for name in coarse.interfaces:
-        few, many = (len(interface_facets(d, name)[0]) for d in (coarse, fine))
-        assert many == 4 * few
-    for name in ("distal_cut", "resection", "stem_trunnion", "bone_surface"):
-        few, many = (int(np.isin(d.facet_tags, d.boundaries[name]).sum()) for d in (coarse, fine))
-        assert many == 4 * few, name
+@pytest.mark.parametrize("least_size", [3.6, pytest.param(1.5, marks=pytest.mark.slow)])
+def test_unknowns_grow_steadily_with_the_size(least_size: float) -> None:
+    """Five per cent smaller cells: at most a third more nodes, from 10 mm on."""
+    sizes = 10.0 * 0.95 ** np.arange(int(np.log(least_size / 10.0) / np.log(0.95)) + 1)
+    nodes = np.array([len(femur.build(hip(), sized(float(s), order=1)).points) for s in sizes])
+    assert (nodes[1:] / nodes[:-1]).max() < 1.35
 
 
-@pytest.mark.parametrize("size", [10.0, 8.0, 6.0, 5.0, 4.0, 3.0])
-def test_twice_the_size_has_half_the_lines(size: float) -> None:
-    """Also where the larger mesh has the fewest lines: it is a coarser one all around."""
-    fine, coarse = (built(s).notes["layers"]["spokes"] for s in (size, 2 * size))
-    assert fine == 2 * coarse
+@pytest.mark.parametrize("size", [6.0, 3.0])
+def test_edges_on_the_stem_are_as_long_as_the_size(size: float) -> None:
+    """Shorter around the tip alone, where the stem is a third as wide; longer are diagonals."""
+    data = built(size)
+    facets, _, _ = interface_facets(data, "stem_cement")
+    ends = np.unique(np.sort(facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    length = np.linalg.norm(np.diff(data.points[ends], axis=1)[:, 0], axis=1) / size
+    low, middle, high = np.quantile(length, [0.05, 0.5, 0.95])
+    assert low > 0.35 and 0.8 < middle < 1.1 and high < 1.5
 
 
-def test_neighbours_are_inherited() -> None:
-    made = swept.mesh(_plain(), 2, False)
-    np.testing.assert_array_equal(made.partner, match_faces(made.cells))
+def test_lines_and_cells_through_the_cement_can_be_given() -> None:
+    """Any number of lines, even an odd one; several cells through each layer."""
+    data = femur.build(hip(), sized(6.0, True, around=13, through_cement=3))
+    notes = data.notes["layers"]
+    assert (notes["lines_around"], notes["cells_through"][0]) == (13, 3)
+    assert quality.sicn(data.points, data.cells).min() > 0.08
+    assert femur.build(hip(), sized(6.0, order=1)).notes["layers"]["cells_through"][0] == 2
 
 
-def test_middle_nodes_of_curved_cells_are_nodes_of_the_finer_mesh() -> None:
-    """But beside the end of a layer, and where cells would bend too far."""
-    middles = {tuple(x) for x in built(6.0, curved=True).points.tolist()}
-    nodes = {tuple(x) for x in built(3.0).points.tolist()}
-    assert len(middles & nodes) > 0.95 * len(nodes)
+def test_a_coarser_mesh_has_larger_cells_all_around() -> None:
+    fine = sized(3.0, around=24, through_cement=4)
+    coarse = fine.coarser(2.0)
+    assert (coarse.size, coarse.around, coarse.through_cement) == (6.0, 12, 2)
+    assert fine.coarser(9.0).around == 4 and sized(3.0).coarser(2.0).around is None
+
+
+# ------------------------------------------------------------------------------ reference body
+
+
+def test_the_reference_body_is_what_it_was_asked_for() -> None:
+    """Volume by region of straight rings about an ellipse, and linear mean value coordinates."""
+    turn = 2 * np.pi * np.arange(9) / 9
+    outline = np.stack([5 * np.cos(turn), 3 * np.sin(turn)], axis=1)
+    blocks = (
+        reference_body.Block(2, ("a", "b", "c")),
+        reference_body.Block(3, ("d",)),
+    )
+    body = reference_body.make(outline, (2, 3), blocks)
+    a, b, c = body.at[body.columns].transpose(1, 0, 2)
+    (p, q), (u, v) = (b - a).T, (c - a).T
+    areas = 0.5 * np.abs(p * v - q * u)
+    core = 0.5 * 9 * 15 * np.sin(2 * np.pi / 9)
+    volumes = np.bincount(body.region, weights=areas)
+    np.testing.assert_allclose(volumes, core * np.array([2, 2 * 3, 2 * 5, 3]), rtol=1e-9)
+    assert (body.names, set(body.slab[body.region == 3])) == (("a", "b", "c", "d"), {2, 3, 4})
+    sheared = outline + np.outer(outline[:, 1], [reference_body.SHEAR, 0.0])
+    inside = body.at[9 * len(body.rho) :]
+    inside = inside + np.outer(inside[:, 1], [reference_body.SHEAR, 0.0])
+    np.testing.assert_allclose(body.weights @ sheared, inside, atol=1e-12)
+    assert (body.weights > 0).all()
+
+
+def test_no_femur_without_gmsh() -> None:
+    program = (
+        "import sys; sys.modules['gmsh'] = None\n"
+        "from tests.meshes import test_swept\n"
+        "try: test_swept.built(8.0)\n"
+        "except ImportError as error: print('none:', error)"
+    )
+    assert support.python("-c", program).stdout.startswith("none:")
+
+
+# ------------------------------------------------------------------------------ shared shaft
 
 
 def test_the_intact_femur_shares_the_shaft_cell_by_cell() -> None:
-    options = MeshOptions(size="6 mm", curved=False)
+    options = sized(6.0)
     whole, operated = femur_intact.build(IntactFemur(), options), built(6.0)
     normal, level = femur_bone.resection(hip())
 
@@ -204,7 +252,7 @@ def test_random_hips_mesh_at_the_first_attempt(seed: int, number: int, least_siz
         values, size, curved = random_hip(rng)
         size = max(size, least_size)
         where = f"hip {made + refused} of seed {seed}: {values}, {size} mm, curved {curved}"
-        options = MeshOptions(size=f"{size!r} mm", curved=curved)
+        options = sized(size, curved)
         try:
             data = femur.build(hip(**values), options)
         except GeometryError as error:
@@ -226,7 +274,7 @@ def test_random_hips_mesh_as_coarse_companions() -> None:
     for _ in range(12):
         values, _, curved = random_hip(rng)
         size = float(rng.uniform(10.01, 20.0))
-        options = MeshOptions(size=f"{size!r} mm", curved=curved)
+        options = sized(size, curved)
         with contextlib.suppress(GeometryError):  # what anatomy forbids
             data = femur.build(hip(**values), options)
             worst = quality.sicn(data.points, data.cells).min()
@@ -240,7 +288,7 @@ def test_random_hips_mesh_as_coarse_companions() -> None:
     + [pytest.param(True, 2.0, marks=pytest.mark.slow)],
 )
 def test_cells_of_the_intact_femur_are_good(curved: bool, size: float) -> None:
-    data = femur_intact.build(IntactFemur(), MeshOptions(size=f"{size} mm", curved=curved))
+    data = femur_intact.build(IntactFemur(), sized(size, curved))
     assert quality.sicn(data.points, data.cells).min() > (0.08 if curved else 0.12)
 
 
@@ -256,7 +304,7 @@ def test_cells_of_the_intact_femur_are_good(curved: bool, size: float) -> None:
 def test_other_intact_femurs_mesh_well(values: dict[str, float]) -> None:
     geometry = IntactFemur().model_copy(update=values)
     for size in (8.0, 5.0):
-        data = femur_intact.build(geometry, MeshOptions(size=f"{size} mm", curved=False))
+        data = femur_intact.build(geometry, sized(size, False))
         assert quality.sicn(data.points, data.cells).min() > 0.1, size
 
 
@@ -296,7 +344,7 @@ def test_curved_cells_are_positive_everywhere() -> None:
 )
 def test_what_cannot_be_is_refused_before_meshing(values: dict[str, float], words: str) -> None:
     with pytest.raises(GeometryError, match=words):
-        Surfaces(hip(**values), 6.0, 24.0)
+        Surfaces(hip(**values), sized(6.0))
 
 
 def test_a_section_that_is_not_star_shaped_is_refused_with_the_place() -> None:
@@ -309,23 +357,21 @@ def test_a_section_that_is_not_star_shaped_is_refused_with_the_place() -> None:
 
 
 def test_layers_that_cut_through_each_other_are_told() -> None:
-    made = swept.mesh(_plain(), 0, False)
-    x = made.nodes.x.copy()
-    inner = np.flatnonzero((made.nodes.rho == 0) & (made.nodes.s == 20 * made.unit))
-    x[inner[0]] += [40.0, 0.0, 0.0]
-    nodes = layers.Nodes(**{**vars(made.nodes), "x": x})
+    made = swept.mesh(_plain(), False)
+    inner = np.flatnonzero((made.nodes.rho == 0) & (made.nodes.s == 40))
+    made.nodes.x[inner[0]] += [40.0, 0.0, 0.0]
     with pytest.raises(GeometryError, match="would be there twice"):
-        swept._check_volume(layers.Swept(**{**vars(made), "nodes": nodes}))
+        swept._check_volume(made)
 
 
 def _plain() -> Surfaces:
-    return Surfaces(hip(), 6.0, 24.0)
+    return Surfaces(hip(), sized(6.0))
 
 
 @pytest.mark.parametrize("size", [8.0, 6.0, 3.0])
 @pytest.mark.parametrize("kind", [Femur, IntactFemur])
 def test_the_estimate_is_within_a_tenth(kind: Any, size: float) -> None:
-    options = MeshOptions(size=f"{size} mm", curved=False)
+    options = sized(size, False)
     maker = femur_intact if kind is IntactFemur else femur
     for values in ({}, {"cement_thickness": 2.0}, {"cement_thickness": 7.0, "canal_widening": 2.0}):
         geometry = kind().model_copy(update=values)
@@ -358,7 +404,7 @@ PROCESSORS = {
 
 @cache
 def own_digest() -> str:
-    options = MeshOptions(size="3 mm", curved=True)
+    options = sized(3.0, True)
     data = (built(3.0), built(3.0, True), femur_intact.build(IntactFemur(), options))
     return " ".join(map(digest, data))
 
