@@ -67,11 +67,11 @@ class Intact(FemurSurfaces):
         blend = above - self._meet
         self.neck = self.cut + max(2, round(blend / self.size))
         self.mirrored = range(self.cut, self.neck)
-        # The last section of the ball; beyond it the shell is closed by a lid of as many layers.
+        # The last section of the ball; beyond it the shell is closed by a lid.
         wide = WIDE * 2 * math.pi * self._radius / self.around
         self.ball = self.neck + max(STEPS, round(ARC * self._radius / max(self.size, wide)))
         bone = ("cancellous_bone", "cancellous_bone", "cancellous_bone", "cortical_bone")
-        self.blocks = (Block(self.ball, bone), Block(self.through[2], ("cortical_bone",) * 3))
+        self.blocks = (Block(self.ball, bone), Block(1, ("cortical_bone",) * 3))
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
         """Lines in the sections of shaft and neck; lines of the head are not used."""
@@ -95,6 +95,7 @@ class Intact(FemurSurfaces):
             rise = RISE * 6.75 * part * (1 - part) ** 2 * (0.5 - 0.5 * np.cos(turn)) ** 2
             end[above], endosteum[above] = _longer(start[above], end[above], endosteum[above], rise)
             mantle[above] = (ratio + (SPREAD - ratio) * share) * endosteum[above]
+            endosteum[s > self.neck] = 1.0  # one cell through the shell of the head
         return Lines(start, end, mantle, endosteum)
 
     def _ring(self, part: Floats) -> tuple[Floats, Floats, Floats]:
@@ -122,17 +123,15 @@ class Intact(FemurSurfaces):
         flat[:, rings:] = body.weights @ flat[:, : rings : len(body.rho)]
         off = self._bulged(flat.reshape(-1, 2), np.minimum(k, steps), steps)
         shell = (j >= 3) | (k >= steps)
-        out = np.maximum(j - 3, (k - steps) / self.through[2])
+        out = np.maximum(j - 3, k - steps)
         radius = self._radius - CORTEX[1] * (1 - out)
         off[shell] *= (radius / np.sqrt((off**2).sum(axis=1)))[shell, None]
         x, rho = nodes.x.copy(), nodes.rho.copy()
         x[head] = np.round(self._centre + off, DIGITS)
         rho[head] = np.where(shell, -3.0, 0.0)
         # The rim of the lid is that of the shell.
-        grid, across = number.reshape(-1, c), np.arange(rings).reshape(self.around, -1)
-        grid[self.ball + 1 :, across[:, -1 - self.through[2]]] = grid[
-            self.ball, across[:, -self.through[2] :]
-        ].T
+        stations, outer = number.reshape(-1, c), np.arange(len(body.rho) - 1, rings, len(body.rho))
+        stations[-1, outer - self.through[2]] = stations[-2, outer]
         return replace(nodes, x=x, rho=rho, merged=nodes.merged & ~head), number[number]
 
     def _bulged(self, flat: Floats, k: Ints, steps: int) -> Floats:

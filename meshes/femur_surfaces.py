@@ -119,6 +119,7 @@ class FemurSurfaces:
         t = 0.5 * geometry.cement_thickness
         self.around = grid.lines_around(4 * (a + b - 2 * r) + 2 * math.pi * (r + t), mesh)
         self.through = grid.cells_through(geometry.cement_thickness, mesh)
+        self.cement = grid.through_cement(geometry.cement_thickness, mesh)
         self._refuse()
         self._continue(geometry)
 

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 LINES, COMPANION, COARSE = 8, 4, 10.0  # least number of lines around; above this size [mm]
-# Cancellous and cortical bone [mm] that count as a cell of the size: cells grow away from cement.
-CANCELLOUS, CORTICAL = 5.0, 4.4
-THIN = 0.25  # of the mesh size, of a cell through a layer
+# Least length of a cell through cement, cancellous and cortical bone over the mesh size: in bone
+# there are as many as have room, in cement at most as many as `through_cement`. Widest bone [mm].
+THROUGH = (0.25, 1.25, 1.6)
+CANCELLOUS, CORTICAL = 15.0, 8.0
 # Steps along [mm]: times the size from the plug down, first, at most, and growth per mm; and from
 # the neck cut down, beside whose rim the largest gaps are and where sections turn apart.
 BELOW = (1.0, 1.4, 0.2)
@@ -26,16 +27,23 @@ def lines_around(perimeter: float, mesh: Any) -> int:
     return int(mesh.around or max(least, round(perimeter / mesh.size)))
 
 
-def cells_through(cement: float, mesh: Any) -> tuple[int, int, int]:
-    """Cells through cement of a thickness [mm], cancellous and cortical bone."""
+def through_cement(cement: float, mesh: Any) -> float:
+    """Cells through cement of a thickness [mm]; a fraction is the part, from the cut down, with one
+    more."""
     least = 1 if mesh.order > 1 else 2  # straight displacements lock in a mantle of one cell
-    through = mesh.through_cement or max(least, math.ceil(cement / mesh.size))
-    return through, max(1, round(CANCELLOUS / mesh.size)), max(1, round(CORTICAL / mesh.size))
+    return float(mesh.through_cement or max(least, 1.5 * cement / mesh.size - 0.5))
 
 
-def across(width: Any, cells: int, size: float) -> Any:
-    """Cells through a layer of a width [mm]: fewer where they would be thinner than `THIN`."""
-    return np.clip(np.floor(width / (THIN * size)), 1, cells)
+def cells_through(cement: float, mesh: Any) -> tuple[int, int, int]:
+    """Cells at most through cement of a thickness [mm], cancellous and cortical bone."""
+    widest = zip((CANCELLOUS, CORTICAL), THROUGH[1:], strict=True)
+    bone = (max(1, round(width / (length * mesh.size))) for width, length in widest)
+    return math.ceil(through_cement(cement, mesh)), next(bone), next(bone)
+
+
+def across(width: Any, layer: int, cells: Any, size: float) -> Any:
+    """Cells through a layer, 0 to 2, where it is of a width [mm]."""
+    return np.clip(np.round(width / (THROUGH[layer] * size)), 1, cells)
 
 
 def steps(length: float, size: float) -> int:

@@ -57,7 +57,9 @@ class Surfaces(Protocol):
 
     Attributes:
         around: Number of lines around.
-        through: Cells through each layer.
+        through: Cells through each layer, at most.
+        cement: Cells through the first layer; a fraction is the part, from the end of the mantle
+            down, with one more.
         blocks: Blocks of the reference body, from below.
         mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
             in one continue below and above.
@@ -67,6 +69,7 @@ class Surfaces(Protocol):
 
     around: int
     through: tuple[int, int, int]
+    cement: float
     blocks: tuple[Block, ...]
     mantle: tuple[int, int]
     size: float

@@ -16,11 +16,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from app.arrays import Floats, Ints
-from meshes.gmsh_child import session
+from meshes.gmsh_child import grade, session
 
 # Part of y that x is sheared by: mirrored cells would be cut by either diagonal equally well, and
 # rounding would decide.
 SHEAR = 0.03
+COARSER = 1.4  # size inside the core over its edges
 PRISM = 6  # gmsh's number of the type
 
 
@@ -75,7 +76,8 @@ def make(outline: Floats, through: Sequence[int], blocks: Sequence[Block]) -> Bo
     names = tuple(dict.fromkeys(name for block in blocks for name in block.regions))
     with session("reference body") as gmsh:
         _extruded(gmsh, corners, through, blocks, names)
-        gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 1)
+        edge = np.sqrt(((corners - np.roll(corners, 1, axis=0)) ** 2).sum(axis=1)).mean()
+        grade(gmsh, (), COARSER * edge, COARSER * edge)
         gmsh.model.mesh.generate(3)
         tags, nodes, _ = gmsh.model.mesh.getNodes()
         prisms = [

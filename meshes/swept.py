@@ -139,9 +139,11 @@ def _grid(surfaces: Surfaces, body: Body) -> tuple[Nodes, Ints]:
     length, endosteum = lines.length.reshape(n, levels), lines.endosteum.reshape(n, levels)
     widths = (endosteum * length - used, used, (1 - endosteum) * length)
     place_of, same = np.ones((r, n, levels)), np.zeros((r, n, levels), dtype=np.int64)
+    part = np.clip((np.arange(levels) - low) / (high - low), 0.0, 1.0 - 1e-9)
+    most = (np.floor(surfaces.cement + part), *surfaces.through[1:])
     first = 0
     for ring, (cells, width) in enumerate(zip(surfaces.through, widths, strict=True), start=1):
-        across = grid.across(width, cells, surfaces.size)
+        across = grid.across(width, ring - 1, most[ring - 1], surfaces.size)
         for k in range(1, cells + 1):
             place_of[first + k] = ring + np.minimum(k / across, 1.0)
             same[first + k] = np.where(k < across, first + k, first + cells)

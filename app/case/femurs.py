@@ -24,8 +24,10 @@ MUSCLES: dict[str, Point3] = {
 
 # Fraction of the lines along which the mantle fills the canal, beside and below the stem, by the
 # thickness of the mantle less the widening of the canal (mm).
-FILLED = (0.0, 0.13, 0.45, 0.72, 0.78, 0.83, 0.87, 0.92)
+FILLED = (0.0, 0.05, 0.4, 0.64, 0.7, 0.74, 0.8, 0.85, 0.9)
 FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
+# Mean widths of cement, cancellous and cortical bone along the lines (mm).
+WIDTHS = (2.5, 6.0, 5.5)
 # Least fraction of the stem in the bone; range of the angle between neck and shaft (deg).
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
 
@@ -219,14 +221,16 @@ class _Femur(Shape):
         Three for each triangle of the section. Where the mantle fills the canal, along a part of
         the circumference fitted to counted meshes, there is no cancellous bone.
         """
-        around, stem, below, (cement, cancellous, cortical) = self.grid(mesh).values()
+        around, stem, below, through = self.grid(mesh).values()
         core = 3.0 * max(around - 2.0, 0.13 * around**2 + 0.8 * around - 4.0)
         filled = self.cement_thickness - self.canal_widening
         open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
-        beside = grid.across(min(self.cement_thickness, 3.0), cement, mesh.size)
-        under = grid.across(2.0, cement, mesh.size)
-        layers = stem * (beside + cortical + cancellous * open_)
-        layers += below * (under + cortical + cancellous * free)
+        cement, cancellous, cortical = (
+            min(cells, max(1.0, width / (length * mesh.size)))
+            for cells, width, length in zip(through, WIDTHS, grid.THROUGH, strict=True)
+        )
+        layers = stem * (cement + cortical + cancellous * open_)
+        layers += below * (cement + cortical + cancellous * free)
         whole = 6.0 * around * (cement + cancellous + cortical)
         return (stem + below) * core + 6.0 * around * layers, core, core + whole
 
