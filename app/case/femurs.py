@@ -27,7 +27,7 @@ MUSCLES: dict[str, Point3] = {
 FILLED = (0.0, 0.05, 0.4, 0.64, 0.7, 0.74, 0.8, 0.85, 0.9)
 FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
 # Mean widths of cement, cancellous and cortical bone along the lines (mm).
-WIDTHS = (2.5, 6.0, 5.5)
+WIDTHS = (3.0, 6.0, 5.5)
 # Least fraction of the stem in the bone; range of the angle between neck and shaft (deg).
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
 
@@ -221,13 +221,14 @@ class _Femur(Shape):
         Three for each triangle of the section. Where the mantle fills the canal, along a part of
         the circumference fitted to counted meshes, there is no cancellous bone.
         """
-        around, stem, below, through = self.grid(mesh).values()
-        core = 3.0 * max(around - 2.0, 0.13 * around**2 + 0.8 * around - 4.0)
+        around, stem, below, (_, *bone) = self.grid(mesh).values()
+        most = (grid.through_cement(self.cement_thickness, mesh), *bone)
+        core = 3.0 * max(around - 2.0, 0.085 * around**2 + around - 4.0)
         filled = self.cement_thickness - self.canal_widening
         open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
         cement, cancellous, cortical = (
             min(cells, max(1.0, width / (length * mesh.size)))
-            for cells, width, length in zip(through, WIDTHS, grid.THROUGH, strict=True)
+            for cells, width, length in zip(most, WIDTHS, grid.THROUGH, strict=True)
         )
         layers = stem * (cement + cortical + cancellous * open_)
         layers += below * (cement + cortical + cancellous * free)
