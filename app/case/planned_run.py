@@ -12,9 +12,8 @@ from app.case import overlay, points
 from app.case.case import Case, load
 from app.case.points import Point
 from app.errors import InputError
-from app.schema import yaml_file
 from app.schema.section import show
-from app.schema.yaml_file import LAST, CaseFile, Fault
+from app.schema.yaml_file import CaseFile, Fault
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ def plan(
         every: The points.
         overrides: ``--set`` options for every point; they replace values under ``set``.
     """
-    problems = yaml_file.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
+    problems = points.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
     given = {o.partition("=")[0].strip(): _value(o) for o in overrides}
     others = [o for o in overrides if o.partition("=")[0].strip() != "ranks"]
     planned: list[PlannedRun] = []
@@ -67,7 +66,7 @@ def plan(
             case = load(base, changes).config
         except InputError as error:
             for message in error.messages:
-                if found := yaml_file.at_override(message, {key: point.places[key] for key in own}):
+                if found := points.at_override(message, {key: point.places[key] for key in own}):
                     problems.append(found)
                 else:
                     failed.setdefault((base, message), []).append(point)
@@ -80,11 +79,11 @@ def plan(
         elif message.startswith(f"{base}: "):  # it cannot be read
             problems.append(Fault(at if at in file.places else ("base",), message))
         else:
-            file.complaints.append((LAST, message))
+            problems.append(Fault((), message, ""))
     return planned, problems
 
 
 def _value(option: str) -> Any:
     """Value of an option; None if it cannot be read."""
     text = option.partition("=")[2]
-    return yaml_file.changed(CaseFile(""), [f"value={text}"]).data.get("value")
+    return overlay.changed(CaseFile(""), [f"value={text}"]).data.get("value")

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.case import checks, planned_run, points, quantities
+from app.case import checks, overlay, planned_run, points, quantities
 from app.case.planned_run import PlannedRun
 from app.case.points import Changes, Lists, Point, Runs
 from app.schema import section, yaml_file
@@ -158,7 +158,8 @@ def read(path: Path, overrides: Sequence[str] = ()) -> PlannedStudy:
     """
     own = [o for o in overrides if re.match(r"\s*study\b", o)]
     others = [o for o in overrides if o not in own]
-    file = yaml_file.read(path, own)
+    file = yaml_file.read(path)
+    overlay.apply(file, own)
     if "study" not in file.data or "geometry" in file.data:
         text = "expected a study file: base: CASE, set, and study with quantities, lines, reference"
         file.raise_all([Fault(("study",) if "study" in file.data else (), text)])
