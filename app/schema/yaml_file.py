@@ -121,8 +121,9 @@ class CaseFile:
         if fault.place == "":
             return LAST, fault.text
         key = path_text(fault.path)
-        above = (self.places.get(fault.path[:n]) for n in range(len(fault.path), -1, -1))
-        place: Place = fault.place or next(filter(None, above), (self.name, 1, 1))
+        steps = (fault.path[:n] for n in range(len(fault.path) + 1))
+        above = [self.places[p] for p in steps if p in self.places]
+        place = fault.place or [(self.name, 1, 1), *above][-1]
         text = f"{key}: {fault.text}" if key and key != place else fault.text
         if isinstance(place, str):
             return LAST, f"--set {path_text((place,))}: {text}"
