@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
@@ -12,6 +12,7 @@ from app.schema.section import fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 
 BONE = ("cortical_bone", "cancellous_bone")
+OF_BONE = dict.fromkeys(BONE, "bone")
 # Centre of each muscle's insertion on the bone (mm); as in `meshes.femur_bone`.
 MUSCLES: dict[str, Point3] = {
     "gluteus_medius": (-25.395, -15.237, 28.0),
@@ -40,6 +41,12 @@ def _between(at: float, values: tuple[float, ...]) -> float:
 
 class _Femur(Shape):
     """A proximal femur, the operation and the implant."""
+
+    is_around_z: ClassVar[bool] = True
+    has_gruen_zones: ClassVar[bool] = True
+    has_curved_surfaces: ClassVar[bool] = True
+    coarsest_size: ClassVar[float] = 20.0  # a few cells along the stem
+    joined: ClassVar[tuple[tuple[str, ...], ...]] = (BONE,)
 
     kind: str
     cement_thickness: Annotated[
@@ -162,26 +169,6 @@ class _Femur(Shape):
         """Centre of the head and muscles' insertions (mm)."""
         return {"head_centre": self.head_centre, **MUSCLES}
 
-    @property
-    def joined(self) -> tuple[tuple[str, ...], ...]:
-        """Bone is one body."""
-        return (BONE,)
-
-    @property
-    def has_curved_surfaces(self) -> bool:
-        """Always."""
-        return True
-
-    @property
-    def is_around_z(self) -> bool:
-        """Always: the stem is along the shaft."""
-        return True
-
-    @property
-    def has_gruen_zones(self) -> bool:
-        """Always: of the bone around the stem, or where it will be."""
-        return True
-
     def _spokes(self, size: float) -> int:
         """Number of lines around the stem."""
         # Half-way through the mantle, half-way between the tip and the neck cut.
@@ -230,11 +217,6 @@ class _Femur(Shape):
         layers = stem * (18.0 - 6.0 * along) + below * (18.0 - 6.0 * under)
         return size, (stem + below) * self._core_cells(size) + spokes * layers
 
-    @property
-    def coarsest_size(self) -> float:
-        """Largest edge length (mm): a few cells along the stem."""
-        return 20.0
-
 
 class Femur(_Femur):
     """A proximal femur with a straight tapered collarless stem in a cement mantle.
@@ -244,27 +226,18 @@ class Femur(_Femur):
     and the implant. Defaults: an Exeter-class 150 mm stem in an average femur.
     """
 
+    tissues: ClassVar[dict[str, str]] = {"stem": "implant", "cement": "cement", **OF_BONE}
+    boundary_names: ClassVar[tuple[str, ...]] = (
+        *("distal_cut", "bone_surface", "stem_trunnion"),
+        *MUSCLES,
+        "resection",
+    )
+    interface_sides: ClassVar[dict[str, Sides]] = {
+        "stem_cement": (("stem",), ("cement",)),
+        "cement_bone": (("cement",), BONE),
+    }
+
     kind: Literal["femur"] = "femur"
-
-    @property
-    def region_names(self) -> tuple[str, ...]:
-        """Implant, mantle and the two kinds of bone."""
-        return ("stem", "cement", *BONE)
-
-    @property
-    def tissues(self) -> dict[str, str]:
-        """Tissue of each region."""
-        return {"stem": "implant", "cement": "cement", **dict.fromkeys(BONE, "bone")}
-
-    @property
-    def boundary_names(self) -> tuple[str, ...]:
-        """The distal cut, the bone with its muscle patches, the trunnion and the resection."""
-        return ("distal_cut", "bone_surface", "stem_trunnion", *MUSCLES, "resection")
-
-    @property
-    def interface_sides(self) -> dict[str, Sides]:
-        """``stem_cement`` and ``cement_bone``."""
-        return {"stem_cement": (("stem",), ("cement",)), "cement_bone": (("cement",), BONE)}
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
@@ -295,36 +268,14 @@ class IntactFemur(_Femur):
     compared with that of a femur of the same numbers.
     """
 
+    tissues: ClassVar[dict[str, str]] = OF_BONE
+    boundary_names: ClassVar[tuple[str, ...]] = ("distal_cut", "bone_surface", "head", *MUSCLES)
+
     kind: Literal["intact_femur"] = "intact_femur"
     head_radius: Annotated[
         float, Dimension("mm", "a length", "23 mm", at_least=18.0, at_most=30.0)
     ] = 23.0
     """Radius of the femoral head, 18 to 30 mm; the neck has about two thirds of it."""
-
-    @property
-    def region_names(self) -> tuple[str, ...]:
-        """The two kinds of bone."""
-        return BONE
-
-    @property
-    def tissues(self) -> dict[str, str]:
-        """Tissue of each region."""
-        return dict.fromkeys(BONE, "bone")
-
-    @property
-    def boundary_names(self) -> tuple[str, ...]:
-        """The distal cut, and the bone's surface with its muscle patches and the head."""
-        return ("distal_cut", "bone_surface", "head", *MUSCLES)
-
-    @property
-    def interface_sides(self) -> dict[str, Sides]:
-        """None."""
-        return {}
-
-    @property
-    def interface_area(self) -> float:
-        """None."""
-        return 0.0
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, to 10 %."""
