@@ -33,7 +33,7 @@ from app.laws.loads import AnyLoad
 from app.laws.materials import Region
 from app.laws.supports import AnySupport
 from app.schema import section, yaml_file
-from app.schema.section import ITEMS, MAPPING, Name, Section, Text, Word
+from app.schema.section import ITEMS, MAPPING, Name, Section, Text
 from app.schema.yaml_file import CaseFile, Fault
 
 # Sections whose entries are valid one by one.
@@ -47,7 +47,7 @@ class Case(Section):
     """A line for people."""
     geometry: Geometry
     """Bodies, interfaces and boundaries."""
-    side: Annotated[Literal["left", "right"], Word()] = "left"
+    side: Literal["left", "right"] = "left"
     """Side of the hip, z being proximal and y anterior: x is medial of a left one and lateral of a
     right one. It decides the signs of retroversion and varus, and nothing else. Parametric femurs
     are left, and nothing else: their numbers are those of the mirrored right one."""

@@ -16,7 +16,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, is_script, physical_names
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
-from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, Word, fail, one_of, show
+from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, fail, one_of, show
 from app.schema.units import Angle, PositiveLength, SizeVector
 
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
@@ -125,7 +125,7 @@ class Cylinders(Shape):
     """Length along z."""
     taper: Angle = 0.0
     """Half-angle of the cones (rad)."""
-    sector: Annotated[Literal["full", "half", "quarter"], Word()] = "full"
+    sector: Literal["full", "half", "quarter"] = "full"
     """How much of the full circle is modelled."""
 
     @model_validator(mode="after")
@@ -191,7 +191,7 @@ class MeshFile(Shape):
     kind: Literal["file"] = "file"
     path: Path
     """The file; relative to the case file."""
-    unit: Annotated[Literal["mm", "cm", "m", "um", "inch"], Word()] = "mm"
+    unit: Literal["mm", "cm", "m", "um", "inch"] = "mm"
     """Unit of the file's coordinates."""
     interfaces: Annotated[dict[Name, tuple[tuple[str, ...], tuple[str, ...]]], MAPPING] = Field(
         default_factory=dict
@@ -229,10 +229,7 @@ class MeshFile(Shape):
         for name, sides in self.interfaces.items():
             for i, side in enumerate(sides):
                 for region in side:
-                    try:
-                        one_of(region, self.region_names)
-                    except ValueError as error:
-                        fail(str(error), at=("interfaces", name, i))
+                    one_of(region, self.region_names, at=("interfaces", name, i))
             if set(sides[0]) & set(sides[1]):
                 fail("has the same region on both sides", at=("interfaces", name))
         return self

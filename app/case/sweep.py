@@ -13,7 +13,7 @@ from app.case.planned_run import PlannedRun
 from app.case.points import MOST_CASES, Point, SweepPart
 from app.errors import InputError
 from app.schema import section, yaml_file
-from app.schema.section import MAPPING, Name, Text, Word, fail
+from app.schema.section import MAPPING, Name, Text, fail
 
 
 class Sweep(SweepPart):
@@ -23,7 +23,7 @@ class Sweep(SweepPart):
     """A line for people."""
     parts: Annotated[dict[Name, SweepPart], MAPPING] = Field(default_factory=dict)
     """Parts with axes of their own, and with a base of their own where it differs."""
-    compare_with: Annotated[Literal["paper"], Word()] | None = None
+    compare_with: Literal["paper"] | None = None
     """A publication whose numbers, figures and trends get a page beside the report."""
 
     @model_validator(mode="after")

@@ -40,7 +40,7 @@ class Section(BaseModel):
         try:
             return handler(value)
         except ValidationError as error:
-            lines = [defect(f.text, f.path) for f in faults(error, cls)]
+            lines = [_defect(f.text, f.path) for f in faults(error, cls)]
             raise ValidationError.from_exception_data(
                 cls.__name__, [{"type": line, "input": None} for line in lines]
             ) from None
@@ -66,8 +66,8 @@ def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
             return path, f"unknown key; allowed: {', '.join(keys)}{hint}"
         case "model_type" | "model_attributes_type":
             return path, f"{value} is not a mapping; expected keys {', '.join(keys)}"
-        case "literal_error":
-            return path, f"{value} is not {entry['ctx']['expected']}"
+        case "literal_error" if words := re.findall("'([^']*)'", entry["ctx"]["expected"]):
+            return path, _not_one_of(entry["input"], words)
     return path, f"{value}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
 
 
@@ -88,12 +88,11 @@ def docstrings(model: type) -> dict[str, str]:
     return found
 
 
-def defect(text: str, at: tuple[str | int, ...] = ()) -> PydanticCustomError:
-    """An error of a value, with its path below the value."""
+def _defect(text: str, at: Path) -> PydanticCustomError:
     return PydanticCustomError("mantle", "{text}", {"text": text, "at": at})
 
 
-def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:
+def fail(text: str, at: Path = ()) -> NoReturn:
     """Report a defect of the value under validation.
 
     Args:
@@ -103,23 +102,23 @@ def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:
     Raises:
         PydanticCustomError: Always.
     """
-    raise defect(text, at)
+    raise _defect(text, at)
 
 
 def show(value: object) -> str:
     """Quote a value in a message, shortened."""
-    if isinstance(value, bool):
-        text = str(value).lower()
-    elif isinstance(value, dict):
-        return "a mapping"
-    elif isinstance(value, list | tuple):
-        return "a list"
-    elif value is None:
-        return "nothing"
-    elif isinstance(value, int) and value.bit_length() > 200:
-        return "a huge number"
-    else:
-        text = repr(value)
+    match value:
+        case bool():
+            return str(value).lower()
+        case dict():
+            return "a mapping"
+        case list() | tuple():
+            return "a list"
+        case None:
+            return "nothing"
+        case int() if value.bit_length() > 200:
+            return "a huge number"
+    text = repr(value)
     return text if len(text) <= 60 else text[:56] + "...'"
 
 
@@ -189,32 +188,19 @@ class Scalar:
         )
 
 
-def one_of(value: object, allowed: Sequence[str], at: tuple[str | int, ...] = ()) -> None:
+def one_of(value: object, allowed: Sequence[str], at: Path = ()) -> None:
     """Refuse a value that is not among the allowed words.
 
     Raises:
         PydanticCustomError: It is not.
     """
     if value not in allowed:
-        hint = did_you_mean(value, allowed) if isinstance(value, str) else ""
-        fail(f"{show(value)} is not one of {', '.join(allowed)}{hint}", at)
+        fail(_not_one_of(value, allowed), at)
 
 
-@dataclass(frozen=True)
-class Word:
-    """Restricts a `Literal` field to its words, with a message that proposes the nearest one."""
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Check the word before pydantic does."""
-        words = get_args(source)
-
-        def check(value: object) -> object:
-            one_of(value, words)
-            return value
-
-        return core_schema.no_info_before_validator_function(check, handler(source))
+def _not_one_of(value: object, allowed: Sequence[str]) -> str:
+    hint = did_you_mean(value, allowed) if isinstance(value, str) else ""
+    return f"{show(value)} is not one of {', '.join(allowed)}{hint}"
 
 
 # Called when a kind is added, to rebuild the schema (`case.case`).

@@ -10,7 +10,9 @@ A field is declared by one of the aliases below, for example ``thickness: Positi
 from __future__ import annotations
 
 import math
+import operator
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Any
@@ -23,12 +25,18 @@ from app.schema.unit_conversion import conversion
 from app.schema.vectors import Triple
 
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
-NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)
 # Longest number: huge exponents would be expensive.
 LONGEST = 60
 # Longest number with its unit; matching takes quadratic time.
 LONGEST_VALUE = 200
 
+# By attribute: what it asks of a value, in words, and in a JSON schema.
+BOUNDS: dict[str, tuple[Callable[[float, float], bool], str, str]] = {
+    "above": (operator.gt, "above", "exclusiveMinimum"),
+    "at_least": (operator.ge, "at least", "minimum"),
+    "at_most": (operator.le, "at most", "maximum"),
+    "below": (operator.lt, "below", "exclusiveMaximum"),
+}
 SUGGESTIONS = (
     "GPa MPa kPa Pa mm um cm m nm N kN mN deg rad degC K s ms min hour N/mm N/mm^2 N/mm^3 MPa/mm "
     "kg tonne kg/m^3 W/m^2 W/m^3 J/m^3 J/mol 1/K 1/s"
@@ -59,19 +67,23 @@ class _Bounded(Scalar):
     at_most: float | None = None
     below: float | None = None
 
-    def violated(self, value: float, unit: str = "") -> str:
-        """Message of the bound that a value violates, or ""."""
-        behind = f" {unit}".rstrip()
-        if self.below is not None and not value < self.below:
-            return f"must be below {self.below:g}{behind}"
-        if self.above is not None and not value > self.above:
-            return f"must be above {self.above:g}{behind}" if self.above else "must be positive"
-        if self.at_least is not None and value < self.at_least:
-            least = f"must be at least {self.at_least:g}{behind}"
-            return least if self.at_least else "must not be negative"
-        if self.at_most is not None and value > self.at_most:
-            return f"must be at most {self.at_most:g}{behind}"
-        return ""
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Bounds by attribute."""
+        return {key: bound for key in BOUNDS if (bound := getattr(self, key)) is not None}
+
+    def check(self, value: float, shown: str, unit: str = "") -> None:
+        """Refuse a value beyond a bound.
+
+        Raises:
+            PydanticCustomError: It is beyond one.
+        """
+        for key, bound in self.bounds.items():
+            holds, words, _ = BOUNDS[key]
+            if not holds(value, bound):
+                signs = {"above": "must be positive", "at_least": "must not be negative"}
+                text = f"must be {words} {bound:g} {unit}".rstrip()
+                fail(f"{shown} {text if bound else signs.get(key, text)}")
 
 
 @dataclass(frozen=True)
@@ -96,26 +108,21 @@ class Dimension(_Bounded):
                 bounds.
         """
         expected = f"expected {self.what} such as '{self.example}'"
-        text = value if isinstance(value, str) else ""
+        text = value if isinstance(value, str) else show(value)
         match = NUMBER.fullmatch(text) if len(text) <= LONGEST_VALUE else None
-        number, unit = match.groups() if match else ("", "")
-        if isinstance(value, int | float) and not isinstance(value, bool) and finite(value):
-            number = str(value)
-        elif match is None:
-            endless = isinstance(value, int | float) and not isinstance(value, bool)
-            endless = endless or NOT_FINITE.match(text) is not None
-            wrong = "is not finite" if endless else f"is not {self.what}"
-            fail(f"{show(value)} {wrong}; {expected}")
+        if match is None:
+            fail(f"{show(value)} is not {self.what} such as '{self.example}'")
+        number, unit = match.groups()
         if not unit:
-            shown = show(value) if text else number
-            fail(f"{shown} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
+            example = f"{number} {self.example.split(maxsplit=1)[1]}"
+            fail(f"{show(value)} needs a unit, e.g. '{example}'")
         try:
             slope, offset = conversion(unit, self.unit)
         except LookupError:
             hint = did_you_mean(unit, SUGGESTIONS)
             fail(f"{show(value)}: '{unit}' is not a unit; {expected}{hint}")
-        except ValueError as error:
-            fail(f"{show(value)} is {error}; {expected}")
+        except ValueError:
+            fail(f"{show(value)} is not {self.what} such as '{self.example}'")
         if len(number) > LONGEST or not math.isfinite(float(number)):
             fail(f"{show(value)} is not finite; {expected}")
         # A number that underflows is zero; as a fraction it could take gigabytes.
@@ -124,8 +131,7 @@ class Dimension(_Bounded):
             result = float(exact * slope + offset)
         except OverflowError:
             fail(f"{show(value)} is not finite in {self.unit}")
-        if bound := self.violated(result, self.unit):
-            fail(f"{show(value)} {bound}")
+        self.check(result, show(value), self.unit)
         return result
 
     def write(self, value: float) -> str:
@@ -224,22 +230,15 @@ class Plain(_Bounded):
             fail(f"{show(value)} is not finite; expected a {kind}")
         if self.integer and value != int(value):
             fail(f"{value} is not a {kind}")
-        if bound := self.violated(value):
-            fail(f"{value} {bound}")
+        self.check(value, str(value))
         return int(value) if self.integer else float(value)
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         """A number with its bounds."""
-        bounds = {
-            "exclusiveMinimum": self.above,
-            "minimum": self.at_least,
-            "maximum": self.at_most,
-            "exclusiveMaximum": self.below,
-        }
         kind = {"type": "integer" if self.integer else "number"}
-        return kind | {k: v for k, v in bounds.items() if v is not None}
+        return kind | {BOUNDS[key][2]: bound for key, bound in self.bounds.items()}
 
 
 _length = ("mm", "a length", "4 mm")
