@@ -58,7 +58,7 @@ def unit(key: str) -> str:
 
 
 def _every() -> list[Key]:
-    return [key for section in keys.table().values() for key in section]
+    return [key for section in keys.table() for key in section.keys]
 
 
 def _matches(key: Key, asked: str) -> bool:
@@ -77,10 +77,7 @@ def _body(key: Key) -> Iterator[str]:
         "value": key.value,
         "unit": key.unit,
         "default": key.default or "none: it is required",
-        "keys": "; ".join(
-            f"{keys.kind_of(model)}: {', '.join(k for k in model.model_fields if k != 'kind')}"
-            for model in key.inner
-        ),
+        "keys": "; ".join(f"{kind}: {', '.join(names)}" for kind, names in key.inner),
         "example": f"{key.name}: {example[1]}" if example else "",
     }
     yield from _wrapped(key.meaning, "  ", "  ")

@@ -189,4 +189,6 @@ class Varying(Scalar):
             "description": f"{kind.what} with a unit, or an expression in x, y, z (mm) that gives "
             f"{kind.unit}",
             "examples": [kind.example, f"{kind.example.split()[0]} * (1 - z / 50)"],
+            "x-value": f"{kind.in_words}, or an expression",
+            "x-unit": kind.unit,
         }

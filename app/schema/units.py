@@ -29,6 +29,7 @@ NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*"
 LONGEST = 60
 # Longest number with its unit; matching takes quadratic time.
 LONGEST_VALUE = 200
+HUGE = 1e9
 
 # By attribute: what it asks of a value, in words, and in a JSON schema.
 BOUNDS: dict[str, tuple[Callable[[float, float], bool], str, str]] = {
@@ -49,6 +50,12 @@ def finite(value: int | float) -> bool:
         return math.isfinite(float(value))
     except OverflowError:
         return False
+
+
+def bounds_in_words(schema: dict[str, Any]) -> str:
+    """Bounds of a JSON schema; those that only avoid overflow are left out."""
+    words = [f"{w} {schema[n]:g}" for _, w, n in BOUNDS.values() if schema.get(n, HUGE) < HUGE]
+    return f", {' and '.join(words)}" if words else ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +158,16 @@ class Dimension(_Bounded):
             "pattern": r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(1\s*/\s*)?[A-Za-zµμ°].*$",
             "description": f"{self.what} with a unit (kept in {self.unit})",
             "examples": [self.example],
+            "x-value": self.in_words,
+            "x-unit": self.unit,
         }
+
+    @property
+    def in_words(self) -> str:
+        """The values that it allows, in Markdown."""
+        what = self.what.removeprefix("a ").removeprefix("an ")
+        bounds = {BOUNDS[key][2]: bound for key, bound in self.bounds.items()}
+        return f"{what}{bounds_in_words(bounds)}, e.g. `{self.example}`"
 
 
 @dataclass(frozen=True)

@@ -99,4 +99,4 @@ class Triple:
         result = handler(schema)
         if result.get("prefixItems", [{}])[0].get("type") != "string":
             return result
-        return {"anyOf": [result, {"type": "string", "examples": [self.example]}]}
+        return {"anyOf": [result, {"type": "string", "examples": [self.example], "x-value": ""}]}
