@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
@@ -39,6 +40,9 @@ def _between(at: float, values: tuple[float, ...]) -> float:
     return values[low] + (at - low) * (values[low + 1] - values[low])
 
 
+_length = partial(Dimension, "mm", "a length")
+
+
 class _Femur(Shape):
     """A proximal femur, the operation and the implant."""
 
@@ -49,13 +53,9 @@ class _Femur(Shape):
     joined: ClassVar[tuple[tuple[str, ...], ...]] = (BONE,)
 
     kind: str
-    cement_thickness: Annotated[
-        float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
-    ] = 4.0
+    cement_thickness: Annotated[float, _length("4 mm", at_least=1.0, at_most=8.0)] = 4.0
     """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
-    canal_widening: Annotated[
-        float, Dimension("mm", "a length", "1 mm", at_least=0.0, at_most=5.0)
-    ] = 0.0
+    canal_widening: Annotated[float, _length("1 mm", at_least=0.0, at_most=5.0)] = 0.0
     """Reaming: distance by which the endosteal surface is moved outwards, 0 to 5 mm."""
     stem_length: PositiveLength = 147.0
     """From the shoulder to the tip; two thirds of it at least are below the neck cut."""
@@ -75,19 +75,13 @@ class _Femur(Shape):
     """Half the antero-posterior depth there."""
     stem_corner_radius: PositiveLength = 3.0
     """Radius of the section's corners there."""
-    neck_diameter: Annotated[float, Dimension("mm", "a length", "10 mm", at_least=5.0)] = 9.8
+    neck_diameter: Annotated[float, _length("10 mm", at_least=5.0)] = 9.8
     """Diameter of the neck where it leaves the body: at least 5 mm, at most the body's width."""
-    trunnion_diameter: Annotated[
-        float, Dimension("mm", "a length", "12 mm", at_least=5.0, at_most=22.0)
-    ] = 12.0
+    trunnion_diameter: Annotated[float, _length("12 mm", at_least=5.0, at_most=22.0)] = 12.0
     """Diameter of the neck's end, which carries the head, 5 to 22 mm."""
-    head_offset: Annotated[
-        float, Dimension("mm", "a length", "43 mm", at_least=20.0, at_most=80.0)
-    ] = 43.0
+    head_offset: Annotated[float, _length("43 mm", at_least=20.0, at_most=80.0)] = 43.0
     """Medial distance of the head's centre from the shaft axis, 20 to 80 mm."""
-    head_height: Annotated[
-        float, Dimension("mm", "a length", "54 mm", at_least=20.0, at_most=100.0)
-    ] = 54.0
+    head_height: Annotated[float, _length("54 mm", at_least=20.0, at_most=100.0)] = 54.0
     """Height of the head's centre above mid lesser trochanter, 20 to 100 mm; no part of the stem's
     body is higher."""
     neck_angle: Angle = math.radians(130.0)
@@ -98,7 +92,7 @@ class _Femur(Shape):
     """Angle of the cut to the transverse plane (rad)."""
     plug_length: PositiveLength = 10.0
     """Length of cement below the tip."""
-    distal_cut_z: Annotated[float, Dimension("mm", "a length", "-200 mm", at_least=-350.0)] = -200.0
+    distal_cut_z: Annotated[float, _length("-200 mm", at_least=-350.0)] = -200.0
     """Level at which the shaft is cut and held: below the plug, at least -350 mm."""
 
     @model_validator(mode="after")
@@ -272,9 +266,7 @@ class IntactFemur(_Femur):
     boundary_names: ClassVar[tuple[str, ...]] = ("distal_cut", "bone_surface", "head", *MUSCLES)
 
     kind: Literal["intact_femur"] = "intact_femur"
-    head_radius: Annotated[
-        float, Dimension("mm", "a length", "23 mm", at_least=18.0, at_most=30.0)
-    ] = 23.0
+    head_radius: Annotated[float, _length("23 mm", at_least=18.0, at_most=30.0)] = 23.0
     """Radius of the femoral head, 18 to 30 mm; the neck has about two thirds of it."""
 
     def estimate_cells(self, mesh: MeshOptions) -> int:

@@ -68,6 +68,15 @@ def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
             return path, f"{value} is not a mapping; expected keys {', '.join(keys)}"
         case "literal_error" if words := re.findall("'([^']*)'", entry["ctx"]["expected"]):
             return path, _not_one_of(entry["input"], words)
+        case "union_tag_invalid":
+            given, tags = entry["input"], entry["ctx"]["expected_tags"]
+            kinds = re.findall(f"'{TAG}(\\w+)'", tags)
+            if not isinstance(given, dict):
+                text = f"{value} is not a mapping; expected one with kind: {' | '.join(kinds)}"
+                return path, text
+            missing = f"is missing; expected one of {', '.join(kinds)}"
+            text = _not_one_of(given["kind"], kinds) if "kind" in given else missing
+            return (*path, "kind"), text
     return path, f"{value}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
 
 
@@ -241,38 +250,20 @@ class Kinds:
     ) -> core_schema.CoreSchema:
         """A tagged union whose tags cannot be mistaken for keys of the file."""
         classes: tuple[type[BaseModel], ...] = get_args(source) or kinds_of(source)
-        by_kind = {
-            get_args(c.model_fields["kind"].annotation)[0]: c
-            for c in classes
-            if "kind" in c.model_fields
-        }
-        by_key = {
-            next(key for key, field in c.model_fields.items() if field.is_required()): c
-            for c in classes
-            if "kind" not in c.model_fields
-        }
+        tags, keys = dict[type, str](), dict[str, str]()
+        for model in classes:
+            if "kind" in (fields := model.model_fields):
+                tags[model] = TAG + get_args(fields["kind"].annotation)[0]
+            else:
+                key = next(key for key, field in fields.items() if field.is_required())
+                tags[model] = keys[key] = f"{TAG}.{key}"
 
-        def model_of(value: object) -> type[BaseModel]:
+        def tag(value: object) -> str:
             if isinstance(value, classes):
-                return type(value)
-            if not isinstance(value, dict):
-                kinds = " | ".join(by_kind)
-                fail(f"{show(value)} is not a mapping; expected one with kind: {kinds}")
-            for key, model in by_key.items():
-                if key in value:
-                    return model
-            if "kind" not in value and not self.default:
-                fail(f"is missing; expected one of {', '.join(by_kind)}", at=("kind",))
-            kind = value.get("kind", self.default)
-            one_of(kind, tuple(by_kind), at=("kind",))
-            return by_kind[kind]
+                return tags[type(value)]
+            found = value if isinstance(value, dict) else {}
+            by_key = next((tag for key, tag in keys.items() if key in found), "")
+            return by_key or f"{TAG}{found.get('kind', self.default)}"
 
-        def check(value: object) -> object:
-            model_of(value)
-            return value
-
-        union = core_schema.tagged_union_schema(
-            {TAG + c.__name__: handler.generate_schema(c) for c in classes},
-            lambda value: TAG + model_of(value).__name__,
-        )
-        return core_schema.no_info_before_validator_function(check, union)
+        schemas = {tags[model]: handler.generate_schema(model) for model in classes}
+        return core_schema.tagged_union_schema(schemas, tag)

@@ -15,6 +15,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, GetJsonSchemaHandler
@@ -257,55 +258,42 @@ class Plain(_Bounded):
         return kind | {BOUNDS[key][2]: bound for key, bound in self.bounds.items()}
 
 
-_length = ("mm", "a length", "4 mm")
-_stiffness = ("MPa/mm", "a stiffness per area", "100 MPa/mm")
+_length = partial(Dimension, "mm", "a length", "4 mm")
+_time = partial(Dimension, "s", "a time", "600 s")
+_stiffness = partial(Dimension, "MPa/mm", "a stiffness per area", "100 MPa/mm")
+# Each internal unit of heat equals one in mm, N, s, K, tonne: 1 W/(m K) = 1 N/(s K).
+_conductance = partial(Dimension, "mW/(mm^2*K)", "a conductance per area", "300 W/(m^2 K)")
+_specific_heat = Dimension("mJ/(tonne*K)", "a specific heat", "1460 J/(kg K)", above=0.0)
+_expansion = Dimension("1/K", "an expansion per temperature", "80e-6 1/K")
+_heat = Dimension("J/cm^3", "an energy per volume", "1.55e8 J/m^3", at_least=0.0)
+_per_pressure = partial(Dimension, "mW/(mm^2*K*MPa)", "a conductance per area and pressure")
+_per_amount = partial(Dimension, "J/mol", "an energy per amount of substance", "62866 J/mol")
+FORCE = Dimension("N", "a force", "1800 N")
 
-Length = Annotated[float, Dimension(*_length)]
-# Bound of lengths in a geometry, so that volumes do not overflow.
-_longest = 1e10
-PositiveLength = Annotated[float, Dimension(*_length, above=0.0, at_most=_longest)]
+Length = Annotated[float, _length()]
+# The bound keeps volumes from overflow.
+PositiveLength = Annotated[float, _length(above=0.0, at_most=1e10)]
 Angle = Annotated[float, Dimension("rad", "an angle", "1.5 deg")]
 Stress = Annotated[float, Dimension("MPa", "a pressure", "2 MPa")]
 Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa", above=0.0)]
-Stiffness = Annotated[float, Dimension(*_stiffness, at_least=0.0)]
-PositiveStiffness = Annotated[float, Dimension(*_stiffness, above=0.0)]
-FORCE = Dimension("N", "a force", "1800 N")
+Stiffness = Annotated[float, _stiffness(at_least=0.0)]
+PositiveStiffness = Annotated[float, _stiffness(above=0.0)]
 Newton = Annotated[float, FORCE]
-_time = ("s", "a time", "600 s")
-NonNegativeTime = Annotated[float, Dimension(*_time, at_least=0.0)]
-PositiveTime = Annotated[float, Dimension(*_time, above=0.0)]
+NonNegativeTime = Annotated[float, _time(at_least=0.0)]
+PositiveTime = Annotated[float, _time(above=0.0)]
 
 Temperature = Annotated[float, AbsoluteTemperature()]
 PositiveDifference = Annotated[float, TemperatureDifference(above=0.0)]
-# Each internal unit equals one in mm, N, s, K, tonne: 1 W/(m K) = 1 N/(s K).
 Conductivity = Annotated[float, Dimension("W/(m*K)", "a conductivity", "0.2 W/(m K)", above=0.0)]
 Density = Annotated[float, Dimension("tonne/mm^3", "a density", "1100 kg/m^3", above=0.0)]
-SpecificHeat = Annotated[
-    float, Dimension("mJ/(tonne*K)", "a specific heat", "1460 J/(kg K)", above=0.0)
-]
-ExpansionCoefficient = Annotated[
-    float, Dimension("1/K", "an expansion per temperature", "80e-6 1/K")
-]
-HeatDensity = Annotated[
-    float, Dimension("J/cm^3", "an energy per volume", "1.55e8 J/m^3", at_least=0.0)
-]
-_conductance = ("mW/(mm^2*K)", "a conductance per area", "300 W/(m^2 K)")
-ConductancePerArea = Annotated[float, Dimension(*_conductance, at_least=0.0)]
-FilmCoefficient = Annotated[float, Dimension(*_conductance, above=0.0)]
-ConductancePerPressure = Annotated[
-    float,
-    Dimension(
-        "mW/(mm^2*K*MPa)",
-        "a conductance per area and pressure",
-        "100 W/(m^2 K MPa)",
-        above=0.0,
-    ),
-]
+SpecificHeat = Annotated[float, _specific_heat]
+ExpansionCoefficient = Annotated[float, _expansion]
+HeatDensity = Annotated[float, _heat]
+ConductancePerArea = Annotated[float, _conductance(at_least=0.0)]
+FilmCoefficient = Annotated[float, _conductance(above=0.0)]
+ConductancePerPressure = Annotated[float, _per_pressure("100 W/(m^2 K MPa)", above=0.0)]
 PositiveRate = Annotated[float, Dimension("1/s", "a rate", "0.002 1/s", above=0.0)]
-ActivationEnergy = Annotated[
-    float,
-    Dimension("J/mol", "an energy per amount of substance", "62866 J/mol", at_least=0.0),
-]
+ActivationEnergy = Annotated[float, _per_amount(at_least=0.0)]
 
 Number = Annotated[float, Plain()]
 PositiveNumber = Annotated[float, Plain(above=0.0)]
