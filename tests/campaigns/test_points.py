@@ -209,7 +209,7 @@ STUDIES = [
     ("[5 mm, 4 mm, 3 mm]", "[5 mm]", "7:58: study.lines.P2.mesh.far_size: has 1 values where"),
     ("[4 mm, 2 mm, 1 mm]", "[]", "6:25: study.lines.P1.mesh.size: is an empty list"),
     ("mesh.order: 1,", "ranks: [1, 2, 0],", "6:24: study.lines.P1.ranks[2]: 0 is not a number"),
-    ("[4 mm, 2 mm, 1 mm]", "[4 mm, 2 N, 1 mm]", "6:43: study.lines.P1.mesh.size[1]: '2 N' is not a"),
+    ("[4 mm, 2 mm, 1 mm]", "[4 mm, 2 N, 1 mm]", "6:43: study.lines.P1.mesh.size[1]: '2 N' is "),
     ("2 mm, 1 mm]", "2 mm, 7 mm]", "6:5: study.lines.P1: P1/size=7mm: "),
     ("P2: {mesh.order", "P2: {mesh.oder", "7:10: study.lines.P2.mesh.oder: unknown key"),
     ("[1 mm, 0.5 mm]", "[1 mm]", "9:5: study.reference.run: has a single run"),
