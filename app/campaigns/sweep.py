@@ -23,8 +23,7 @@ from app.campaigns.plan import Options
 from app.campaigns.runs import Job, Result
 from app.case import quantities
 from app.case import sweep as sweep_file
-from app.case.planned_run import PlannedRun
-from app.case.sweep import Sweep
+from app.case.sweep import PlannedRun, Sweep
 from app.errors import InputError, gravest
 from app.results.closing_lines import UNUSABLE
 from app.schema import yaml_file

@@ -130,21 +130,11 @@ def _named_file(file: CaseFile, key: str) -> FilePath:
     return path
 
 
-def _anchor(data: Any, folder: FilePath) -> None:
-    """Make paths of a base absolute, which are relative to its file."""
-
-    def absolute(value: Any) -> Any:
-        if isinstance(value, list):
-            return [absolute(v) for v in value]
-        return str((folder / expanduser(value)).absolute()) if isinstance(value, str) else value
-
-    if isinstance(data, dict):
-        for key, value in data.items():
-            if key == "geometry" and isinstance(value, dict) and "path" in value:
-                value["path"] = absolute(value["path"])
-            elif key == "geometry.path":
-                data[key] = absolute(value)
-            _anchor(value, folder)
+def _anchor(data: Mapping[str, Any], folder: FilePath) -> None:
+    """Make the path of a mesh absolute, which is relative to the file of its case."""
+    geometry = data.get("geometry")
+    if isinstance(geometry, dict) and isinstance(path := geometry.get("path"), str):
+        geometry["path"] = str((folder / expanduser(path)).absolute())
 
 
 # ---------------------------------------------------------------------------------- merging

@@ -13,13 +13,12 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
+from app.schema.units import NUMBER
 from app.schema.yaml_file import Fault, Path, key_parts
 
 # Number of random designs to choose from.
 DESIGNS = 20
 MOST_CASES = 20_000
-# A number, and its unit if it has one.
-QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 # A value that can be part of a name.
 LABEL = re.compile(r"[A-Za-z0-9_.+-]{1,24}")
 
@@ -94,7 +93,7 @@ Table = Annotated[dict[Name, Changes], MAPPING, Field(min_length=1)]
 
 
 def _number(value: object) -> tuple[float, str]:
-    found = QUANTITY.fullmatch(str(value)) if isinstance(value, str | int | float) else None
+    found = NUMBER.fullmatch(str(value)) if isinstance(value, str | int | float) else None
     if found is None or isinstance(value, bool):
         fail(f"{show(value)} is not a number, with its unit if it has one")
     number = float(found[1])
