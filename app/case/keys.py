@@ -1,8 +1,10 @@
-"""The table of all keys of a file, from its JSON schema: for editors, `explain` and the manual."""
+"""The table of all keys of a file, from its JSON schema; what `mantle explain` tells of them."""
 
 from __future__ import annotations
 
+import difflib
 import re
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -12,9 +14,9 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
+from app.case import library
 from app.case.case import Case
-from app.case.study import StudyFile
-from app.case.sweep import Sweep
+from app.errors import InputError
 from app.schema.section import docstrings
 from app.schema.units import bounds_in_words
 
@@ -22,29 +24,10 @@ Schema = dict[str, Any]
 NUMBERS = {2: "two", 3: "three", 6: "six"}
 TYPES = {"string": "text", "integer": "whole number", "number": "number"}
 TYPES |= {"boolean": "`true`, `false`", "object": "mapping of keys to values"}
-# Number of equal rows of two kinds that are written once.
-SHARED = 8
-CASE = """# Keys of a case file
 
-A case is a YAML file. A value with a dimension is text with its unit: `110 GPa`, `4 mm`. Any unit
-of the right dimension is accepted. The column *unit* names the unit in which mantle keeps and
-reports the value. A list of values of one unit may be written once with the unit, in quotes:
-`"[0, 0, -1800] N"`. Unknown keys are errors.
-
-An *expression* is arithmetic in the coordinates x, y, z in mm, for example
-`"-0.02 * (1 - z / 50)"`; its result is in the unit of the column. It may use `sqrt`, `sin`, `cos`,
-`tan`, `exp`, `log`, `abs`, `min`, `max`, `atan2`, `hypot` and `pi`.
-
-`<name>` stands for a name that you choose or that the geometry gives. A key without a default is
-required; *none* means that it may be left out. `mantle explain --schema` prints the same as a JSON
-schema, for completion in editors.
-"""
-CAMPAIGNS = """# Keys of sweep and study files
-
-How to use them: [Many runs](../howto/many-runs.md). Keys of overrides are written as after
-`--set`: `interfaces.stem_cement.friction_coefficient`. The key `ranks` sets the number of MPI
-ranks of a run.
-"""
+WIDTH = 96
+# Keys explained by the text of another.
+WITHIN = {"loads.library": "loads"}
 
 
 class _Generator(GenerateJsonSchema):
@@ -104,12 +87,6 @@ class Key:
         """The whole key."""
         return f"{self.section}.{self.name}" if self.section else self.name
 
-    @property
-    def row(self) -> str:
-        """Its row in the manual."""
-        cells = (f"`{self.name}`", self.value, self.unit, self.default, self.meaning)
-        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
-
 
 @dataclass(frozen=True)
 class Keys:
@@ -160,37 +137,6 @@ def table(root: type[BaseModel] = Case) -> list[Keys]:
             made = Key(section.path, section.kind, key, value, unit, default, meaning, inner)
             section.keys.append(made)
     return list(places.values())
-
-
-def case_page() -> str:
-    """Every key of a case file, in Markdown."""
-    return "\n".join([CASE, *_page(Case, "Sections of a case")])
-
-
-def campaigns_page() -> str:
-    """Every key of sweep and study files, in Markdown."""
-    sweep = _page(Sweep, "Sections of a sweep file")
-    study = _page(StudyFile, "Sections of a study file")
-    return "\n".join([CAMPAIGNS, *sweep, *study])
-
-
-def _page(root: type[BaseModel], title: str) -> Iterator[str]:
-    written: dict[str, tuple[str, list[str]]] = {}
-    for section in table(root):
-        yield f"## {section.heading if section.path else title}\n"
-        if section.path:
-            yield f"{section.meaning}\n"
-        rows = [key.row for key in section.keys]
-        kind, others = written.get(section.path, ("", []))
-        own = [row for row in rows if row not in others]
-        if len(rows) - len(own) > SHARED:
-            rows = own
-            yield f"All keys of kind `{kind}`, and:\n"
-        else:
-            written[section.path] = section.kind, rows
-        yield "| key | value | unit | default | meaning |\n|---|---|---|---|---|"
-        yield from rows
-        yield ""
 
 
 def _kind(schema: Schema) -> str:
@@ -283,3 +229,82 @@ def _yaml(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return value if isinstance(value, str) else f"{value:g}"
+
+
+# ------------------------------------------------------------------------------ explanations
+
+
+def explained(key: str) -> str:
+    """Meaning, value, unit, default and an example of a key; or an entry of the library.
+
+    Args:
+        key: As after ``--set``, without names or with the last word alone. Else a name of the
+            library, or ``materials`` or ``loads`` for all of them.
+
+    Raises:
+        InputError: There is no such key.
+    """
+    every = _every()
+    asked = key.strip().strip(".")
+    asked = WITHIN.get(asked, asked)
+    found = [k for k in every if _matches(k, asked)] or [k for k in every if k.name == asked]
+    listed = library.listed(key).replace("`", "") if key in library.KINDS else ""
+    if not found and (listed or key in library.names()):
+        return listed or library.described(key)
+    if not found:
+        names = {re.sub(r"\.<name>|\[\]", "", k.path): None for k in every}
+        ends = {name.rpartition(".")[2]: name for name in reversed(names)}
+        near = difflib.get_close_matches(asked, [*names, *library.names()], 3)
+        near += [ends[w] for w in difflib.get_close_matches(asked.rpartition(".")[2], ends, 3)]
+        nearest = ", ".join(dict.fromkeys(near)) or ", ".join(Case.model_fields)
+        raise InputError(f"{key}: no key of a case; nearest: {nearest}")
+    heads: dict[str, list[str]] = {}
+    for k in found:
+        kind = f"  (kind {k.kind})" if k.kind else ""
+        heads.setdefault("\n".join(_body(k)), []).append(k.path + kind)
+    parts = ["\n".join([*own, body]) for body, own in heads.items()]
+    return "\n\n".join([*parts, *([listed] if listed else [])])
+
+
+@cache
+def unit(key: str) -> str:
+    """Internal unit of a key as after ``--set``; empty if it has none or is unknown."""
+    units = {k.unit for k in _every() if _matches(k, key)} - {""}
+    return units.pop() if len(units) == 1 else ""
+
+
+def _every() -> list[Key]:
+    return [key for section in table() for key in section.keys]
+
+
+def _matches(key: Key, asked: str) -> bool:
+    """Whether a key matches; names and numbers may be any or be left out."""
+    pattern = re.escape(key.path)
+    pattern = pattern.replace(r"\.<name>", r"(\.[^.]+)?")
+    pattern = pattern.replace(r"\[\]", r"(\[\d*\]|\.\d+)?")
+    return re.fullmatch(pattern, asked) is not None
+
+
+def _body(key: Key) -> Iterator[str]:
+    """Lines of an explanation below its heading."""
+    said = f"{key.value} such as {key.default} {key.meaning}"
+    example = re.search(r"(?:e\.g\.|such as) `([^`]*)`", said)
+    rows = {
+        "value": key.value,
+        "unit": key.unit,
+        "default": key.default or "none: it is required",
+        "keys": "; ".join(f"{kind}: {', '.join(names)}" for kind, names in key.inner),
+        "example": f"{key.name}: {example[1]}" if example else "",
+    }
+    yield from _wrapped(key.meaning, "  ", "  ")
+    for name, text in rows.items():
+        if text:
+            yield from _wrapped(text.removeprefix(": "), f"  {name:<9}", " " * 11)
+
+
+def _wrapped(text: str, start: str, further: str) -> list[str]:
+    """Wrap Markdown without its marks, with indents of the first and further lines."""
+    plain = re.sub(r"\[([^\]]*)\]\(#[^)]*\)", r"\1", text).replace("`", "")
+    return textwrap.wrap(
+        plain, WIDTH, initial_indent=start, subsequent_indent=further, break_on_hyphens=False
+    )
