@@ -133,14 +133,9 @@ def show(value: object) -> str:
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
     """End of a message that proposes words that begin alike or are nearest; may be empty."""
-    folded = {k.lower(): k for k in known}
-    lower = word.lower()
-    begun = [k for k in known if len(word) > 2 and k.lower().startswith(lower)]
-    close = (
-        begun[:3]
-        or difflib.get_close_matches(word, known, 1)
-        or [folded[w] for w in difflib.get_close_matches(lower, list(folded), 1)]
-    )
+    folded, lower = {k.lower(): k for k in known}, word.lower()
+    begun = [k for k in known if len(word) > 2 and k.lower().startswith(lower)][:3]
+    close = begun or [folded[w] for w in difflib.get_close_matches(lower, folded, 1)]
     names = " or ".join(f"'{k}'" for k in close)
     return f"; did you mean {names}?" if close else ""
 

@@ -186,8 +186,6 @@ class AbsoluteTemperature(Dimension):
             PydanticCustomError: As `Dimension.read`; a difference of temperatures; below 0 K.
         """
         match = NUMBER.fullmatch(value) if isinstance(value, str) else None
-        if match and match[2] in ("C", "F"):
-            fail(f"{show(value)} is not {self.what}; did you mean '{match[1]} deg{match[2]}'?")
         if match and "delta" in match[2]:
             fail(f"{show(value)} is a difference of temperatures; expected one such as 37 degC")
         result = super().read(value)
