@@ -143,10 +143,8 @@ def did_you_mean(word: str, known: Sequence[str]) -> str:
 def _name(value: object) -> object:
     # Names become names of folders and fields.
     if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]{0,99}", value):
-        fail(
-            f"{show(value)} is not a name; expected letters, digits, _ and -, first a letter, at "
-            "most 100"
-        )
+        expected = "expected letters, digits, _ and -, first a letter, at most 100"
+        fail(f"{show(value)} is not a name; {expected}")
     return value
 
 
