@@ -181,6 +181,14 @@ class Scalar:
         """Convert a value to a form that `read` takes back to it."""
         return value
 
+    def json_schema(self) -> dict[str, Any]:
+        """The values that are read, for editors; ``x-value`` and ``x-unit`` for the manual."""
+        raise NotImplementedError
+
+    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
+        """Replace pydantic's own JSON schema."""
+        return self.json_schema()
+
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
