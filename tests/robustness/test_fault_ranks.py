@@ -14,7 +14,7 @@ import pytest
 from tests import support
 from tests.robustness.faulty import arguments, numbers, start
 
-pytestmark = pytest.mark.parallel
+pytestmark = [pytest.mark.parallel, pytest.mark.slow]
 HANGS = 300.0  # s; what takes so long waits for ever, on any machine
 CODES = {"internal": 70, "memory": 69, "stop": 5, "divergence": 4, "interrupt": 5}
 TWO = ("-n", "2")

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import mantle
 from app.campaigns.plan import Options
+from app.campaigns.runs import Job, Result
 from app.case.case import load
 from app.verification import closed_forms, engine
 from app.verification.check import CONFIGS, Check, CheckRun, Sample, each
 from app.verification.engine import SUITES
-from app.verification.problems import problems
+from app.verification.problems import QUICK, problems
 
 KEYS = {"name", "error", "tolerance", "order", "expected_order", "seconds", "outcome"}
 
@@ -64,8 +67,7 @@ def test_what_fails_is_told(
     )
     run = CheckRun("verification/incline.yaml", loose)
     broken = Check("incline_loose", "nothing holds it", (run,), each(_never), 0.1)
-    everything = problems()
-    monkeypatch.setitem(SUITES, "verify", lambda: [broken, *everything])
+    monkeypatch.setitem(SUITES, "verify", lambda: [broken, *problems()])
     monkeypatch.setattr(closed_forms, "push_up", lambda slope, friction: 0.5)
     assert not verify("incline", tmp_path)
     loose, wrong = written(tmp_path, "incline")
@@ -104,10 +106,31 @@ def test_problems_are_well_posed() -> None:
 
 
 @pytest.mark.slow
-def test_all_pass(tmp_path: Path) -> None:
-    """The default suite, some minutes on two cores."""
-    assert verify("", tmp_path), [
+def test_all_pass(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The default suite, some minutes on two cores; the stiff problems tell what they took."""
+    caplog.set_level(logging.INFO, "mantle")
+    passed, entries = verify("", tmp_path), written(tmp_path, "")
+    assert passed, [
         (e["name"], e["error"], e["order"], e["message"])
-        for e in written(tmp_path, "")
+        for e in entries
         if e["outcome"] != "passed"
     ]
+    notes = [e["note"] for e in entries if e["group"] == "stiff"]
+    assert len(notes) > 15
+    assert all(re.match(r"steps \d+, rejected \d+, balance \d", note) for note in notes)
+    assert all(note in caplog.text for note in notes)
+
+
+QUICK_PROBLEMS = {p.name: p.up_to("quick") for p in problems() if p.tier == "quick"}
+
+
+@pytest.mark.parametrize("name", sorted(QUICK))
+def test_the_answer_is_the_known_one(name: str, tmp_path: Path) -> None:
+    """The quick tier; all of them, with their finest rungs: ``mantle verify``, the mutations."""
+    problem, results = QUICK_PROBLEMS[name], []
+    for k, run in enumerate(problem.runs):
+        path, folder = CONFIGS / run.case, tmp_path / str(k)
+        mantle.run(load(path, run.overrides), folder)
+        results.append(Result(Job(name, path), folder, 0, 0.0, {}, ""))
+    result = engine.judge(problem, results)
+    assert result.outcome == "passed", result.as_json()
