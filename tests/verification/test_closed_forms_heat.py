@@ -261,9 +261,7 @@ def test_heated_walls_have_one_or_three_states() -> None:
         assert state.first == pytest.approx(hot)
 
 
-WAVY = coupled.WavyContact(
-    2.0, 1.0, (2.0, 1.0), (0.1, 0.1), 10.0, 50.0, 37.0, (0.2, 0.58), (MANTLE, BONE), (8e-5, 2.75e-5)
-)
+WAVY = coupled.WavyContact()
 
 
 def wavy(upper: bool) -> tuple[Scalar, Scalar]:
