@@ -18,7 +18,6 @@ from app.campaigns.work_precision import fitted_order
 from forms.contact import SLIP
 from tests import support
 from tests.support import Solved
-from tests.verification.test_full_slip import BAR
 
 # Of the largest increment.
 NEGATIVE = -1e-12
@@ -281,12 +280,32 @@ def test_work_of_a_growing_interference_is_not_contact_work() -> None:
     assert np.abs(j.state.contact_work).sum() < 1e-10 * work
 
 
+# A bar pressed against a rigid wall.
+BAR = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: wall, size: [2 mm, 2 mm, 2 mm]}
+    - {name: bar, size: [2 mm, 2 mm, 10 mm]}
+mesh: {order: 1, size: 1 mm, far_size: 2 mm}
+regions:
+  wall: {rigid: true}
+  bar: {youngs_modulus: 2200 MPa, poisson_ratio: 0}
+interfaces:
+  wall_bar: {kind: penalty, penalty: 1000 MPa/mm, friction_coefficient: 0.3}
+supports:
+  wall: {kind: fixed, boundary: bottom}
+  end: {kind: displacement, boundary: top, x: 0 mm, y: 0 mm, z: -0.01 mm}
+solver: {tolerance: 1.0e-13}
+"""
+
+
 def test_contact_work_of_a_penalty_is_the_energy_of_its_springs() -> None:
     """Bar against a wall by a penalty: r/2 g^2 A with g = K u / (K + r), and nothing once back."""
     K, u, r, A = 220.0, 0.01, 1e3, 4.0
     energies = [
         support.solve(
-            BAR.format(law=f"kind: penalty, penalty: {r} MPa/mm", friction=0.3),
+            BAR,
             f"supports.end.history={history}",
             f"stages={[{'name': f's{k}', 'increments': 2} for k in range(len(history))]}",
         ).interfaces["wall_bar"]["contact_work"]
