@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import random
 import subprocess
 from pathlib import Path
@@ -97,11 +96,11 @@ def test_a_disk_that_becomes_read_only(number: int, warmed: Path, tmp_path: Path
 
 
 def test_a_folder_belongs_to_one_run(tmp_path: Path) -> None:
-    held = folders.claim(tmp_path)
-    child = start(tmp_path)
-    said = child.communicate(timeout=60)[1]
+    with folders.claim(tmp_path):
+        child = start(tmp_path)
+        said = child.communicate(timeout=60)[1]
     assert child.returncode == 2
     assert f"-o {tmp_path}: another run is writing into it" in said
     assert not list(tmp_path.iterdir())
-    os.close(held)
-    os.close(folders.claim(tmp_path))
+    with folders.claim(tmp_path):
+        pass

@@ -28,8 +28,8 @@ def test_only_records_are_by_the_clock_of_the_wall() -> None:
     files = [p for part in ("app", "meshes", "forms") for p in (support.ROOT / part).rglob("*.py")]
     used = {f"{p.parent.name}/{p.name}" for p in files if clock.search(p.read_text())}
     # Provenance of a run, of a checkpoint; and how old files are, which is by that clock.
-    records = {"simulation/run.py", "simulation/session.py", "simulation/checkpoint.py"}
-    assert used == records | {"results/run_folder.py"}
+    records = {"simulation/session.py", "simulation/checkpoint.py", "results/run_folder.py"}
+    assert used == records
 
 
 # ------------------------------------------------------------------------------------- memory

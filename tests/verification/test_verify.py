@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import mantle
-from app.campaigns.plan import Options
+from app.campaigns.batch import Options
 from app.campaigns.runs import Job, Result
 from app.case.case import load
 from app.verification import closed_forms, engine
