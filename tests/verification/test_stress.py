@@ -66,9 +66,9 @@ def test_turned_and_scaled_meshes() -> None:
         1 + 2 * np.cos(np.radians(40))
     )
     whole = cell_volumes(data.points, data.cells).sum()
-    turned = changed_meshes.turned(data)
+    turned = changed_meshes.CHANGES["turned"](data)
     assert cell_volumes(turned.points, turned.cells).sum() == pytest.approx(whole)
-    small = changed_meshes.scaled(data, 1e-3)
+    small = changed_meshes.CHANGES["metres"](data)
     assert cell_volumes(small.points, small.cells).sum() == pytest.approx(1e-9 * whole)
 
 
