@@ -38,7 +38,7 @@ from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
-from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
+from app.stepping.heated_mechanics import HeatedMechanics, SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
 from app.stepping.stages import run_stages
 from app.system import folders
@@ -264,13 +264,13 @@ class Model:
     @staticmethod
     def _beside_heat(
         heating: HeatState, load_stepper: LoadStepper | None
-    ) -> SolvedAfterHeat | SolvedWithHeat | None:
+    ) -> HeatedMechanics | None:
         """Mechanics beside the heat: in one system with it, or after it."""
         if load_stepper is None:
             return None
         if heating.coupled is not None:
             return SolvedWithHeat(load_stepper, heating, heating.coupled)
-        return SolvedAfterHeat(load_stepper, heating, heating.options.mechanical_step)
+        return SolvedAfterHeat(load_stepper, heating)
 
     # Published numbers of the state last committed
 

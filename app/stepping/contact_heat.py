@@ -50,7 +50,7 @@ class ContactHeat:
     """Input of the heat from the contact points: pressures and the power of friction.
 
     Attributes:
-        heats: Nodal heat by friction power per area, for each thermal body (nodes x points) [mm2].
+        heats: Nodal heat by friction power per area of each thermal body (nodes x points) [mm2].
         pressed: Pressure at the points of finite conductance by that at contact points, if any.
         friction_work: Friction work per area since the time step began, in the heat [N/mm].
         expands: Regions whose expansion follows temperature; in curing regions it is history.
@@ -117,7 +117,7 @@ class ContactHeat:
         if jumps is not None and self.pressed is not None:
             jumps.pressure = _times(self.pressed, pressure)
         if friction is not None:
-            friction.nodal = [_times(H, power) for _, H in sorted(self.heats.items())]
+            friction.nodal = np.array([_times(H, power) for H in self.heats])
             for i, c in enumerate(self._problem.scene.contacts):
                 if f"friction {c.name}" in friction.flows:
                     mine = float((contact.own.weight * power)[contact.own.interface == i].sum())
@@ -179,7 +179,7 @@ def _heats(
     contact: ContactInterfaces,
     operators: HeatOperators,
     number: Ints,
-) -> dict[int, PETSc.Mat]:
+) -> list[PETSc.Mat]:
     """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
     points, space = contact.points, operators.forms.space
     facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
@@ -193,17 +193,12 @@ def _heats(
     master = np.array([body_of[c.master[0]] for c in scene.contacts])
     slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
     sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))
-    found: dict[int, PETSc.Mat] = {}
+    sizes = problem.comm, operators.forms.owned, len(contact.own)
+    found = []
     for b in range(len(operators.bodies.names)):
-        value = sum(np.where(body[points.interface] == b, share, 0.0) for body, share in sides)
-        found[b] = from_triplets(
-            problem.comm,
-            operators.forms.owned,
-            len(contact.own),
-            dof[own] - start,
-            number[own],
-            (points.weight * value)[own],
-        )
+        share = sum(np.where(body[points.interface] == b, s, 0.0) for body, s in sides)
+        values = (points.weight * share)[own]
+        found.append(from_triplets(*sizes, dof[own] - start, number[own], values))
     return found
 
 

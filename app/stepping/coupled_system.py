@@ -177,8 +177,8 @@ class CoupledSystem(ContactSystem):
         """Minus the heat by friction power, in the rows of temperature and of jumps."""
         operators, heats = self._heat.operators, self.exchange.heats
         keep = self._heat.vectors()
-        nodes = [matrix_sum(list(heats.values()))]
-        held = [operators.fixed.held]
+        nodes = [matrix_sum(heats)]
+        held = [operators.fixed.base >= 0]
         if (j := operators.jumps) is not None:
             nodes.append(matrix_sum([B.transposeMatMult(heats[b]) for b, B in j.moves.items()]))
             held.append(j.held)

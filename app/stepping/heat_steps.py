@@ -17,7 +17,7 @@ from app.numerics.integrator import Controller
 from app.scene.scene import SceneStage
 from app.soundness.failure import attempts
 from app.stepping.heat_state import HeatState, HeatStep
-from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
+from app.stepping.heated_mechanics import HeatedMechanics
 from app.stepping.load_steps import LoadStep, Summary, no_checkpoint
 
 # Least time step, as a part of its stage.
@@ -40,7 +40,7 @@ class HeatStepper:
     saved: ClassVar = ("_under_way", "_begin", "_steps", "_controller", "mechanics")
 
     heating: HeatState
-    mechanics: SolvedAfterHeat | SolvedWithHeat | None
+    mechanics: HeatedMechanics | None
     on_heat: OnHeat
     on_trouble: Callable[[str], None]
 

@@ -47,7 +47,7 @@ def test_taylor_remainder_is_of_second_order(
     solver, problem = c.solver, c.model.mechanics.problem
     operators, j = c.model.thermal.operators, problem.contact
     held = [
-        operators.fixed.held,
+        operators.fixed.base >= 0,
         *([operators.jumps.held] if operators.jumps else []),
         problem.stiffness.constraints.constrained,
         j.points.held[j.own.rows].ravel(),
