@@ -217,7 +217,7 @@ class Model:
                 observer.on_heat(step, accepted)
 
             beside = self._beside_heat(t.heating, load_stepper)
-            heat_stepper = HeatStepper(t.heating, beside, on_heat, observer.on_trouble)
+            heat_stepper = HeatStepper(t.heating, beside, on_heat)
         self._steppers = load_stepper, heat_stepper
         run_stages(
             self.scene.stages,

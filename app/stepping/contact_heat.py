@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -36,14 +35,6 @@ from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import contact_facets
 from app.scene.scene import Scene
 from forms import interface_heat
-
-
-@dataclass(frozen=True)
-class PointDerivatives:
-    """Derivatives of a scalar at own contact points by equilibrium and by the jump (n, 3)."""
-
-    by_equilibrium: Floats
-    by_jump: Floats
 
 
 class ContactHeat:
@@ -79,10 +70,8 @@ class ContactHeat:
         self.pressed: PETSc.Mat | None = None
         if (t := operators.jumps) is not None:
             name = [scene.thermal_contacts[i].name for i in t.interface]
-            found = np.array(
-                [known.get(key, -1) for key in zip(name, t.points.vertex[t.mine], strict=True)],
-                dtype=np.int64,
-            )
+            keys = zip(name, t.points.vertex[t.mine], strict=True)
+            found = np.array([known.get(key, -1) for key in keys], dtype=np.int64)
             on = np.flatnonzero(found >= 0)
             ones = np.ones(len(on))
             self.pressed = from_triplets(comm, len(found), self._n, on, found[on], ones)
@@ -144,33 +133,31 @@ class ContactHeat:
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
-    def pressure_rows(self, trial: TrialState) -> PointDerivatives:
-        """Derivatives of the pressure."""
+    def pressure_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
+        """Derivatives of the pressure at own points by equilibrium and by the jump (n, 3)."""
         force = _normal(trial.law, self._contact.own.normals)
         size = np.linalg.norm(force, axis=1)
         direction = force / np.where(size > 0, size, 1.0)[:, None]
         return self._rows(direction, trial)
 
-    def power_rows(self, trial: TrialState) -> PointDerivatives:
-        """Derivatives of the friction power."""
+    def power_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
+        """Derivatives of the friction power, as of the pressure."""
         contact = self._contact
         force, slip = trial.rubbing()
         given = force / contact.law.stiffness[:, None]
-        rows = self._rows(slip - given, trial)
+        by_equilibrium, by_jump = self._rows(slip - given, trial)
         scale = np.where(self.rubbing, 1 / self._h, 0.0)[:, None]
         lost = (contact.law.multiplier_share / contact.own.weight)[:, None] * given
-        return PointDerivatives(
-            scale * (rows.by_equilibrium - lost), scale * (rows.by_jump + force)
-        )
+        return scale * (by_equilibrium - lost), scale * (by_jump + force)
 
-    def _rows(self, along: Floats, trial: TrialState) -> PointDerivatives:
+    def _rows(self, along: Floats, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the force along directions (n, 3): by -e/W (multiplier share), by q."""
-        contact = self._contact
-        by_force = np.einsum("pi,pij->pj", along, trial.law.jacobian)
-        by_jump = np.einsum("pi,pij->pj", along, trial.law.by_jump)
-        return PointDerivatives(
-            -(contact.law.multiplier_share / contact.own.weight)[:, None] * by_force, by_jump
+        by_force, by_jump = (
+            np.asarray(np.einsum("pi,pij->pj", along, derivative))
+            for derivative in (trial.law.jacobian, trial.law.by_jump)
         )
+        share = self._contact.law.multiplier_share / self._contact.own.weight
+        return -share[:, None] * by_force, by_jump
 
 
 def _heats(
