@@ -111,5 +111,5 @@ class CureHeat:
         """Derivative of released heat by temperature at own nodes of curing bodies [N mm/(s K)]."""
         total = self._forms.zeros()
         for n, d in zip(self.nodes, self.at(T), strict=True):
-            total[n.body, n.dof] += n.heat * d.by_temperature / self._h
+            total[n.body, n.dof] += 1 / self._h * n.heat * d.by_temperature
         return {b: total[b] for b in sorted({n.body for n in self.nodes})}

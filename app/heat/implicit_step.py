@@ -21,7 +21,6 @@ from app.errors import InputError
 from app.heat.matrices import HeatMatrices
 from app.heat.operators import HeatOperators
 from app.heat.temperature_jumps import cut_off
-from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
 from app.numerics.system import Measure, System, size
 
@@ -70,8 +69,6 @@ class ImplicitStep(System):
 
     def __init__(self, operators: HeatOperators) -> None:
         self.operators, self.comm = operators, operators.comm
-        # Conduction has no contact states.
-        self.active = ActiveSet(self.comm)
         self.seconds = 0.0
         self._held = operators.fixed.base >= 0
         self._blocks = HeatMatrices(operators.principle.matrices, operators.jumps, self._held)
@@ -195,12 +192,14 @@ class ImplicitStep(System):
         terms = [o.loads.exchanged(T), stored, -self._heats]
         terms += [-o.cure.heats(T)] if o.cure else []
         terms += [-o.friction.nodal] if o.friction else []
-        lacking = np.sum(terms, axis=0)
+        lacking = np.empty_like(T)
         above, flow = self._work
         for b, K in enumerate(o.principle.matrices):
             above.array[:] = T[b] - o.reference
             K.mult(above, flow)
-            lacking[b] += flow.array_r
+            lacking[b] = flow.array_r
+        for term in terms:
+            lacking += term
         parts = [of_body for term in terms for of_body in term]
         flux = o.jumps.flux(given[1]) if o.jumps else None
         if o.jumps and flux:

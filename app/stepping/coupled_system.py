@@ -152,12 +152,14 @@ class CoupledSystem(ContactSystem):
         by_body = operators.jumps.moves if operators.jumps else {}
         of_region = operators.bodies.of_region.items()
         moves = {r: by_body[b] for r, b in of_region if b in by_body}
-        G = self._problem.thermal_stiffness(moves)
+        rows = self._problem.thermal_stiffness(moves)
         sizes = [v.getSizes() for v in self.blocks().values()]
-        heat, (on_u, on_q) = sizes[: self._n], sizes[self._n :]
         return [
-            [_negative(A, self.comm, (height, w)) for A, w in zip(row, heat, strict=False)]
-            for height, row in ((on_u, (G.u_θ, G.u_τ)), (on_q, (G.q_θ, G.q_τ)))
+            [
+                _negative(A, self.comm, (height, width))
+                for A, width in zip(row, sizes[: self._n], strict=False)
+            ]
+            for row, height in zip(rows, sizes[self._n :], strict=True)
         ]
 
     def _from_heat(self) -> list[list[PETSc.Mat]]:
@@ -185,7 +187,7 @@ class CoupledSystem(ContactSystem):
         self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
         """Rows of the heat: columns of the mechanics, and additions to its own columns."""
-        contact = self._contact
+        contact = self.contact
         power = self._point_rows(self.exchange.power_rows(trial))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
         jumps, pressed = self._heat.operators.jumps, self.exchange.pressed
@@ -209,8 +211,8 @@ class CoupledSystem(ContactSystem):
 
     def _point_rows(self, rows: tuple[Floats, Floats]) -> list[PETSc.Mat]:
         """Derivatives of scalars of the contact points as matrices (points x components)."""
-        n = len(self._contact.own)
-        start = self._contact.coupling.D.getOwnershipRange()[0]
+        n = len(self.contact.own)
+        start = self.contact.coupling.D.getOwnershipRange()[0]
         i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
         return [
             from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())

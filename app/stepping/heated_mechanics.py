@@ -160,11 +160,10 @@ class HeatedMechanics:
         problem.set_temperature(
             {x.region: self._temperatures[body[x.region]] for x in scene.expansions}
         )
-        regions = [c.region for c in self._curing]
-        problem.set_cure(
-            dict(zip(regions, self._degrees, strict=True)),
-            dict(zip(regions, self._seen, strict=True)),
-        )
+        if problem.setting:
+            regions = [c.region for c in self._curing]
+            degrees = dict(zip(regions, self._degrees, strict=True))
+            problem.setting.set(degrees, dict(zip(regions, self._seen, strict=True)))
 
 
 class SolvedAfterHeat(HeatedMechanics):
