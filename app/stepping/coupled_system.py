@@ -23,7 +23,7 @@ from app.mechanics.systems import ContactSystem
 from app.numerics.preconditioners import INTERFACE, Options
 from app.numerics.sparse import from_triplets, matrix_sum
 from app.numerics.system import Measure
-from app.scene.scene import Scene, SceneStage
+from app.scene.scene import Scene, Stage
 from app.stepping.contact_heat import ContactHeat
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
@@ -64,7 +64,7 @@ class CoupledSystem(ContactSystem):
         ] or heat.matrices()
         self._down = self._from_heat()
 
-    def begin_stage(self, k: int, stage: SceneStage, start: float) -> None:
+    def begin_stage(self, k: int, stage: Stage, start: float) -> None:
         """Begin stage k, which starts at a time [s]."""
         self._stage = k, stage, start
 
@@ -77,7 +77,7 @@ class CoupledSystem(ContactSystem):
             work: Initial friction work per area (n,) [N/mm].
         """
         k, stage, start = self._stage
-        part = 1.0 if stage.steady else min((seconds - start) / stage.duration, 1.0)
+        part = 1.0 if stage.steady else min((seconds - start) / stage.seconds, 1.0)
         self._problem.set_time(k + part)
         self.exchange.begin(h, work)
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 from app.errors import ConvergenceError
 from app.numerics.integrator import Controller
-from app.scene.scene import SceneStage
+from app.scene.scene import Stage
 from app.soundness.failure import attempts
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heated_mechanics import HeatedMechanics
@@ -51,7 +51,7 @@ class HeatStepper:
         """Counts of steps and iterations so far."""
         return self.heating.total
 
-    def run_stage(self, k: int, stage: SceneStage, checkpoint_point: Callable[[], None]) -> None:
+    def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Run a stage that takes time, or find a steady state."""
         if not self._under_way:
             self._begin, self._steps = self.heating.seconds, 0
@@ -77,7 +77,7 @@ class HeatStepper:
             started = clock.perf_counter()
         self._under_way = False
 
-    def _steady(self, stage: SceneStage) -> Steps:
+    def _steady(self, stage: Stage) -> Steps:
         """The steady state, unless it has been reached."""
         if self._steps:
             return
@@ -91,12 +91,12 @@ class HeatStepper:
         self.heating.warn_if_unstable(stage.name)
         yield accepted, 1.0, True
 
-    def _fixed(self, stage: SceneStage) -> Steps:
+    def _fixed(self, stage: Stage) -> Steps:
         """Equal steps, whatever their error, divided at events."""
-        heating, whole = self.heating, stage.duration / stage.increments
+        heating, whole = self.heating, stage.seconds / stage.increments
         if not self._steps:
             heating.start(whole)
-        tiny, steps = SHORTEST * stage.duration, []
+        tiny, steps = SHORTEST * stage.seconds, []
         for n in range(stage.increments):
             inside = [e - self._begin - n * whole for e in heating.events]
             ends = [0.0, *(e for e in inside if tiny < e < whole - tiny), whole]
@@ -107,14 +107,14 @@ class HeatStepper:
                 raise ConvergenceError(self._failure_text(stage, dt))
             yield heating.accept(*found, dt), done / stage.increments, at_end
 
-    def _adaptive(self, stage: SceneStage) -> Steps:
+    def _adaptive(self, stage: Stage) -> Steps:
         heating, begin, controller = self.heating, self._begin, self._controller
-        whole = stage.duration / stage.increments
+        whole = stage.seconds / stage.increments
         ends = [begin + (n + 1) * whole for n in range(stage.increments)]
         controller.events = sorted([*ends, *(e for e in heating.events if begin < e < ends[-1])])
         if not self._steps:
             controller.begin(min(heating.start(whole), whole))
-        tiny = SHORTEST * stage.duration
+        tiny = SHORTEST * stage.seconds
         while heating.seconds < ends[-1] - tiny:
             while True:
                 dt = controller.propose(heating.seconds)
@@ -130,10 +130,10 @@ class HeatStepper:
             at_end = min(abs(heating.seconds - e) for e in ends) < tiny
             yield accepted, self._done(stage), at_end
 
-    def _done(self, stage: SceneStage) -> float:
-        return min((self.heating.seconds - self._begin) / stage.duration, 1.0)
+    def _done(self, stage: Stage) -> float:
+        return min((self.heating.seconds - self._begin) / stage.seconds, 1.0)
 
-    def _failure_text(self, stage: SceneStage, dt: float) -> str:
+    def _failure_text(self, stage: Stage, dt: float) -> str:
         outcome = self.heating.outcome
         tail = ", ".join(f"{r:.1e}" for r in outcome.residuals[-6:]) or "none"
         advice = (

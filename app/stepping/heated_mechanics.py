@@ -18,7 +18,7 @@ from dolfinx import fem
 from app.arrays import Floats, Ints
 from app.heat.curing import FreeStrain, since_gelation
 from app.numerics.saved_state import node_keys
-from app.scene.scene import SceneStage
+from app.scene.scene import Stage
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_state import HeatState
 from app.stepping.load_steps import LoadStepper
@@ -84,7 +84,7 @@ class HeatedMechanics:
         if problem.setting:
             problem.setting.begin_at(problem.displacements())
 
-    def begin(self, k: int, stage: SceneStage, anew: bool) -> None:
+    def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
 
@@ -177,7 +177,7 @@ class SolvedAfterHeat(HeatedMechanics):
 
     _time = 0.0
 
-    def begin(self, k: int, stage: SceneStage, anew: bool) -> None:
+    def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
         super().begin(k, stage, anew)
         if anew:
@@ -203,7 +203,7 @@ class SolvedWithHeat(HeatedMechanics):
         self._system = system
         self._start = self._committed = heating.seconds
 
-    def begin(self, k: int, stage: SceneStage, anew: bool) -> None:
+    def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
         super().begin(k, stage, anew)
         if anew:
