@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -347,33 +349,23 @@ def test_a_turned_quarter_from_a_file_on_two_ranks(tmp_path: Path) -> None:
 # Every shipped case, coarse
 
 
-def shipped(name: str, ranks: int, output: Path, way: str = "") -> Summaries:
+@cache
+def shipped(name: str, ranks: int, way: str = "") -> Summaries:
     """Run a shipped case on ranks that have the cells that a way gives them."""
     program = ["-m", "tests.parallel.divided"] if way else ["-m", "mantle"]
     sets = [word for o in COARSE[name] + COARSER.get(name, []) for word in ("--set", o)]
-    done = subprocess.run(
-        support.mpirun(ranks, *program, "run", support.CONFIGS / name, "-o", output, *sets),
-        env=support.environment() | {"DIVIDED": way},
-        capture_output=True,
-        text=True,
-        timeout=900,
-    )
-    assert done.returncode == 0, done.stderr
-    assert (output / "DONE").exists() and ("divided: " in done.stdout) == bool(way)
-    return summaries(output)
-
-
-@pytest.fixture(scope="module")
-def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Summaries]:
-    """Every case on one rank, as far as asked for."""
-    folder = tmp_path_factory.mktemp("alone")
-
-    class Found(dict[str, Summaries]):
-        def __missing__(self, name: str) -> Summaries:
-            self[name] = shipped(name, 1, folder / name)
-            return self[name]
-
-    return Found()
+    with tempfile.TemporaryDirectory() as folder:
+        output = Path(folder, "out")
+        done = subprocess.run(
+            support.mpirun(ranks, *program, "run", support.CONFIGS / name, "-o", output, *sets),
+            env=support.environment() | {"DIVIDED": way},
+            capture_output=True,
+            text=True,
+            timeout=900,
+        )
+        assert done.returncode == 0, done.stderr
+        assert (output / "DONE").exists() and ("divided: " in done.stdout) == bool(way)
+        return summaries(output)
 
 
 SHARES = [(2, ""), (3, ""), (4, ""), (2, "board"), (3, "bodies"), (3, "far")]
@@ -382,8 +374,6 @@ SHARES = [(2, ""), (3, ""), (4, ""), (2, "board"), (3, "bodies"), (3, "far")]
 @pytest.mark.slow
 @pytest.mark.parametrize(("ranks", "way"), SHARES)
 @pytest.mark.parametrize("name", COARSE)
-def test_shipped_cases(
-    name: str, ranks: int, way: str, alone: dict[str, Summaries], tmp_path: Path
-) -> None:
+def test_shipped_cases(name: str, ranks: int, way: str) -> None:
     """On 2 to 4 ranks, and on ranks that share the mesh in the worst ways."""
-    compare(alone[name], shipped(name, ranks, tmp_path / "out", way), ranks)
+    compare(shipped(name, 1), shipped(name, ranks, way), ranks)
