@@ -479,16 +479,12 @@ class _Newton:
         self._ksp.getPC().setType("lu")
         self._ksp.getPC().setFactorSolverType("mumps")
 
-    def _get(self) -> Floats:
-        return np.concatenate([p.u.x.array for p in self._parts])
-
     def _set(self, x: Floats) -> None:
         for p, a, b in zip(self._parts, self._ends, self._ends[1:], strict=False):
             p.u.x.array[:] = x[a:b]
 
     def _evaluate(self, fixed: Ints) -> Floats:
-        with self._b.localForm() as local:
-            local.set(0)
+        self._b.set(0)
         fem_petsc.assemble_vector_block(self._b, self._F, self._J, [])
         f = self._b.array.copy()
         f[fixed] = 0
@@ -506,7 +502,7 @@ class _Newton:
             for dof, value in dofs.items()
         }
         rows = np.array(sorted(given), dtype=np.int64)
-        x = self._get()
+        x = np.concatenate([p.u.x.array for p in self._parts])
         x[rows] = [given[k] for k in rows.tolist()]
         self._set(x)
         f = self._evaluate(rows)
