@@ -28,8 +28,10 @@ def lines_around(perimeter: float, mesh: Any) -> int:
 
 
 def through_cement(cement: float, mesh: Any) -> float:
-    """Cells through cement of a thickness [mm]; a fraction is the part, from the cut down, with one
-    more."""
+    """Cells through cement of a thickness [mm].
+
+    A fraction is the part, from the neck cut down, with one more.
+    """
     least = 1 if mesh.order > 1 else 2  # straight displacements lock in a mantle of one cell
     return float(mesh.through_cement or max(least, 1.5 * cement / mesh.size - 0.5))
 

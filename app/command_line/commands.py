@@ -25,7 +25,7 @@ from app.system import ranks
 from app.system.ranks import rank
 
 if TYPE_CHECKING:
-    from app.campaigns.plan import Options
+    from app.campaigns.batch import Options
     from app.case.case import LoadedCase
 
 CHECK_FAILED = 1
@@ -187,7 +187,7 @@ def _suite(options: argparse.Namespace) -> int:
 
 
 def _many(options: argparse.Namespace, folder: Path) -> Options:
-    from app.campaigns.plan import Options
+    from app.campaigns.batch import Options
 
     return Options(
         folder=options.output or folder,
@@ -226,14 +226,12 @@ def _report(options: argparse.Namespace) -> int:
 def _explain(options: argparse.Namespace) -> int:
     import json
 
-    from app.case import explain
-    from app.case.case import Case
-    from app.schema.json_schema import json_schema
+    from app.case import keys
 
     if options.schema:
-        print(json.dumps(json_schema(Case), indent=2, ensure_ascii=False))
+        print(json.dumps(keys.json_schema(), indent=2, ensure_ascii=False))
     elif options.key:
-        print(explain.explained(options.key))
+        print(keys.explained(options.key))
     else:
         raise InputError("mantle explain: a KEY, a name of the library, or --schema is missing")
     return 0

@@ -18,7 +18,7 @@ from app.mechanics.predictors import Extrapolation, Predictor, same
 from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
-from app.scene.scene import SceneStage
+from app.scene.scene import Stage
 from app.soundness.failure import explain
 from app.soundness.loose_bodies import held_by_facets, runaway
 
@@ -35,7 +35,6 @@ class LoadStep:
         stage: Name of its stage.
         time: Time at its end: stage k runs from k to k + 1.
         outcome: Outcome of the nonlinear solve.
-        augmentation: Final multiple of the default augmentation.
         seconds: Wall time, failed attempts included.
         whole: Whether it ends an increment of its stage, for which fields are written.
     """
@@ -44,7 +43,6 @@ class LoadStep:
     stage: str
     time: float
     outcome: NewtonResult
-    augmentation: float
     seconds: float
     whole: bool
 
@@ -76,10 +74,6 @@ class Summary:
 OnStep = Callable[[LoadStep, TrialState | None], None]
 
 
-def no_checkpoint() -> None:
-    """Do nothing: no checkpoint is wanted."""
-
-
 @dataclass
 class Progress:
     """Progress along a path of loads.
@@ -99,7 +93,7 @@ class Progress:
         goal = (math.floor(self.done / whole + 1e-9) + 1) * whole
         return 1.0 if goal > 1.0 - 1e-9 else goal
 
-    def may_halve(self, stage: SceneStage, free: bool) -> bool:
+    def may_halve(self, stage: Stage, free: bool) -> bool:
         """Whether to try half of a failed step; once only if a body is free, as it hardly helps."""
         most = min(1, stage.max_cut_backs) if free else stage.max_cut_backs
         return stage.adaptive and self.cuts < most
@@ -144,9 +138,7 @@ class LoadStepper:
         self.predictors = (self._line, *self.predictors)
         self._progress = Progress()
 
-    def run_stage(
-        self, k: int, stage: SceneStage, checkpoint_point: Callable[[], None] = no_checkpoint
-    ) -> None:
+    def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Take load steps through a stage that takes no time."""
         whole = 1.0 / stage.increments
         if not self._progress.step:
@@ -160,13 +152,13 @@ class LoadStepper:
 
     def run_path(
         self,
-        stage: SceneStage,
+        stage: Stage,
         whole: float,
         set_load: Callable[[float], None],
         begin: float,
         end: float,
         progress: Progress | None = None,
-        checkpoint_point: Callable[[], None] = no_checkpoint,
+        checkpoint_point: Callable[[], None] = lambda: None,
     ) -> None:
         """Follow a path of loads, temperatures and supports.
 
@@ -220,7 +212,7 @@ class LoadStepper:
             checkpoint_point()
 
     def commit(
-        self, stage: SceneStage, time: float, outcome: NewtonResult, started: float, whole: bool
+        self, stage: Stage, time: float, outcome: NewtonResult, started: float, whole: bool
     ) -> None:
         """Commit the state of the solver and report the step; collective.
 
@@ -246,15 +238,6 @@ class LoadStepper:
             p.commit(time)
         self.total.steps += 1
         self.total.augmentation = outcome.augmentation
-        self.on_step(
-            LoadStep(
-                self.total.steps,
-                stage.name,
-                time,
-                outcome,
-                outcome.augmentation,
-                clock.perf_counter() - started,
-                whole,
-            ),
-            trial,
-        )
+        seconds = clock.perf_counter() - started
+        step = LoadStep(self.total.steps, stage.name, time, outcome, seconds, whole)
+        self.on_step(step, trial)
