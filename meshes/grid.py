@@ -18,7 +18,7 @@ CANCELLOUS, CORTICAL = 15.0, 8.0
 # Steps along [mm]: times the size from the plug down, first, at most, and growth per mm; and from
 # the neck cut down, beside whose rim the largest gaps are and where sections turn apart.
 BELOW = (1.0, 1.4, 0.2)
-STEM = (0.5, 1.0, 0.06)
+STEM = (0.6, 1.0, 0.06)
 
 
 def lines_around(perimeter: float, mesh: Any) -> int:
