@@ -12,6 +12,9 @@ from app.system import style
 
 # Largest over smallest value from which an axis is logarithmic.
 DECADE = 12.0
+PEAKS = {"alpha": 0.45, "mfc": "white", "ms": 4.5, "lw": 1, "ls": (0, (3, 2)), "zorder": 2}
+CURVE = {"ms": 5.5, "lw": 1.6, "capsize": 3, "zorder": 3}
+STARS = {"marker": "*", "mec": "0.15", "mew": 0.7, "ms": 12, "ls": "", "zorder": 4}
 ROUNDED = {"µm": 1e-6, "MPa": 1e-8}  # below which a contact quantity is zero
 
 
@@ -61,14 +64,12 @@ def too_few(panels: Sequence[Panel]) -> bool:
 
 def in_words(panels: Sequence[Panel]) -> str:
     """Alternative text of a figure: its values."""
-    texts = []
-    for p in panels:
-        for line in p.lines:
-            values = line.numbers or line.peaks
-            if values:
-                each = "; ".join(f"{x:g}: {n}" for x, n in values.items())
-                texts.append(f"{p.title}, {p.y}, {line.label}: {each}")
-    return ". ".join(texts)
+    return ". ".join(
+        f"{p.title}, {p.y}, {line.label}: {'; '.join(f'{x:g}: {n}' for x, n in values.items())}"
+        for p in panels
+        for line in p.lines
+        if (values := line.numbers or line.peaks)
+    )
 
 
 def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
@@ -81,16 +82,16 @@ def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
     handles = style.handles(every)
     # A legend is filled column by column: curves, then peaks, then published values.
     kinds = zip(*(_labels(line) for p in panels for line in p.lines), strict=True)
-    kinds_shown = [[n for n in dict.fromkeys(kind) if n in handles] for kind in kinds]
-    shown = [label for kind in kinds_shown for label in kind]
-    same = len({len(kind) for kind in kinds_shown}) == 1
-    room = 95 * columns // 2 // (max(map(len, shown), default=1) + 8)  # labels in a row
-    if len(shown) > 1:
+    shown = [[n for n in dict.fromkeys(kind) if n in handles] for kind in kinds]
+    names = [name for kind in shown for name in kind]
+    if len(names) > 1:
+        room = 95 * columns // 2 // (max(map(len, names)) + 8)  # names in a row
+        same = len(set(map(len, shown))) == 1
         figure.legend(
-            [handles[label] for label in shown],
-            shown,
+            [handles[name] for name in names],
+            names,
             loc="outside lower center",
-            ncols=len(kinds_shown) if same else max(1, min(len(shown), room)),
+            ncols=len(shown) if same else max(1, min(len(names), room)),
             frameon=False,
             fontsize=9,
         )
@@ -102,14 +103,12 @@ def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
 def _draw(axes: Any, panel: Panel) -> None:
     axes.set_title(panel.title, fontsize=11, loc="left")
     axes.set_ylabel(panel.y)
-    axes.grid(True, which="major", color="0.9")
-    axes.set_axisbelow(True)
+    style.grid(axes)
     xs = sorted({x for line in panel.lines for x in (*line.numbers, *line.peaks)})
     apart = 0.012 * (xs[-1] - xs[0]) if len(xs) > 1 else 0.0
     for k, line in enumerate(panel.lines):
         # Side by side, so that bars of equal numbers can both be seen.
-        shift = apart * (k - 0.5 * (len(panel.lines) - 1))
-        _line(axes, line, shift)
+        _line(axes, line, apart * (k - 0.5 * (len(panel.lines) - 1)))
     values = [v for line in panel.lines for v in _values(line)]
     if values and panel.y in ROUNDED and max(map(abs, values)) < ROUNDED[panel.y]:
         axes.set_ylim(-0.05, 1)
@@ -144,44 +143,15 @@ def _values(line: Line) -> list[float]:
 
 
 def _line(axes: Any, line: Line, shift: float) -> None:
-    label, peak_label, star_label = _labels(line)
+    curve, peak, star = _labels(line)
+    own: dict[str, Any] = {"color": line.colour, "marker": line.marker}
     if line.peaks:
-        axes.plot(
-            [x + shift for x in line.peaks],
-            [n.value for n in line.peaks.values()],
-            color=line.colour,
-            alpha=0.45,
-            marker=line.marker,
-            mfc="white",
-            ms=4.5,
-            lw=1,
-            ls=(0, (3, 2)),
-            label=peak_label,
-            zorder=2,
-        )
+        x, y = [x + shift for x in line.peaks], [n.value for n in line.peaks.values()]
+        axes.plot(x, y, label=peak, **own, **PEAKS)
     if line.numbers:
-        axes.errorbar(
-            [x + shift for x in line.numbers],
-            [n.value for n in line.numbers.values()],
-            yerr=[n.error or 0.0 for n in line.numbers.values()],
-            color=line.colour,
-            marker=line.marker,
-            ms=5.5,
-            lw=1.6,
-            capsize=3,
-            label=label,
-            zorder=3,
-        )
+        x, y = [x + shift for x in line.numbers], [n.value for n in line.numbers.values()]
+        errors = [n.error or 0.0 for n in line.numbers.values()]
+        axes.errorbar(x, y, yerr=errors, label=curve, **own, **CURVE)
     if line.stars:
-        axes.plot(
-            [x + shift for x, _ in line.stars],
-            [v for _, v in line.stars],
-            "*",
-            color=line.colour if line.own_stars else "#f2c14e",
-            mec="0.15",
-            mew=0.7,
-            ms=12,
-            ls="",
-            label=star_label,
-            zorder=4,
-        )
+        x, y = [x + shift for x, _ in line.stars], [v for _, v in line.stars]
+        axes.plot(x, y, color=line.colour if line.own_stars else "#f2c14e", label=star, **STARS)

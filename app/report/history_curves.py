@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from app.arrays import Floats
 from app.case.quantities import FACTORS, TABLE, printed
 from app.report import page
 from app.report.curves import Line, Panel
 from app.report.curves import draw as draw_panels
 from app.report.page import Blocks
 from app.report.sweep_results import Number
+from app.system.layout import plain
 from app.system.style import COLOURS, MARKERS
 
 # Quantities drawn, by key in history.csv: title, unit for people.
@@ -32,28 +36,26 @@ SHOWN = {
 SECONDS, TIME = "seconds [s]", "time [-]"
 SOLVER = (SECONDS, TIME, "step", "newton", "krylov", "residual", "augmentation", "wall")
 ROUNDING = 1e-9
-MARKED = 30  # so many points are marked one by one
-WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 340, 216, 52, 18, 24, 40
-Rows = Sequence[Mapping[str, str]]
+History = Mapping[str, Floats]
 
 
-def panels(history: Rows) -> tuple[list[Panel], str]:
+def panels(history: History) -> tuple[list[Panel], str]:
     """Panels of the quantities that change, and the label of their x axis."""
-    if len(history) < 2:
+    x = SECONDS if SECONDS in history else TIME
+    times = history.get(x, np.empty(0))
+    if len(times) < 2:
         return [], ""
-    seconds = SECONDS in history[0]
-    x = SECONDS if seconds else TIME
     lines: dict[str, dict[str, dict[float, Number]]] = {}
-    for column in history[0]:
+    for column, values in history.items():
         place, key, unit = _parts(column)
         if key not in SHOWN or not place or (not key and unit != "degC"):
             continue
         shown = SHOWN[key][1]
         factor = FACTORS[shown] if shown in FACTORS else 1.0
-        known = ((float(r[x]), float(r[column] or "nan")) for r in history)
-        values = {t: Number(factor * v) for t, v in known if math.isfinite(v)}
-        if max((abs(n.value) for n in values.values()), default=0.0) > ROUNDING:
-            lines.setdefault(key, {})[place] = values
+        known = np.isfinite(values)
+        if np.abs(factor * values[known]).max(initial=0.0) > ROUNDING:
+            points = zip(times[known].tolist(), (factor * values[known]).tolist(), strict=True)
+            lines.setdefault(key, {})[place] = {t: Number(v) for t, v in points}
     places = list(dict.fromkeys(p for own in lines.values() for p in own))
     styles = {p: (COLOURS[k % 8], MARKERS[k % 8]) for k, p in enumerate(places)}
     found = [
@@ -65,7 +67,7 @@ def panels(history: Rows) -> tuple[list[Panel], str]:
         for key in SHOWN
         if key in lines
     ]
-    return found, "time (s)" if seconds else "time (each stage takes 1)"
+    return found, "time (s)" if x == SECONDS else "time (each stage takes 1)"
 
 
 def _parts(column: str) -> tuple[str, str, str]:
@@ -76,68 +78,53 @@ def _parts(column: str) -> tuple[str, str, str]:
     return ("" if whole else place), key, unit
 
 
-def of_solver(history: Rows) -> list[dict[str, float]]:
-    """Columns on the solver, by step."""
-    own = [c for c in (history[0] if history else ()) if not _parts(c)[0]]
-    return [{c: float(f"{float(r[c]):.3g}") for c in own if r[c]} for r in history]
+def of_solver(history: History) -> Blocks:
+    """A table of the columns on the solver, by step."""
+    own = {c: v for c, v in history.items() if not _parts(c)[0] and np.isfinite(v).any()}
+    rows = page.sparse([*zip(*own.values(), strict=True)])
+    return page.table([*own], [[plain(float(f"{v:.3g}")) for v in row] for row in rows])
 
 
 def draw(folder: Path, of: Sequence[Panel], x: str) -> list[Path]:
     """Draw the panels as files, for publications."""
     if not of:
         return []
+    folder.mkdir(exist_ok=True)
     draw_panels(folder / "curves.png", of, x, 3)
     return [folder / f"curves.{kind}" for kind in ("png", "svg", "pdf")]
 
 
 def blocks(of: Sequence[Panel], x: str) -> Blocks:
     """The panels as drawings inside a page."""
-    return page.drawings([svg(panel, x) for panel in of])
+    return page.drawings([_drawing(panel, x) for panel in of])
 
 
-def svg(panel: Panel, x: str) -> str:
-    """A panel as SVG for HTML: no name space, no ids."""
+def _drawing(panel: Panel, x: str) -> dict[str, Any]:
+    """A panel as `page.html` draws it: ticks and points as fractions of the axes."""
     xs = [t for line in panel.lines for t in line.numbers]
     ys = [n.value for line in panel.lines for n in line.numbers.values()]
     zero = [0.0] if panel.y != "°C" and (min(ys) < 0 or max(ys) > 2 * min(ys)) else []
     across, up = ticks(min(xs), max(xs)), ticks(min(ys + zero), max(ys + zero))
-    wide, high = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
-    rows = math.ceil(len(panel.lines) / 2)
 
-    def at(t: float, y: float) -> tuple[float, float]:
-        a, b = (t - across[0]) / (across[-1] - across[0]), (y - up[0]) / (up[-1] - up[0])
-        return LEFT + wide * a, TOP + high * (1 - b)
+    def part(v: float, of: Sequence[float]) -> float:
+        return (v - of[0]) / (of[-1] - of[0])
 
-    title = f"{panel.title} ({panel.y})" if panel.y else panel.title
-    size, bold = f"0 0 {WIDTH} {HEIGHT + 15 * rows}", ' font-size="12" font-weight="600"'
-    out = [
-        f'<svg viewBox="{size}" font-size="11" role="img" aria-label="{escape(title)}">',
-        _text(4, 14, title, more=bold),
-        _text(LEFT + wide / 2, TOP + high + 30, x, "middle"),
+    lines = [
+        (
+            line.label,
+            line.colour,
+            [(part(t, across), part(n.value, up)) for t, n in page.sparse([*line.numbers.items()])],
+        )
+        for line in panel.lines
     ]
-    for y in up:
-        h = at(across[0], y)[1]
-        out.append(f'<path stroke="#dde3e7" d="M{LEFT} {h:.1f}h{wide}"/>')
-        out.append(_text(LEFT - 5, h + 4, f"{y:g}", "end"))
-    for t in across:
-        v = at(t, up[0])[0]
-        out.append(f'<path stroke="#dde3e7" d="M{v:.1f} {TOP}v{high}"/>')
-        out.append(_text(v, TOP + high + 14, f"{t:g}", "middle"))
-    for k, line in enumerate(panel.lines):
-        points = [at(t, n.value) for t, n in page.sparse(list(line.numbers.items()))]
-        path, stroke = " ".join(f"{a:.1f},{b:.1f}" for a, b in points), f'stroke="{line.colour}"'
-        out.append(f'<polyline points="{path}" fill="none" {stroke} stroke-width="1.6"/>')
-        if len(points) < MARKED:
-            dots = (f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2.6"/>' for a, b in points)
-            out.append(f'<g fill="{line.colour}">{"".join(dots)}</g>')
-        a, b = LEFT + (k % 2) * wide / 2, HEIGHT + 15 * (k // 2)
-        out.append(f'<path d="M{a} {b}h16" {stroke} stroke-width="3"/>')
-        out.append(_text(a + 21, b + 4, line.label))
-    return "".join([*out, "</svg>"])
-
-
-def _text(x: float, y: float, words: str, anchor: str = "start", more: str = "") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{more}>{escape(words)}</text>'
+    title = f"{panel.title} ({panel.y})" if panel.y else panel.title
+    ends = ([(part(v, of), f"{v:g}") for v in of] for of in (across, up))
+    return {
+        "title": title,
+        "x": x,
+        "lines": lines,
+        **dict(zip(("across", "up"), ends, strict=True)),
+    }
 
 
 def ticks(low: float, high: float) -> list[float]:

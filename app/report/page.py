@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from markupsafe import Markup
+
 from app.report.curves import Figure
 
 # Parts of a section: kind, as the template names it, and content.
@@ -34,14 +36,24 @@ def page(title: str, sections: Sequence[tuple[str, str, Blocks]], **head: Any) -
         sections: Anchor, title and content of each; empty ones are left out.
         head: Below the title: facts, a leading sentence, summary, a note and a view (markup).
     """
+    shown = [s for s in sections if s[2]]
+    return render("page.html", title=title, sections=shown, classes=CLASSES, **head)
+
+
+def render(name: str, **values: Any) -> str:
+    """A template of this folder with values, whose text it escapes."""
     from jinja2 import Environment, FileSystemLoader
 
     folder = FileSystemLoader(Path(__file__).parent)
     environment = Environment(loader=folder, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.tests["number_text"] = re.compile(r"[-−]?\d").match
-    shown = [s for s in sections if s[2]]
-    template = environment.get_template("page.html")
-    return template.render(title=title, sections=shown, classes=CLASSES, **head)
+    environment.filters["inert"] = _inert
+    return environment.get_template(name).render(values)
+
+
+def _inert(text: str) -> Markup:
+    """Text that cannot end the script around it."""
+    return Markup(text.replace("</", "<\\/").replace("<!--", "<\\!--"))
 
 
 def paragraph(text: str, kind: str = "") -> Blocks:
@@ -50,8 +62,8 @@ def paragraph(text: str, kind: str = "") -> Blocks:
 
 
 def titled(title: str, content: Blocks) -> Blocks:
-    """Blocks below a heading; nothing if there are none."""
-    return [("heading", {"text": title}), *content] if content else []
+    """Blocks below a heading, if it has words; nothing if there are none."""
+    return [("heading", {"text": title}), *content] if title and content else content
 
 
 def bullets(texts: Sequence[str]) -> Blocks:
@@ -64,27 +76,25 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Blocks:
     return [("table", {"head": head, "rows": rows})] if rows else []
 
 
-def figure(f: Figure, folder: Path) -> Blocks:
-    """A picture with its caption, inside the page."""
-    data = base64.b64encode(_smaller((folder / f.name).read_bytes())).decode("ascii")
-    return [("figure", {"figure": f, "data": data})]
+def figures(found: Sequence[Figure], folder: Path) -> Blocks:
+    """Pictures of a folder with their captions, inside the page."""
+    return [("figure", {"figure": f, "data": _smaller(folder / f.name)}) for f in found]
 
 
-def _smaller(png: bytes) -> bytes:
+def _smaller(path: Path) -> str:
     """Reduce a picture to 256 colours: a third of the bytes, hardly a visible change."""
     from PIL import Image  # comes with matplotlib
 
     into = io.BytesIO()
-    with Image.open(io.BytesIO(png)) as picture:
-        picture.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(
-            into, "PNG", optimize=True
-        )
-    return into.getvalue()
+    with Image.open(path) as picture:
+        few = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+        few.save(into, "PNG", optimize=True)
+    return base64.b64encode(into.getvalue()).decode("ascii")
 
 
-def drawings(svgs: Sequence[str]) -> Blocks:
-    """Drawings beside each other, as markup."""
-    return [("drawings", {"drawings": svgs})] if svgs else []
+def drawings(curves: Sequence[dict[str, Any]]) -> Blocks:
+    """Drawings beside each other (`history_curves`)."""
+    return [("drawings", {"drawings": curves})] if curves else []
 
 
 def verbatim(text: str) -> Blocks:

@@ -7,19 +7,20 @@ so that percentiles decide and peaks are given beside them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from app.report import paper
-from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase
+from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named
 from app.system.layout import plain
 
 VERDICTS = CONFIRMED, NOT_CONFIRMED, UNDECIDED = "confirmed", "not confirmed", "undecided"
 FLAT = 0.20  # relative spread up to which a number counts as constant
 MUCH = 2.0  # factor that "drastically" is taken to mean at least
 ROUNDING = 1e-6  # relative difference that is none
-STEM, THICKNESS, FRICTION = "{} stem", "{} mm", "friction {}"  # what varies
+AT = {"stem": "{} stem", "thickness": "{} mm", "friction": "friction {}"}  # by parameter
 NAMED = 3  # cases named of those in which a statement does not hold
 
 
@@ -54,32 +55,26 @@ class Trend:
 
 
 def _all(parts: Iterable[Statement]) -> str:
-    found = {p.verdict for p in parts}
-    worst = (v for v in (NOT_CONFIRMED, UNDECIDED) if v in found)
-    return next(worst, CONFIRMED if found else UNDECIDED)
+    found = {p.verdict for p in parts} or {UNDECIDED}
+    return next(v for v in (NOT_CONFIRMED, UNDECIDED, CONFIRMED) if v in found)
 
 
 def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
     """Verdict on a > factor b."""
     difference = a.value - factor * b.value
     errors = (a.error or 0.0) + factor * (b.error or 0.0)
-    if abs(difference) <= ROUNDING * abs(b.value):
-        return UNDECIDED if errors > abs(difference) else NOT_CONFIRMED
-    if abs(difference) <= errors:
+    if errors and abs(difference) <= errors:
         return UNDECIDED
-    return CONFIRMED if difference > 0 else NOT_CONFIRMED
+    return CONFIRMED if difference > ROUNDING * abs(b.value) else NOT_CONFIRMED
 
 
 def alike(a: Number, b: Number, tolerance: float) -> str:
     """Verdict on whether two numbers agree, up to a part of their mean."""
-    mean = 0.5 * (abs(a.value) + abs(b.value))
-    if mean == 0.0:
+    allowed = tolerance * 0.5 * (abs(a.value) + abs(b.value))
+    difference, errors = abs(a.value - b.value), (a.error or 0.0) + (b.error or 0.0)
+    if difference + errors <= allowed or not allowed:
         return CONFIRMED
-    difference = abs(a.value - b.value) / mean
-    errors = ((a.error or 0.0) + (b.error or 0.0)) / mean
-    if difference + errors <= tolerance:
-        return CONFIRMED
-    return NOT_CONFIRMED if difference - errors > tolerance else UNDECIDED
+    return NOT_CONFIRMED if difference - errors > allowed else UNDECIDED
 
 
 # Relations over a series of numbers: label, numbers by parameter, unit, name of the parameter.
@@ -87,43 +82,31 @@ Series = Mapping[Any, Number]
 Relation = Callable[[str, Series, str, str], Statement]
 
 
-def _goes(rise: bool) -> Relation:
-    """Relation: the number is larger, or smaller, at the largest value of the parameter."""
-
-    def relation(label: str, values: Series, unit: str, over: str) -> Statement:
-        if len(values) < 2:
-            return _missing(f"{label} at two values or more")
-        low, high = min(values), max(values)
-        a, b = values[low], values[high]
-        should = "rise" if rise else "fall"
-        ends = (over.format(plain(x)) for x in (low, high))
-        text = f"{label} should {should}: {a} {unit} at {next(ends)}, {b} at {next(ends)}"
-        return Statement(exceeds(b, a) if rise else exceeds(a, b), text)
-
-    return relation
+def rises(label: str, values: Series, unit: str, over: str, up: bool = True) -> Statement:
+    """Whether a number is larger, or else smaller, at the largest value of the parameter."""
+    if len(values) < 2:
+        return _missing(f"{label} at two values or more")
+    low, high = min(values), max(values)
+    a, b = values[low], values[high]
+    text = f"{label} should {'rise' if up else 'fall'}: {a} {unit} at {_at(over, low)}, "
+    return Statement(exceeds(*((b, a) if up else (a, b))), f"{text}{b} at {_at(over, high)}")
 
 
-def constant(tolerance: float, beyond: float = 0.0) -> Relation:
-    """Relation: numbers beyond a value of the parameter agree, up to a part of their mean."""
-
-    def relation(label: str, values: Series, unit: str, over: str) -> Statement:
-        values = {x: n for x, n in values.items() if isinstance(x, str) or x > beyond}
-        if len(values) < 2:
-            return _missing(f"{label} at two values or more")
-        low, high = (pick(values, key=lambda x: values[x].value) for pick in (min, max))
-        a, b = values[low], values[high]
-        spread = 2 * abs(b.value - a.value) / (abs(a.value) + abs(b.value) or 1.0)
-        text = (
-            f"{label}: {a} to {b} {unit} (at {over.format(plain(low))} and "
-            f"{over.format(plain(high))}), spread {100 * spread:.2g} % "
-            f"(allowed {100 * tolerance:g} %)"
-        )
-        return Statement(alike(a, b, tolerance), text)
-
-    return relation
-
-
-rises, falls = _goes(True), _goes(False)
+def constant(
+    label: str, values: Series, unit: str, over: str, tolerance: float, beyond: float = 0.0
+) -> Statement:
+    """Whether numbers beyond a value of the parameter agree, up to a part of their mean."""
+    values = {x: n for x, n in values.items() if not beyond or x > beyond}
+    if len(values) < 2:
+        return _missing(f"{label} at two values or more")
+    low, high = (pick(values, key=lambda x: values[x].value) for pick in (min, max))
+    a, b = values[low], values[high]
+    spread = 2 * abs(b.value - a.value) / (abs(a.value) + abs(b.value) or 1.0)
+    text = (
+        f"{label}: {a} to {b} {unit} (at {_at(over, low)} and {_at(over, high)}), "
+        f"spread {100 * spread:.2g} % (allowed {100 * tolerance:g} %)"
+    )
+    return Statement(alike(a, b, tolerance), text)
 
 
 def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Statement:
@@ -139,9 +122,9 @@ def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Stat
     return Statement(exceeds(values[2.0], thicker[t], MUCH), text)
 
 
-def above(label: str, pairs: dict[str, tuple[Number | None, Number | None]]) -> Statement:
+def above(label: str, pairs: Iterable[tuple[str, Number | None, Number | None]]) -> Statement:
     """Whether the first number exceeds the second in every case that has both."""
-    found = {name: exceeds(a, b) for name, (a, b) in pairs.items() if a and b}
+    found = {name: exceeds(a, b) for name, a, b in pairs if a and b}
     if not found:
         return _missing(label)
     text = f"{label}: in {sum(v == CONFIRMED for v in found.values())} of {len(found)} cases"
@@ -151,103 +134,111 @@ def above(label: str, pairs: dict[str, tuple[Number | None, Number | None]]) -> 
     return Statement(_all(Statement(v, "") for v in found.values()), text)
 
 
+def _at(over: str, value: object) -> str:
+    return AT[over].format(plain(value))
+
+
 def _missing(what: str) -> Statement:
     return Statement(UNDECIDED, f"no results of {what}")
 
 
 # Claims over families of cases: name, the paper's words, parameter, and relations of quantities.
+falls = partial(rises, up=False)
+flat, flat_if_thick = partial(constant, tolerance=FLAT), partial(constant, tolerance=FLAT, beyond=3)
 Row = tuple[Relation, str, str]
-BONE = "cement_bone"
+BONE, STEM = "cement_bone", "stem_cement"
 CLAIMS: tuple[tuple[str, str, str, list[Row]], ...] = (
     (
         "T-a",
         "At the cement-bone interface the stem's material does not matter",
-        STEM,
-        [(constant(0.02), BONE, "slip"), (constant(0.05), BONE, "shear")],
+        "stem",
+        [
+            (partial(constant, tolerance=0.02), BONE, "slip"),
+            (partial(constant, tolerance=0.05), BONE, "shear"),
+        ],
     ),
     (
         "T-b",
         "A mantle of 2 mm slips and opens far more than one of 3 to 5 mm",
-        THICKNESS,
+        "thickness",
         [(far_more_when_thin, BONE, "slip"), (far_more_when_thin, BONE, "gap")],
     ),
     (
         "T-c",
         "Stresses do not depend on the thickness beyond 3 mm",
-        THICKNESS,
-        [(constant(FLAT, 3.0), place, q) for place in INTERFACES for q in ("pressure", "shear")],
+        "thickness",
+        [(flat_if_thick, place, q) for place in INTERFACES for q in ("pressure", "shear")],
     ),
     (
         "T-d",
         "The rougher the cement-bone interface, the less it slips, the more it opens and the "
         "higher its pressure; shear stays",
-        FRICTION,
+        "friction",
         [
             (falls, BONE, "slip"),
             (rises, BONE, "gap"),
             (rises, BONE, "pressure"),
-            (constant(FLAT), BONE, "shear"),
+            (flat, BONE, "shear"),
         ],
     ),
     (
         "T-e",
         "The rougher the cement-bone interface, the more the stem slips in the cement and the "
         "less it opens",
-        FRICTION,
-        [(rises, "stem_cement", "slip"), (falls, "stem_cement", "gap")],
+        "friction",
+        [(rises, STEM, "slip"), (falls, STEM, "gap")],
     ),
+)
+# T-f: the first exceeds the second.
+ORDER = (
+    ((STEM, "pressure"), (BONE, "pressure")),
+    ((STEM, "shear"), (BONE, "shear")),
+    ((BONE, "pressure"), (BONE, "shear")),
+    ((STEM, "pressure"), (STEM, "shear")),
 )
 
 
 def judge(cases: paper.Cases) -> list[Trend]:
     """All trends."""
-    found = []
-    for name, claim, over, rows in CLAIMS:
-        parts, by_peaks = ([*_statements(cases, over, rows, how)] for how in ("percentile", "max"))
-        found.append(Trend(name, claim, parts, _all(by_peaks)))
-    parts, by_peaks = (_order(cases, how) for how in ("percentile", "max"))
-    claim = "Stem-cement stresses exceed cement-bone stresses; pressure exceeds shear"
-    found.append(Trend("T-f", claim, parts, _all(by_peaks)))
-    claim = (
+    order = "Stem-cement stresses exceed cement-bone stresses; pressure exceeds shear"
+    tension = (
         "Tension remains near the interfaces as the cement cools; where the interface is "
         "unilateral it can only be compression"
     )
-    return [*found, *_heat(cases), Trend("T-h", claim, _residual(cases))]
+    return [
+        *(_trend(name, claim, _families, cases, over, rows) for name, claim, over, rows in CLAIMS),
+        _trend("T-f", order, _order, cases),
+        *_heat(cases),
+        Trend("T-h", tension, _residual(cases)),
+    ]
+
+
+def _trend(name: str, claim: str, parts: Callable[..., list[Statement]], *of: Any) -> Trend:
+    return Trend(name, claim, parts("percentile", *of), _all(parts("max", *of)))
+
+
+def _families(how: str, cases: paper.Cases, over: str, rows: Sequence[Row]) -> list[Statement]:
+    found = []
+    for relation, place, quantity in rows:
+        for stem in [""] if over == "stem" else paper.STEMS:
+            label = f"{stem}, {_name(place, quantity)}".removeprefix(", ")
+            family = cases.over(over, stem=stem)
+            values = paper.series(family, paper.contact(place, quantity, how))
+            found.append(relation(label, values, QUANTITIES[quantity][0], over))
+    return found
+
+
+def _order(how: str, cases: paper.Cases) -> list[Statement]:
+    found = []
+    for more, less in ORDER:
+        a, b = (paper.contact(*of, how) for of in (more, less))
+        label = f"{_name(*more)} above {_name(*less)}"
+        found.append(above(label, ((c.name, a(c), b(c)) for c in cases.stances)))
+    return found
 
 
 def _name(place: str, quantity: str) -> str:
-    return f"{WORDS[place]} {WORDS[quantity]}"
-
-
-def _statements(
-    cases: paper.Cases, over: str, rows: Sequence[Row], how: str
-) -> Iterator[Statement]:
-    families: dict[str, Mapping[Any, SweptCase]] = {"": cases.of_stems()}
-    if over != STEM:
-        family = cases.frictions if over == FRICTION else cases.thicknesses
-        families = {f"{stem}, ": family(stem) for stem in paper.STEMS.values()}
-    for relation, place, quantity in rows:
-        for label, own in families.items():
-            values = paper.series(own, paper.contact(place, quantity, how))
-            yield relation(label + _name(place, quantity), values, QUANTITIES[quantity][0], over)
-
-
-def _order(cases: paper.Cases, how: str) -> list[Statement]:
-    """T-f."""
-    pairs = [
-        *((("stem_cement", q), (BONE, q)) for q in ("pressure", "shear")),
-        *(((place, "pressure"), (place, "shear")) for place in INTERFACES),
-    ]
-    return [
-        above(
-            f"{_name(*more)} above {_name(*less)}",
-            {
-                c.name: (paper.contact(*more, how)(c), paper.contact(*less, how)(c))
-                for c in cases.stances
-            },
-        )
-        for more, less in pairs
-    ]
+    return f"{named(place)} {named(quantity)}"
 
 
 def _heat(cases: paper.Cases) -> list[Trend]:
@@ -255,19 +246,16 @@ def _heat(cases: paper.Cases) -> list[Trend]:
     claim = "Cement and cement-bone interface get hotter the thicker the mantle; cement is hottest"
     trends = []
     for (model, reading), family in cases.heats().items():
-        cement = rises("cement", paper.series(family, paper.cement_peak), "°C", THICKNESS)
-        hottest = above(
-            "cement above all else after 10 s",
-            {c.name: (paper.cement_peak(c), _hottest_beside(c)) for c in family.values()},
-        )
-        by_peak = rises(
-            "bone at the interface", paper.series(family, paper.bone_peak), "°C", THICKNESS
-        )
+        peaks, bone = (paper.series(family, of) for of in (paper.cement_peak, paper.bone_peak))
+        cement = rises("cement", peaks, "°C", "thickness")
+        by_peak = rises("bone at the interface", bone, "°C", "thickness")
         known = paper.series(family, paper.bone_p99)  # where fields were written
-        p99 = rises("bone at the interface, p99", known, "°C", THICKNESS)
+        p99 = rises("bone at the interface, p99", known, "°C", "thickness")
+        pairs = ((c.name, peaks.get(t), _hottest_beside(c)) for t, c in family.items())
+        hottest = above("cement above all else after 10 s", pairs)
         parts = [cement, p99 if len(known) > 1 else by_peak, hottest]
-        peaks = _all([cement, by_peak, hottest])
-        trends.append(Trend(f"T-g ({model}, {reading})", claim, parts, peaks))
+        by_peaks = _all([cement, by_peak, hottest])
+        trends.append(Trend(f"T-g ({model}, {reading})", claim, parts, by_peaks))
     return trends or [Trend("T-g", claim, [_missing("cement of 100 °C")])]
 
 
@@ -290,7 +278,7 @@ def _residual(cases: paper.Cases) -> list[Statement]:
             found = [n.value for c in cases.hot if (n := c.number(f"{place}.{key}"))]
             if found:
                 low, high = min(found), max(found)
-                text = f"{WORDS[place]} {kind}: {what} of {low:.3g} to {high:.3g} MPa at most in "
+                text = f"{named(place)} {kind}: {what} of {low:.3g} to {high:.3g} MPa at most in "
                 verdict = CONFIRMED if low > 0 else NOT_CONFIRMED
                 parts.append(Statement(verdict, f"{text}{len(found)} case{'s' * (len(found) > 1)}"))
         if len(parts) == known:

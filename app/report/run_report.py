@@ -99,28 +99,16 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     panels, x = history_curves.panels(case.history)
     spent = share * summary["timing"]["total"]
     view, lacking = _view(folder) if alone or spent >= VIEW else ("", [])
-    files: list[Path] = []
-    sides: Blocks = []
-    drawings = folder / PICTURES
+    sides, maps, files = _pictures(case, spent)
     if share == math.inf:
-        drawings.mkdir(exist_ok=True)
-        files += history_curves.draw(drawings, panels, x)
-        if (folder / "fields.vtkhdf").exists() and (f := pictures.sides(Run(folder), drawings)):
-            sides = page.figure(f, drawings)
-            files += [drawings / f"{pictures.SIDES}.{kind}" for kind in ("png", "pdf")]
-        maps, drawn = _maps(case, drawings)
-        files += drawn
-    elif spent >= MAPS:
-        with tempfile.TemporaryDirectory() as scratch:
-            maps, _ = _maps(case, Path(scratch))
-    else:
-        maps = bullets([f"mantle report {folder} draws them: after a short run they take too long"])
+        files = history_curves.draw(folder / PICTURES, panels, x) + files
+    input_text = page.verbatim(_text(folder / "case.yaml"))
     sections = [
         ("numbers", "Numbers", _numbers(summary)),
         ("sides", "From three sides", sides),
         ("curves", "Over time", history_curves.blocks(panels, x)),
-        ("maps", "Maps of the interfaces", maps if (folder / "fields.vtkhdf").exists() else []),
-        ("gruen", "Gruen zones", _gruen(case)),
+        ("maps", "Maps of the interfaces", maps),
+        ("gruen", "Gruen zones", gruen.blocks([("", case)])),
         ("mantle", "Cement mantle", table(*gruen.mantles([case]))),
         (
             "all",
@@ -128,11 +116,7 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
             page.folded("every quantity, with its error where known", _all(summary)),
         ),
         ("solver", "Convergence of the solver", _solver(case, summary)),
-        (
-            "case",
-            "Input",
-            page.folded("the case with all defaults", page.verbatim(_text(folder / "case.yaml"))),
-        ),
+        ("case", "Input", page.folded("the case with all defaults", input_text)),
         ("provenance", "Provenance", page.folded("program, machine, digests", _pairs(record))),
     ]
     html = page.page(
@@ -145,6 +129,27 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
+
+
+def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]]:
+    """Interfaces from three sides, and their maps; the files, if time is not limited."""
+    if not (case.folder / "fields.vtkhdf").exists():
+        return [], [], []
+    if spent < MAPS:
+        text = f"mantle report {case.folder} draws them: after a short run they take too long"
+        return [], bullets([text]), []
+    whole = spent == math.inf
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = case.folder / PICTURES if whole else Path(scratch)
+        folder.mkdir(exist_ok=True)
+        try:
+            maps, missing = pictures.maps([[("", case)]], folder)
+        except (KeyError, OSError) as error:
+            maps, missing = [], [f"fields that cannot be read: {error}"]
+        sides = pictures.sides(Run(case.folder), folder) if whole else []
+        files = [f.name for f in (*sides, *maps)] + [f"{pictures.SIDES}.pdf"] * len(sides)
+        blocks = [page.figures(found, folder) for found in (sides, maps)]
+    return blocks[0], blocks[1] + bullets(missing), [folder / name for name in files] * whole
 
 
 def _view(folder: Path) -> tuple[str, list[str]]:
@@ -240,15 +245,9 @@ def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
     own = TABLE["thermal.regions"]
     bone = {name: q for name, q in regions.items() if sentence.is_bone(q)}
     head = ["", *(f"{name}, {what}" for name in bone for what in ("volume (mm³)", "depth (mm)"))]
+    columns = [(q, what) for q in bone.values() for what in ("volume", "depth")]
     rows = [
-        [
-            in_print(words),
-            *(
-                own[f"necrosis_{rule}_{k}"].text(q)
-                for q in bone.values()
-                for k in ("volume", "depth")
-            ),
-        ]
+        [in_print(words), *(own[f"necrosis_{rule}_{what}"].text(q) for q, what in columns)]
         for rule, words in NECROSIS.items()
     ]
     return table(head, rows if bone else [])
@@ -262,27 +261,9 @@ def _all(summary: dict[str, Any]) -> Blocks:
     return found
 
 
-def _gruen(case: SweptCase) -> Blocks:
-    note = "Of each interface: largest / mean value in the zone."
-    found = table(*gruen.table(case))
-    return paragraph(note, "quiet") + found if found else []
-
-
-def _maps(case: SweptCase, folder: Path) -> tuple[Blocks, list[Path]]:
-    """Pictures of the interfaces with reasons for missing ones, and the files."""
-    try:
-        drawn, missing = pictures.maps([[("", case)]], folder)
-    except (KeyError, OSError) as error:
-        return bullets([f"fields that cannot be read: {error}"]), []
-    blocks = [block for f in drawn for block in page.figure(f, folder)]
-    return blocks + bullets(missing), [folder / f.name for f in drawn]
-
-
 def _solver(case: SweptCase, summary: dict[str, Any]) -> Blocks:
     """Iterations and balances of each step, and seconds by phase."""
-    own = page.sparse(history_curves.of_solver(case.history))
-    rows = [[plain(v) for v in row.values()] for row in own]
-    parts = table(list(own[0]), rows) if own else []
+    parts = history_curves.of_solver(case.history)
     parts += page.titled("Sizes", _pairs(summary.get("solver", {})))
     parts += page.titled("Seconds", _pairs(summary.get("timing", {})))
     return page.folded("each step, sizes, times", parts)
@@ -308,10 +289,9 @@ def _variations(folder: Path, share: float) -> list[Path]:
     if share == math.inf:
         drawings.mkdir(exist_ok=True)
         figures = sweep_figures.multiples(cases, drawings)
-    drawn = [b for f in figures for b in page.figure(f, drawings)]
     sections = [
         ("cases", "All variations", sweep_figures.cases_table(cases, names, links)),
-        ("curves", "What varies", drawn),
+        ("curves", "What varies", page.figures(figures, drawings)),
         ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
     done = sum(c.done for c in cases)
@@ -323,11 +303,8 @@ def _variations(folder: Path, share: float) -> list[Path]:
         summary=[f"{done} of {len(cases)} variations converged", *bad],
     )
     write_text(folder / PAGE, html)
-    return [
-        folder / PAGE,
-        *(folder / link for link in links.values()),
-        *(drawings / f.name for f in figures),
-    ]
+    pages = [folder / PAGE, *(folder / link for link in links.values())]
+    return pages + [drawings / f.name for f in figures]
 
 
 def _text(path: Path) -> str:

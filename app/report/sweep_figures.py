@@ -8,6 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from app.campaigns.uncertainty import correlation
 from app.case import explain, quantities
 from app.report import page
 from app.report.curves import ROUNDED, Figure, Line, Panel, draw, in_words, too_few
@@ -22,6 +23,7 @@ MOST_PANELS = 12
 MOST_NUMBERS = 11  # in the table of cases
 MOST_SERIES = 8
 MOST_LEVELS = 8
+FEWEST = 6  # cases, below which rank correlations say little
 
 
 def headlines(cases: Sequence[SweptCase]) -> list[str]:
@@ -46,6 +48,12 @@ def label(name: str) -> tuple[str, str]:
     if (q := quantities.get(name)) is None:
         return f"{named(place)} {key}".replace("_", " "), ""
     return f"{named(place)} {key.replace(q.key, q.label)}", quantities.printed(q.shown)
+
+
+def titled(name: str) -> str:
+    """A number's label with its unit in brackets, if it has one."""
+    words, unit = label(name)
+    return f"{words} ({unit})" if unit else words
 
 
 def title(key: str) -> str:
@@ -94,8 +102,8 @@ def cases_table(
 ) -> Blocks:
     """Cases with their outcome, the first of their numbers, and links to pages."""
     names = names[:MOST_NUMBERS]
-    labels = [f"{words} ({unit})" if unit else words for words, unit in map(label, names)]
-    head = ["case", "status", "changes", *labels, "unknowns", "ranks", "time", "message"]
+    head = ["case", "status", "changes", *map(titled, names)]
+    head += ["unknowns", "ranks", "time", "message"]
     rows = [
         [
             page.link(c.name, links.get(c.name, "")) if links else c.name,
@@ -198,3 +206,26 @@ def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float,
             common = ", ".join(f"{title(k)} {value(v)}" for k, v in rest.items())
             found.setdefault(": ".join(filter(None, (c.part, common))), {})[x] = c
     return [(t, dict(sorted(own.items()))) for t, own in found.items() if len(own) > 1]
+
+
+def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str | Sequence[str]]]]:
+    """Spearman's coefficients of each headline number with each key: head and rows.
+
+    Parts with fewer than two varied numeric keys have none, as a curve shows more.
+    """
+    rows: list[list[str | Sequence[str]]] = []
+    for part in dict.fromkeys(c.part for c in cases if c.done):
+        own = [c for c in cases if c.done and c.part == part]
+        levels = {}
+        for key in own[0].overrides:
+            number = scale(own, key)[1]
+            levels[key] = [x for c in own if (x := number(c.overrides.get(key))) is not None]
+        varied = {k: x for k, x in levels.items() if len(x) == len(own) and len(set(x)) > 1}
+        for name in headlines(own)[:MOST_NUMBERS] if len(varied) > 1 and len(own) >= FEWEST else ():
+            y = [found.value for c in own if (found := c.number(name)) is not None]
+            ranks = {k: correlation(x, y) for k, x in varied.items() if len(y) == len(own)}
+            known = [(r, title(key)) for key, r in ranks.items() if r is not None]
+            known.sort(key=lambda pair: -abs(pair[0]))
+            if known:
+                rows.append([part or "all", label(name)[0], [f"{r:+.2f} {k}" for r, k in known]])
+    return ["part", "number", "rank correlation with"], rows

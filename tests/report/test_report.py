@@ -16,7 +16,6 @@ from app.report import (
     paper,
     paper_claims,
     paper_numbers,
-    sensitivity,
     sweep_figures,
     sweep_report,
 )
@@ -177,17 +176,17 @@ def test_the_papers_cases_are_those_of_the_parts_that_it_names(maker: Maker) -> 
     maker.stance("CoCr", 4.0, 0.4, {}, part="friction")
     maker.stance("CoCr", 4.0, 1.0, {}, part="mine")
     found = paper.Cases(rs.read(maker.write()))
-    names = {t: c.name for t, c in found.thicknesses("titanium").items()}
+    names = {t: c.name for t, c in found.over("thickness", stem="titanium").items()}
     assert names == {3.0: "titanium 3 1", 4.0: "finer"}
-    assert list(found.frictions("CoCr")) == [0.4]
+    assert list(found.over("friction", stem="CoCr")) == [0.4]
     assert not paper.Cases(rs.read(maker.write(compare_with="")))
 
 
 def test_shipped_parts_are_known(tmp_path: Path) -> None:
     """Every label is a part of the shipped sweep, and both readings are told by their override."""
     data = yaml_file.read(CONFIGS / "sweeps" / "paper.yaml").data["parts"]
-    assert {*paper.STANCES, *paper.HOT, paper.COOLED} <= set(data)
-    for part in paper.HOT:
+    assert set(paper.MODELS) <= set(data)
+    for part in ("hot", "slice"):
         assert [*data[part]["table"]["held"]] == ["heat.held"]
 
 
@@ -289,7 +288,7 @@ def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
     assert slip.number is not None
     assert (slip.number.value, slip.number.error) == pytest.approx((60.0, 3.0))
     assert slip.ratios == pytest.approx((120 / 67, 60 / 67))
-    both = [(r.stem, r.thickness) for r in rows if r.fact.id == "24"]
+    both = [(r.fact.stem, r.thickness) for r in rows if r.fact.id == "24"]
     assert both == [(stem, t) for stem in MODULI for t in (4.0, 5.0, 7.0)]
     bound = next(r for r in rows if r.fact.id == "7")
     assert bound.ratios == (None, None) and "40 % of the area" in bound.remark
@@ -475,13 +474,13 @@ def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
             keys = {"geometry.taper": written, "geometry.length": f"{length:g} mm"}
             name = f"{taper:g} {length:g}"
             maker.add(name, data, {"interfaces": numbers}, overrides=keys)
-    head, rows = sensitivity.table(rs.read(maker.write(compare_with="")).cases)
+    head, rows = sweep_figures.sensitivity(rs.read(maker.write(compare_with="")).cases)
     assert len(head) == 3 and rows
     for part, name, words in rows:
         assert part == "thickness" and name
         assert words == ["+1.00 taper", "+0.00 length"]
     # With one key alone a curve says it.
-    assert sensitivity.table(rs.read(maker.folder).cases[::2])[1] == []
+    assert sweep_figures.sensitivity(rs.read(maker.folder).cases[::2])[1] == []
 
 
 # What is no sweep
