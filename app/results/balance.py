@@ -116,21 +116,21 @@ class Balance:
             internal += self._assemble(form)
         setting = [self._assemble(form) for _, form in self._setting]
         internal += sum(setting)
-        loads_u, loads_q = problem.forces.applied(problem.time)
-        reaction = np.where(problem.stiffness.constraints.reacting, internal - loads_u, 0.0)
+        loads = problem.forces.applied(problem.time)
+        reaction = np.where(problem.stiffness.constraints.reacting, internal - loads.nodal, 0.0)
 
         def scalar(form: fem.Form) -> float:
             return float(problem.comm.allreduce(fem.assemble_scalar(form), MPI.SUM))
 
-        jump = held_q = np.zeros_like(loads_q)
+        jump = held_q = np.zeros_like(loads.jump)
         if trial is not None:
             jump, e = trial.jump.ravel().copy(), trial.equilibrium
             held_q = (e - trial.contact.own.project_free(e)).ravel()
         return {
             "u": problem.stiffness.constraints.expand(u).array.copy(),
             "q": jump,
-            "loads_u": loads_u,
-            "loads_q": loads_q,
+            "loads_u": loads.nodal,
+            "loads_q": loads.jump,
             "reaction": reaction,
             "reaction_q": held_q,
             "energy": sum(scalar(f) for f, _ in self._elastic),
@@ -174,7 +174,7 @@ class Balance:
         self._work += external
         contact = float(comm.allreduce(trial.contact.state.work.sum(), MPI.SUM)) if trial else 0.0
         spent = (new["energy"], self._spent, contact)
-        free = problem.forces.free_work(problem.stiffness.constraints.expand(u))
+        free = problem.forces.free_work(new["u"])
         self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))
         self.energy = _relative(self._work - sum(spent), self._scale)
         self._forces(new)

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from app.campaigns.plan import Options
+from app.campaigns.batch import Options
 from app.case.case import load
 from app.verification import closed_forms, engine
 from app.verification.check import CONFIGS, Check, CheckRun, Sample, each
+from app.verification.engine import SUITES
 from app.verification.problems import problems
-from app.verification.suites import SUITES
 
 KEYS = {"name", "error", "tolerance", "order", "expected_order", "seconds", "outcome"}
 
