@@ -9,8 +9,7 @@ from typing import Any
 from app import figures
 from app.case.quantities import TABLE
 from app.report import page
-from app.report.curves import Figure
-from app.report.page import Blocks
+from app.report.page import Blocks, Figure
 from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase, magnitude
 from app.system import style
 from app.system.style import COLOURS

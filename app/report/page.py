@@ -9,12 +9,9 @@ import base64
 import io
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
-
-from markupsafe import Markup
-
-from app.report.curves import Figure
 
 # Parts of a section: kind, as the template names it, and content.
 Blocks = list[tuple[str, dict[str, Any]]]
@@ -26,6 +23,16 @@ CLASSES = {
     **dict.fromkeys(("not confirmed", "failed", "not converged", "do not use"), "bad"),
     **dict.fromkeys(("undecided", "stopped", "note"), "open"),
 }
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the report: file, title, caption and alternative text."""
+
+    name: str
+    title: str
+    caption: str
+    text: str
 
 
 def page(title: str, sections: Sequence[tuple[str, str, Blocks]], **head: Any) -> str:
@@ -51,9 +58,9 @@ def render(name: str, **values: Any) -> str:
     return environment.get_template(name).render(values)
 
 
-def _inert(text: str) -> Markup:
+def _inert(text: str) -> str:
     """Text that cannot end the script around it."""
-    return Markup(text.replace("</", "<\\/").replace("<!--", "<\\!--"))
+    return text.replace("</", "<\\/").replace("<!--", "<\\!--")
 
 
 def paragraph(text: str, kind: str = "") -> Blocks:
@@ -92,24 +99,9 @@ def _smaller(path: Path) -> str:
     return base64.b64encode(into.getvalue()).decode("ascii")
 
 
-def drawings(curves: Sequence[dict[str, Any]]) -> Blocks:
-    """Drawings beside each other (`history_curves`)."""
-    return [("drawings", {"drawings": curves})] if curves else []
-
-
-def verbatim(text: str) -> Blocks:
-    """Preformatted text."""
-    return [("verbatim", {"text": text})] if text else []
-
-
 def folded(title: str, content: Blocks) -> Blocks:
     """Blocks that open on a click; nothing if there are none."""
     return [("folded", {"title": title, "blocks": content})] if content else []
-
-
-def link(text: str, to: str) -> dict[str, str]:
-    """A table cell that links to another page, if there is one."""
-    return {"text": text, "to": to}
 
 
 def sparse(items: Sequence[T]) -> Sequence[T]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from app.report import paper
 from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named
@@ -24,8 +24,7 @@ AT = {"stem": "{} stem", "thickness": "{} mm", "friction": "friction {}"}  # by 
 NAMED = 3  # cases named of those in which a statement does not hold
 
 
-@dataclass(frozen=True)
-class Statement:
+class Statement(NamedTuple):
     """One statement of a trend: its verdict, and the numbers that decide it."""
 
     verdict: str
@@ -51,11 +50,11 @@ class Trend:
     @property
     def verdict(self) -> str:
         """Confirmed if all parts are; not confirmed if any is not."""
-        return _all(self.parts)
+        return _all(verdict for verdict, _ in self.parts)
 
 
-def _all(parts: Iterable[Statement]) -> str:
-    found = {p.verdict for p in parts} or {UNDECIDED}
+def _all(verdicts: Iterable[str]) -> str:
+    found = {*verdicts} or {UNDECIDED}
     return next(v for v in (NOT_CONFIRMED, UNDECIDED, CONFIRMED) if v in found)
 
 
@@ -131,7 +130,7 @@ def above(label: str, pairs: Iterable[tuple[str, Number | None, Number | None]])
     if others := [name for name, v in found.items() if v != CONFIRMED]:
         more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
         text += f"; not in {', '.join(others[:NAMED])}{more}"
-    return Statement(_all(Statement(v, "") for v in found.values()), text)
+    return Statement(_all(found.values()), text)
 
 
 def _at(over: str, value: object) -> str:
@@ -142,52 +141,37 @@ def _missing(what: str) -> Statement:
     return Statement(UNDECIDED, f"no results of {what}")
 
 
-# Claims over families of cases: name, the paper's words, parameter, and relations of quantities.
-falls = partial(rises, up=False)
-flat, flat_if_thick = partial(constant, tolerance=FLAT), partial(constant, tolerance=FLAT, beyond=3)
-Row = tuple[Relation, str, str]
-BONE, STEM = "cement_bone", "stem_cement"
-CLAIMS: tuple[tuple[str, str, str, list[Row]], ...] = (
-    (
-        "T-a",
-        "At the cement-bone interface the stem's material does not matter",
-        "stem",
-        [
-            (partial(constant, tolerance=0.02), BONE, "slip"),
-            (partial(constant, tolerance=0.05), BONE, "shear"),
-        ],
-    ),
-    (
-        "T-b",
-        "A mantle of 2 mm slips and opens far more than one of 3 to 5 mm",
-        "thickness",
-        [(far_more_when_thin, BONE, "slip"), (far_more_when_thin, BONE, "gap")],
-    ),
-    (
-        "T-c",
-        "Stresses do not depend on the thickness beyond 3 mm",
-        "thickness",
-        [(flat_if_thick, place, q) for place in INTERFACES for q in ("pressure", "shear")],
-    ),
-    (
-        "T-d",
-        "The rougher the cement-bone interface, the less it slips, the more it opens and the "
-        "higher its pressure; shear stays",
-        "friction",
-        [
-            (falls, BONE, "slip"),
-            (rises, BONE, "gap"),
-            (rises, BONE, "pressure"),
-            (flat, BONE, "shear"),
-        ],
-    ),
-    (
-        "T-e",
-        "The rougher the cement-bone interface, the more the stem slips in the cement and the "
-        "less it opens",
-        "friction",
-        [(rises, STEM, "slip"), (falls, STEM, "gap")],
-    ),
+CLAIMS = {
+    "T-a": "At the cement-bone interface the stem's material does not matter",
+    "T-b": "A mantle of 2 mm slips and opens far more than one of 3 to 5 mm",
+    "T-c": "Stresses do not depend on the thickness beyond 3 mm",
+    "T-d": "The rougher the cement-bone interface, the less it slips, the more it opens and the "
+    "higher its pressure; shear stays",
+    "T-e": "The rougher the cement-bone interface, the more the stem slips in the cement and the "
+    "less it opens",
+    "T-f": "Stem-cement stresses exceed cement-bone stresses; pressure exceeds shear",
+    "T-g": "Cement and cement-bone interface get hotter the thicker the mantle; cement is hottest",
+    "T-h": "Tension remains near the interfaces as the cement cools; where the interface is "
+    "unilateral it can only be compression",
+}
+BONE, STEM = INTERFACES
+falls, flat = partial(rises, up=False), partial(constant, tolerance=FLAT)
+# T-a to T-e: a relation of a quantity of an interface over a parameter.
+FAMILIES: tuple[tuple[str, str, Relation, str, str], ...] = (
+    ("T-a", "stem", partial(constant, tolerance=0.02), BONE, "slip"),
+    ("T-a", "stem", partial(constant, tolerance=0.05), BONE, "shear"),
+    ("T-b", "thickness", far_more_when_thin, BONE, "slip"),
+    ("T-b", "thickness", far_more_when_thin, BONE, "gap"),
+    ("T-c", "thickness", partial(flat, beyond=3.0), BONE, "pressure"),
+    ("T-c", "thickness", partial(flat, beyond=3.0), BONE, "shear"),
+    ("T-c", "thickness", partial(flat, beyond=3.0), STEM, "pressure"),
+    ("T-c", "thickness", partial(flat, beyond=3.0), STEM, "shear"),
+    ("T-d", "friction", falls, BONE, "slip"),
+    ("T-d", "friction", rises, BONE, "gap"),
+    ("T-d", "friction", rises, BONE, "pressure"),
+    ("T-d", "friction", flat, BONE, "shear"),
+    ("T-e", "friction", rises, STEM, "slip"),
+    ("T-e", "friction", falls, STEM, "gap"),
 )
 # T-f: the first exceeds the second.
 ORDER = (
@@ -200,40 +184,28 @@ ORDER = (
 
 def judge(cases: paper.Cases) -> list[Trend]:
     """All trends."""
-    order = "Stem-cement stresses exceed cement-bone stresses; pressure exceeds shear"
-    tension = (
-        "Tension remains near the interfaces as the cement cools; where the interface is "
-        "unilateral it can only be compression"
-    )
-    return [
-        *(_trend(name, claim, _families, cases, over, rows) for name, claim, over, rows in CLAIMS),
-        _trend("T-f", order, _order, cases),
-        *_heat(cases),
-        Trend("T-h", tension, _residual(cases)),
+    by_percentiles, by_maxima = (_contact(cases, how) for how in ("percentile", "max"))
+    contact = [
+        Trend(name, CLAIMS[name], parts, _all(v for v, _ in by_maxima[name]))
+        for name, parts in by_percentiles.items()
     ]
+    return [*contact, *_heat(cases), Trend("T-h", CLAIMS["T-h"], _residual(cases))]
 
 
-def _trend(name: str, claim: str, parts: Callable[..., list[Statement]], *of: Any) -> Trend:
-    return Trend(name, claim, parts("percentile", *of), _all(parts("max", *of)))
-
-
-def _families(how: str, cases: paper.Cases, over: str, rows: Sequence[Row]) -> list[Statement]:
-    found = []
-    for relation, place, quantity in rows:
+def _contact(cases: paper.Cases, how: str) -> dict[str, list[Statement]]:
+    """T-a to T-f, by percentiles or by maxima."""
+    found: dict[str, list[Statement]] = {}
+    for name, over, relation, place, quantity in FAMILIES:
         for stem in [""] if over == "stem" else paper.STEMS:
             label = f"{stem}, {_name(place, quantity)}".removeprefix(", ")
-            family = cases.over(over, stem=stem)
-            values = paper.series(family, paper.contact(place, quantity, how))
-            found.append(relation(label, values, QUANTITIES[quantity][0], over))
-    return found
-
-
-def _order(how: str, cases: paper.Cases) -> list[Statement]:
-    found = []
+            numbers = paper.series(cases.over(over, stem=stem), paper.contact(place, quantity, how))
+            statement = relation(label, numbers, QUANTITIES[quantity][0], over)
+            found.setdefault(name, []).append(statement)
     for more, less in ORDER:
         a, b = (paper.contact(*of, how) for of in (more, less))
-        label = f"{_name(*more)} above {_name(*less)}"
-        found.append(above(label, ((c.name, a(c), b(c)) for c in cases.stances)))
+        pairs = ((c.name, a(c), b(c)) for c in cases.stances)
+        statement = above(f"{_name(*more)} above {_name(*less)}", pairs)
+        found.setdefault("T-f", []).append(statement)
     return found
 
 
@@ -243,20 +215,20 @@ def _name(place: str, quantity: str) -> str:
 
 def _heat(cases: paper.Cases) -> list[Trend]:
     """T-g, for each reading of "100 degrees"."""
-    claim = "Cement and cement-bone interface get hotter the thicker the mantle; cement is hottest"
     trends = []
     for (model, reading), family in cases.heats().items():
-        peaks, bone = (paper.series(family, of) for of in (paper.cement_peak, paper.bone_peak))
-        cement = rises("cement", peaks, "°C", "thickness")
+        of = paper.cement_peak, paper.bone_peak, paper.bone_p99
+        cement, bone, p99 = (paper.series(family, number) for number in of)
+        hotter = rises("cement", cement, "°C", "thickness")
         by_peak = rises("bone at the interface", bone, "°C", "thickness")
-        known = paper.series(family, paper.bone_p99)  # where fields were written
-        p99 = rises("bone at the interface, p99", known, "°C", "thickness")
-        pairs = ((c.name, peaks.get(t), _hottest_beside(c)) for t, c in family.items())
+        by_p99 = rises("bone at the interface, p99", p99, "°C", "thickness")
+        pairs = ((c.name, cement.get(t), _hottest_beside(c)) for t, c in family.items())
         hottest = above("cement above all else after 10 s", pairs)
-        parts = [cement, p99 if len(known) > 1 else by_peak, hottest]
-        by_peaks = _all([cement, by_peak, hottest])
-        trends.append(Trend(f"T-g ({model}, {reading})", claim, parts, by_peaks))
-    return trends or [Trend("T-g", claim, [_missing("cement of 100 °C")])]
+        # The percentile is known where fields were written.
+        parts = [hotter, by_p99 if len(p99) > 1 else by_peak, hottest]
+        peaks = _all(v for v, _ in (hotter, by_peak, hottest))
+        trends.append(Trend(f"T-g ({model}, {reading})", CLAIMS["T-g"], parts, peaks))
+    return trends or [Trend("T-g", CLAIMS["T-g"], [_missing("cement of 100 °C")])]
 
 
 def _hottest_beside(case: SweptCase) -> Number | None:
@@ -279,8 +251,8 @@ def _residual(cases: paper.Cases) -> list[Statement]:
             if found:
                 low, high = min(found), max(found)
                 text = f"{named(place)} {kind}: {what} of {low:.3g} to {high:.3g} MPa at most in "
-                verdict = CONFIRMED if low > 0 else NOT_CONFIRMED
-                parts.append(Statement(verdict, f"{text}{len(found)} case{'s' * (len(found) > 1)}"))
+                text += f"{len(found)} case{'s' * (len(found) > 1)}"
+                parts.append(Statement(CONFIRMED if low > 0 else NOT_CONFIRMED, text))
         if len(parts) == known:
             parts.append(_missing(f"a case that cools with a {kind} interface and mechanics"))
     return parts

@@ -13,7 +13,8 @@ from functools import cache
 from pathlib import Path
 
 from app.report import paper
-from app.report.curves import Figure, Line, Panel, draw, in_words, too_few
+from app.report.curves import Line, Panel, draw, in_words, too_few
+from app.report.page import Figure
 from app.report.paper import READINGS, REFERENCE, STEMS, Cases, labels
 from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, magnitude, named
 from app.system.style import COLOURS, MARKERS

@@ -13,7 +13,7 @@ from app import figures
 from app.arrays import Floats, Ints
 from app.case.case import read_geometry
 from app.errors import MantleError
-from app.report.curves import Figure
+from app.report.page import Figure
 from app.report.sweep_results import QUANTITIES, WORDS, SweepResults, SweptCase, named
 from app.report.viewer import INTERFACE, lengths, outsides
 from app.results import unrolled
@@ -123,10 +123,10 @@ def sides(run: Run, folder: Path) -> list[Figure]:
     figure = figures.new(10.0, 4.2 * len(shown))
     axes = figure.subplots(len(shown), len(ON_SIDES), squeeze=False)
     for row, (name, (body, triangles)) in zip(axes, shown.items(), strict=True):
-        for ax, quantity in zip(row, ON_SIDES, strict=True):
+        for ax, (quantity, colours) in zip(row, ON_SIDES.items(), strict=True):
             label, unit, factor = INTERFACE[quantity]
             values = factor * lengths(run, f"{name}_{quantity}")
-            scale = _three(ax, run.points, triangles, values, ON_SIDES[quantity])
+            scale = _three(ax, run.points, triangles, values, colours)
             bar = figure.colorbar(scale, ax=ax, orientation="horizontal", pad=0.02)
             bar.set_label(f"{label} on the {body.replace('_', ' ')} ({unit})")
     for suffix in ("png", "pdf"):

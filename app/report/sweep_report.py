@@ -15,7 +15,7 @@ from app.report import gruen, page, paper, paper_claims, paper_numbers, pictures
 from app.report.page import Blocks, bullets, paragraph, table
 from app.report.paper_claims import Trend
 from app.report.paper_numbers import ComparedNumber
-from app.report.sweep_results import STATUSES, SweepResults, SweptCase, named, read
+from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, named, read
 from app.system.folders import remove, write_text
 from app.system.layout import duration, noted
 
@@ -194,11 +194,7 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
 
 
 def _parts(cases: Sequence[SweptCase]) -> Blocks:
-    parts: dict[str, list[SweptCase]] = {}
-    for case in cases:
-        parts.setdefault(case.part, []).append(case)
     found: Blocks = []
-    for part, own in parts.items():
-        listed = sweep_figures.cases_table(own, sweep_figures.headlines(own))
-        found += page.titled(part, listed)
+    for part, own in by_part(cases).items():
+        found += page.titled(part, sweep_figures.cases_table(own, sweep_figures.headlines(own)))
     return found

@@ -186,6 +186,13 @@ def _case(entry: dict[str, Any], folder: Path) -> SweptCase:
     return SweptCase(**own | {"folder": folder / own["folder"]})
 
 
+def by_part(cases: Sequence[SweptCase]) -> dict[str, list[SweptCase]]:
+    """Cases by the parts of the sweep."""
+    return {
+        part: [c for c in cases if c.part == part] for part in dict.fromkeys(c.part for c in cases)
+    }
+
+
 def named(name: str) -> str:
     """A place or a quantity in words."""
     return WORDS.get(name, name.replace("_", " "))

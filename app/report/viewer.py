@@ -42,7 +42,7 @@ NODAL = {
 }
 
 
-def viewer(*folders: Path) -> str | None:
+def viewer(*folders: Path) -> str:
     """The view as HTML; nothing without fields or without three.js.
 
     Several runs are shown side by side under one camera, followed by the differences of the others
@@ -51,16 +51,13 @@ def viewer(*folders: Path) -> str | None:
     scripts = [THREE / name for name in SCRIPTS]
     runs = [Run(folder) for folder in folders if (folder / "fields.vtkhdf").exists()]
     if not runs or not all(s.exists() for s in scripts):
-        return None
+        return ""
     names = distinct([run.folder for run in runs])
-    pairs: list[tuple[str, Run, Run | None]] = [
-        (name if len(folders) > 1 else "", run, None) for name, run in zip(names, runs, strict=True)
-    ]
-    pairs += [
-        (f"{name} less {names[0]}", run, runs[0])
-        for name, run in zip(names[1:], runs[1:], strict=True)
-        if same_mesh(run, runs[0])
-    ]
+    pairs: list[tuple[str, Run, Run | None]]
+    pairs = [(n if len(folders) > 1 else "", run, None) for n, run in zip(names, runs, strict=True)]
+    for name, run in zip(names[1:], runs[1:], strict=True):
+        if same_mesh(run, runs[0]):
+            pairs.append((f"{name} less {names[0]}", run, runs[0]))
     views = []
     for name, run, minus in pairs:
         head, values = packed(run, minus, MOST // len(pairs))

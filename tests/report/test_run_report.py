@@ -14,7 +14,7 @@ import pytest
 import mantle
 from app.case.quantities import TABLE
 from app.cli import main
-from app.report import history_curves, pictures, run_report, sentence, viewer
+from app.report import curves, pictures, run_report, sentence, viewer
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 COARSE = {"mesh.size": "4 mm", "mesh.far_size": "6 mm", "mesh.order": 1}
@@ -249,6 +249,6 @@ def test_variations_have_a_page_over_all(
     ],
 )
 def test_ticks_are_round(ends: tuple[float, float], ticks: list[float]) -> None:
-    found = history_curves.ticks(*ends)
+    found = curves.ticks(*ends)
     assert found[: len(ticks)] == ticks and found[0] <= ends[0] and found[-1] >= ends[1]
     assert 2 <= len(found) <= 9
