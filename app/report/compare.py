@@ -9,7 +9,7 @@ from typing import Any
 from app.case import quantities
 from app.errors import InputError, StoppedError
 from app.report import page, run_report, sweep_figures, viewer
-from app.report.page import Blocks, bullets, paragraph, table
+from app.report.page import Blocks, bullets, table
 from app.report.sweep_results import Number, SweptCase
 from app.results.closing_lines import UNUSABLE, reasons_not_to_use
 from app.system.folders import write_text
@@ -63,7 +63,7 @@ def _page(folders: Sequence[Path]) -> str:
     return page.page(
         "Comparison of runs",
         [
-            ("numbers", "Numbers", _numbers(names, cases, keys)),
+            ("differences", "Numbers", _numbers(names, cases, keys)),
             ("input", "Input that differs", _input(names, cases)),
         ],
         facts=" · ".join(names),
@@ -124,11 +124,7 @@ def _numbers(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[st
         a, *others = (case.number(key) for case in cases)
         own = [sweep_figures.cell(case, key) for case in cases]
         rows.append([sweep_figures.titled(key), *own, *(_difference(a, b, key) for b in others)])
-    how = (
-        "A difference is given with the sum of both errors. Errors of runs on the same mesh are "
-        "alike, so that their difference is known better than that."
-    )
-    return paragraph(how, "quiet") + table(head, rows) if rows else []
+    return table(head, rows)
 
 
 def _difference(a: Number | None, b: Number | None, key: str) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,7 @@ class Line:
     """A curve.
 
     Attributes:
+        style: Number of its colour and marker.
         numbers: With errors, over x.
         peaks: Largest values over x, without errors.
         stars: Published values: x and value.
@@ -60,10 +61,9 @@ class Line:
     """
 
     label: str
-    colour: str
-    marker: str
+    style: int
     numbers: dict[float, Number]
-    peaks: dict[float, Number]
+    peaks: dict[float, Number] = field(default_factory=dict)
     stars: Sequence[tuple[float, float]] = ()
     own_stars: bool = False
 
@@ -164,7 +164,8 @@ def _values(line: Line) -> list[float]:
 
 def _line(axes: Any, line: Line, shift: float) -> None:
     curve, peak, star = _labels(line)
-    own: dict[str, Any] = {"color": line.colour, "marker": line.marker}
+    colour = COLOURS[line.style % len(COLOURS)]
+    own: dict[str, Any] = {"color": colour, "marker": MARKERS[line.style % len(MARKERS)]}
     if line.peaks:
         x, y = [x + shift for x in line.peaks], [n.value for n in line.peaks.values()]
         axes.plot(x, y, label=peak, **own, **PEAKS)
@@ -174,7 +175,7 @@ def _line(axes: Any, line: Line, shift: float) -> None:
         axes.errorbar(x, y, yerr=errors, label=curve, **own, **CURVE)
     if line.stars:
         x, y = [x + shift for x, _ in line.stars], [v for _, v in line.stars]
-        axes.plot(x, y, color=line.colour if line.own_stars else "#f2c14e", label=star, **STARS)
+        axes.plot(x, y, color=colour if line.own_stars else "#f2c14e", label=star, **STARS)
 
 
 # Of history.csv
@@ -198,12 +199,11 @@ def of_history(history: History) -> tuple[list[Panel], str]:
             points = zip(times[known].tolist(), (factor * values[known]).tolist(), strict=True)
             lines.setdefault(key, {})[place] = {t: Number(v) for t, v in points}
     places = list(dict.fromkeys(p for own in lines.values() for p in own))
-    styles = {p: (COLOURS[k % 8], MARKERS[k % 8]) for k, p in enumerate(places)}
     found = [
         Panel(
             SHOWN[key][0],
             printed(SHOWN[key][1]),
-            [Line(p.replace("_", " "), *styles[p], own, {}) for p, own in lines[key].items()],
+            [Line(p.replace("_", " "), places.index(p), own) for p, own in lines[key].items()],
         )
         for key in SHOWN
         if key in lines
@@ -253,7 +253,7 @@ def _drawing(panel: Panel, x: str) -> dict[str, Any]:
     lines = [
         (
             line.label,
-            line.colour,
+            COLOURS[line.style % len(COLOURS)],
             [(part(t, across), part(n.value, up)) for t, n in page.sparse([*line.numbers.items()])],
         )
         for line in panel.lines

@@ -17,7 +17,6 @@ from app.report.curves import Line, Panel, draw, in_words, too_few
 from app.report.page import Figure
 from app.report.paper import READINGS, REFERENCE, STEMS, Cases, labels
 from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, magnitude, named
-from app.system.style import COLOURS, MARKERS
 
 # The paper's sliding may be slip in contact, or all relative motion of the sides.
 READINGS_OF = {"slip": ("slip", "motion")}
@@ -275,7 +274,7 @@ def _panel(cases: Cases, place: str, quantity: str, over: str) -> Panel:
             for how in ("percentile", "max")
         )
         stars = published(stem, place, "slip" if quantity == "motion" else quantity, over)
-        lines.append(Line(stem, COLOURS[k], MARKERS[k], values, most, stars, own_stars=True))
+        lines.append(Line(stem, k, values, most, stars, own_stars=True))
     return Panel(named(place), f"{named(quantity)} ({QUANTITIES[quantity][0]})", lines)
 
 
@@ -287,7 +286,7 @@ def _temperatures(cases: Cases, place: str) -> Panel:
         label = _heat_label(next(iter(family.values())))
         values = paper.series(family, paper.cement_peak if cement else paper.bone_p99)
         peaks = {} if cement else paper.series(family, paper.bone_peak)
-        lines.append(Line(label, COLOURS[k], MARKERS[k], values, peaks, stars))
+        lines.append(Line(label, k, values, peaks, stars))
         stars = []
     title = "cement" if cement else "bone at the cement-bone interface"
     return Panel(title, "temperature (°C)", lines)

@@ -14,7 +14,7 @@ from typing import Any
 from urllib.parse import quote
 
 from app.case import quantities
-from app.case.quantities import NECROSIS, TABLE, Quantity, in_print, printed
+from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
 from app.report import curves, gruen, page, pictures, sentence, sweep_figures, viewer
 from app.report.page import Blocks, Figure, bullets, paragraph, table
@@ -187,11 +187,7 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
     found += page.titled("Peaks that still change with the mesh", _unsettled(summary))
     if note := summary.get("thermal", {}).get("note"):
         found += paragraph(note, "quiet")
-    how = (
-        "p99 and p95 are percentiles by area or volume: 1 or 5 % of it exceeds them. A maximum may "
-        "stand at an edge and grow with the mesh."
-    )
-    return paragraph(how, "quiet") + found if found else []
+    return found
 
 
 def _tables(summary: dict[str, Any], every: bool) -> Blocks:
@@ -233,15 +229,9 @@ def _unsettled(summary: dict[str, Any]) -> Blocks:
 
 
 def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
-    own = TABLE["thermal.regions"]
-    bone = {name: q for name, q in regions.items() if sentence.is_bone(q)}
-    head = ["", *(f"{name}, {what}" for name in bone for what in ("volume (mm³)", "depth (mm)"))]
-    columns = [(q, what) for q in bone.values() for what in ("volume", "depth")]
-    rows = [
-        [in_print(words), *(own[f"necrosis_{rule}_{what}"].text(q) for q, what in columns)]
-        for rule, words in NECROSIS.items()
-    ]
-    return table(head, rows if bone else [])
+    bones, rows = tables.necrosis(regions)
+    head = ["", *(f"{name}, {what}" for name in bones for what in ("volume (mm³)", "depth (mm)"))]
+    return table(head, [[in_print(words), *texts] for words, *texts in rows] if bones else [])
 
 
 def _solver(case: SweptCase, summary: dict[str, Any]) -> Blocks:

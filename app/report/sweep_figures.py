@@ -17,7 +17,6 @@ from app.report.sweep_results import PERCENTILES, SweptCase, by_part, magnitude,
 from app.schema.unit_conversion import conversion
 from app.schema.units import NUMBER
 from app.system import layout
-from app.system.style import COLOURS, MARKERS
 
 MOST_PANELS = 12
 MOST_NUMBERS = 11  # in the table of cases
@@ -139,7 +138,7 @@ def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
             lines = []
             for k, (common, own) in enumerate(groups[:MOST_SERIES]):
                 values = {x: n for x, c in own.items() if (n := c.number(name))}
-                lines.append(Line(common or "mantle", COLOURS[k], MARKERS[k], values, {}))
+                lines.append(Line(common or "mantle", k, values))
             if any(map(_varies, lines)):
                 panels.append(Panel(text, unit or "value", lines))
         panels = panels[:MOST_PANELS]

@@ -149,18 +149,12 @@ def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
 
 
 def _trends(trends: Sequence[Trend]) -> Blocks:
-    text = (
-        "By percentiles, of motions the 99th, of tractions the 95th: undecided where the "
-        "difference is smaller than the estimated errors in sum; numbers without ± have no "
-        "estimate and were taken as they are. Beside it the verdict by the largest values, as the "
-        "paper gives them, whose errors are not known."
-    )
     rows = [
         [t.name, t.claim, t.verdict, t.peaks or "-", [f"{p.verdict}: {p.text}" for p in t.parts]]
         for t in trends
     ]
     head = ["", "the paper says", "verdict", "by maxima", "because"]
-    return paragraph(text) + table(head, rows)
+    return table(head, rows)
 
 
 def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
@@ -183,14 +177,7 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
         for r in rows
         for f in [r.fact]
     ]
-    text = (
-        "The paper gives peaks. mantle's largest values sit at edges and still change with the "
-        "mesh; its percentiles by area, the 99th of motions and the 95th of tractions, settle and "
-        "have an error (for temperatures that of the largest value, where it is known). The "
-        "paper's slip may be sliding in contact or all motion: both stand beside it. Ratios of "
-        "temperatures are of their rise above 37 °C."
-    )
-    return paragraph(text) + table(head, lines)
+    return table(head, lines)
 
 
 def _parts(cases: Sequence[SweptCase]) -> Blocks:

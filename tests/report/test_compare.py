@@ -29,7 +29,7 @@ def test_the_page_says_what_differs(stems: tuple[Run, Run], tmp_path: Path) -> N
     html = compare.write(folders, tmp_path / "new" / "page.html").read_text(encoding="utf-8")
     assert cells(html, "input") == [[FRICTION, "0.4", "0.9"]]
     slips: list[Any] = [1e3 * run.summary["interfaces"]["stem_cement"]["slip_p99"] for run in stems]
-    row = next(r for r in cells(html, "numbers") if r[0].startswith("stem-cement slip, p99"))
+    row = next(r for r in cells(html, "differences") if r[0].startswith("stem-cement slip, p99"))
     assert [float(row[1]), float(row[2])] == pytest.approx(slips, rel=1e-3)
     assert float(row[3].split()[0]) == pytest.approx(slips[1] - slips[0], rel=1e-3)
     assert html.count('class="one"') == 3  # two runs and their difference
@@ -43,7 +43,7 @@ def test_the_same_run_twice_does_not_differ(stems: tuple[Run, Run], tmp_path: Pa
     html = compare.write([stems[0].folder] * 2, tmp_path / "same.html").read_text("utf-8")
     assert "No main number differs" in html
     assert "runs of the same case" in html
-    assert {row[3] for row in cells(html, "numbers")} == {"0"}
+    assert {row[3] for row in cells(html, "differences")} == {"0"}
 
 
 @pytest.mark.parametrize(
