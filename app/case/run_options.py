@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 from app.laws.interface_laws import USUAL_AUGMENTATION
 from app.laws.loads import Point
 from app.schema import units
-from app.schema.section import MAPPING, Name, Section, Truth, Word, fail, show
+from app.schema.section import MAPPING, Name, Section, Truth, fail, show
 
 
 class Stage(Section):
@@ -18,9 +18,11 @@ class Stage(Section):
     name: Name
     """Name in the results."""
     increments: units.PositiveInteger = 1
-    """Number of load steps, before any is halved."""
+    """Number of load steps, before any is halved; of a stage that takes time, number of equal parts
+    after each of which the mechanics are solved and fields are written."""
     adaptive: Truth = True
-    """Whether a step that does not converge is halved, and grows again when it is easy."""
+    """Whether a step that does not converge is halved, and grows again when it is easy, and whether
+    time steps are chosen by their error instead of being equal."""
     max_cut_backs: units.NonNegativeInteger = 6
     """How often in a row a step may be halved."""
     duration: units.PositiveTime | None = None
@@ -33,6 +35,11 @@ class Stage(Section):
         if self.steady and self.duration is not None:
             fail("a steady stage takes no `duration`", at=("duration",))
         return self
+
+    @property
+    def seconds(self) -> float:
+        """Duration [s]; 0 without."""
+        return self.duration or 0.0
 
     @property
     def takes_time(self) -> bool:
@@ -60,7 +67,7 @@ class SolverOptions(Section):
     """Residual relative to the scale of the forces at which a step has converged."""
     max_iterations: units.PositiveInteger = 40
     """Largest number of Newton iterations in a step."""
-    linear: Annotated[Literal["auto", "direct", "multigrid"], Word()] = "auto"
+    linear: Literal["auto", "direct", "multigrid"] = "auto"
     """Linear solver; `auto` is direct for small models."""
     petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc)] = Field(
         default_factory=dict
@@ -73,7 +80,7 @@ class SolverOptions(Section):
 class TimeOptions(Section):
     """How stages that take time are divided into steps."""
 
-    method: Annotated[Literal["sdirk4", "backward_euler"], Word()] = "sdirk4"
+    method: Literal["sdirk4", "backward_euler"] = "sdirk4"
     """Time integrator; both are L-stable, of order 4 and 1."""
     tolerance: units.PositiveDifference = 1e-3
     """Largest error of the temperature in a time step."""

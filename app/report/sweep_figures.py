@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from app.campaigns.uncertainty import correlation
-from app.case import explain, quantities
+from app.case import keys, quantities
 from app.report import page
 from app.report.curves import ROUNDED, Line, Panel, draw, in_words, too_few
 from app.report.page import Blocks, Figure
@@ -171,7 +171,7 @@ def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None
     written = {match[2] for match in matches if match}
     if len(written) == 1 and (unit := written.pop()):
         return quantities.printed(unit), numbers
-    kept = explain.unit(key)
+    kept = keys.unit(key)
     for k, match in enumerate(matches):
         if match and match[2]:
             numbers[k] = None

@@ -29,7 +29,7 @@ from app.results.mechanical_fields import MechanicalFields
 from app.results.run_folder import on_root
 from app.results.stem_motion import stem_motion
 from app.scene.build import build_scene
-from app.scene.scene import Scene, SceneStage
+from app.scene.scene import Scene, Stage
 from app.simulation import coarser_case
 from app.simulation.mechanical_model import Mechanical
 from app.simulation.thermal_model import ThermalModel
@@ -70,7 +70,7 @@ class Observer:
     on_step: OnStep = _nothing
     on_heat: OnHeat = _nothing
     on_trouble: Callable[[str], None] = _nothing
-    on_stage: Callable[[SceneStage], None] = _nothing
+    on_stage: Callable[[Stage], None] = _nothing
     checkpoint_point: Callable[[int], None] = _nothing
     resume: Callable[[], int] = lambda: 0
 

@@ -23,7 +23,7 @@ from app.results.field_output import Fields
 from app.results.interface_numbers import ContactSamples
 from app.results.probes import DisplacementProbes
 from app.results.run_folder import UNITS, Writer
-from app.scene.scene import SceneStage
+from app.scene.scene import Stage
 from app.simulation.model import Model
 from app.soundness import uniqueness
 from app.stepping.heat_state import HeatStep
@@ -142,9 +142,9 @@ class Recorder:
             else:
                 self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + some
 
-    def stage(self, stage: SceneStage) -> None:
+    def stage(self, stage: Stage) -> None:
         """Write the header of a stage's lines."""
-        self._takes_time = stage.duration > 0 or stage.steady
+        self._takes_time = stage.takes_time
         log.info("%s", text.heat_header() if self._takes_time else text.step_header())
 
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
