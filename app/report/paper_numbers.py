@@ -11,12 +11,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from app.report import paper
 from app.report.curves import Line, Panel, draw, in_words, too_few
 from app.report.page import Figure
 from app.report.paper import READINGS, REFERENCE, STEMS, Cases, labels
-from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, magnitude, named
+from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named
 
 # The paper's sliding may be slip in contact, or all relative motion of the sides.
 READINGS_OF = {"slip": ("slip", "motion")}
@@ -31,7 +32,7 @@ class Fact:
         model: ``stance`` or ``heat``.
         stem: Material of the stem.
         thickness: Of the mantle in mm: ``4``, ``2-3``, ``>7`` or empty.
-        cement_bone_friction: Friction coefficient there; None if it does not matter.
+        friction: Coefficient of the cement-bone interface; 0 if it does not matter.
         place: Interface or region; may be empty.
         unit: ``um``, ``MPa``, ``degC``.
         kind: peak, exceeded, not exceeded, extreme.
@@ -41,7 +42,7 @@ class Fact:
     model: str
     stem: str
     thickness: str
-    cement_bone_friction: float | None
+    friction: float
     place: str
     quantity: str
     unit: str
@@ -60,19 +61,13 @@ class Fact:
 def facts() -> list[Fact]:
     """Numbers that the paper reports; of both stems once for each."""
     with Path(__file__).with_name("paper_numbers.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    return [
-        Fact(
-            **row
-            | {
-                "stem": stem,
-                "cement_bone_friction": magnitude(row["cement_bone_friction"]),
-                "value": float(row["value"]),
-            }
-        )
-        for row in rows
-        for stem in (STEMS if row["stem"] == "both" else [row["stem"]])
-    ]
+        rows: list[dict[str, Any]] = list(csv.DictReader(file))
+    found = []
+    for row in rows:
+        numbers = {key: float(row[key] or 0.0) for key in ("friction", "value")}
+        stems = STEMS if row["stem"] == "both" else [row["stem"]]
+        found += [Fact(**row | numbers | {"stem": stem}) for stem in stems]
+    return found
 
 
 @dataclass(frozen=True)
@@ -120,10 +115,9 @@ def _rows(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
         yield from _extremes(fact, cases)
         return
     if fact.model == "stance":
-        friction = fact.cement_bone_friction or 0.0
-        families = [cases.over("thickness", False, stem=fact.stem, friction=friction)]
+        families = [cases.over("thickness", False, stem=fact.stem, friction=fact.friction)]
         why = f"no case of this sweep has a mantle of {fact.thickness} mm, a {fact.stem} stem and "
-        why += f"friction {friction:g}"
+        why += f"friction {fact.friction:g}"
     else:
         families = [*cases.heats(done=False).values()]
         why = f"no case with cement of 100 °C and {fact.thickness} mm"
@@ -255,7 +249,7 @@ def figures(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
 def published(stem: str, place: str, quantity: str, over: str) -> list[tuple[float, float]]:
     """The paper's peaks for figures: thickness [mm], or friction of a mantle of 4 mm, and value."""
     found = {
-        (t if over == "thickness" else f.cement_bone_friction or 0.0, f.value)
+        (t if over == "thickness" else f.friction, f.value)
         for f in facts()
         if (f.stem, f.place, f.quantity, f.kind) == (stem, place, quantity, "peak")
         and not f.thickness.startswith(">")

@@ -35,11 +35,6 @@ def sentence(summary: Numbers, case: SweptCase) -> str:
     return f"{said[0].upper()}{said[1:]}."
 
 
-def is_bone(region: Numbers) -> bool:
-    """Whether numbers belong to a region that heat can kill."""
-    return "necrosis_47C_1min_volume" in region
-
-
 def _load(case: SweptCase) -> str:
     sizes = {}
     for name, load in case.data.get("loads", {}).items():
@@ -92,7 +87,7 @@ def _stem(summary: Numbers) -> Iterator[str]:
 def _heat(summary: Numbers) -> Iterator[str]:
     """Peak temperature of the bone, how long it lasts, and how much bone dies."""
     regions = summary.get("thermal", {}).get("regions", {})
-    bone = [q for q in regions.values() if is_bone(q)]
+    bone = [q for q in regions.values() if "necrosis_47C_1min_volume" in q]  # heat can kill it
     if not regions:
         return
     if not bone:

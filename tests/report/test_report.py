@@ -68,15 +68,8 @@ class Maker:
         return self.add(name, femur(stem, thickness, mu), summary, **more)
 
     def write(self, **more: Any) -> Path:
-        content: dict[str, Any] = {
-            "compare_with": "paper",
-            "title": "made up",
-            "file": "x.yaml",
-            "program": "0",
-            "cores": 2,
-            "seconds": 9,
-        }
-        content |= {"cases": self.cases} | more
+        content: dict[str, Any] = {"compare_with": "paper", "title": "made up", "file": "x.yaml"}
+        content |= {"program": "0", "cores": 2, "seconds": 9, "cases": self.cases} | more
         (self.folder / "sweep.json").write_text(json.dumps(content))
         return self.folder
 
@@ -361,23 +354,12 @@ def test_the_pages_need_nothing_else(maker: Maker, capsys: pytest.CaptureFixture
     assert "figure 8: no case of hot cement" in text
 
 
-def test_titles_names_and_messages_are_escaped(maker: Maker) -> None:
-    bad = "<script>alert('x')</script> & <b>"
-    maker.stance("titanium", 4.0, 1.0, None, name=bad, status="failed", message=bad, exit_code=70)
-    maker.stance("titanium", 3.0, 1.0, contact(as_the_paper_says, "titanium", 3, 1, 0.1))
-    maker.stance("titanium", 2.0, 1.0, contact(as_the_paper_says, "titanium", 2, 1, 0.1))
-    maker.write(title=bad)
-    page = sweep_report.run(maker.folder).files[0].read_text()
-    assert "<script" not in page and "<b>" not in page
-    assert page.count("&lt;script&gt;alert") >= 4
-
-
 def test_a_partial_sweep_is_reported_with_what_is_missing(maker: Maker) -> None:
     numbers = contact(as_the_paper_says, "titanium", 4, 1, 0.1)
     maker.stance("titanium", 4.0, 1.0, numbers)
     maker.stance("titanium", 3.0, 1.0, numbers)
     maker.stance("titanium", 2.0, 1.0, None, status="stopped", exit_code=5)
-    maker.stance("CoCr", 4.0, 1.0, None, status="failed", exit_code=3, message="no mesh")
+    maker.stance("CoCr", 4.0, 1.0, None, status="failed", exit_code=3, message="<b>no</b>")
     gone = {"name": "gone", "folder": "runs/none", "status": "converged"}
     gone["numbers"], gone["errors"] = {"cement_bone.slip_p99": 0.05}, {"cement_bone.slip_p99": 0.01}
     maker.cases.append(gone)
@@ -388,8 +370,8 @@ def test_a_partial_sweep_is_reported_with_what_is_missing(maker: Maker) -> None:
     assert "its folder has no summary.json" in page and "50 ± 10" in page
     papers = written.files[1].read_text()
     assert "figure 6: no stem at two frictions" in papers and "the case CoCr 4 1 failed" in papers
-    assert "it wrote no fields" in page
-    assert "Gruen" not in page
+    assert "it wrote no fields" in page and "Gruen" not in page
+    assert "&lt;b&gt;no&lt;/b&gt;" in page and "<b>" not in page
 
 
 def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
