@@ -22,16 +22,6 @@ ROTATION = np.eye(3) + np.sin(_ANGLE) * _CROSS + (1 - np.cos(_ANGLE)) * _CROSS @
 ROUNDS = 8
 
 
-def turned(data: MeshData) -> MeshData:
-    """The mesh turned about a skew axis."""
-    return replace(data, points=data.points @ ROTATION.T)
-
-
-def scaled(data: MeshData, factor: float) -> MeshData:
-    """The mesh with all lengths multiplied."""
-    return replace(data, points=factor * data.points)
-
-
 def flattened(data: MeshData, worst: float) -> MeshData:
     """Move nodes at random within the planes they lie in, wherever that makes cells worse.
 
@@ -63,7 +53,7 @@ def mirrored(data: MeshData) -> MeshData:
     """Mirror a quarter about x = 0 and y = 0 to the whole."""
     x, cells = data.points, data.cells
     tags, facets, marks = data.cell_tags, data.facets, data.facet_tags
-    planes = {data.boundaries[f"symmetry_{a}"][0]: i for i, a in enumerate("xy")}
+    planes = [data.boundaries[f"symmetry_{a}"][0] for a in "xy"]
     for axis in (0, 1):
         other = x * np.where(np.arange(3) == axis, -1.0, 1.0)
         on = np.abs(x[:, axis]) < 1e-9
@@ -72,7 +62,7 @@ def mirrored(data: MeshData) -> MeshData:
         cells = np.concatenate([cells, number[cells][:, [1, 0, 2, 3]]])
         facets = np.concatenate([facets, number[facets][:, [1, 0, 2]]])
         tags, marks = np.tile(tags, 2), np.tile(marks, 2)
-    keep = ~np.isin(marks, list(planes))
+    keep = ~np.isin(marks, planes)
     boundaries = {n: t for n, t in data.boundaries.items() if not n.startswith("symmetry")}
     return replace(
         data,
@@ -86,12 +76,12 @@ def mirrored(data: MeshData) -> MeshData:
 
 
 CHANGES: dict[str, Callable[[MeshData], MeshData]] = {
-    "turned": turned,
+    "turned": lambda data: replace(data, points=data.points @ ROTATION.T),
     "mirrored": mirrored,
     "bad": lambda data: flattened(data, 0.1),
     "worst": lambda data: flattened(data, 1.2 * BAD),
-    "metres": lambda data: scaled(data, 1e-3),
-    "micrometres": lambda data: scaled(data, 1e3),
+    "metres": lambda data: replace(data, points=1e-3 * data.points),
+    "micrometres": lambda data: replace(data, points=1e3 * data.points),
 }
 
 

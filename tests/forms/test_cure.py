@@ -7,7 +7,8 @@ with dt = da / f(a, T(a)), by quadrature; closed forms where there are any.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 from mpi4py import MPI
@@ -19,7 +20,14 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
 from app.arrays import Floats
-from app.heat.curing import UNREACTED, Curing, Degrees, FreeStrain, as_temperature
+from app.heat.curing import (
+    UNREACTED,
+    FreeStrain,
+    Kinetics,
+    admissible,
+    as_temperature,
+    kinetics_of,
+)
 from app.laws.cure import Autocatalytic, Prescribed
 from app.numerics.integrator import (
     METHODS,
@@ -43,8 +51,8 @@ TOLERANCE = 1e-3
 WAVERS = 1e-5
 
 
-def setting(kinetics: Autocatalytic | Prescribed = BALIGA, nodes: int = 1) -> Curing:
-    return Curing(MPI.COMM_SELF, [altered(CEMENT, kinetics=kinetics)], [nodes])
+def setting(kinetics: Autocatalytic | Prescribed = BALIGA, nodes: int = 1) -> Kinetics:
+    return kinetics_of(MPI.COMM_SELF, altered(CEMENT, kinetics=kinetics), nodes)
 
 
 def rate(k: Autocatalytic, a: Floats, T: Floats) -> Floats:
@@ -115,7 +123,7 @@ def test_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> None:
     start = np.concatenate([10 ** rng.uniform(-6, 0, n), 1 - 10 ** rng.uniform(-8, 0, n)])
     T = rng.uniform(270, 420, 2 * n)
     curing = setting(kinetics, 2 * n)
-    found = curing.update([start], [T], h, 0.0)[0]
+    found = curing.update(start, T, h, 0.0)
     a, limit = found.degree, np.interp(T, *np.array(kinetics.limit or ((300, 1.0),)).T)
     assert (a >= start).all() and (a <= np.maximum(limit, start)).all()
 
@@ -128,7 +136,7 @@ def test_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> None:
     assert (missing[ended] <= UNREACTED * (1 + h * 1e-6)).all()
 
     ΔT = 1e-3
-    up, down = (curing.update([start], [T + d], h, 0.0)[0].degree for d in (ΔT, -ΔT))
+    up, down = (curing.update(start, T + d, h, 0.0).degree for d in (ΔT, -ΔT))
     slope = (up - down) / (2 * ΔT)
     smooth = free & (up < limit - 2 * UNREACTED)
     for knot, _ in kinetics.limit or ():
@@ -147,28 +155,23 @@ def test_degree_stays_within_bounds_and_rises_with_temperature_and_time(
 ) -> None:
     curing = compiled(which)
     a = np.full(3, start)
-    found = curing.update([a], [np.array([T, T + 5, T + 50])], h, 0.0)[0]
+    found = curing.update(a, np.array([T, T + 5, T + 50]), h, 0.0)
     degree = found.degree
     assert (degree >= start).all() and (degree <= 1).all()
     assert (np.diff(degree) >= -1e-12).all()
     assert (found.by_temperature >= 0).all()
-    assert (curing.update([a], [np.full(3, T)], 2 * h, 0.0)[0].degree[0] >= degree[0] - 1e-12).all()
+    assert (curing.update(a, np.full(3, T), 2 * h, 0.0).degree[0] >= degree[0] - 1e-12).all()
 
 
-_compiled: dict[str, Curing] = {}
-
-
-def compiled(which: str) -> Curing:
-    if which not in _compiled:
-        _compiled[which] = setting(KINETICS[which], 3)
-    return _compiled[which]
+@cache
+def compiled(which: str) -> Kinetics:
+    return setting(KINETICS[which], 3)
 
 
 def test_senseless_temperatures_do_no_harm() -> None:
     """Iterates of a solver may be anywhere; nothing sets where there is no heat."""
-    found = setting(nodes=4).update(
-        [np.full(4, 0.3)], [np.array([-500.0, 0.0, 1.0, 1e7])], 1.0, 0.0
-    )[0]
+    T = np.array([-500.0, 0.0, 1.0, 1e7])
+    found = setting(nodes=4).update(np.full(4, 0.3), T, 1.0, 0.0)
     assert np.isfinite(found.by_temperature).all()
     assert found.degree[:3] == pytest.approx(0.3) and 0.3 < found.degree[3] <= 1
 
@@ -177,20 +180,20 @@ def test_senseless_temperatures_do_no_harm() -> None:
 def test_nothing_undefined_leaves_a_step_or_is_remembered(kinetics: Autocatalytic) -> None:
     """Where rates underflow, nothing sets and no warming changes that; the next step is as ever."""
     hot, cold, warm = (np.full(3, T) for T in (1e4, 1.0, 350.0))
-    start = [np.array([5e-324, 1e-200, 0.3])]
+    start = np.array([5e-324, 1e-200, 0.3])
     curing, fresh = setting(kinetics, 3), setting(kinetics, 3)
     with np.errstate(invalid="raise"):
         for before in (hot, warm):
-            curing.update(start, [before], 1e-2, 0.0)
+            curing.update(start, before, 1e-2, 0.0)
             for none in (cold, np.full(3, np.nan), np.full(3, -np.inf)):
-                found = curing.update(start, [none], 1e-2, 0.0)[0]
-                assert found.degree == pytest.approx(start[0], abs=1e-20)
+                found = curing.update(start, none, 1e-2, 0.0)
+                assert found.degree == pytest.approx(start, abs=1e-20)
                 assert found.by_temperature == pytest.approx(0.0, abs=1e-20)
-                assert np.isfinite(curing._kinetics[0]._mean).all()
-        curing.update(start, [np.full(3, np.inf)], 1e-2, 0.0)
-        assert np.isfinite(curing._kinetics[0]._mean).all()
-        found = curing.update(start, [warm], 60.0, 0.0)[0]
-    expected = fresh.update(start, [warm], 60.0, 0.0)[0]
+                assert np.isfinite(curing._mean).all()
+        curing.update(start, np.full(3, np.inf), 1e-2, 0.0)
+        assert np.isfinite(curing._mean).all()
+        found = curing.update(start, warm, 60.0, 0.0)
+    expected = fresh.update(start, warm, 60.0, 0.0)
     assert found.degree == pytest.approx(expected.degree, abs=1e-7)
     assert found.by_temperature == pytest.approx(expected.by_temperature, abs=1e-7)
 
@@ -200,36 +203,28 @@ def test_what_hardly_begins_is_hardly_changed_by_warmth() -> None:
     kinetics = KINETICS["third order"]
     curing, T = setting(kinetics, 1), np.array([300.0])
     h = 0.3 / float(rate(kinetics, np.array([1e-9]), T)[0] / 1e-9)
-    start = [np.array([1e-200])]
+    start = np.array([1e-200])
     with np.errstate(invalid="raise"):
-        curing.update([np.array([1e-3])], [T], h, 0.0)
+        curing.update(np.array([1e-3]), T, h, 0.0)
         for _ in range(2):
-            found = curing.update(start, [T], h, 0.0)[0]
+            found = curing.update(start, T, h, 0.0)
             assert found.degree == pytest.approx(0.0, abs=1e-20)
             assert found.by_temperature == pytest.approx(0.0, abs=1e-20)
-            assert np.isfinite(curing._kinetics[0]._mean).all()
+            assert np.isfinite(curing._mean).all()
 
 
-def test_steps_that_make_no_sense_are_refused() -> None:
-    curing = setting(nodes=2)
-    with pytest.raises(ValueError, match="finite"):
-        curing.update(curing.initial(), [np.full(2, 310.0)], np.inf, 0.0)
-    assert curing.admissible(curing.initial())
-    assert curing.admissible([np.array([0.0, 1.0])])
-    assert curing.admissible([np.array([-1e-15, 1 + 1e-15])])
+def test_degrees_beyond_their_bounds_are_refused_but_for_rounding() -> None:
+    rounded = np.array([-1e-15, 1 + 1e-15])
+    assert admissible(np.array([0.0, 1.0])) and admissible(rounded) and admissible(np.zeros(0))
     for kinetics in (BALIGA, Prescribed.model_construct(rate=COURSE)):
-        found = setting(kinetics, 2).update(
-            [np.array([-1e-15, 1 + 1e-15])], [np.full(2, 310.0)], 1.0, 350.0
-        )[0]
+        found = setting(kinetics, 2).update(rounded, np.full(2, 310.0), 1.0, 350.0)
         assert (found.degree >= 0).all() and (found.degree <= 1).all()
     for outside in (-1e-6, 1 + 1e-6, np.nan):
-        assert not curing.admissible([np.array([0.5, outside])])
+        assert not admissible(np.array([0.5, outside]))
 
 
 def test_a_rank_without_nodes_takes_part() -> None:
-    curing = setting(nodes=0)
-    assert curing.admissible(curing.initial())
-    found = curing.update(curing.initial(), [np.zeros(0)], 1.0, 0.0)[0]
+    found = setting(nodes=0).update(np.zeros(0), np.zeros(0), 1.0, 0.0)
     assert len(found.degree) == len(found.by_temperature) == 0
 
 
@@ -238,35 +233,30 @@ def test_a_rank_without_nodes_takes_part() -> None:
 
 @dataclass
 class Run:
-    """A point of cement in time: what an integration did."""
+    """A point of cement in time: times, temperatures, degrees and rates, and what failed."""
 
-    times: list[float] = field(default_factory=list)
-    states: list[State] = field(default_factory=list)
-    slopes: list[State] = field(default_factory=list)
-    rejected: int = 0
-    failed: int = 0
-    solves: int = 0
-
-    @property
-    def degree(self) -> Floats:
-        return np.array([s[1][0] for s in self.states])
+    times: Floats
+    temperature: Floats
+    degree: Floats
+    rates: Floats
+    rejected: int
+    solves: int
 
     @property
-    def temperature(self) -> Floats:
-        return np.array([s[0][0] for s in self.states])
+    def spline(self) -> CubicHermiteSpline:
+        """The cubic through degrees and rates."""
+        return CubicHermiteSpline(self.times, self.degree, self.rates)
 
     def reaches(self, level: float) -> float:
-        """When the degree reaches a level, by the cubic through degrees and rates."""
-        rates = [k[1][0] for k in self.slopes]
-        spline = CubicHermiteSpline(self.times, self.degree, rates)
-        return float(spline.solve(level, extrapolate=False)[0])
+        """When the degree reaches a level."""
+        return float(self.spline.solve(level, extrapolate=False)[0])
 
 
 @dataclass
 class Point:
     """Cement that keeps its heat (gain is the rise of full cure [K]) or its temperature (0)."""
 
-    curing: Curing
+    curing: Kinetics
     gain: float
     start: State
     solves: int = 0
@@ -275,11 +265,11 @@ class Point:
         """Newton's method from below: the first root, which goes on from that of short steps."""
         self.solves += 1
         T_start, a_start = start
-        if not self.curing.admissible([a_start]):
+        if not admissible(a_start):
             return None
         T = T_start
         for _ in range(50):
-            found: Degrees = self.curing.update([a_start], [T], h, seconds)[0]
+            found = self.curing.update(a_start, T, h, seconds)
             slope = 1 - self.gain * found.by_temperature
             if slope[0] <= 0:
                 return None
@@ -298,13 +288,13 @@ def point(
     gain: float = RISE,
 ) -> Point:
     cure = altered(CEMENT, kinetics=kinetics, initial=initial)
-    curing = Curing(MPI.COMM_SELF, [cure], [1])
-    return Point(curing, gain, [np.array([T]), *curing.initial()])
+    curing = kinetics_of(MPI.COMM_SELF, cure, 1)
+    return Point(curing, gain, [np.array([T]), np.array([initial])])
 
 
 def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = TOLERANCE) -> Run:
     """As a run does: first slope, steps by their error, repeated where they fail."""
-    table, y, run = METHODS[method], p.start, Run()
+    table, y, seconds, rejected = METHODS[method], p.start, 0.0, 0
     slope = start_slope(y, 0.0, 1e-6 * end, p.solve)
     assert slope is not None
 
@@ -313,23 +303,20 @@ def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = T
         return float(max(np.abs(errors[0]).max(), np.abs(cure).max())) / tolerance
 
     control = Controller(table, [*p.curing.events, end], first_step(slope, norm, end))
-    run.times, run.states, run.slopes = [0.0], [y], [slope]
-    while run.times[-1] < end * (1 - 1e-9):
-        dt = control.propose(run.times[-1])
-        done = step(table, y, slope, dt, run.times[-1], p.solve)
-        if done is None or not p.curing.admissible([done.state[1]]):
+    rows = [(seconds, y[0][0], y[1][0], slope[1][0])]
+    while seconds < end * (1 - 1e-9):
+        dt = control.propose(seconds)
+        done = step(table, y, slope, dt, seconds, p.solve)
+        if done is None or not admissible(done.state[1]):
             control.failed(dt)
-            run.failed += 1
+            rejected += 1
         elif control.judge(dt, norm(done.error)):
-            y, slope = done.state, done.slope
-            run.times.append(run.times[-1] + dt)
-            run.states.append(y)
-            run.slopes.append(slope)
+            y, slope, seconds = done.state, done.slope, seconds + dt
+            rows.append((seconds, y[0][0], y[1][0], slope[1][0]))
         else:
-            run.rejected += 1
-        assert run.failed + run.rejected < 500
-    run.solves = p.solves
-    return run
+            rejected += 1
+        assert rejected < 500
+    return Run(*np.array(rows).T, rejected, p.solves)
 
 
 @pytest.mark.parametrize(
@@ -340,7 +327,7 @@ def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = T
 def test_reference_times(T: float, gain: float, t50: float) -> None:
     run = integrate(point(T=T, gain=gain), 2 * t50)
     assert run.reaches(0.5) == pytest.approx(t50, rel=1e-4)
-    assert len(run.times) < 80 and run.rejected + run.failed < 8 and run.solves < 450
+    assert len(run.times) < 80 and run.rejected < 8 and run.solves < 450
     assert (np.diff(run.degree) > -WAVERS).all() and run.degree[-1] <= 1
 
 
@@ -348,9 +335,8 @@ def test_reference_history() -> None:
     """Degrees and temperatures at given times, adiabatic from 37 degC."""
     run = integrate(point(), 620.0)
     for t, a in ((100, 0.00217920), (300, 0.01032774), (500, 0.05708639), (600, 0.22178809)):
-        found = CubicHermiteSpline(run.times, run.degree, [k[1][0] for k in run.slopes])(t)
         # The shift in time that is allowed, times the rate.
-        assert found == pytest.approx(a, rel=5e-3)
+        assert run.spline(t) == pytest.approx(a, rel=5e-3)
     found = [integrate(point(), t).temperature[-1] - 273.15 for t in (500.0, 600.0)]
     assert found == pytest.approx([41.99620, 56.66790], abs=0.05)
     exact = integrate(point(), 600.0, tolerance=1e-6)
@@ -367,26 +353,6 @@ def test_closed_forms() -> None:
     for rise, t in ((10, 11.46931286), (40, 21.07563528)):
         warm = integrate(point(altered(BALIGA, m=0.0, n=0.0), initial=0.0), t)
         assert warm.temperature[-1] - 310.15 == pytest.approx(rise, rel=5e-4)
-
-
-@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
-def test_order_of_the_cure(method: Method) -> None:
-    """Logistic cure, isothermal: error after a fixed time against the number of equal steps."""
-    k = BALIGA.rate_constant * np.exp(-BALIGA.activation_energy / (R * 310.15))
-    p = point(altered(BALIGA, m=1.0, n=1.0), gain=0.0, initial=0.05)
-    end = 500.0
-    true = 1 / (1 + (1 / 0.05 - 1) * np.exp(-k * end))
-    sizes, errors = [], []
-    for n in (16, 32, 64):
-        y, slope = p.start, [np.zeros(1), np.array([k * 0.05 * 0.95])]
-        for i in range(n):
-            done = step(method, y, slope, end / n, i * end / n, p.solve)
-            assert done is not None
-            y, slope = done.state, done.slope
-        sizes.append(end / n)
-        errors.append(abs(y[1][0] - true))
-    order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
-    assert order == pytest.approx(method.order, abs=0.25)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -411,21 +377,7 @@ def test_stiff_cure(
     released = gain * (a - initial)
     assert np.abs(T - T[0] - released).max() < 1e-9 * gain
     assert run.reaches(0.5) == pytest.approx(t50, rel=1e-4 if method == "sdirk4" else 0.3)
-    assert len(run.times) < 150 and run.rejected + run.failed < 10
-
-
-@ALL
-@pytest.mark.parametrize("dt", [1e-3, 1.0, 60.0, 3600.0])
-def test_forced_steps(kinetics: Autocatalytic, dt: float) -> None:
-    """Backward Euler at any step, temperature given: within bounds, and cured after a day."""
-    curing = setting(kinetics)
-    y = [np.array([1e-6])]
-    for _ in range(20):
-        T = np.array([310.15 + 80 * y[0][0]])
-        new = curing.update(y, [T], dt, 0.0)[0].degree
-        assert y[0] <= new <= 1
-        y = [new]
-    assert dt < 3600 or y[0] > 0.75
+    assert len(run.times) < 150 and run.rejected < 10
 
 
 # Prescribed cure
@@ -438,7 +390,7 @@ def test_clock_is_met_whatever_its_scale() -> None:
     p = point(Prescribed.model_construct(rate=COURSE))
     assert p.curing.events == (300.0, 400.0, 600.0)
     run = integrate(p, 1800.0)
-    times = np.array(run.times)
+    times = run.times
     passed = np.interp(times, [300, 400, 600], [0, 1 / 3, 1])
     for low, high, part in (
         (300, 400, lambda t: (t - 300) ** 2 / 30000),
@@ -447,20 +399,20 @@ def test_clock_is_met_whatever_its_scale() -> None:
         inside = (times >= low) & (times <= high)
         passed[inside] = part(times[inside])
     assert run.degree == pytest.approx(1e-3 + 0.999 * passed, abs=1e-12)
-    assert run.degree.max() <= 1 and run.failed + run.rejected < 3
+    assert run.degree.max() <= 1 and run.rejected < 3
     assert {300.0, 400.0, 600.0} <= {round(t, 6) for t in run.times}
 
 
 def test_clock_stops_at_full_cure() -> None:
     """Long backward Euler steps see the rate at their ends only; the degree ends at one at most."""
     curing = setting(Prescribed.model_construct(rate=((0.0, 1.0), (100.0, 1.0))))
-    y = curing.initial()
+    y = np.array([1e-3])
     for k in range(1, 8):
-        found = curing.update(y, [np.full(1, 310.0)], 30.0, 30.0 * k)[0]
-        assert y[0] <= found.degree <= 1
+        found = curing.update(y, np.full(1, 310.0), 30.0, 30.0 * k)
+        assert y <= found.degree <= 1
         assert found.by_temperature == 0
-        y = [found.degree]
-    assert y[0] == pytest.approx(1e-3 + 0.999 * 0.9)
+        y = found.degree
+    assert y == pytest.approx(1e-3 + 0.999 * 0.9)
 
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
