@@ -262,10 +262,8 @@ class CheckpointWriter:
             return 0
         self._refuse_another_model(found)
         header = found.header
-        parts, fields = self._parts(), found.state["fields"]
+        parts = self._parts()
         everywhere(self._comm, lambda: self._fill(found, parts))
-        for grid, kept in zip(self._recorder.grids, fields, strict=False):
-            fill(grid, kept)
         restore(parts)
         self._recorder.add_time(header["seconds"])
         self._saved = header["step"]
@@ -334,7 +332,7 @@ class CheckpointWriter:
             "time": self._recorder.time,
             "seconds": self._recorder.seconds(),
         }
-        return header, collect({"parts": self._parts(), "fields": self._recorder.grids})
+        return header, collect({"parts": self._parts()})
 
     def mark(self, k: int) -> None:
         """Remember the state, in stage k, and save it if that is due; collective."""

@@ -19,7 +19,6 @@ from app.heat.nodes import ProbedPoint
 from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
-from app.results.field_output import Fields
 from app.results.interface_numbers import ContactSamples
 from app.results.probes import DisplacementProbes
 from app.results.run_folder import UNITS, Writer
@@ -126,13 +125,8 @@ class Recorder:
             if trial is not None and self._contact:
                 trial = replace(trial, law=replace(trial.law, **self._contact))
                 self.samples = ContactSamples(m.problem, trial)
-        if not all(grid.steps for grid in self._writer.grids):
+        if self._writer.fields and not self._writer.field_steps:
             self._written = 0
-
-    @property
-    def grids(self) -> tuple[Fields, ...]:
-        """The field file, if fields are written."""
-        return self._writer.grids
 
     def add_time(self, seconds: Mapping[str, float]) -> None:
         """Add the wall seconds before a restart, as `seconds` gave them."""
@@ -234,7 +228,7 @@ class Recorder:
 
     def _fields(self) -> None:
         self._written = self.step_count  # a step that does not fit the disk is not tried again
-        self._writer.fields(self.time, self.samples)
+        self._writer.write_fields(self.time, self.samples)
 
     def flush(self) -> None:
         """Write pending fields of the last step, fields of the last step alone, and pictures."""

@@ -86,7 +86,7 @@ def read(path: Path) -> tuple[dict[str, Any], Any, Any, Any]:
 def check_heat_alone(comm: MPI.Comm, path: Path) -> None:
     tagged = two_blocks(comm)
     fields = Fields(tagged, (heat(tagged, True),), path)
-    fields.begin()
+    fields.open()
     fields.write(1.0, None)
     if comm.rank:
         return
@@ -115,7 +115,7 @@ def check_both(comm: MPI.Comm, path: Path) -> None:
     tagged = two_blocks(comm)
     for resists in (True, False):
         fields = Fields(tagged, (Motion(tagged), heat(tagged, resists)), path)
-        fields.begin()
+        fields.open()
         fields.write(1.0, None)
         comm.barrier()
         if comm.rank:
