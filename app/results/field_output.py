@@ -140,7 +140,7 @@ class HeatFields:
             found |= {name: self._at(nodes, dose) for name, dose in self._doses().items()}
         degrees = [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
         for region, values in self._heating.degrees().items():
-            own, _ = self._record.exposure(region)
+            own = self._record.regions[region].nodes
             degrees[own.body] += self._spread(own.dof, values)
         if self._heating.degrees():
             found["degree_of_cure"] = self._at(nodes, degrees)
@@ -171,7 +171,8 @@ class HeatFields:
             name: [zero.copy() for _ in self.bodies.names] for name in names
         }
         for region in self._record.bone:
-            own, e = self._record.exposure(region)
+            r = self._record.regions[region]
+            own, e = r.nodes, r.exposure
             for name, dose in zip(names, (e.over[:, 0], e.cem43, e.damage), strict=True):
                 # Regions of one body agree on the nodes that they share.
                 of_body = found[name][own.body]

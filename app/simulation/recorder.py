@@ -15,12 +15,11 @@ from app.arrays import Ints
 from app.case.case import Case
 from app.case.quantities import TABLE
 from app.errors import StoppedError
-from app.heat.nodes import ProbedPoint
+from app.heat.nodes import ProbedPoint, Probes
 from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
-from app.results.probes import DisplacementProbes
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import SceneStage
 from app.simulation.model import Model
@@ -93,14 +92,15 @@ class Recorder:
         about = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
         self._balance: Balance | None = None
         self._critical: dict[str, Any] = {}
-        self._probes: DisplacementProbes | None = None
+        self._probes: Probes | None = None
         if m := model.mechanics:
             with timing.phase("assemble"):
                 self._balance = m.balance(about)
                 self._critical = uniqueness.check(m.problem)
             probes = case.output.probes
             points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
-            self._probes = DisplacementProbes(m.problem, points)
+            problem = m.problem
+            self._probes = Probes(model.tagged, problem.space, problem.bodies.of_region, points)
         self.samples: ContactSamples | None = None
         self._contact: dict[str, Any] = {}
         self.time = 0.0
@@ -167,7 +167,7 @@ class Recorder:
             self._row(step)
 
     def _line(self, step: LoadStep) -> None:
-        interfaces = self._model.interfaces(self.samples)
+        interfaces = self.samples.numbers if self.samples else {}
         rate = (len(self._model.scene.stages) - step.time) / step.time
         solved = self._timing.seconds.get("solve", 0.0)
         log.info(
@@ -195,7 +195,7 @@ class Recorder:
         for name, u in self._displacements().items():
             row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
         columns = [c for c in TABLE["interfaces"].values() if c.history]
-        for name, q in self._model.interfaces(self.samples).items():
+        for name, q in (self.samples.numbers if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
         return row
 
@@ -218,7 +218,10 @@ class Recorder:
 
     def _displacements(self) -> dict[str, list[float]]:
         """Displacement of each probe [mm]; collective."""
-        return self._probes.values() if self._probes else {}
+        if self._probes is None or (m := self._model.mechanics) is None:
+            return {}
+        values = self._probes.values(m.problem.displacements())
+        return {n: list(map(float, u)) for n, u in zip(self._probes.names, values, strict=True)}
 
     def _fraction(self, status: int) -> float:
         s = self.samples

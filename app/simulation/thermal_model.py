@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from dolfinx import fem
 
 from app.case.case import Case
@@ -11,7 +10,7 @@ from app.heat.initial_jump import InitialJump
 from app.heat.nodes import ProbedPoint
 from app.results.cure_record import CureRecord
 from app.results.heat_balance import HeatBalance
-from app.results.interface_heat import exchange
+from app.results.interface_heat import Exchanges, exchange
 from app.results.thermal_record import ThermalRecord
 from app.stepping.heat_state import HeatState, HeatStep
 
@@ -36,8 +35,6 @@ class ThermalModel:
         self.operators, self.heating = operators, heating
         self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
         self._names = [c.name for c in operators.scene.thermal_contacts]
-        shares = {f.name: f.slave_share for f in operators.scene.friction_heat}
-        self._shares = np.array([shares.get(name, 0.0) for name in self._names])
         self.record = ThermalRecord(
             operators.tagged,
             operators.forms,
@@ -70,10 +67,9 @@ class ThermalModel:
         heating, operators = self.heating, self.operators
         x = heating.vectors()
         temperatures = operators.temperatures(x)
-        exchanges = []
+        exchanges: Exchanges = {}
         if (j := operators.jumps) is not None:
-            shares = self._shares[j.interface]
-            exchanges.append(exchange(self._names, j, temperatures, x[1].array, j.friction, shares))
+            exchanges = exchange(self._names, j, temperatures, x[1].array)
         self._settled = self._settled or accepted.dt == 0.0
         temperatures = self._reported(accepted.seconds)
         highest = heating.step.bounds(x).high

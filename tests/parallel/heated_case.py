@@ -13,7 +13,6 @@ from pathlib import Path
 from petsc4py import PETSc
 
 from app.laws.cure import Prescribed
-from app.results import interface_numbers
 from app.results.bond_strength import bonds
 from app.scene.scene import Scene
 from tests import laws
@@ -72,7 +71,7 @@ def main(output: Path) -> None:
     identity.shift(1.0)
     G = problem.thermal_stiffness({"bone": identity})
     found = {
-        "interface": interface_numbers.interface(problem, samples, 0),
+        "interface": samples.numbers["stem_cement"],
         "cement": model.stresses.region("cement"),
         "bond": {b.name: b.numbers() for b in bonds(problem, model.stresses)},
         "balance": [model.balance.force, model.balance.moment, model.balance.energy],

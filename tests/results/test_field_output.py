@@ -67,7 +67,7 @@ def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
     temperatures = operators.temperatures(state)
     record.start(temperatures)
     record.update(60.0, temperatures)
-    degree = x[record.exposure("cement")[0].dof, 0] / 5
+    degree = x[record.regions["cement"].nodes.dof, 0] / 5
     heating: Any = SimpleNamespace(
         operators=operators, vectors=lambda: state, degrees=lambda: {"cement": degree}
     )

@@ -21,7 +21,6 @@ from app.heat.heat_forms import HeatForms
 from app.heat.nodes import ProbedPoint
 from app.results import tables
 from app.results.cure_record import CureRecord
-from app.results.interface_heat import HeatPassed
 from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import Bodies, bodies_of
 from app.system.timing import Timing
@@ -225,7 +224,7 @@ def test_doses_of_a_course_with_kinks_are_those_of_its_lines(
     """Held at temperatures that are linear in time between kinks."""
     steps = "stages.0={name: bath, duration: 110 s, increments: 11, adaptive: false}"
     run = coupled.solve(monkeypatch, *([steps] if equal else []), text=HELD)
-    _, found = run.model.thermal.record.exposure("bone")
+    found = run.model.thermal.record.regions["bone"].exposure
 
     def dose(rate: Callable[[float], float]) -> float:
         parts = pairwise(BATH[0])
@@ -280,9 +279,7 @@ def test_interfaces_that_conduct_report_their_flux(stack: TaggedMesh) -> None:
     play = Play(stack, constant(30.0), constant(40.0))
     for flux, entropy in ((-2e-3, 3e-9), (1e-3, -1e-25)):
         one = np.array([flux]), np.array([entropy])
-        play.record.update(
-            1.0 + entropy, play.at(1.0), [HeatPassed(("bone_cement",), np.array([0]), *one)]
-        )
+        play.record.update(1.0 + entropy, play.at(1.0), {"bone_cement": one})
     q = play.record.summary()["interfaces"]["bone_cement"]
     assert q["heat_flux_max"] == pytest.approx(2.0)  # W/m2
     assert q["entropy_production_min"] == pytest.approx(-1e-22)
