@@ -99,8 +99,8 @@ class Recorder:
                 self._critical = uniqueness.check(m.problem)
             probes = case.output.probes
             points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
-            problem = m.problem
-            self._probes = Probes(model.tagged, problem.space, problem.bodies.of_region, points)
+            p = m.problem
+            self._probes = Probes(model.tagged, p.space, p.bodies.of_region, points)
         self.samples: ContactSamples | None = None
         self._contact: dict[str, Any] = {}
         self.time = 0.0
@@ -221,7 +221,7 @@ class Recorder:
         if self._probes is None or (m := self._model.mechanics) is None:
             return {}
         values = self._probes.values(m.problem.displacements())
-        return {n: list(map(float, u)) for n, u in zip(self._probes.names, values, strict=True)}
+        return {name: values[k].tolist() for k, name in enumerate(self._probes.names)}
 
     def _fraction(self, status: int) -> float:
         s = self.samples
