@@ -57,17 +57,16 @@ class Bond:
             self.facets += len(rows)
             self._sides.append((region, rows, np.where(inward[..., None], -n, n), size / 6, X))
 
-    def tractions(self) -> tuple[Floats, Floats, Floats]:
-        """Normal traction, positive in tension, shear [MPa] and area [mm2] at own points (p,)."""
-        parts = []
+    def tractions(self) -> Floats:
+        """Normal traction, positive in tension, shear [MPa] and area [mm2] at own points (3, p)."""
+        parts: list[Floats] = [np.zeros((3, 0))]
         for region, rows, n, area, X in self._sides:
-            σ = extrapolated(self._stresses.evaluate(region)[rows], self._stresses.at(region), X)
-            t = np.einsum("fqij,fqj->fqi", σ, n)
+            σ = self._stresses.evaluate(region)[rows]
+            t = np.einsum("fqij,fqj->fqi", extrapolated(σ, self._stresses.points[region], X), n)
             normal = np.einsum("fqi,fqi->fq", t, n)
             shear = np.linalg.norm(t - normal[..., None] * n, axis=2)
-            parts.append([a.ravel() for a in (normal, shear, area)])
-        normal, shear, area = (np.concatenate([p[k] for p in parts]) for k in range(3))
-        return normal, shear, area
+            parts.append(np.stack([normal, shear, area]).reshape(3, -1))
+        return np.concatenate(parts, axis=1)
 
     def numbers(self) -> dict[str, float]:
         """Published numbers; collective.
@@ -76,7 +75,7 @@ class Bond:
         (tension / 1.35 MPa)^2 + (shear / 2.25 MPa)^2 exceeds 1.
         """
         pieces = self._comm.allgather(self.tractions())
-        normal, shear, area = (np.concatenate([p[k] for p in pieces]) for k in range(3))
+        normal, shear, area = np.concatenate(pieces, axis=1)
         total = area.sum()
         load = (np.maximum(normal, 0) / TENSILE_STRENGTH) ** 2 + (shear / SHEAR_STRENGTH) ** 2
         return {

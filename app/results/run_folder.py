@@ -39,6 +39,10 @@ SECTION = "temperature_section.png"
 # Files written at the end, and all of a run directory.
 ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", SECTION, "report.html"),)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
+PACKAGES = (
+    *("fenics-dolfinx", "petsc4py", "fenics-ufl", "fenics-basix"),
+    *("mpi4py", "numpy", "h5py"),
+)
 log = logging.getLogger("mantle")
 
 
@@ -170,15 +174,7 @@ class Writer:
     def section(self, operators: HeatOperators, record: ThermalRecord) -> None:
         """Draw the temperature in a section when the bone was hottest; collective."""
         with _full_disk(SECTION):
-            temperature_section.section(
-                self.folder / SECTION,
-                operators.tagged,
-                operators.forms.space.dofmap.list,
-                operators.bodies.of_region,
-                record.hottest,
-                record.hottest_time,
-                record.hottest_at,
-            )
+            temperature_section.section(self.folder / SECTION, operators, record)
 
     def finish(self, summary: dict[str, Any], done: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""
@@ -229,18 +225,4 @@ def _processor() -> str:
 
 @cache
 def _packages() -> dict[str, str]:
-    packages = {}
-    for name in (
-        "fenics-dolfinx",
-        "petsc4py",
-        "fenics-ufl",
-        "fenics-basix",
-        "mpi4py",
-        "numpy",
-        "h5py",
-    ):
-        try:
-            packages[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return packages
+    return {n: d.version for n in PACKAGES for d in metadata.distributions(name=n)}

@@ -139,7 +139,8 @@ class Recorder:
     def stage(self, stage: SceneStage) -> None:
         """Write the header of a stage's lines."""
         self._takes_time = stage.duration > 0 or stage.steady
-        log.info("%s", text.heat_header() if self._takes_time else text.step_header())
+        columns = text.HEAT if self._takes_time else text.STEP
+        log.info("%s", text.line(columns, columns))
 
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
