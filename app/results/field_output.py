@@ -7,7 +7,7 @@ and an open one may conduct; the grid separates both.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -19,7 +19,7 @@ from app.arrays import Floats, Ints
 from app.numerics.saved_state import ENDS, node_keys
 from app.results.interface_heat import W_PER_M2
 from app.results.interface_numbers import ContactSamples
-from app.results.necrosis import CELSIUS
+from app.results.necrosis import CELSIUS, Exposure
 from app.results.thermal_record import Interfaces, ThermalRecord
 from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
 from app.scene.bodies import Bodies, cell_tags
@@ -115,6 +115,14 @@ class Fields:
         self._file.write(time, point, cell)
 
 
+# Heat doses of bone by the names of their fields.
+DOSES: dict[str, Callable[[Exposure], Floats]] = {
+    "seconds_over_47": lambda e: e.over[:, 0],
+    "cem43": lambda e: e.cem43,
+    "henriques_moritz": lambda e: e.damage,
+}
+
+
 class HeatFields:
     """Temperature, heat doses, cure, and heat through interfaces of finite conductance."""
 
@@ -136,13 +144,19 @@ class HeatFields:
         x = self._heating.vectors()
         temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]
         found = {"temperature": self._at(nodes, temperatures)}
-        if self._record.bone:
-            found |= {name: self._at(nodes, dose) for name, dose in self._doses().items()}
-        degrees = [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
-        for region, values in self._heating.degrees().items():
-            own = self._record.regions[region].nodes
-            degrees[own.body] += self._spread(own.dof, values)
-        if self._heating.degrees():
+        for name, dose in DOSES.items() if self._record.bone else ():
+            doses = self._zeros()
+            for region in self._record.bone:
+                r = self._record.regions[region]
+                # Regions of one body agree on the nodes that they share.
+                here = self._spread(r.nodes.dof, dose(r.exposure))
+                doses[r.nodes.body] = np.maximum(doses[r.nodes.body], here)
+            found[name] = self._at(nodes, doses)
+        if cure := self._heating.degrees():
+            degrees = self._zeros()
+            for region, values in cure.items():
+                own = self._record.regions[region].nodes
+                degrees[own.body] += self._spread(own.dof, values)
             found["degree_of_cure"] = self._at(nodes, degrees)
         if (j := self._operators.jumps) is not None:
             τ = x[1].array
@@ -164,20 +178,8 @@ class HeatFields:
         """Nothing."""
         return {}
 
-    def _doses(self) -> dict[str, list[Floats]]:
-        zero = np.zeros(len(self._work.x.array))
-        names = ("seconds_over_47", "cem43", "henriques_moritz")
-        found: dict[str, list[Floats]] = {
-            name: [zero.copy() for _ in self.bodies.names] for name in names
-        }
-        for region in self._record.bone:
-            r = self._record.regions[region]
-            own, e = r.nodes, r.exposure
-            for name, dose in zip(names, (e.over[:, 0], e.cem43, e.damage), strict=True):
-                # Regions of one body agree on the nodes that they share.
-                of_body = found[name][own.body]
-                np.maximum(of_body, self._spread(own.dof, dose), out=of_body)
-        return found
+    def _zeros(self) -> list[Floats]:
+        return [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
 
     def _spread(self, dof: Ints, values: Floats) -> Floats:
         """Values of own nodes on all nodes of this rank, zero elsewhere; collective."""

@@ -39,16 +39,15 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     )
     if not implant or not bone:
         return {}
-    found: dict[str, Any] = {}
+    found = _ends(problem, implant)
     stem = _surface(problem, implant, [*cement, *bone])
     facing = _surface(problem, bone, [*cement, *implant])
     if len(stem.x) and len(facing.x):
         t, ω = _against(stem, facing)
-        medial = 1.0 if case.side == "left" else -1.0
-        ω = medial * np.rad2deg(ω)
-        found = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
-        found = {key: float(value) for key, value in found.items()}
-    return found | _ends(problem, implant)
+        ω = np.rad2deg(ω) * (1 if case.side == "left" else -1)
+        motion = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
+        return {key: float(value) for key, value in motion.items()} | found
+    return found
 
 
 @dataclass(frozen=True)
@@ -94,15 +93,14 @@ def _against(stem: _Surface, bone: _Surface) -> tuple[Floats, Floats]:
     return np.average(v, axis=0, weights=stem.area), stem.rotation(v)
 
 
-def _ends(problem: Problem, implant: Sequence[str]) -> dict[str, list[float]]:
+def _ends(problem: Problem, implant: Sequence[str]) -> dict[str, Any]:
     comm, u = problem.comm, _displacements(problem)
-    nodes = [
-        (problem.bodies.of_region[region], np.unique(_corner_dofs(problem, cells)))
-        for region in implant
-        for cells in [problem.mechanics.region_cells(region)]
-    ]
-    dofs = np.concatenate([dofs for _, dofs in nodes])
-    moved = np.concatenate([u[body, dofs] for body, dofs in nodes])
+    dofs_of = {
+        r: np.unique(_corner_dofs(problem, problem.mechanics.region_cells(r))) for r in implant
+    }
+    dofs = np.concatenate(list(dofs_of.values()))
+    body = problem.bodies.of_region
+    moved = np.concatenate([u[body[r], rows] for r, rows in dofs_of.items()])
     x = problem.space.tabulate_dof_coordinates()[dofs]
     low = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
     high = comm.allreduce(float(x[:, 2].max(initial=-np.inf)), MPI.MAX)

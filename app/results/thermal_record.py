@@ -42,8 +42,7 @@ class ThermalRecord:
 
     Attributes:
         bone: Regions of bone.
-        seconds: Times of the recorded states, the initial one first [s].
-        rows: Result of `row` at each of them.
+        row: Columns of history.csv for the last recorded state.
         regions: Temperatures and doses of each region.
         hottest: Temperatures of the bodies (nodes of this rank, ghosts too) [K] when the bone side
             of the interfaces, or without bone the whole model after the start, was hottest.
@@ -60,7 +59,7 @@ class ThermalRecord:
     """
 
     saved = (
-        *("seconds", "rows", "_extremes", "regions"),
+        *("_seconds", "row", "_extremes", "regions"),
         *("_watched", "hottest", "hottest_time", "hottest_at"),
     )
 
@@ -85,8 +84,6 @@ class ThermalRecord:
         self._probes = Probes(tagged, forms.space, of_region, probes)
         self._extremes = {name: InterfaceExtremes() for name in interfaces}
         self.regions: dict[str, RegionTemperatures] = {}
-        self.seconds: list[float] = []
-        self.rows: list[dict[str, float]] = []
 
     def start(self, temperatures: Sequence[fem.Function], seconds: float = 0.0) -> None:
         """Record the initial state; collective."""
@@ -94,6 +91,9 @@ class ThermalRecord:
             self.regions[name] = RegionTemperatures.of(nodes, temperatures, seconds)
         self._watched = -np.inf
         self._take(seconds, temperatures)
+        if not self._bone_sides:
+            # The start is not compared with what follows.
+            self._watched = -np.inf
 
     def update(
         self,
@@ -116,9 +116,9 @@ class ThermalRecord:
             rates: Rates of change at its end, of own nodes of the bodies [K/s], if the heat source
                 has a kink at its start, so that earlier states say nothing of it.
         """
-        step = seconds - self.seconds[-1]
+        step = seconds - self._seconds
         for r in self.regions.values():
-            r.take(self.seconds[-1], temperatures)
+            r.take(self._seconds, temperatures)
         if step > 0:
             self._expose(seconds, rates)
         elif self._warm():
@@ -137,7 +137,7 @@ class ThermalRecord:
         worst = self._comm.allreduce(max(map(float, most)), MPI.MAX)
         pieces = int(np.clip(np.ceil(np.sqrt(worst / _STRAIGHT)), 1, _MOST_PIECES))
         for name, r in self.regions.items():
-            r.expose(bends[name], pieces, seconds - self.seconds[-1])
+            r.expose(bends[name], pieces, seconds - self._seconds)
 
     def _warm(self) -> bool:
         """Whether anything is warm enough for doses at either end of a step; collective."""
@@ -163,8 +163,7 @@ class ThermalRecord:
             e.jump = max(e.jump, row[f"{name} temperature_jump_max [K]"])
         probed = self._probes.values(temperatures)[:, 0] - CELSIUS
         row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
-        self.seconds.append(seconds)
-        self.rows.append(row)
+        self._seconds, self.row = seconds, {"seconds [s]": seconds, **row}
         self._watch(seconds, temperatures)
 
     def _on(self, side: Side, values: Callable[[RegionTemperatures], Floats]) -> Floats:
@@ -178,14 +177,9 @@ class ThermalRecord:
         T = np.concatenate([self._on(side, lambda r: r.now) for side in sides])
         x = np.concatenate([self._on(side, lambda r: r.nodes.x) for side in sides])
         hot, place, _ = largest(self._comm, T, x, T)
-        initial = not self._bone_sides and len(self.seconds) == 2
-        if hot > self._watched or initial:
+        if hot > self._watched:
             self._watched, self.hottest_time, self.hottest_at = hot, seconds, place
             self.hottest = [t.x.array.copy() for t in temperatures]
-
-    def row(self) -> dict[str, float]:
-        """Columns of history.csv for the last recorded state."""
-        return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
 
     def moved(self, capacities: Mapping[str, float]) -> float:
         """Heat that moved in the last step, by capacities of regions [N/(mm2 K)]; [N mm]."""

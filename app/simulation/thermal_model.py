@@ -91,7 +91,5 @@ class ThermalModel:
 
     def row(self) -> dict[str, float]:
         """Columns of history.csv."""
-        row = self.record.row()
-        if self.cure:
-            row |= self.cure.row()
-        return row | {"heat balance [-]": self.balance.heat}
+        cure = self.cure.row() if self.cure else {}
+        return {**self.record.row, **cure, "heat balance [-]": self.balance.heat}

@@ -140,7 +140,7 @@ def test_the_sides_of_an_interface_are_apart(stack: TaggedMesh) -> None:
     assert q["temperature_max_second_time"] == 0
     assert q["temperature_max_second_at"] == pytest.approx([4, 0, 2])  # the first of equal places
     assert q["temperature_jump_max"] == pytest.approx(84 - 52.5)
-    row = play.record.row()
+    row = play.record.row
     assert row["bone_cement temperature_max_second [degC]"] == pytest.approx(79.0)
     assert row["cement temperature_max [degC]"] == pytest.approx(79.0)
     assert summary["regions"]["cement"]["temperature_end_max"] == pytest.approx(79.0)
@@ -295,7 +295,7 @@ def test_probes_see_their_own_region(stack: TaggedMesh) -> None:
     )
     play = Play(stack, falling, lambda x, t: 60.0 + x[:, 0] - 2 * x[:, 1] + t, probes)
     play.through(1.0)
-    row = play.record.row()
+    row = play.record.row
     assert row["tip [degC]"] == pytest.approx(52.5)
     assert row["above [degC]"] == pytest.approx(61 + 1.3 - 4.4)
     assert row["anywhere [degC]"] == pytest.approx(61 + 0.2 - 0.6)
@@ -316,7 +316,7 @@ def test_probes_in_curved_cells() -> None:
     x = forms.space.tabulate_dof_coordinates()
     T.x.array[:] = ZERO + np.hypot(x[:, 0], x[:, 1])
     record.start([T])
-    row = record.row()
+    row = record.row
     # The cell bulges to the true radius, where linear functions take the value of its corners.
     for k in range(len(angles)):
         assert row[f"p{k} [degC]"] == pytest.approx(9.0, abs=0.02)
@@ -385,7 +385,7 @@ def main(path: str) -> None:
     probes = (ProbedPoint("tip", (1.3, 2.2, 2.0), "bone"), ProbedPoint("any", (0.2, 0.3, 3.3)))
     play = Play(two_blocks(comm), wandering, wandering, probes)
     summary = play.through(*np.arange(10.0, 120.0, 10.0))
-    summary["row"] = play.record.row()
+    summary["row"] = play.record.row
     summary["moved"] = play.record.moved({"bone": 2.0, "cement": 3.0})
     summary["hottest"] = play.record.hottest_time
     if comm.rank == 0:
