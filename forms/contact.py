@@ -29,8 +29,8 @@ touch: nothing penetrates, and friction carries what pressures cannot.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from dataclasses import replace as replace_state
 from itertools import combinations
 from typing import Any
@@ -63,22 +63,24 @@ _ONE = as_ufl(1.0)
 
 
 @dataclass(frozen=True)
-class ContactLaw:
-    """The law of a contact point, derived from its augmented Lagrangian.
+class Response:
+    """Response of a law at a point.
 
     Attributes:
-        energy: Augmented Lagrangian per area [N/mm], with the starred force still frozen.
-        force: Projected force P(S) (3,) [MPa].
-        jacobian: Generalized derivative of P by S (3, 3) [-].
+        force: Interface force per area (3,), of contact P(S) [MPa].
+        slope: Generalized derivative (3, 3) by the trial force S [-], or by the gap [MPa/mm].
         pressures: Pressure of each face, positive in compression [MPa].
         status: OPEN, STICK or SLIP, as a number.
+        history: History variables after a converged step, by name.
+        energy: Augmented Lagrangian per area [N/mm], with the starred force still frozen.
     """
 
-    energy: Expr
     force: Expr
-    jacobian: Expr
+    slope: Expr
     pressures: Expr
     status: Expr
+    history: Mapping[str, Expr] = field(default_factory=dict)
+    energy: Expr | None = None
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def contact_law(
     normals: Sequence[Expr],
     μ: Any | None,
     r: Any,
-) -> ContactLaw:
+) -> Response:
     r"""Law of a contact point with one to three faces (eq. 65; eq. 57 with F = 0).
 
     Args:
@@ -146,7 +148,7 @@ def contact_law(
     energy = (square - inner(f, f)) / (2 * r)
 
     force = replace(expand_derivatives(diff(energy, d)), {S_star: S})
-    jacobian = expand_derivatives(diff(force, f))
+    slope = expand_derivatives(diff(force, f))
     pressures = as_vector(
         [
             _choose(live, lambda k, f=f: live[k].pressure(f))  # type: ignore[misc]
@@ -155,7 +157,8 @@ def contact_law(
     )
     status = _choose(live, lambda k: live[k].status())
     # The labels of variables differ from run to run; without them compiled laws are found again.
-    return ContactLaw(energy, *map(strip_variables, (force, jacobian, pressures, status)))
+    force, slope, pressures, status = map(strip_variables, (force, slope, pressures, status))
+    return Response(force, slope, pressures, status, energy=energy)
 
 
 def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[_Touching]:

@@ -19,7 +19,7 @@ from app.case.study import StudyFile
 from app.case.sweep import Sweep
 from app.schema.expressions import Varying
 from app.schema.section import Scalar, docstrings
-from app.schema.units import ConductancePerArea, Dimension, Plain
+from app.schema.units import Dimension, Plain
 
 NUMBERS = {2: "two", 3: "three", 6: "six"}
 # Number of equal rows of two kinds that are written once; larger bounds only avoid overflow.
@@ -216,9 +216,6 @@ def _value(annotation: Any, links: dict[type[BaseModel], str]) -> tuple[str, str
     most = [mark.le for mark in marks if hasattr(mark, "le")]
     if bare is int and least:
         return _scalar(Plain(integer=True, at_least=least[0], at_most=next(iter(most), None)))
-    if any(type(mark).__name__ == "_Conductance" for mark in marks):
-        constant, unit = _value(ConductancePerArea, links)
-        return f"`perfect`, {constant}, or {_value(get_args(bare)[1], links)[0]}", unit
     origin, arguments = get_origin(bare), get_args(bare)
     if origin is Literal:
         return ", ".join(f"`{_yaml(a)}`" for a in arguments), ""

@@ -22,7 +22,6 @@ from app.heat.matrices import HeatMatrices
 from app.heat.maximum_principle import Bounds
 from app.heat.operators import HeatOperators
 from app.heat.temperature_jumps import cut_off
-from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
 from app.numerics.system import Measure, System, size
 
@@ -71,8 +70,6 @@ class ImplicitStep(System):
 
     def __init__(self, operators: HeatOperators) -> None:
         self.operators, self.comm = operators, operators.comm
-        # Conduction has no contact states.
-        self.active = ActiveSet(self.comm)
         self.seconds = 0.0
         self._held = operators.fixed.held
         self._blocks = HeatMatrices(operators.principle.matrices, operators.jumps, self._held)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, GetCoreSchemaHandler
-from pydantic_core import core_schema
+from pydantic import AfterValidator, BaseModel, Discriminator, PlainSerializer, Tag
 
 from app.schema.section import TAG, Kinds, Section
 from app.schema.units import Axis, Length
@@ -78,25 +77,10 @@ class Radial(Circumferential):
     kind: Literal["radial"] = "radial"  # type: ignore[assignment]
 
 
-class _Direction:
-    """Marks a direction that is a list, or a mapping with a kind."""
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Choose by the form of the value, instead of trying both."""
-
-        def tag(value: Any) -> str:
-            along = isinstance(value, Straight) or not isinstance(value, dict | BaseModel)
-            return TAG + ("along" if along else "about")
-
-        along = core_schema.no_info_after_validator_function(
-            lambda axis: Straight.model_construct(axis=axis),
-            handler.generate_schema(Axis),
-            serialization=core_schema.plain_serializer_function_ser_schema(lambda s: list(s.axis)),
-        )
-        about = handler.generate_schema(Annotated[Circumferential | Radial, Kinds()])
-        return core_schema.tagged_union_schema({TAG + "about": about, TAG + "along": along}, tag)
+def _form(value: object) -> str:
+    """Form of a direction: a list, or a section with a kind."""
+    along = isinstance(value, Straight) or not isinstance(value, dict | BaseModel)
+    return TAG + ("along" if along else "about")
 
 
 Fibre = Straight | Circumferential
@@ -104,6 +88,12 @@ if TYPE_CHECKING:
     FibreDirection = Fibre
 else:
     FibreDirection = Annotated[
-        Axis | Annotated[Circumferential | Radial, Kinds()],
-        _Direction(),
+        Annotated[
+            Axis,
+            AfterValidator(lambda axis: Straight.model_construct(axis=axis)),
+            PlainSerializer(lambda fibre: list(fibre.axis)),
+            Tag(TAG + "along"),
+        ]
+        | Annotated[Circumferential | Radial, Kinds(), Tag(TAG + "about")],
+        Discriminator(_form),
     ]

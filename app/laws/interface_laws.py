@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import model_validator
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
     from app.arrays import Floats
+    from forms.contact import Response
 
 # Default ratio of the augmentation to the stiffness against a jump.
 USUAL_AUGMENTATION = 0.2
@@ -55,25 +56,6 @@ class AtPoint:
     history: Mapping[str, Expr]
 
 
-@dataclass(frozen=True)
-class Response:
-    """Output of a law at a point, as UFL expressions.
-
-    Attributes:
-        force: Interface force per area (3,) [MPa].
-        slope: Generalized derivative (3, 3) by the trial force [-] or by the gap [MPa/mm].
-        pressures: Pressure of each face, positive in compression [MPa].
-        status: OPEN, STICK or SLIP (`forms.contact`).
-        history: History variables after a converged step, by name.
-    """
-
-    force: Expr
-    slope: Expr
-    pressures: Expr
-    status: Expr
-    history: Mapping[str, Expr] = field(default_factory=dict)
-
-
 class InterfaceLaw(Extensible):
     """Base of the laws: a subclass with a `kind` is one more.
 
@@ -93,7 +75,7 @@ class InterfaceLaw(Extensible):
     by_trial_force: ClassVar[bool] = True
     history: ClassVar[Mapping[str, tuple[int, ...]]] = {}
 
-    conductance: Conductance = None
+    conductance: Conductance | None = None
     """Power per area and temperature jump; perfect (no jump) by default."""
 
     @property
@@ -215,8 +197,7 @@ class Unilateral(InterfaceLaw):
         from forms.contact import contact_law
 
         state = (at.F, at.jump, at.gap, at.jump_old, at.S_star)
-        found = contact_law(*state, at.normals, at.values.get("μ"), at.r)
-        return Response(found.force, found.jacobian, found.pressures, found.status)
+        return contact_law(*state, at.normals, at.values.get("μ"), at.r)
 
 
 class Coulomb(Unilateral):
@@ -301,7 +282,7 @@ class Traction(InterfaceLaw):
         from ufl import as_ufl, as_vector, diff, variable
         from ufl.algorithms import expand_derivatives, strip_variables
 
-        from forms.contact import components
+        from forms.contact import Response, components
 
         law = self.model_copy(update=dict(at.values))
         gap = variable(at.jump + at.gap)

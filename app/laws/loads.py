@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ValidationInfo
 
@@ -16,10 +15,9 @@ from app.schema.units import Dimension, ForceVector, Length, Stress
 from app.schema.vectors import Triple, spread_unit
 
 if TYPE_CHECKING:
-    from ufl import Measure
     from ufl.core.expr import Expr
 
-    from app.arrays import Field, Floats
+    from app.arrays import Floats
 
 ForceDensityField = Annotated[
     float | str, Varying(Dimension("N/mm^3", "a force per volume", "1e-5 N/mm^3"))
@@ -56,30 +54,6 @@ class Patch:
     moments: Floats
 
 
-class Acting(Protocol):
-    """Interface of a body of a discrete problem for loads.
-
-    Attributes:
-        x: Position, in UFL.
-        n: Outward normal of facets, in UFL.
-    """
-
-    x: Expr
-    n: Expr
-
-    def ds(self, boundary: str) -> Measure | None:
-        """Measure of the body's part of a boundary; None if it has none."""
-
-    def patch(self, boundary: str) -> Patch:
-        """Area, centroid and moments of a boundary, of all bodies; collective."""
-
-    def constant(self, value: Any) -> Expr:
-        """UFL constant: a change of its value needs no compilation."""
-
-    def spread(self, density: Field, regions: Sequence[str] | None) -> list[tuple[Expr, Measure]]:
-        """A field (3,) and the measure for each of the body's regions among `regions`, or all."""
-
-
 class Load(Extensible, Named):
     """A load: work in a displacement, times its history. A subclass with a `kind` is one more."""
 
@@ -99,8 +73,13 @@ class Load(Extensible, Named):
         boundary = getattr(self, "boundary", None)
         return () if boundary is None else (boundary,)
 
-    def work(self, v: Expr, on: Acting) -> Any:
-        """Work at full amplitude on a body in a displacement v, as a UFL form; 0 if none."""
+    def work(self, v: Expr, on: Any) -> Any:
+        """Work at full amplitude on a body in a displacement v, as a UFL form; 0 if none.
+
+        Args:
+            v: Displacement (3,), in UFL.
+            on: The body: its position x, normal n, measures, fields (`mechanics.body_forms`).
+        """
         raise NotImplementedError
 
     @property
@@ -133,7 +112,7 @@ class Force(Load):
         """Magnitude of its mean traction on a boundary of an area [MPa]."""
         return math.hypot(*self.force) / area
 
-    def work(self, v: Expr, on: Acting) -> Any:
+    def work(self, v: Expr, on: Any) -> Any:
         """Work of a traction that is linear over the boundary."""
         import numpy as np
 
@@ -164,7 +143,7 @@ class Pressure(Load):
         """Magnitude of the pressure [MPa]."""
         return abs(self.pressure)
 
-    def work(self, v: Expr, on: Acting) -> Any:
+    def work(self, v: Expr, on: Any) -> Any:
         """Work of a traction along the normal."""
         from forms import loads
 
@@ -192,7 +171,7 @@ class BodyForce(Load):
         columns = [field(f"{key}[{i}]", value)(x) for i, value in enumerate(self.density)]
         return np.stack(columns, axis=1)
 
-    def work(self, v: Expr, on: Acting) -> Any:
+    def work(self, v: Expr, on: Any) -> Any:
         """Work of the force density in the body's regions."""
         from forms import loads
 

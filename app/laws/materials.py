@@ -8,7 +8,7 @@ E_l, E_t, mu_l > 0, |nu_t| < 1 and 1 - nu_t - 2 nu_l^2 E_t / E_l > 0. That margi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -16,7 +16,7 @@ from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
 from app.laws.values import History, Named
 from app.schema.section import ITEMS, Kinds, Section, Text, Word, fail, show
-from app.schema.units import Modulus, Number
+from app.schema.units import Modulus, Number, Plain
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
@@ -48,22 +48,45 @@ class Eigenstrain(Section):
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
 
-class Elastic(Named):
+class Material(Named):
+    """Base of the materials of regions."""
+
+    # Keys of `thermal` that say how a region deforms; refused where it does not.
+    refused: ClassVar[tuple[str, ...]] = ()
+
+    material: Text | None = None
+    """Material of the library (`mantle explain materials`); other keys change it."""
+    tissue: Tissue | None = None
+    """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
+    thermal: Thermal | None = None
+    """Conduction of heat; all regions or none."""
+
+    @model_validator(mode="after")
+    def _deforms(self) -> Self:
+        for key in self.refused:
+            if getattr(self.thermal, key, None) is not None:
+                fail("nothing deforms; expected an elastic region", at=("thermal", key))
+        return self
+
+
+class Elastic(Material):
     """Base of the elastic materials."""
 
     if TYPE_CHECKING:
-        eigenstrains: tuple[Eigenstrain, ...]
         # None if isotropic.
         fibre: Fibre | None
+
+    eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
+    """Strains without stress; they add up."""
+
+    @property
+    def moduli(self) -> tuple[float, ...]:
+        """Young's moduli, the axial one first [MPa]; the largest decides the stiffer side."""
+        raise NotImplementedError
 
     @property
     def coefficients(self) -> tuple[float, ...]:
         """Elastic coefficients of eq. 48 [MPa]: two if isotropic, else five."""
-        raise NotImplementedError
-
-    @property
-    def modulus(self) -> float:
-        """Largest Young's modulus [MPa], which decides the stiffer side of an interface."""
         raise NotImplementedError
 
     def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
@@ -83,24 +106,8 @@ class Isotropic(Elastic):
     kind: Literal["isotropic"] = "isotropic"
     youngs_modulus: Modulus
     """Young's modulus E."""
-    poisson_ratio: Number
+    poisson_ratio: Annotated[float, Plain(above=-1.0, below=0.5)]
     """Poisson's ratio nu."""
-    eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
-    """Strains without stress; they add up."""
-    thermal: Thermal | None = None
-    """Conduction of heat; all regions or none."""
-    material: Text | None = None
-    """Material of the library (`mantle explain materials`); other keys change it."""
-    tissue: Tissue | None = None
-    """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
-
-    @model_validator(mode="after")
-    def _admissible(self) -> Isotropic:
-        positive_definite(
-            (self.youngs_modulus > 0.0, "youngs_modulus", "youngs_modulus > 0"),
-            (-1.0 < self.poisson_ratio < 0.5, "poisson_ratio", "-1 < poisson_ratio < 0.5"),
-        )
-        return self
 
     @property
     def nearly_incompressible(self) -> bool:
@@ -115,9 +122,9 @@ class Isotropic(Elastic):
         return elasticity.isotropic_coefficients(self.youngs_modulus, self.poisson_ratio)
 
     @property
-    def modulus(self) -> float:
+    def moduli(self) -> tuple[float, ...]:
         """Young's modulus [MPa]."""
-        return self.youngs_modulus
+        return (self.youngs_modulus,)
 
 
 class TransverselyIsotropic(Elastic):
@@ -130,45 +137,24 @@ class TransverselyIsotropic(Elastic):
     """Young's modulus E_t across the fibre."""
     axial_poisson_ratio: Number
     """Poisson's ratio nu_l = -(transverse strain) / (axial strain) under axial stress."""
-    transverse_poisson_ratio: Number
+    transverse_poisson_ratio: Annotated[float, Plain(above=-1.0, below=1.0)]
     """Poisson's ratio nu_t in the transverse plane."""
     axial_shear_modulus: Modulus
     """Shear modulus mu_l between the fibre and the transverse plane."""
     fibre: FibreDirection = Field((0.0, 0.0, 1.0), validate_default=True)  # type: ignore[assignment]
     """Fibre direction, of any length but zero, normalised; or those that an axis gives."""
-    eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
-    """Strains without stress; they add up."""
-    thermal: Thermal | None = None
-    """Conduction of heat; all regions or none."""
-    material: Text | None = None
-    """Material of the library (`mantle explain materials`); other keys change it."""
-    tissue: Tissue | None = None
-    """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
     @model_validator(mode="after")
     def _admissible(self) -> TransverselyIsotropic:
         if self.thermal is not None and self.thermal.fibre is not None:
             fail("the region has a fibre of its own", at=("thermal", "fibre"))
-        e_l, e_t = self.axial_youngs_modulus, self.transverse_youngs_modulus
-        nu_t = self.transverse_poisson_ratio
-        positive_definite(
-            (e_l > 0.0, "axial_youngs_modulus", "axial_youngs_modulus > 0"),
-            (e_t > 0.0, "transverse_youngs_modulus", "transverse_youngs_modulus > 0"),
-            (
-                self.axial_shear_modulus > 0.0,
-                "axial_shear_modulus",
-                "axial_shear_modulus > 0",
-            ),
-            (-1.0 < nu_t < 1.0, "transverse_poisson_ratio", "-1 < transverse_poisson_ratio < 1"),
-        )
-        positive_definite(
-            (
-                self.margin > 0.0,
-                "axial_poisson_ratio",
-                "1 - transverse_poisson_ratio - 2 axial_poisson_ratio^2 "
-                f"transverse_youngs_modulus / axial_youngs_modulus > 0 (it is {self.margin:.3g})",
+        if self.margin <= 0.0:
+            fail(
+                "the stiffness is not positive definite; expected 1 - transverse_poisson_ratio - "
+                "2 axial_poisson_ratio^2 transverse_youngs_modulus / axial_youngs_modulus > 0 "
+                f"(it is {self.margin:.3g})",
+                at=("axial_poisson_ratio",),
             )
-        )
         return self
 
     @property
@@ -196,9 +182,9 @@ class TransverselyIsotropic(Elastic):
         )
 
     @property
-    def modulus(self) -> float:
-        """Larger of its Young's moduli [MPa]."""
-        return max(self.axial_youngs_modulus, self.transverse_youngs_modulus)
+    def moduli(self) -> tuple[float, ...]:
+        """Young's moduli along and across the fibre [MPa]."""
+        return self.axial_youngs_modulus, self.transverse_youngs_modulus
 
 
 def _true(value: object) -> object:
@@ -207,58 +193,23 @@ def _true(value: object) -> object:
     return value
 
 
-class Rigid(Named):
+class Rigid(Material):
     """Rigid: the region moves as one body."""
+
+    refused: ClassVar[tuple[str, ...]] = ("thermal_expansion", "cure")
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
     """Says that the region moves as one body; must be true."""
-    thermal: Thermal | None = None
-    """Conduction of heat; all regions or none."""
-    material: Text | None = None
-    """Material of the library (`mantle explain materials`); other keys change it."""
-    tissue: Tissue | None = None
-    """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
-
-    @model_validator(mode="after")
-    def _strainless(self) -> Rigid:
-        if self.thermal is not None:
-            _does_not(self.thermal, "a rigid region", "thermal_expansion", "cure")
-        return self
 
 
-class Conductor(Named):
+class Conductor(Material):
     """Conducts heat without deforming; all regions or none."""
+
+    refused: ClassVar[tuple[str, ...]] = ("thermal_expansion",)
 
     kind: Literal["conductor"] = "conductor"
     thermal: Thermal
     """Conduction of heat."""
-    material: Text | None = None
-    """Material of the library (`mantle explain materials`); other keys change it."""
-    tissue: Tissue | None = None
-    """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
-
-    @model_validator(mode="after")
-    def _strainless(self) -> Conductor:
-        _does_not(self.thermal, "a conductor", "thermal_expansion")
-        return self
-
-
-def _does_not(thermal: Thermal, what: str, *keys: str) -> None:
-    """Refuse keys of deformation in a region that does not deform."""
-    for key in keys:
-        if getattr(thermal, key) is not None:
-            fail(f"{what} does not deform; expected an elastic region", at=("thermal", key))
-
-
-def positive_definite(*conditions: tuple[bool, str, str]) -> None:
-    """Report the first violated condition for a positive definite stiffness.
-
-    Args:
-        conditions: Whether it holds, the key to report, the inequality in keys of the file.
-    """
-    for holds, key, inequality in conditions:
-        if not holds:
-            fail(f"the stiffness is not positive definite; expected {inequality}", at=(key,))
 
 
 Region = Annotated[

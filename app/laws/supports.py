@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, GetCoreSchemaHandler, model_validator
-from pydantic_core import core_schema
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from app.laws.values import History, LengthField, Named, field
-from app.schema.section import ITEMS, TAG, Kinds, Name, Word, fail, show
+from app.schema.section import ITEMS, TAG, Kinds, Name, Word, fail
 from app.schema.units import Axis, Stiffness
 from app.schema.vectors import Triple
 
@@ -18,36 +17,11 @@ if TYPE_CHECKING:
     from app.arrays import Floats
 
 
-def _some_stages(names: tuple[str, ...]) -> tuple[str, ...]:
-    if not names:
-        fail("is empty; expected names of stages")
-    return names
-
-
-StageNames = Annotated[tuple[Name, ...], ITEMS, AfterValidator(_some_stages)] | None
-
-
-class _Normal:
-    """Marks a field that is a direction or the word `face`."""
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Choose by the form of the value."""
-
-        def check(value: object) -> object:
-            if isinstance(value, list | tuple) or value == "face":
-                return value
-            fail(f"{show(value)} is no direction; expected e.g. [1, 1, 0], or face")
-
-        kinds: dict[Any, core_schema.CoreSchema] = {
-            TAG + "face": core_schema.literal_schema(["face"]),
-            TAG + "axis": handler.generate_schema(Axis),
-        }
-        union = core_schema.tagged_union_schema(
-            kinds, lambda value: TAG + ("face" if value == "face" else "axis")
-        )
-        return core_schema.no_info_before_validator_function(check, union)
+StageNames = Annotated[tuple[Name, ...], ITEMS, Field(min_length=1)] | None
+Normal = Annotated[
+    Annotated[Axis, Tag(TAG + "axis")] | Annotated[Literal["face"], Tag(TAG + "face")],
+    Discriminator(lambda value: TAG + ("face" if value == "face" else "axis")),
+]
 
 
 class Support(Named):
@@ -102,7 +76,7 @@ class Roller(Support):
     kind: Literal["roller"] = "roller"
     axis: Annotated[Literal["x", "y", "z"], Word()] | None = None
     """The direction, if it is an axis."""
-    normal: Annotated[Axis | Literal["face"], _Normal()] | None = None
+    normal: Normal | None = None
     """The direction; any length but zero, normalised. `face`: at each node along the outward
     normal of the boundary there, the mean of its facets."""
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
-from pydantic_core import core_schema
+from pydantic import AfterValidator, BaseModel, Discriminator, Tag, model_validator
 
 from app.laws.cure import Cure
 from app.laws.fibres import FibreDirection
 from app.laws.values import Named
 from app.schema import units
-from app.schema.section import TAG, Scalar, Section, fail, show
+from app.schema.section import TAG, Section, fail
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
@@ -124,70 +122,37 @@ class PressureConductance(Section):
         return self
 
 
-class _Conductance:
-    """Marks a field as `perfect` (kept as None), a conductance, or one that depends on pressure."""
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Choose by the form of the value."""
-
-        def check(value: object) -> object:
-            if value == "perfect":
-                return None
-            expected = "expected perfect, a value such as '300 W/(m^2 K)', or kind: pressure"
-            if isinstance(value, str) and not units.NUMBER.fullmatch(value):
-                fail(f"{show(value)} is not a conductance; {expected}")
-            if isinstance(value, dict) and value.get("kind") != "pressure":
-                wrong = (
-                    f"{show(value['kind'])} is not pressure" if "kind" in value else "is missing"
-                )
-                fail(f"{wrong}; {expected}", at=("kind",))
-            return value
-
-        def tag(value: object) -> str:
-            by_pressure = isinstance(value, dict | BaseModel)
-            return TAG + (PressureConductance.__name__ if by_pressure else "constant")
-
-        choices = {
-            TAG + PressureConductance.__name__: handler.generate_schema(PressureConductance),
-            TAG + "constant": handler.generate_schema(units.ConductancePerArea),
-        }
-        union = core_schema.nullable_schema(core_schema.tagged_union_schema(choices, tag))
-        return core_schema.no_info_before_validator_function(check, union)
-
-    def __get_pydantic_json_schema__(
-        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, object]:
-        """Add the word ``perfect``."""
-        return {"anyOf": [{"const": "perfect"}, handler(schema)]}
+def _form(value: object) -> str | None:
+    """Form of a conductance: a word, a quantity or a section."""
+    if isinstance(value, dict | BaseModel):
+        return TAG + "pressure"
+    if isinstance(value, str) and not units.NUMBER.fullmatch(value):
+        return TAG + "perfect" if value == "perfect" else None
+    return TAG + "constant"
 
 
-Conductance = Annotated[float | PressureConductance | None, _Conductance()]
+if TYPE_CHECKING:
+    Conductance = float | PressureConductance
+else:
+    # `perfect` is kept as None.
+    Conductance = Annotated[
+        Annotated[Literal["perfect"], AfterValidator(lambda _: None), Tag(TAG + "perfect")]
+        | Annotated[units.ConductancePerArea, Tag(TAG + "constant")]
+        | Annotated[PressureConductance, Tag(TAG + "pressure")],
+        Discriminator(
+            _form,
+            custom_error_type="form",
+            custom_error_message="expected perfect, a value as '300 W/(m^2 K)' or kind: pressure",
+        ),
+    ]
 
-
-@dataclass(frozen=True)
-class _Heating(Scalar):
-    """Marks the fraction of friction heat that enters the first side."""
-
-    def read(self, value: object) -> float | str:
-        """The fraction, or ``effusivity`` to compute it from the materials.
-
-        Raises:
-            PydanticCustomError: Neither.
-        """
-        if isinstance(value, str):
-            if value != "effusivity":
-                fail(f"{show(value)} is not effusivity or a number from 0 to 1")
-            return value
-        return float(units.Plain(at_least=0.0, at_most=1.0).read(value))
-
-    def __get_pydantic_json_schema__(
-        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, object]:
-        """A word or a number."""
-        part = {"type": "number", "minimum": 0, "maximum": 1}
-        return {"anyOf": [{"const": "effusivity"}, part]}
-
-
-FrictionHeating = Annotated[float | str, _Heating()]
+# The fraction of friction heat that enters the first side, or to compute it from the materials.
+FrictionHeating = Annotated[
+    Annotated[Literal["effusivity"], Tag("effusivity")]
+    | Annotated[float, units.Plain(at_least=0.0, at_most=1.0), Tag(TAG + "part")],
+    Discriminator(
+        lambda value: value if isinstance(value, str) else TAG + "part",
+        custom_error_type="form",
+        custom_error_message="expected effusivity or a number from 0 to 1",
+    ),
+]

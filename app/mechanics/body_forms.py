@@ -45,7 +45,7 @@ MOMENT_DEGREE = 8
 
 
 class OnBody:
-    """One body of the mechanics as loads see it (`laws.loads.Acting`)."""
+    """One body of the mechanics as loads see it: position x and outward normal n, in UFL."""
 
     def __init__(self, mechanics: BodyForms, body: int) -> None:
         self._mechanics, self._body = mechanics, body

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from mpi4py import MPI
-from petsc4py import PETSc
-
 import numpy as np
 from dolfinx import fem, la
 
@@ -24,9 +21,6 @@ BOXES = 1.5
 SMALL = {1: 5.0, 2: 2.5}
 # Halvings of their edge.
 SMALLER = 0.95
-# The free directions of a point have changed if its projector differs by this; a part of the points
-# may change before they are updated.
-DIFFERENT, STALE = 0.5, 0.03
 
 
 def free_directions(slope: Floats) -> Floats:
@@ -72,79 +66,37 @@ class Boxes:
         return np.ravel_multi_index(tuple(np.moveaxis(corners, 2, 0)), self._count + 1), values
 
 
-class _Entries:
-    """Entries of a matrix (components of nodes or points x motions), collected in triplets."""
-
-    def __init__(self, comm: MPI.Comm, rows: int) -> None:
-        self._comm, self._rows = comm, rows
-        self._found: list[tuple[Ints, Ints, Floats]] = []
-        self.dense(np.zeros((0, 0)), 0)
-
-    def hats(self, at: tuple[Ints, Floats], place: Ints, used: Bools, factor: Floats) -> None:
-        """Each used function along each axis, from column ``place`` on, times a factor (n, 3)."""
-        functions, values = at
-        values = np.where(used[functions], values, 0.0)
-        shape = (*functions.shape, 3)
-        axes = np.arange(3)
-        rows = np.broadcast_to((3 * np.arange(len(values)))[:, None, None] + axes, shape)
-        columns = place[functions][:, :, None] + axes
-        entries = values[:, :, None] * factor[:, None, :]
-        keep = entries != 0
-        self._found.append((rows[keep], columns[keep], entries[keep]))
-
-    def dense(self, values: Floats, first: int) -> None:
-        """Columns of values (rows, m) from a column on."""
-        rows, columns = np.nonzero(values)
-        self._found.append((rows, first + columns, values[rows, columns]))
-
-    def votes(self, columns: int) -> Ints:
-        """Number of this rank's entries in each column."""
-        return np.bincount(np.concatenate([j for _, j, _ in self._found]), minlength=columns)
-
-    def matrix(self, owner: Ints) -> PETSc.Mat:
-        """The matrix, its columns ordered by owning rank; collective."""
-        number = np.empty_like(owner)
-        number[np.argsort(owner, kind="stable")] = np.arange(len(owner))
-        i, j, v = (np.concatenate(parts) for parts in zip(*self._found, strict=True))
-        columns = int((owner == self._comm.rank).sum())
-        return from_triplets(self._comm, self._rows, columns, i, number[j], v)
+# Rows, columns and values of entries of a matrix.
+Triplets = tuple[Ints, Ints, Floats]
 
 
-class SlidingMotions(CoarseSpace):
-    """Coarse space: smooth sliding motions of one body past the others, of displacement and jumps.
+def _hats(at: tuple[Ints, Floats], place: Ints, used: Bools, factor: Floats) -> Triplets:
+    """Used functions along each axis at n points, times a factor (n, 3), from a column each."""
+    functions, values = at
+    values = np.where(used[functions], values, 0.0)
+    shape, axes = (*functions.shape, 3), np.arange(3)
+    rows = np.broadcast_to((3 * np.arange(len(values)))[:, None, None] + axes, shape)
+    columns = place[functions][:, :, None] + axes
+    entries = values[:, :, None] * factor[:, None, :]
+    keep = entries != 0
+    return rows[keep], columns[keep], entries[keep]
+
+
+def _dense(values: Floats, first: int) -> Triplets:
+    """All entries of columns (rows, m), from a column on."""
+    rows, columns = np.nonzero(values)
+    return rows, first + columns, values[rows, columns]
+
+
+def sliding_motions(problem: Problem) -> CoarseSpace:
+    """Smooth sliding motions of one body past the others, of displacement and jumps; collective.
 
     A deformable body has those of hat functions on boxes about the interfaces: large boxes with all
     they contain, and small ones along the interfaces of all bodies but the stiffest (where all move
     together nothing slides). A rigid one has six.
     """
-
-    def __init__(self, problem: Problem) -> None:
-        contact = problem.contact
-        assert contact is not None
-        self._comm, self._allowing = problem.comm, np.eye(3) - contact.own.projector
-        self._known: Floats = np.zeros_like(contact.own.projector)
-        super().__init__(*_motions(problem, contact))
-
-    def update(self, slope: Floats) -> None:
-        """Update the free directions if contact states changed much; collective.
-
-        Args:
-            slope: Generalized derivative P' of the law at own points (n, 3, 3).
-        """
-        free = self._allowing @ free_directions(slope) @ self._allowing
-        changed = (np.abs(free - self._known).max(axis=(1, 2)) > DIFFERENT).sum()
-        changed, points = self._comm.allreduce(np.array([changed, len(free)]))
-        if changed > STALE * points or (changed and not self.version):
-            self.set_free_directions(free)
-
-    def set_free_directions(self, free: Floats) -> None:
-        """As `CoarseSpace.set_free_directions`."""
-        self._known = free
-        super().set_free_directions(free)
-
-
-def _motions(problem: Problem, contact: ContactInterfaces) -> tuple[PETSc.Mat, PETSc.Mat]:
-    """Rows of the displacement and of the jumps in each motion; collective."""
+    contact = problem.contact
+    assert contact is not None
     comm, space, constraints = problem.comm, problem.space, problem.stiffness.constraints
     nodes = space.dofmap.index_map.size_local
     x, y = space.tabulate_dof_coordinates()[:nodes], contact.own.x
@@ -152,34 +104,41 @@ def _motions(problem: Problem, contact: ContactInterfaces) -> tuple[PETSc.Mat, P
     edge = SMALL[problem.scene.order] * float(np.mean(contact.edge_lengths))
     small = Boxes(contact.points.x, edge)
     grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
-    frame = _frame(contact.points.x)
+    frame, modes = _frame(contact.points.x), constraints.modes
     rigid = {r.region for r in problem.scene.rigid}
-    nodal, jumps = _Entries(comm, 3 * nodes), _Entries(comm, 3 * len(y))
-    others = _Entries(comm, len(constraints.constrained))
+    # Rows of nodal components, of own unknowns and of jumps.
+    found: list[list[Triplets]] = [[_dense(np.zeros((0, 0)), 0)] for _ in range(3)]
+    nodal, others, jumps = found
     first, stiffest = 0, _stiffest(problem)
     for body, name in enumerate(problem.bodies.names):
         own = _components(problem, contact, body)
         master, slave = (contact.own.bodies == body).T
         sign = slave.astype(float) - master
         if rigid.issuperset(name.split(" + ")):
-            moves = _unknowns(problem, own)[:, None]
-            others.dense(moves * (constraints.modes.T @ frame), first)
-            jumps.dense((sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6), first)
+            others.append(_dense(_unknowns(problem, own)[:, None] * (modes.T @ frame), first))
+            slides = (sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6)
+            jumps.append(_dense(slides, first))
             first += 6
             continue
         for boxes, at_nodes, at_points in grids[: 1 if body == stiffest else None]:
             inside = at_nodes[0][own.any(axis=1)] if boxes is large else at_points[0][sign != 0]
             used = comm.allreduce(np.bincount(inside.ravel(), minlength=boxes.size)) > 0
             place = first + 3 * (np.cumsum(used) - 1)
-            nodal.hats(at_nodes, place, used, own.astype(float))
-            jumps.hats(at_points, place, used, np.repeat(sign[:, None], 3, axis=1))
+            nodal.append(_hats(at_nodes, place, used, own.astype(float)))
+            jumps.append(_hats(at_points, place, used, np.repeat(sign[:, None], 3, axis=1)))
             first += 3 * int(used.sum())
-    # A motion belongs to the rank that has most of it.
-    votes = sum(entries.votes(first) for entries in (nodal, others, jumps))
+    entries = [tuple(map(np.concatenate, zip(*parts, strict=True))) for parts in found]
+    # A motion belongs to the rank that has most of it; columns are in the order of the ranks.
+    votes = sum(np.bincount(j, minlength=first) for _, j, _ in entries)
     owner = np.argmax(comm.allgather(votes), axis=0)
-    displacement = matrix_sum([constraints.rows(nodal.matrix(owner)), others.matrix(owner)])
-    displacement.zeroRows(problem.stiffness.rows.rows, diag=0.0)
-    return displacement, jumps.matrix(owner)
+    number, columns = np.argsort(np.argsort(owner, kind="stable")), int((owner == comm.rank).sum())
+    of_nodes, of_others, of_jumps = (
+        from_triplets(comm, rows, columns, i, number[j], v)
+        for rows, (i, j, v) in zip((3 * nodes, modes.shape[1], 3 * len(y)), entries, strict=True)
+    )
+    displacement = matrix_sum([constraints.rows(of_nodes), of_others])
+    displacement.zeroRows(problem.stiffness.rows, diag=0.0)
+    return CoarseSpace(displacement, of_jumps)
 
 
 def _stiffest(problem: Problem) -> int:

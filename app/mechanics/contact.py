@@ -18,7 +18,7 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -141,12 +141,14 @@ class ContactInterfaces:
         state: Their committed state.
         gap: Initial gap at the current time (n, 3) [mm].
         prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
+        linear_about: Forces (n, 3) [MPa] about which the laws are linearized; None: about none.
 
     Raises:
         InputError: An interface has no facets on this mesh.
     """
 
     saved = ("state",)
+    linear_about: Floats | None = None
 
     def __init__(
         self,
@@ -232,6 +234,14 @@ class ContactInterfaces:
         values = self.law.augmentation(trial)
         return {self._contacts[i].name: value for i, value in values.items()}
 
+    def usual_augmentation(self) -> float:
+        """As `PointLaw.usual_augmentation`; collective."""
+        return self.law.usual_augmentation()
+
+    def scale_augmentation(self, factor: float) -> None:
+        """As `PointLaw.scale_augmentation`."""
+        self.law.scale_augmentation(factor)
+
     @property
     def row_keys(self) -> Ints:
         """Keys of own contact points."""
@@ -240,10 +250,20 @@ class ContactInterfaces:
     # Residual and Jacobian
 
     def trial(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> TrialState:
-        """A trial state: displacement and jumps, under forces f_q on the jumps [N]."""
+        """A trial state: displacement and jumps, under forces f_q on the jumps [N].
+
+        Where the law F = P(F + r d) in displacement, jumps and forces is linearized about forces
+        F_0, P(F_0 + r d) + P' (F - F_0) stands for the force, F that of equilibrium.
+        """
         e = self.coupling.equilibrium(u, q, f_q).copy()
-        jump = q.array.reshape(-1, 3).copy()
-        return TrialState(self, e, jump, self.evaluate(e, jump))
+        jump, known = q.array.reshape(-1, 3).copy(), self.linear_about
+        if known is None:
+            return TrialState(self, e, jump, self.evaluate(e, jump))
+        law = self.evaluate(-self.own.weight[:, None] * known, jump)
+        change = self.forces(e) - self.own.project_free(known)
+        change = self.law.multiplier_share[:, None] * change
+        force = law.force + np.einsum("pij,pj->pi", law.jacobian, change)
+        return TrialState(self, e, jump, replace(law, force=force))
 
     def forces(self, e: Floats) -> Floats:
         """Interface force per area from equilibrium (n, 3) [MPa]; zero where supports hold."""

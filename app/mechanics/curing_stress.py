@@ -137,7 +137,12 @@ class CuringStress:
         return held - self.internal_work(body, v)
 
     def set(self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]) -> None:
-        """Set degrees of cure and free strains at the end of the step."""
+        """Set degrees of cure and free strains at the end of the step, for the next `stiffen`.
+
+        Args:
+            degrees: Degree of cure at the vertices of each curing region [-].
+            strains: Its free strain accumulated since gelation at the vertices [-].
+        """
         self._new = {
             r: (growth(a=degrees[r].x.array)[0], strains[r].x.array.copy())
             for r, growth in self._growth.items()

@@ -6,7 +6,7 @@ are handed in as they change.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -27,9 +27,9 @@ from app.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Action:
-    """Forces: on own nodes and on own jumps [N]."""
+    """Forces on own nodal components (3 nodes,) and on own jumps (3 points,) [N]."""
 
-    nodal: PETSc.Vec
+    nodal: Floats
     jump: Floats
 
 
@@ -50,15 +50,14 @@ class Forces:
     ) -> None:
         self._mechanics, self._bodies, self._contact = mechanics, bodies, contact
         self.comm = mechanics.mesh.comm
-        self._owned = 3 * mechanics.space.dofmap.index_map.size_local
-        found: dict[Load, Action] = {} if known is None else known._full
+        found: dict[Load, Action] = known._full if known else {}
         self._full: dict[Load, Action] = {
             _at_full(s): found.get(_at_full(s)) or self._load(s) for s in scene.loads
         }
         self._loads = [(load.history, self._full[_at_full(load)]) for load in scene.loads]
         self._eigenstrains: list[tuple[tuple[float, ...] | None, Action]] = (
             known._eigenstrains
-            if known is not None
+            if known
             else [
                 (s.history, self._eigenstrain(e, k))
                 for e in scene.elastic
@@ -69,12 +68,10 @@ class Forces:
 
     def _load(self, load: Load) -> Action:
         v = ufl.TestFunction(self._mechanics.space)
-        parts = {}
-        for b in range(len(self._bodies.names)):
-            work = load.work(v, OnBody(self._mechanics, b))
-            if work != 0:
-                parts[b] = self._mechanics.assemble(work)
-        return self.action(parts)
+        works = {
+            b: load.work(v, OnBody(self._mechanics, b)) for b in range(len(self._bodies.names))
+        }
+        return self._action({b: self._mechanics.assemble(w) for b, w in works.items() if w != 0})
 
     def _eigenstrain(self, e: Elastic, k: int) -> Action:
         """Nodal forces of an eigenstrain at full amplitude."""
@@ -84,58 +81,56 @@ class Forces:
         energy = mechanics.body_energy(body, mechanics.u, mechanics.cells())
         part = mechanics.assemble(ufl.derivative(energy, mechanics.u, v))
         part.scale(-1)
-        return self.action({body: part})
+        return self._action({body: part})
 
-    def action(self, parts: Mapping[int, PETSc.Vec]) -> Action:
+    def _action(self, parts: Mapping[int, PETSc.Vec]) -> Action:
         """Sum nodal forces on each body, on the displacement and on the jumps."""
-        total, jump = self._nothing()
+        total = self._sum([])
         for body, part in parts.items():
-            own = total.duplicate()
-            own.array[:] = part.array[: self._owned]
-            total.axpy(1.0, own)
+            own = PETSc.Vec().createMPI((len(total.nodal), None), comm=self.comm)
+            own.array[:] = part.array_r[: len(total.nodal)]
+            total.nodal[:] += own.array_r
             if self._contact and body in self._contact.coupling.jump_to_displacement:
                 B = self._contact.coupling.jump_to_displacement[body]
                 moved = B.createVecRight()
                 B.multTranspose(own, moved)
-                jump += moved.array
-        return Action(total, jump)
+                total.jump[:] += moved.array_r
+        return total
 
-    def _nothing(self) -> tuple[PETSc.Vec, Floats]:
-        nodal = PETSc.Vec().createMPI((self._owned, None), comm=self.comm)
-        return nodal, np.zeros(3 * len(self._contact.own) if self._contact else 0)
+    def _sum(self, acting: Iterable[tuple[float, Action]]) -> Action:
+        points = len(self._contact.own) if self._contact else 0
+        nodes = self._mechanics.space.dofmap.index_map.size_local
+        total = Action(np.zeros(3 * nodes), np.zeros(3 * points))
+        for factor, action in acting:
+            total.nodal[:] += factor * action.nodal
+            total.jump[:] += factor * action.jump
+        return total
 
     def set_eigenforces(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
         """Set the forces of the free strains of one cause: nodal forces on each body [N]."""
-        self._free[cause] = self.action(parts)
+        self._free[cause] = self._action(parts)
 
     def at(self, time: float) -> Action:
         """All forces at a time [N]."""
-        nodal, jump = self._nothing()
         acting = [(amplitude(h, time), a) for h, a in (*self._loads, *self._eigenstrains)]
-        for factor, action in (*acting, *((1.0, a) for a in self._free.values())):
-            nodal.axpy(factor, action.nodal)
-            jump += factor * action.jump
-        return Action(nodal, jump)
+        return self._sum([*acting, *((1.0, a) for a in self._free.values())])
 
-    def applied(self, time: float) -> tuple[Floats, Floats]:
-        """Loads alone, on own nodes and jumps [N]."""
-        nodal, jump = self._nothing()
-        for history, action in self._loads:
-            nodal.axpy(amplitude(history, time), action.nodal)
-            jump += amplitude(history, time) * action.jump
-        return nodal.array.copy(), jump
+    def applied(self, time: float) -> Action:
+        """Loads alone [N]."""
+        return self._sum((amplitude(h, time), a) for h, a in self._loads)
 
     def resultants(self, time: float) -> list[Floats]:
         """Resultant of each load [N]; collective."""
         return [
-            self.comm.allreduce(action.nodal.array.reshape(-1, 3).sum(axis=0), MPI.SUM)
+            self.comm.allreduce(action.nodal.reshape(-1, 3).sum(axis=0), MPI.SUM)
             * amplitude(history, time)
             for history, action in self._loads
         ]
 
-    def free_work(self, nodal: PETSc.Vec) -> float:
+    def free_work(self, nodal: Floats) -> float:
         """Half the work of the free strains' forces in a nodal displacement [N mm]; collective."""
-        return sum(float(action.nodal.dot(nodal)) / 2 for action in self._free.values())
+        work = sum(float(action.nodal @ nodal) / 2 for action in self._free.values())
+        return float(self.comm.allreduce(work, MPI.SUM))
 
 
 def _at_full(load: Load) -> Load:

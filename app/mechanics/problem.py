@@ -21,7 +21,7 @@ from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.curing_stress import CuringStress
 from app.mechanics.external_forces import Forces
 from app.mechanics.stiffness import Stiffness
-from app.mechanics.thermal_strain import ThermalStiffness, ThermalStrain
+from app.mechanics.thermal_strain import ThermalStrain
 from app.numerics.saved_state import node_keys
 from app.scene.bodies import bodies_of
 from app.scene.scene import Scene
@@ -81,7 +81,6 @@ class Problem:
             if scene.contacts
             else None
         )
-        self.stiffness.rows.couple(self.contact)
         self.moved = {
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
             for b in (self.contact.coupling.jump_to_displacement if self.contact else ())
@@ -115,7 +114,6 @@ class Problem:
     def _follow_stiffness(self) -> None:
         if self.contact:
             self.contact.update_stiffness(self.mechanics, self.stiffness.constraints)
-        self.stiffness.rows.couple(self.contact)
         self.set_time(self.time)
 
     # Saved state
@@ -155,10 +153,11 @@ class Problem:
         """Set loads, supports and gaps to a time; the state itself is unchanged."""
         self.time = time
         action = self.forces.at(time)
-        self.f, self.f_q = self.stiffness.constraints.vector(action.nodal), action.jump
+        nodal = PETSc.Vec().createWithArray(action.nodal, comm=self.comm)
+        self.f, self.f_q = self.stiffness.constraints.vector(nodal), action.jump
         self.load_size = float(self.f.norm())
         amplitudes = [amplitude(s.history, time) for s in self.scene.supports]
-        self.prescribed = self.stiffness.rows.move(self.f, amplitudes)
+        self.prescribed = self.stiffness.prescribed(self.f, amplitudes)
         if self.contact:
             self.contact.set_time(time)
         self.mechanics.set_amplitudes(
@@ -179,20 +178,8 @@ class Problem:
             self.forces.set_eigenforces("heat", self.thermal_strain.set(temperatures))
         self.set_time(self.time)
 
-    def set_cure(
-        self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]
-    ) -> None:
-        """Set degree of cure and free strain; takes effect at the next `update_stiffness`.
-
-        Args:
-            degrees: Degree of cure at the vertices of each curing region [-].
-            strains: Its free strain accumulated since gelation at the vertices [-].
-        """
-        if self.setting:
-            self.setting.set(degrees, strains)
-
     def update_stiffness(self) -> None:
-        """Update stiffness and prestress of curing regions before a solve; collective.
+        """Update stiffness and prestress of curing regions (`setting`) before a solve; collective.
 
         Matrices are assembled again, in place, only if a modulus has changed.
         """
@@ -203,16 +190,10 @@ class Problem:
         self.forces.set_eigenforces("cure", self.setting.forces())
         self.set_time(self.time)
 
-    def thermal_stiffness(self, moves: Mapping[str, PETSc.Mat]) -> ThermalStiffness:
-        """Derivatives of the forces by temperature; zero in supported rows; collective.
-
-        Args:
-            moves: Matrix from temperature jumps to nodal temperatures, for each region they move.
-        """
+    def thermal_stiffness(self, moves: Mapping[str, PETSc.Mat]) -> list[list[PETSc.Mat | None]]:
+        """As `ThermalStrain.stiffness`; only for scenes that expand."""
         assert self.thermal_strain is not None
-        return self.thermal_strain.stiffness(
-            moves, self.stiffness.constraints, self.contact, self.stiffness.rows.rows
-        )
+        return self.thermal_strain.stiffness(moves, self.stiffness, self.contact)
 
     def impose(self, u: PETSc.Vec) -> None:
         """Set the constrained unknowns of a displacement to their current values."""
@@ -235,8 +216,8 @@ class Problem:
         if self.contact:
             self.contact.coupling.C.multAdd(q, out, out)
         out.axpy(-1.0, self.f)
-        rows, held = self.stiffness.rows, self.stiffness.constraints.constrained
-        out.array[held] = rows.typical * (u.array_r - self.prescribed)[held]
+        held = self.stiffness.constraints.constrained
+        out.array[held] = self.stiffness.typical * (u.array_r - self.prescribed)[held]
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
@@ -244,12 +225,14 @@ class Problem:
         Forces that would move the constrained unknowns of a model at rest do not count: on a fine
         mesh they exceed all others by far.
         """
-        scale = self.load_size
+        scale, reactions = self.load_size, self.stiffness.reactions * u
         if self.contact:
+            by_jumps = self.contact.coupling.C * q
+            reactions.array[:] += by_jumps.array_r[self.stiffness.constraints.constrained]
             e = self.contact.coupling.equilibrium(u, q, self.f_q)
             for forces in (self.contact.own.project_free(e), self.f_q):
                 scale += float(np.sqrt(self.comm.allreduce(float(np.sum(forces**2)), MPI.SUM)))
-        return scale + float(self.stiffness.rows.forces(u, q).norm())
+        return scale + float(reactions.norm())
 
     # State
 
@@ -272,13 +255,9 @@ class Problem:
         """Displacement of each body, as last updated."""
         return [self.moved.get(b, self.u) for b in range(len(self.bodies.names))]
 
-    def augmentation(self, trial: bool = False) -> dict[str, float]:
-        """Augmentation or penalty of each interface [MPa/mm]; collective.
-
-        Args:
-            trial: Return the stiffness that penalties are solved with, not their own.
-        """
-        return self.contact.augmentation(trial) if self.contact else {}
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation or penalty of each interface [MPa/mm]; collective."""
+        return self.contact.augmentation() if self.contact else {}
 
     def commit(self, trial: TrialState | None) -> None:
         """Commit a converged state, after `update_displacements`."""

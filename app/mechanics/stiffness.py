@@ -1,14 +1,16 @@
-"""Stiffness of the bodies with the supports of a stage, and its inverse."""
+"""Stiffness of the bodies with the supports of a stage: constrained rows, reactions, inverse."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from petsc4py import PETSc
 
 import numpy as np
 
+from app.arrays import Floats
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
-from app.mechanics.held_rows import ConstrainedRows
 from app.numerics.p_multigrid import CoarseOrder, near_null_space
 from app.numerics.preconditioners import Inverse, stiffness_options
 from app.scene.bodies import Bodies
@@ -29,7 +31,9 @@ class Stiffness:
         stage: The stage whose supports are active.
         frames: Nodes with axes of their own, if a support needs them.
         constraints: Map from unknowns to nodal displacements.
-        rows: Rows of constrained unknowns.
+        rows: Global numbers of the constrained rows of this rank.
+        reactions: These rows before they are constrained: the reactions to displacements.
+        typical: Mean diagonal of the stiffness, set in constrained rows to keep scales alike.
         inverse: Approximate inverse of K.
 
     Args:
@@ -69,7 +73,18 @@ class Stiffness:
     def _constrained(self) -> PETSc.Mat:
         K = self.constraints.matrix(assembled_matrix(self._form))
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self.rows = ConstrainedRows(K, self.constraints)
+        self.rows = K.getOwnershipRange()[0] + np.flatnonzero(self.constraints.constrained)
+        self.rows = self.rows.astype(PETSc.IntType)
+        self.reactions = K.createSubMatrix(PETSc.IS().createGeneral(self.rows, comm=K.comm))
+        self._lifts = []
+        for unit in self.constraints.unit:
+            given, forces = K.createVecs()
+            given.array[:] = unit
+            K.mult(given, forces)
+            self._lifts.append(forces)
+        diagonal = K.getDiagonal()
+        self.typical = float(diagonal.sum()) / diagonal.getSize()
+        K.zeroRowsColumns(self.rows, diag=self.typical)
         self._diagonal = K.getDiagonal()
         return K
 
@@ -98,3 +113,11 @@ class Stiffness:
     def rounding(self, u: PETSc.Vec) -> float:
         """Residual by rounding alone, large for a stiff body that moves [N]."""
         return ROUNDING * float(np.finfo(float).eps) * (self._diagonal * u).norm()
+
+    def prescribed(self, f: PETSc.Vec, amplitudes: Sequence[float]) -> Floats:
+        """Prescribed displacements at amplitudes (n,); their forces are taken from f [N]."""
+        given = np.zeros(len(f.array_r))
+        for a, unit, lift in zip(amplitudes, self.constraints.unit, self._lifts, strict=True):
+            given += a * unit
+            f.axpy(-a, lift)
+        return given

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats
-from app.mechanics.coarse_space import SlidingMotions
-from app.mechanics.contact import TrialState
+from app.arrays import Ints
+from app.mechanics.coarse_space import free_directions, sliding_motions
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
-from app.numerics.active_set import ActiveSet
+from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
 from app.numerics.sparse import block_diagonal, fill
 from app.numerics.system import Measure, System, size
@@ -33,7 +31,6 @@ class BondedSystem(System):
     def __init__(self, problem: Problem) -> None:
         self._problem, self.comm = problem, problem.comm
         self.inverses = {"displacement": problem.stiffness.inverse}
-        self.active = ActiveSet(self.comm)
 
     @property
     def version(self) -> int:
@@ -73,30 +70,31 @@ class ContactSystem(BondedSystem):
     """Displacement and jumps.
 
     Attributes:
+        contact: Contact of the interfaces.
         trial: Contact at the state of the last residual or Jacobian.
         rows: Factor of equilibrium in the rows of the jumps, 1 - P' as last set.
     """
 
+    contact: ContactInterfaces
     trial: TrialState
     newton: Options = {}  # noqa: RUF012
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
         assert problem.contact is not None
-        contact = self._contact = problem.contact
+        contact = self.contact = problem.contact
         self._C = contact.coupling.C.copy()
-        self._C.zeroRows(problem.stiffness.rows.rows, diag=0.0)
+        self._C.zeroRows(problem.stiffness.rows, diag=0.0)
         self._coupled = problem.stiffness.version
         self.rows = block_diagonal(contact.comm, len(contact.own))
         self._A_qu = self.rows.matMult(contact.coupling.Ct)
         self._A_qq = self.rows.matMult(contact.coupling.D)
         self._added = block_diagonal(contact.comm, len(contact.own))
         self._coarse_version = -1
-        self._forces: Floats | None = None
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """Displacement and jumps."""
-        return super().blocks() | {"jump": self._contact.coupling.D.createVecLeft()}
+        return super().blocks() | {"jump": self.contact.coupling.D.createVecLeft()}
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """The stiffness, the coupling, and the rows of the jumps."""
@@ -109,23 +107,23 @@ class ContactSystem(BondedSystem):
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put prescribed displacements and jumps into a state."""
         super().impose(x)
-        free = self._contact.own.project_free(x[1].array_r.reshape(-1, 3))
-        x[1].array[:] = (free + self._contact.prescribed).ravel()
+        free = self.contact.own.project_free(x[1].array_r.reshape(-1, 3))
+        x[1].array[:] = (free + self.contact.prescribed).ravel()
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Equilibrium of the bodies, and of the contact points with their law."""
         self._problem.residual_u(x[0], x[1], f[0])
-        trial = self.trial = self._trial(x)
-        f[1].array[:] = self._contact.residual(trial.equilibrium, trial.jump, trial.law).ravel()
+        trial = self.trial = self._problem.trial(*x)
+        f[1].array[:] = self.contact.residual(trial.equilibrium, trial.jump, trial.law).ravel()
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
-        contact = self._contact
+        contact = self.contact
         if self._coupled != self._problem.stiffness.version:
             self._coupled = self._problem.stiffness.version
             contact.coupling.C.copy(self._C)
-            self._C.zeroRows(self._problem.stiffness.rows.rows, diag=0.0)
-        self.trial = self._trial(x)
+            self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
+        self.trial = self._problem.trial(*x)
         times, added = contact.row_factors(self.trial.law)
         fill(self.rows, times)
         fill(self._added, added)
@@ -133,52 +131,16 @@ class ContactSystem(BondedSystem):
         self.rows.matMult(contact.coupling.D, result=self._A_qq)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
-    def linearize_at(self, forces: Floats | None) -> None:
-        """Linearize the laws about these interface forces; None: about their own."""
-        self._forces = forces
-
-    def _trial(self, x: list[PETSc.Vec]) -> TrialState:
-        """Contact at a state: the laws at the forces of equilibrium, or linear about others.
-
-        With F_0 given, the law F = P(F + r d) in displacement, jumps and forces is linearized at
-        (d, F_0): P(F_0 + r d) + P' (F - F_0) stands for the force, F that of equilibrium.
-        """
-        trial = self._problem.trial(*x)
-        if self._forces is None:
-            return trial
-        contact, known = self._contact, self._forces
-        law = contact.evaluate(-contact.own.weight[:, None] * known, trial.jump)
-        change = contact.law.multiplier_share[:, None] * (
-            contact.forces(trial.equilibrium) - contact.own.project_free(known)
-        )
-        force = law.force + np.einsum("pij,pj->pi", law.jacobian, change)
-        return replace(trial, law=replace(law, force=force))
-
-    def coarse_space(self) -> SlidingMotions:
+    def coarse_space(self) -> CoarseSpace:
         """Motions of bodies that slide, lift off or bend away."""
         version = self._problem.stiffness.version
         if self._coarse_version != version:
-            self._coarse, self._coarse_version = SlidingMotions(self._problem), version
-        self._coarse.update(self.trial.law.jacobian)
+            self._coarse, self._coarse_version = sliding_motions(self._problem), version
+        allowing = np.eye(3) - self.contact.own.projector
+        self._coarse.update(allowing @ free_directions(self.trial.law.jacobian) @ allowing)
         return self._coarse
 
-    def record_active_set(self) -> None:
-        """Append the contact states of the last residual to the active set."""
-        self.active.add(self.trial.law.status)
-
-    def scale_augmentation(self, factor: float) -> bool:
-        """Solve with this multiple of the default augmentation."""
-        self._contact.law.scale_augmentation(factor)
-        return True
-
-    def augmentation(self) -> dict[str, float]:
-        """Augmentation in force on each interface [MPa/mm]; collective."""
-        return self._problem.augmentation(trial=True)
-
-    def usual_augmentation(self) -> float:
-        """Default augmentation over the one in the case, in the mean; collective."""
-        return self._contact.law.usual_augmentation()
-
-    def tie(self, on: bool) -> bool:
-        """Tie interfaces that were open everywhere so far; return whether there are any."""
-        return self._contact.tie(on)
+    @property
+    def status(self) -> Ints:
+        """States of the contact points of this rank at the last residual (n,)."""
+        return self.trial.law.status

@@ -7,38 +7,21 @@ the forces are G e with a matrix G for each region, assembled once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import reduce
 from operator import add
 
 from petsc4py import PETSc
 
-import numpy as np
 import ufl
 from dolfinx import fem
-from numpy.typing import NDArray
 
 from app.laws.materials import Elastic
-from app.laws.thermal import Thermal
 from app.mechanics.body_forms import BodyForms, assembled_matrix
-from app.mechanics.constraints import Constraints
 from app.mechanics.contact import ContactInterfaces
+from app.mechanics.stiffness import Stiffness
 from app.scene.bodies import Bodies
 from app.scene.scene import Scene
-
-
-@dataclass(frozen=True)
-class ThermalStiffness:
-    """Forces on displacement and jumps by temperatures and by temperature jumps [N/K].
-
-    A matrix is None where the scene has no such unknowns.
-    """
-
-    u_θ: PETSc.Mat | None
-    u_τ: PETSc.Mat | None
-    q_θ: PETSc.Mat | None
-    q_τ: PETSc.Mat | None
 
 
 class ThermalStrain:
@@ -71,42 +54,32 @@ class ThermalStrain:
     def stiffness(
         self,
         moves: Mapping[str, PETSc.Mat],
-        constraints: Constraints,
+        stiffness: Stiffness,
         contact: ContactInterfaces | None,
-        supported: NDArray[np.int32],
-    ) -> ThermalStiffness:
-        """Derivatives of the forces by temperature.
+    ) -> list[list[PETSc.Mat | None]]:
+        """Derivatives of the forces by temperature [N/K]; zero in supported rows; collective.
 
-        ``moves`` are matrices from temperature jumps to nodal temperatures, by region moved. Rows
-        of the ``supported`` displacements are zeroed.
+        ``moves`` are matrices from temperature jumps to nodal temperatures, by region moved.
+
+        Returns:
+            Rows of displacement and jumps, columns of temperatures and temperature jumps; None
+            where the scene has no such unknowns.
         """
-        by_θ = _sums((self.body[x.region], self._scaled(x)) for x in self._terms)
-        by_τ = _sums(
-            (self.body[x.region], self._scaled(x).matMult(moves[x.region]))
-            for x in self._terms
-            if x.region in moves
-        )
-
-        def on_u(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
-            if not parts:
-                return None
-            rows = constraints.rows(reduce(add, parts.values()))
-            rows.zeroRows(supported, diag=0.0)
-            return rows
-
-        def on_q(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
-            by_jump = contact.coupling.jump_to_displacement if contact else {}
-            moved = [B.transposeMatMult(parts[b]) for b, B in by_jump.items() if b in parts]
-            return reduce(add, moved) if moved else None
-
-        # First the jumps: without rigid regions the rows of the displacement are the parts.
-        q_θ, q_τ = on_q(by_θ), on_q(by_τ)
-        return ThermalStiffness(u_θ=on_u(by_θ), u_τ=on_u(by_τ), q_θ=q_θ, q_τ=q_τ)
-
-    def _scaled(self, x: Thermal) -> PETSc.Mat:
-        forces = self._forces[x.region].copy()
-        forces.scale(x.expansion)
-        return forces
+        scaled = {x.region: self._forces[x.region] * x.expansion for x in self._terms}
+        by_jumps = {r: G.matMult(moves[r]) for r, G in scaled.items() if r in moves}
+        columns = []
+        for of_region in (scaled, by_jumps):
+            parts: dict[int, PETSc.Mat] = {}
+            for region, part in of_region.items():
+                body = self.body[region]
+                parts[body] = parts[body] + part if body in parts else part
+            by_body = contact.coupling.jump_to_displacement if contact else {}
+            on_q = [B.transposeMatMult(parts[b]) for b, B in by_body.items() if b in parts]
+            on_u = stiffness.constraints.rows(reduce(add, parts.values())) if parts else None
+            if on_u is not None:
+                on_u.zeroRows(stiffness.rows, diag=0.0)
+            columns.append((on_u, reduce(add, on_q) if on_q else None))
+        return [list(row) for row in zip(*columns, strict=True)]
 
 
 def _forces(mechanics: BodyForms, e: Elastic) -> PETSc.Mat:
@@ -120,10 +93,3 @@ def _forces(mechanics: BodyForms, e: Elastic) -> PETSc.Mat:
     forces = -ufl.derivative(energy, mechanics.u, v)
     form = ufl.derivative(forces, mechanics.swelling[e.region], free)
     return assembled_matrix(mechanics.form(form))
-
-
-def _sums(parts: Iterable[tuple[int, PETSc.Mat]]) -> dict[int, PETSc.Mat]:
-    sums: dict[int, PETSc.Mat] = {}
-    for body, part in parts:
-        sums[body] = sums[body] + part if body in sums else part
-    return sums

@@ -24,6 +24,9 @@ from app.numerics.sparse import block_diagonal, fill, from_rows, matrix_sum
 # Motions with less than this part of the largest stiffness are left to the Krylov method; the
 # others are stiffened by a part, as the motions of small boxes may be linearly dependent.
 NOTHING, STIFFER = 1e-10, 1e-8
+# The free directions of a point have changed if its projector differs by this; a part of the points
+# may change before they are updated.
+DIFFERENT, STALE = 0.5, 0.03
 
 
 class CoarseSpace:
@@ -33,18 +36,31 @@ class CoarseSpace:
         displacement: The rows of the displacement.
         jump: The rows of the jumps in the free directions, as of `version`.
         version: Number of changes; 0 while there are no motions.
+
+    Args:
+        jump: The rows of the jumps in all directions.
     """
 
     def __init__(self, displacement: PETSc.Mat, jump: PETSc.Mat) -> None:
         self.displacement, self._all = displacement, jump
-        self._free = block_diagonal(jump.comm.tompi4py(), jump.getLocalSize()[0] // 3)
+        self._comm, points = jump.comm.tompi4py(), jump.getLocalSize()[0] // 3
+        self._known = np.zeros((points, 3, 3))
+        self._free = block_diagonal(self._comm, points)
         self.jump = self._free.matMult(jump)
         self._forces, self._moved = jump.createVecLeft(), jump.createVecLeft()
         self.version = 0
 
+    def update(self, free: Floats) -> None:
+        """Set the free directions (as `set_free_directions`) if many changed; collective."""
+        changed = (np.abs(free - self._known).max(axis=(1, 2)) > DIFFERENT).sum()
+        changed, points = self._comm.allreduce(np.array([changed, len(free)]))
+        if changed > STALE * points or (changed and not self.version):
+            self.set_free_directions(free)
+
     def set_free_directions(self, free: Floats) -> None:
         """Restrict jumps to free directions, by projectors at own points (n, 3, 3)."""
         self.version += 1
+        self._known = free
         fill(self._free, free)
         self._free.matMult(self._all, result=self.jump)
 
@@ -75,7 +91,7 @@ class Deflated:
     def __init__(
         self, inner: PETSc.PC, blocks: Sequence[str], motions: Callable[[], CoarseSpace | None]
     ) -> None:
-        self.inner, self._follow = inner, motions
+        self.inner, self._current = inner, motions
         self._u, self._q = blocks.index("displacement"), blocks.index("jump")
         self._made = 0
         self._motions: CoarseSpace | None = None
@@ -86,12 +102,9 @@ class Deflated:
         self._A = pc.getOperators()[0]
         self.inner.setOperators(self._A)
         self.inner.setUp()
-        motions = self._follow()
-        if motions is not None:
-            self.take(motions)
-
-    def take(self, motions: CoarseSpace) -> None:
-        """Use these motions with the current Jacobian; factorize if they changed; collective."""
+        motions = self._current()
+        if motions is None:
+            return
         if motions is not self._motions:
             self._motions, self._made = motions, 0
             self._weights = motions.displacement.createVecRight()

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 
 from app.arrays import Floats
 from app.errors import StoppedError
+from app.numerics.active_set import ActiveSet
 from app.numerics.krylov import Linear
 from app.numerics.preconditioners import Options, options_set
 from app.numerics.system import Measure, System
@@ -82,6 +83,7 @@ class Solver:
         x: The current state.
         failed_state: Last state of the last solve that failed.
         options: PETSc options of the SNES.
+        active: States of the contact points at the last iterates.
         converged: Whether the last run converged.
         residuals: Residual norm at each iterate of the last runs, relative to the scale.
         changes: Number of contact points that changed state, at each iterate.
@@ -107,6 +109,7 @@ class Solver:
         stop: Callable[[], str] = str,
     ) -> None:
         self.system, self.tolerance = system, tolerance
+        self.active = ActiveSet(system.comm)
         self._timing, self._stop = timing, stop
         self._templates = system.blocks()
         self.linear = Linear(system, linear, timing)
@@ -164,11 +167,6 @@ class Solver:
         """Unknowns by block."""
         return {name: v.getSize() for name, v in self._templates.items()}
 
-    @property
-    def has_kinks(self) -> bool:
-        """Whether there are contact points, whose states change."""
-        return "jump" in self._templates
-
     def begin(self, tolerance: float) -> None:
         """Reset to the unloaded state, with a tolerance of the residual; matrices are kept."""
         self.x.zeroEntries()
@@ -177,7 +175,8 @@ class Solver:
 
     def restored(self) -> None:
         """Apply the restored augmentation; the preconditioners are rebuilt."""
-        self.system.scale_augmentation(self.augmentation)
+        if self.system.contact:
+            self.system.contact.scale_augmentation(self.augmentation)
         self.linear.renew()
 
     # Residual
@@ -202,7 +201,7 @@ class Solver:
 
     def run(self) -> tuple[int, int]:
         """Iterate from the current state; return Newton and Krylov iterations."""
-        self.system.active.forget()
+        self.active.forget()
         self.converged = False
         with self._timing.phase("solve"):
             try:
@@ -222,25 +221,21 @@ class Solver:
 
     def linear_step(self) -> tuple[int, int]:
         """Take the step of `start_linear`, if any; return Newton and Krylov iterations."""
-        forces, self._forces = self._forces, None
-        if forces is None:
+        contact, forces, self._forces = self.system.contact, self._forces, None
+        if contact is None or forces is None:
             return 0, 0
-        self.system.linearize_at(forces)
-        try:
-            return self.step()
-        finally:
-            self.system.linearize_at(None)
-
-    def step(self) -> tuple[int, int]:
-        """Take one full step, solved roughly; return Newton and Krylov iterations."""
         f, dx, ksp = self.vector(), self.vector(), self.snes.getKSP()
-        with self._timing.phase("solve"):
-            self.system.residual(self.blocks(), self.blocks(f))
-            self.linear.update(self.blocks())
-            if self._adapts:
-                ksp.setTolerances(rtol=ROUGH)
-            ksp.setOperators(self.linear.matrix)
-            ksp.solve(f, dx)
+        contact.linear_about = forces
+        try:
+            with self._timing.phase("solve"):
+                self.system.residual(self.blocks(), self.blocks(f))
+                self.linear.update(self.blocks())
+                if self._adapts:
+                    ksp.setTolerances(rtol=ROUGH)
+                ksp.setOperators(self.linear.matrix)
+                ksp.solve(f, dx)
+        finally:
+            contact.linear_about = None
         if math.isfinite(dx.norm()):
             self.x.axpy(-1.0, dx)
         return 1, int(ksp.getIterationNumber())
@@ -275,8 +270,8 @@ class Solver:
         """Whether each part is below its tolerance or its rounding."""
         parts = self.measure(snes.getSolution(), snes.getFunction()[0])
         self.residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
-        self.system.record_active_set()
-        self.changes.append(self.system.active.changes())
+        self.active.add(self.system.status)
+        self.changes.append(self.active.changes())
         limits = [p.limit(self.tolerance) for p in parts]
         self.converged = all(p.norm <= limit for p, limit in zip(parts, limits, strict=True))
         if self.converged:
@@ -288,19 +283,19 @@ class Solver:
         last, window = self.residuals, STUCK.get(self._search, STUCK_WHOLE)
         stuck = iteration >= window and last[-1] > HARDLY * last[-1 - window]
         # Full steps from the same states lead to the same states again.
-        period = self.system.active.period() if self._search == "basic" and not stuck else 0
+        period = self.active.period() if self._search == "basic" and not stuck else 0
         stuck |= period > 0 and abs(last[-1] / last[-1 - period] - 1) < CYCLING
         return REASONS.DIVERGED_LINE_SEARCH if stuck else REASONS.ITERATING
 
     @property
     def _adapts(self) -> bool:
         """Whether the tolerance of the linear solver follows the residual."""
-        return self.has_kinks and "ksp_rtol" not in self._chosen
+        return self.system.contact is not None and "ksp_rtol" not in self._chosen
 
     def _linear_tolerance(self, iteration: int, parts: list[Measure]) -> float:
         """Relative tolerance of the next linear solve, looser if a step changes contact states."""
         last = self.residuals
-        if not iteration or self.changes[-1] >= FEW * self.system.active.points():
+        if not iteration or self.changes[-1] >= FEW * self.active.points():
             return ROUGH
         eta = min(FINE, (last[-1] / last[-2]) ** POWER)
         if self.changes[-1] or last[-1] > NEAR:

@@ -10,6 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.numerics.newton import REASONS, NewtonResult, Solver
+from app.numerics.system import Contact
 
 log = logging.getLogger("mantle")
 
@@ -22,12 +23,13 @@ USUAL = (1.0, 0.1, 0.01)
 
 def solve(solver: Solver) -> NewtonResult:
     """Solve a system at its current time from the solver's current state; collective."""
-    system = solver.system
-    system.impose(solver.blocks())
+    contact = solver.system.contact
+    solver.system.impose(solver.blocks())
     solver.residuals, solver.changes = [], []
-    system.scale_augmentation(solver.augmentation)
+    if contact:
+        contact.scale_augmentation(solver.augmentation)
     runs = [solver.linear_step()]
-    start = solver.x.copy() if solver.has_kinks else solver.x
+    start = solver.x.copy() if contact else solver.x
     runs.append(solver.run())
     tried: list[tuple[str, float]] = []
     for text in remedies(solver, start):
@@ -54,7 +56,7 @@ def solve(solver: Solver) -> NewtonResult:
         linear_failed=solver.snes.getConvergedReason() == REASONS.DIVERGED_LINEAR_SOLVE,
         augmentation=augmentation,
         tried=tuple(tried),
-        period=system.active.period(),
+        period=solver.active.period(),
     )
 
 
@@ -68,32 +70,35 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     contact law it may cut steps to nothing where full steps converge. Last, an augmentation set by
     the case, which may be off by powers of ten, is replaced by the default.
     """
-    system = solver.system
-    if not solver.converged and system.tie(True):
+    contact = solver.system.contact
+    if contact and not solver.converged and contact.tie(True):
         start.copy(solver.x)
         try:
             yield "closing and tying interfaces that are open everywhere"
         finally:
-            system.tie(False)
+            contact.tie(False)
         yield "releasing the tied interfaces"
     if not solver.converged and solver.linear.factor_interfaces():
         start.copy(solver.x)
         yield "factorizing the contact block"
+    if contact is None:
+        return
     for factor, continues in AUGMENTATIONS:
         if solver.converged:
             return
         if continues and hopeless(solver):
             continue
-        if factor != solver.augmentation and system.scale_augmentation(factor):
+        if factor != solver.augmentation:
+            contact.scale_augmentation(factor)
             if not continues:
                 start.copy(solver.x)
             solver.augmentation = factor
-            yield f"augmentation {factor:g} r{_values(solver)}"
-    if not hopeless(solver) and solver.has_kinks:
+            yield f"augmentation {factor:g} r{_values(contact)}"
+    if not hopeless(solver):
         other = "basic" if solver.usual_search == "bt" else "bt"
         solver.use_search(other)
         yield "full Newton steps" if other == "basic" else "line search"
-    if solver.converged or (usual := system.usual_augmentation()) == 1.0:
+    if solver.converged or (usual := contact.usual_augmentation()) == 1.0:
         return
     solver.use_search(solver.usual_search)
     start.copy(solver.x)
@@ -101,9 +106,9 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         if hopeless(solver):
             return
         solver.augmentation = share * usual
-        system.scale_augmentation(solver.augmentation)
+        contact.scale_augmentation(solver.augmentation)
         times = f"{share:g} times the default"
-        yield f"augmentation {solver.augmentation:.3g} r, {times}{_values(solver)}"
+        yield f"augmentation {solver.augmentation:.3g} r, {times}{_values(contact)}"
 
 
 def hopeless(solver: Solver) -> bool:
@@ -118,11 +123,11 @@ def failure_text(solver: Solver) -> str:
     changing = ""
     if solver.changes[-1]:
         changing = f"; {solver.changes[-1]} contact points still change state"
-    if period := solver.system.active.period():
+    if period := solver.active.period():
         changing += f", in a cycle of {period} iterations"
     return f"not converging (residual {solver.residuals[-1]:.1e}{changing})"
 
 
-def _values(solver: Solver) -> str:
-    found = solver.system.augmentation().values()
+def _values(contact: Contact) -> str:
+    found = contact.augmentation(trial=True).values()
     return f" (up to {max(found):.3g} MPa/mm)" if found else ""

@@ -14,8 +14,9 @@ from typing import Protocol
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from app.arrays import Floats
-from app.numerics.active_set import ActiveSet
+import numpy as np
+
+from app.arrays import Floats, Ints
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import Inverse, Options
 
@@ -42,6 +43,28 @@ class Measure:
         return max(tolerance * self.scale, self.rounding)
 
 
+class Contact(Protocol):
+    """Interface between the nonlinear solver and the contact of a system.
+
+    Attributes:
+        linear_about: Forces of own points (n, 3) [MPa] about which laws are linearized, if any.
+    """
+
+    linear_about: Floats | None
+
+    def scale_augmentation(self, factor: float) -> None:
+        """Set the multiple of the case's augmentation."""
+
+    def augmentation(self, trial: bool = False) -> dict[str, float]:
+        """Augmentation in force on each interface [MPa/mm]; collective."""
+
+    def usual_augmentation(self) -> float:
+        """Default augmentation over the one in the case; collective."""
+
+    def tie(self, on: bool) -> bool:
+        """Tie interfaces that were open everywhere so far; return whether there are any."""
+
+
 class System(Protocol):
     """Interface between the nonlinear solver and a system of equations.
 
@@ -50,12 +73,11 @@ class System(Protocol):
 
     comm: MPI.Comm
     prefix: str
-    # States of the contact points at the last iterates.
-    active: ActiveSet
     # PETSc options of its Newton iteration that differ from the solver's.
     newton: Options = {}  # noqa: RUF012
     # Shared inverses of diagonal blocks, by block.
     inverses: Mapping[str, Inverse] = {}
+    contact: Contact | None = None
 
     @property
     def version(self) -> int:
@@ -86,13 +108,10 @@ class System(Protocol):
         """Set the blocks of the Jacobian to a state, unless they are constant."""
         return None
 
-    def linearize_at(self, forces: Floats | None) -> None:
-        """Linearize contact laws about forces at own points (n, 3) [MPa]; None: about their own."""
-        return None
-
-    def record_active_set(self) -> None:
-        """Record the states of the contact points at the last residual."""
-        return None
+    @property
+    def status(self) -> Ints:
+        """States of the contact points of this rank at the last residual (n,)."""
+        return np.zeros(0, dtype=np.int64)
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Size of the residual f of a state x, by part; collective."""
@@ -101,22 +120,6 @@ class System(Protocol):
     def coarse_space(self) -> CoarseSpace | None:
         """Sliding motions that the last Jacobian hardly resists, to be deflated; None without."""
         return None
-
-    def scale_augmentation(self, factor: float) -> bool:
-        """Set the multiple of the case's augmentation; return whether there is any."""
-        return False
-
-    def augmentation(self) -> dict[str, float]:
-        """Augmentation in force on each interface [MPa/mm]; collective."""
-        return {}
-
-    def usual_augmentation(self) -> float:
-        """Default augmentation over the one in the case; collective."""
-        return 1.0
-
-    def tie(self, on: bool) -> bool:
-        """Tie interfaces that were open everywhere so far; return whether there are any."""
-        return False
 
 
 def size(vectors: list[PETSc.Vec]) -> float:

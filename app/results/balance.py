@@ -134,14 +134,14 @@ class Balance:
             (self._assemble(form), U.x.array[: len(internal)].copy()) for U, form in self._setting
         ]
         internal += sum(forces for forces, _ in setting)
-        loads_u, loads_q = problem.forces.applied(problem.time)
-        reaction = np.where(constraints.reacting, internal - loads_u, 0.0)
-        jump = held_q = np.zeros_like(loads_q)
+        acting = problem.forces.applied(problem.time)
+        reaction = np.where(constraints.reacting, internal - acting.nodal, 0.0)
+        jump = held_q = np.zeros_like(acting.jump)
         if trial is not None:
             jump, e = trial.jump.ravel().copy(), trial.equilibrium
             held_q = (e - trial.contact.own.project_free(e)).ravel()
-        outer = loads_u + reaction
-        external = [(outer, constraints.expand(u).array.copy()), (loads_q + held_q, jump)]
+        outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()
+        external = [(outer, displacement), (acting.jump + held_q, jump)]
         for free, form in self._swelling:
             work = self._assemble(form)
             external.append((work, free.x.array[: len(work)].copy()))
@@ -168,7 +168,7 @@ class Balance:
         work, set_in, contact = comm.allreduce(np.array(local))
         self._work, self._spent = self._work + float(work), self._spent + float(set_in)
         spent = (new.energy, self._spent, float(contact))
-        free = problem.forces.free_work(problem.stiffness.constraints.expand(u))
+        free = problem.forces.free_work(new.external[0][1])
         self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))
         self.energy = _relative(self._work - sum(spent), self._scale)
         self._forces(new)

@@ -22,7 +22,7 @@ def build_scene(case: Case) -> Scene:
     """Build the scene of a case."""
     regions: Mapping[str, Any] = case.regions
     elastic = tuple(r.named(n) for n, r in regions.items() if isinstance(r, Elastic))
-    moduli = {e.region: e.modulus for e in elastic}
+    moduli = {e.region: max(e.moduli) for e in elastic}
     thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
     interfaces = [
         _interface(name, law, case.geometry.interface_sides[name], moduli, thermal)

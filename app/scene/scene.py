@@ -104,7 +104,7 @@ class Scene:
     @property
     def moduli(self) -> dict[str, float]:
         """Largest Young's modulus of each region that carries load, infinite if rigid [MPa]."""
-        elastic = {e.region: e.modulus for e in self.elastic}
+        elastic = {e.region: max(e.moduli) for e in self.elastic}
         return elastic | {r.region: math.inf for r in self.rigid}
 
     def holds(self, support: Support, stage: int) -> bool:

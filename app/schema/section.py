@@ -240,7 +240,7 @@ def kinds_of(base: Any) -> tuple[type[BaseModel], ...]:
 
 @dataclass(frozen=True)
 class Kinds:
-    """Marks a union of models told apart by `kind`, or by a key that only one of them has.
+    """Marks a union of models told apart by `kind`, or by a required key that only one of them has.
 
     An `Extensible` base in place of a union stands for all its kinds.
 
@@ -260,7 +260,11 @@ class Kinds:
             for c in classes
             if "kind" in c.model_fields
         }
-        by_key = {next(iter(c.model_fields)): c for c in classes if "kind" not in c.model_fields}
+        by_key = {
+            next(key for key, field in c.model_fields.items() if field.is_required()): c
+            for c in classes
+            if "kind" not in c.model_fields
+        }
 
         def model_of(value: object) -> type[BaseModel]:
             if isinstance(value, classes):

@@ -251,7 +251,7 @@ _longest = 1e10
 PositiveLength = Annotated[float, Dimension(*_length, above=0.0, at_most=_longest)]
 Angle = Annotated[float, Dimension("rad", "an angle", "1.5 deg")]
 Stress = Annotated[float, Dimension("MPa", "a pressure", "2 MPa")]
-Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa")]
+Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa", above=0.0)]
 Stiffness = Annotated[float, Dimension(*_stiffness, at_least=0.0)]
 PositiveStiffness = Annotated[float, Dimension(*_stiffness, above=0.0)]
 FORCE = Dimension("N", "a force", "1800 N")

@@ -79,7 +79,7 @@ def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanat
             *([] if free else loose_bodies.sliding(problem, contact)),
             *uniqueness.beyond(problem),
         ]
-        places = [_largest(problem, trial), *_oscillating(problem, contact, solver.system.active)]
+        places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
     if free:
         short = free[0]
     elif outcome.linear_failed:

@@ -277,8 +277,7 @@ def _strained(case: Case, found: Parts) -> list[str]:
 
 def modulus(region: Any) -> float:
     """Smallest Young's modulus of a region, 0 if it has none [MPa]."""
-    keys = ("youngs_modulus", "axial_youngs_modulus", "transverse_youngs_modulus")
-    return min((getattr(region, k) for k in keys if hasattr(region, k)), default=0.0)
+    return float(min(getattr(region, "moduli", (0.0,))))
 
 
 def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:

@@ -153,8 +153,7 @@ class CoupledSystem(ContactSystem):
         by_body = operators.jumps.moves if operators.jumps else {}
         of_region = operators.bodies.of_region.items()
         moves = {r: by_body[b] for r, b in of_region if b in by_body}
-        G = self._problem.thermal_stiffness(moves)
-        rows = [[G.u_θ, G.u_τ], [G.q_θ, G.q_τ]]
+        rows = self._problem.thermal_stiffness(moves)
         shapes = [v.getSizes() for v in self.blocks().values()]
         found = []
         for row, height in zip(rows, shapes[self._n :], strict=True):
@@ -191,7 +190,7 @@ class CoupledSystem(ContactSystem):
         self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
         """Rows of the heat: columns of the mechanics, and additions to its own columns."""
-        contact = self._contact
+        contact = self.contact
         power = self._point_rows(self.exchange.power_rows(trial))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
         jumps, pressed = self._heat.operators.jumps, self.exchange.pressed
@@ -216,7 +215,7 @@ class CoupledSystem(ContactSystem):
     def _point_rows(self, rows: PointDerivatives) -> list[PETSc.Mat]:
         """Rows of scalars of the contact points as matrices (points x components)."""
         n = len(rows.by_jump)
-        start = self._contact.coupling.D.getOwnershipRange()[0]
+        start = self.contact.coupling.D.getOwnershipRange()[0]
         i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
         return [
             from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())

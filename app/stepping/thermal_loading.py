@@ -146,11 +146,10 @@ class ThermalLoading:
         of_region = self._operators.bodies.of_region
         expanding = [x.region for x in self._operators.scene.expansions]
         problem.set_temperature({r: self._temperatures[of_region[r]] for r in expanding})
-        names = [c.region for c in self._curing]
-        problem.set_cure(
-            dict(zip(names, self._degrees, strict=True)),
-            dict(zip(names, self._strains, strict=True)),
-        )
+        if problem.setting:
+            names = [c.region for c in self._curing]
+            degrees = dict(zip(names, self._degrees, strict=True))
+            problem.setting.set(degrees, dict(zip(names, self._strains, strict=True)))
         # The sum of the free strain continues from the state of the heat.
         for function, values in zip(self._strains, strains, strict=True):
             function.x.array[:] = values

@@ -86,7 +86,7 @@ def benchmarks() -> list[Check]:
             "order_2_over_1",
             "CPU time of second order over first at equal error of slip",
             (*second, *ladder[:3]),
-            _orders,
+            equal_error,
             1.0,
         ),
         _goal("cure_over_conduction", "CPU time", (half, bonded), _ratio(cpu), 2.5),
@@ -150,9 +150,9 @@ def _stem(rung: str, overrides: Sequence[str]) -> CheckRun:
     return CheckRun(STEM, (*overrides, *sizes), times=TIMES if rung in CHEAP else 1)
 
 
-def solution(seconds: Mapping[str, float]) -> float:
-    """Seconds of assembly, set-up and solution, coarse problems included."""
-    return sum(value for phase, value in seconds.items() if phase not in APART)
+def solution(seconds: Mapping[str, float], apart: Sequence[str] = APART) -> float:
+    """Seconds of assembly, set-up and solution, coarse problems included, or of other phases."""
+    return sum(value for phase, value in seconds.items() if phase not in apart)
 
 
 def cpu(run: Run) -> float:
@@ -223,13 +223,8 @@ def spread(runs: Sequence[Run]) -> Sample:
 
 def _variations(runs: Sequence[Run]) -> Sample:
     """Time of twelve cases in one process over the time of one, without mesh and forms."""
-
-    def whole(run: Run) -> float:
-        seconds: dict[str, Any] = run.summary["cpu"]
-        return sum(v for phase, v in seconds.items() if phase not in ("mesh", "compile", "total"))
-
-    alone, twelve = runs[: -len(TWELVE)], runs[-len(TWELVE) :]
-    return Sample(sum(map(whole, twelve)) / median(map(whole, alone)))
+    seconds = [solution(run.summary["cpu"], ("mesh", "compile", "total")) for run in runs]
+    return Sample(sum(seconds[-len(TWELVE) :]) / median(seconds[: -len(TWELVE)]))
 
 
 def later_steps(runs: Sequence[Run]) -> Sample:
@@ -238,17 +233,15 @@ def later_steps(runs: Sequence[Run]) -> Sample:
     return Sample(float(max(later) / first))
 
 
-def _orders(runs: Sequence[Run]) -> Sample:
-    second, reference, *ones = runs
-    return Sample(equal_error(second, [rung[0] for rung in _rungs(ones)], reference))
+def equal_error(runs: Sequence[Run]) -> Sample:
+    """Time of a run over that of others at the same error of slip_p99 against a reference.
 
-
-def equal_error(two: Run, ones: Sequence[Run], reference: Run) -> float:
-    """Time of a run over that of others, from coarse to fine, at the same error of slip_p99.
-
-    Interpolated by a straight line in logarithms. Where none of the others is as good, the last is
-    taken: a run as good takes longer, so the ratio is smaller.
+    Runs: the one, the reference, the others. Interpolated by a straight line in logarithms. Where
+    none of the others is as good, the finest is taken: a run as good takes longer, so the ratio is
+    smaller.
     """
+    two, reference, *others = runs
+    ones = [rung[0] for rung in _rungs(others)]
     known = _numbers(reference, "slip_p99")
 
     def error(run: Run) -> float:
@@ -258,10 +251,10 @@ def equal_error(two: Run, ones: Sequence[Run], reference: Run) -> float:
     wanted = error(two)
     k = next((k for k, one in enumerate(ones) if error(one) <= wanted), None)
     if not k:
-        return cpu(two) / cpu(ones[-1 if k is None else 0])
+        return Sample(cpu(two) / cpu(ones[-1 if k is None else 0]))
     worse, better = ones[k - 1], ones[k]
     part = math.log(wanted / error(worse)) / math.log(error(better) / error(worse))
-    return cpu(two) / (cpu(worse) * (cpu(better) / cpu(worse)) ** part)
+    return Sample(cpu(two) / (cpu(worse) * (cpu(better) / cpu(worse)) ** part))
 
 
 def _start_to_finish(runs: Sequence[Any]) -> Sample:

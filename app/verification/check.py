@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -113,37 +113,58 @@ def within(tier: str, wanted: str) -> bool:
     return TIERS.index(tier) <= TIERS.index(wanted)
 
 
-def ladder(
-    case: str, overrides: Sequence[str], sizes: Sequence[float], finest: float | None = None
-) -> tuple[CheckRun, ...]:
-    """Runs from coarse to fine; ``{}`` in an override stands for the mesh size or time step.
+def problem(
+    name: str,
+    what: str,
+    case: str,
+    measures: Measure | Sequence[Measure],
+    tolerance: float,
+    runs: Iterable[Sequence[str]] = ((),),
+) -> Check:
+    """A check of ``mantle verify``: the worst of the runs of a case with some overrides each.
 
-    ``finest`` is one more size, for the tier "long".
+    ``measures`` is one for all runs or one for each.
     """
-    runs = [CheckRun(case, tuple(o.format(h) for o in overrides), size=h) for h in sizes]
-    if finest is not None:
-        own = tuple(o.format(finest) for o in overrides)
-        runs.append(CheckRun(case, own, size=finest, tier="long"))
-    return tuple(runs)
+    judge = each(measures) if callable(measures) else each(*measures)
+    wanted = tuple(CheckRun(f"verification/{case}.yaml", tuple(o)) for o in runs)
+    return Check(name, what, wanted, judge, tolerance)
 
 
-def each(*measures: Measure) -> Judge:
-    """Worst sample of all runs, by a measure for each or one for all."""
+def ladder(
+    name: str,
+    what: str,
+    case: str,
+    measure: Measure,
+    tolerance: float,
+    overrides: Sequence[str],
+    sizes: Sequence[float],
+    order: float = 2.0,
+) -> Check:
+    """A check of ``mantle verify`` whose error falls with the mesh size, by an order.
+
+    Sizes go from coarse to fine, the last for the tier "long"; ``{}`` in an override stands for
+    the size.
+    """
+    runs = tuple(
+        CheckRun(
+            f"verification/{case}.yaml",
+            tuple(o.format(h) for o in overrides),
+            size=h,
+            tier="long" if h == sizes[-1] else "quick",
+        )
+        for h in sizes
+    )
+    return Check(name, what, runs, each(measure, last=True), tolerance, order)
+
+
+def each(*measures: Measure, last: bool = False) -> Judge:
+    """Worst sample of all runs, or the last of a ladder; a measure for each run or one for all."""
 
     def judge(runs: Sequence[Run]) -> Sample:
         by_run = measures * len(runs) if len(measures) == 1 else measures
         samples = [measure(run) for measure, run in zip(by_run, runs, strict=True)]
-        return replace(worst(samples), errors=tuple(s.error for s in samples))
-
-    return judge
-
-
-def finest(measure: Measure) -> Judge:
-    """Sample of the last run of a ladder, with the errors of all."""
-
-    def judge(runs: Sequence[Run]) -> Sample:
-        samples = [measure(run) for run in runs]
-        return replace(samples[-1], errors=tuple(s.error for s in samples))
+        sample = samples[-1] if last else worst(samples)
+        return replace(sample, errors=tuple(s.error for s in samples))
 
     return judge
 

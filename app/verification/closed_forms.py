@@ -93,39 +93,15 @@ def lame_pressure_free(δ: float, b: float, c: float, core: Elastic, ring: Elast
     return δ / b / (((c * c + b * b) / (c * c - b * b) + ν_o) / E_o + (1 - ν_i) / E_i)
 
 
-def compound_pressures(
-    δ: float, radii: Sequence[float], materials: Sequence[Elastic]
-) -> tuple[float, float]:
-    """Pressures at a and b of a core r < a, too large by δ, in rings a < r < b < r < c [MPa].
-
-    Plane strain, no friction; Lamé's solution in each (Timoshenko & Goodier, section 28).
-    ``radii`` are a, b, c [mm]; ``materials`` are those of the core, the inner and the outer ring.
-    """
-    a, b, c = radii
-    (E_1, ν_1), (E_2, ν_2), (E_3, ν_3) = materials
-
-    def ring(r: float, inner: float, outer: float, p: float, q: float) -> float:
-        """E / (1 + ν) times the displacement, in two parts, of pressures p inside and q outside."""
-        return (1 - 2 * ν_2) * (p * inner**2 - q * outer**2) * r + (p - q) * (
-            inner * outer
-        ) ** 2 / r
-
-    f_2, f_3 = (1 + ν_2) / E_2 / (b * b - a * a), (1 + ν_3) / E_3 / (c * c - b * b)
-    core = -(1 + ν_1) * (1 - 2 * ν_1) / E_1 * a
-    outer = f_3 * ((1 - 2 * ν_3) * b**3 + c * c * b)
-    A = np.array(
-        [
-            [f_2 * ring(a, a, b, 1, 0) - core, f_2 * ring(a, a, b, 0, 1)],
-            [f_2 * ring(b, a, b, 1, 0), f_2 * ring(b, a, b, 0, 1) - outer],
-        ]
-    )
-    p, q = np.linalg.solve(A, [δ, 0.0])
-    return float(p), float(q)
-
-
 def _plane_strain(material: Elastic) -> Elastic:
     E, ν = material
     return E / (1 - ν * ν), ν / (1 - ν)
+
+
+def lame(material: Elastic) -> tuple[float, float]:
+    """Lamé's coefficients λ and μ [MPa]."""
+    E, ν = material
+    return E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
 
 
 @dataclass(frozen=True)
@@ -156,53 +132,42 @@ class OvalFit:
     def displacement(self, x: Floats, in_core: bool) -> Floats:
         """Displacement (n, 3) [mm]; each body's formula holds beyond it too."""
         r, θ = np.hypot(x[:, 0], x[:, 1]), np.arctan2(x[:, 1], x[:, 0])
-        E, ν = self.core if in_core else self.ring
-        κ, two_μ = 3 - 4 * ν, E / (1 + ν)
-        p0 = lame_pressure(self.δ0, self.b, self.c, self.core, self.ring)
+        E, ν = material = self.core if in_core else self.ring
+        p = lame_pressure(self.δ0, self.b, self.c, self.core, self.ring) * (1 + ν) / E
         b2, c2 = self.b**2, self.c**2
         if in_core:
-            u_r = -p0 * (1 - 2 * ν) / two_μ * r
+            u_r = -p * (1 - 2 * ν) * r
         else:
-            u_r = p0 * b2 / (c2 - b2) / two_μ * ((1 - 2 * ν) * r + c2 / r)
-        constants = self._michell()
-        terms = constants[:2] if in_core else constants[2:]
-        radial = (-2 * r, (κ - 3) * r**3, 2 / r**3, (κ + 1) / r)
-        hoop = (2 * r, (κ + 3) * r**3, 2 / r**3, (1 - κ) / r)
-        u_θ = 0 * r
-        for k, f, g in zip(terms, radial, hoop, strict=False):  # the core has two terms
-            u_r = u_r + k / two_μ * f * np.cos(2 * θ)
-            u_θ = u_θ + k / two_μ * g * np.sin(2 * θ)
+            u_r = p * b2 / (c2 - b2) * ((1 - 2 * ν) * r + c2 / r)
+        constants = self._michell()[:2] if in_core else self._michell()[2:]
+        terms = _michell_motion(r, material)[:, : len(constants)]
+        radial, hoop = np.einsum("k,ikn->in", constants, terms)
+        u_r, u_θ = u_r + radial * np.cos(2 * θ), hoop * np.sin(2 * θ)
         cos, sin = np.cos(θ), np.sin(θ)
         return np.column_stack([u_r * cos - u_θ * sin, u_r * sin + u_θ * cos, 0 * r])
 
     def _michell(self) -> Floats:
         """A, B of the core and A, B, C, D of the ring."""
-        b, c = self.b, self.c
+        inner, outer = _michell_stress(self.b), _michell_stress(self.c)
+        core, ring = (_michell_motion(self.b, m)[0] for m in (self.core, self.ring))
+        rows = np.zeros((6, 6))
+        rows[0, :2], rows[1, 2:], rows[2:4, 2:] = inner[1, :2], inner[1], outer
+        rows[4] = [*-inner[0, :2], *inner[0]]
+        rows[5] = [*-core[:2], *ring]
+        return np.asarray(np.linalg.solve(rows, [0, 0, 0, 0, 0, self.δ2]))
 
-        def normal(r: float) -> list[float]:
-            """σ_rr of the four terms over cos 2θ."""
-            return [-2.0, 0.0, -6 / r**4, -4 / r**2]
 
-        def shear(r: float) -> list[float]:
-            """σ_rθ of the four terms over sin 2θ."""
-            return [2.0, 6 * r**2, -6 / r**4, -2 / r**2]
+def _michell_motion(r: float | Floats, material: Elastic) -> Floats:
+    """u_r over cos 2θ and u_θ over sin 2θ of A r², B r⁴, C r⁻² and D (2, 4, ...)."""
+    E, ν = material
+    κ, R = 3 - 4 * ν, np.asarray(r)
+    radial = [-2 * R, (κ - 3) * R**3, 2 / R**3, (κ + 1) / R]
+    return (1 + ν) / E * np.array([radial, [2 * R, (κ + 3) * R**3, 2 / R**3, (1 - κ) / R]])
 
-        def radial(material: Elastic) -> list[float]:
-            """u_r at b of the four terms over cos 2θ."""
-            E, ν = material
-            κ = 3 - 4 * ν
-            u = [-2 * b, (κ - 3) * b**3, 2 / b**3, (κ + 1) / b]
-            return [value * (1 + ν) / E for value in u]
 
-        rows = [
-            shear(b)[:2] + 4 * [0.0],
-            2 * [0.0] + shear(b),
-            2 * [0.0] + normal(c),
-            2 * [0.0] + shear(c),
-            [-value for value in normal(b)[:2]] + normal(b),
-            [-value for value in radial(self.core)[:2]] + radial(self.ring),
-        ]
-        return np.linalg.solve(np.array(rows), [0, 0, 0, 0, 0, self.δ2])
+def _michell_stress(r: float) -> Floats:
+    """σ_rr over cos 2θ and σ_rθ over sin 2θ of the four terms (2, 4)."""
+    return np.array([[-2, 0, -6 / r**4, -4 / r**2], [2, 6 * r**2, -6 / r**4, -2 / r**2]])
 
 
 # Fibres about an axis
@@ -327,44 +292,13 @@ def penalty_penetration(stiffness: float, motion: float, penalty: float) -> floa
     return stiffness * motion / (stiffness + penalty)
 
 
-def particle_solutions(k_T: float, k_N: float, w: float, friction: float) -> int:
-    """Most solutions that Klarbring's particle has under any one load.
+def particle_friction(k_T: float, w: float) -> float:
+    """Friction beyond which Klarbring's particle has several solutions under some load.
 
-    A particle on springs [[k_T, w], [w, k_N]] rests on a rigid line with Coulomb friction
-    (Klarbring, Ingenieur-Archiv 60, 1990). It is open, stuck, or slipping either way; each state
-    takes a cone of loads (f_T, f_N) and is tried by itself. The number of states that hold changes
-    only at the edges of the cones, so that one load between each two neighbouring edges says all.
+    The particle, on springs [[k_T, w], [w, k_N]], rests on a rigid line with Coulomb friction
+    (Klarbring, Ingenieur-Archiv 60, 1990).
     """
-    edges = np.array([[k_T, w], [-k_T, -w], [friction, -1.0], [-friction, -1.0]])
-    angles = np.sort(np.arctan2(edges[:, 1], edges[:, 0]))
-    between = (angles + np.append(angles[1:], angles[0] + 2 * math.pi)) / 2
-    loads = np.column_stack([np.cos(between), np.sin(between)])
-    return max(_states(f, np.array([[k_T, w], [w, k_N]]), friction) for f in loads)
-
-
-def _states(f: Floats, K: Floats, μ: float) -> int:
-    """Number of states with K u = f + (t, n), u_N >= 0 <= n, |t| <= μ n under a load f (2,)."""
-    is_open = np.linalg.solve(K, f)[1] > 0
-    sticks = f[1] <= 0 and abs(f[0]) <= -μ * f[1]
-    slips = 0
-    for way in (1.0, -1.0):  # u_N = 0, t = -way μ n; singular just where slip is indifferent
-        A = np.array([[K[0, 0], way * μ], [K[1, 0], -1.0]])
-        u, n = np.linalg.solve(A, f) if np.linalg.det(A) else (0.0, -1.0)
-        slips += way * u > 0 and n >= 0
-    return int(is_open) + int(sticks) + slips
-
-
-def particle_friction(k_T: float, k_N: float, w: float) -> float:
-    """Friction beyond which Klarbring's particle has several solutions under some load."""
-    low, high = 0.0, 1.0
-    while particle_solutions(k_T, k_N, w, high) == 1:
-        high *= 2
-    while high - low > 1e-12 * high:
-        middle = (low + high) / 2
-        low, high = (
-            (middle, high) if particle_solutions(k_T, k_N, w, middle) == 1 else (low, middle)
-        )
-    return high
+    return k_T / abs(w)
 
 
 # Cook's membrane

@@ -6,12 +6,13 @@ Nothing here comes from the code under test. Units and pairs as in `closed_forms
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from app.arrays import Floats
-from app.verification.closed_forms import Elastic, lame_pressure
+from app.verification.closed_forms import Elastic, lame
 from app.verification.closed_forms_heat import two_bars
 
 
@@ -26,7 +27,7 @@ def hot_fit_pressure(
     """Pressure of a core at one temperature in a ring cooled from outside, plane strain [MPa].
 
     The bore of a free ring grows by (1 + ν) a b times its mean change of temperature (Timoshenko &
-    Goodier, section 151), the core by the same with its own; the rest is Lamé's interference.
+    Goodier, section 151), the core by the same with its own: both are `Layers` of even strain.
 
     Args:
         radii: b of the interface, c of the outer surface [mm].
@@ -42,95 +43,66 @@ def hot_fit_pressure(
     # The mean over the section of T = cold + (inner - cold) ln(c/r) / ln(c/b).
     part = 1 / (2 * math.log(c / b)) - b * b / (c * c - b * b)
     mean = cold + (inner - cold) * part
-    (E_i, ν_i), a_i = core
-    (E_o, ν_o), a_o = ring
-    δ = b * ((1 + ν_i) * a_i * (hot - free) - (1 + ν_o) * a_o * (mean - free))
-    return lame_pressure(δ, b, c, (E_i, ν_i), (E_o, ν_o))
-
-
-@dataclass(frozen=True)
-class ExactLayer:
-    """A ring, or a core if its inner radius is 0, in plane strain; radii in mm.
-
-    The free strain is the same in all directions.
-    """
-
-    inner: float
-    outer: float
-    material: Elastic
-    free_strain: float = 0.0
-
-    @property
-    def _lame(self) -> tuple[float, float]:
-        E, ν = self.material
-        return E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
-
-    def motion(self, r: float) -> list[float]:
-        """Coefficients of A and B in u_r = A r + B / r."""
-        return [r, 1 / r if self.inner else 0.0]
-
-    def traction(self, r: float, hoop: bool = False) -> list[float]:
-        """Coefficients of A and B in σ_rr, or in the hoop stress [MPa]."""
-        λ, μ = self._lame
-        sign = 1.0 if hoop else -1.0
-        return [2 * (λ + μ), sign * 2 * μ / r**2 if self.inner else 0.0]
-
-    @property
-    def relief(self) -> float:
-        """Reduction of the normal stresses by the free strain [MPa]."""
-        λ, μ = self._lame
-        return (3 * λ + 2 * μ) * self.free_strain
+    strains = (core[1] * (hot - free), ring[1] * (mean - free))
+    return float(-Layers(radii, (core[0], ring[0]), strains, (True,)).at(0, b)[1])
 
 
 @dataclass(frozen=True)
 class Layers:
-    """Concentric layers without load, from inside to outside.
+    """A core and concentric rings around it without load, in plane strain.
+
+    In each u_r = A r + B / r, with B = 0 in the core (Timoshenko & Goodier, section 28). A core too
+    large by δ is one of the free strain δ / (1 + ν) r.
 
     Attributes:
-        layers: Core and rings; each starts where the last ends.
+        radii: Of the outer surfaces, from inside to outside [mm].
+        materials: Of the core and the rings.
+        free_strains: Of each, the same in all directions.
         joined: For each pair of neighbours, whether they move together and pull each other;
             otherwise there is no traction between them.
     """
 
-    layers: tuple[ExactLayer, ...]
-    joined: tuple[bool, ...]
+    radii: Sequence[float]
+    materials: Sequence[Elastic]
+    free_strains: Sequence[float]
+    joined: Sequence[bool]
 
-    def constants(self) -> Floats:
-        """A and B of each layer (n, 2)."""
-        n = len(self.layers)
-        M, f = np.zeros((2 * n, 2 * n)), np.zeros(2 * n)
-        M[0, 1] = 1.0  # a core has no B; a first ring is not foreseen
-        row = 1
-        for i, (a, b) in enumerate(zip(self.layers[:-1], self.layers[1:], strict=True)):
-            r, one, two = a.outer, slice(2 * i, 2 * i + 2), slice(2 * i + 2, 2 * i + 4)
-            M[row, one], f[row] = a.traction(r), a.relief
-            if self.joined[i]:
-                M[row, two] = [-s for s in b.traction(r)]
-                f[row] -= b.relief
-                M[row + 1, one] = a.motion(r)
-                M[row + 1, two] = [-s for s in b.motion(r)]
-            else:
-                M[row + 1, two], f[row + 1] = b.traction(r), b.relief
-            row += 2
-        last = self.layers[-1]
-        M[row, -2:], f[row] = last.traction(last.outer), last.relief
-        return np.asarray(np.linalg.solve(M, f).reshape(n, 2))
-
-    def radial(self, i: int, r: float) -> float:
-        """Radial stress of layer i at r [MPa]."""
-        layer = self.layers[i]
-        return float(np.dot(layer.traction(r), self.constants()[i]) - layer.relief)
-
-    def hoop(self, i: int, r: float) -> float:
-        """Hoop stress of layer i at r [MPa]."""
-        layer = self.layers[i]
-        return float(np.dot(layer.traction(r, hoop=True), self.constants()[i]) - layer.relief)
+    def at(self, i: int, r: float) -> Floats:
+        """Displacement [mm], radial and hoop stress [MPa] of layer i at r (3,)."""
+        terms, free = self._terms(i, r)
+        return np.asarray(terms @ self._constants()[i] - free)
 
     def gap(self, i: int) -> float:
         """Gap between layers i and i + 1 [mm]."""
-        a, b = self.layers[i], self.layers[i + 1]
-        A = self.constants()
-        return float(np.dot(b.motion(b.inner), A[i + 1]) - np.dot(a.motion(a.outer), A[i]))
+        r = self.radii[i]
+        return float(self.at(i + 1, r)[0] - self.at(i, r)[0])
+
+    def _terms(self, i: int, r: float) -> tuple[Floats, Floats]:
+        """What A and B contribute to `at` (3, 2), and what the free strain takes off (3,)."""
+        λ, μ = lame(self.materials[i])
+        b = 1 / r**2 if i else 0.0
+        terms = [[r, b * r], [2 * (λ + μ), -2 * μ * b], [2 * (λ + μ), 2 * μ * b]]
+        return np.array(terms), (3 * λ + 2 * μ) * self.free_strains[i] * np.array([0, 1, 1])
+
+    def _constants(self) -> Floats:
+        """A and B of each layer (n, 2)."""
+        n = len(self.radii)
+        M, f = np.zeros((2 * n, n, 2)), np.zeros(2 * n)
+        M[0, 0, 1] = 1.0
+        for i, r in enumerate(self.radii):
+            row = 2 * i + 1
+            own, free = self._terms(i, r)
+            M[row, i], f[row] = own[1], free[1]
+            if i + 1 == n:
+                continue
+            other, its = self._terms(i + 1, r)
+            if self.joined[i]:
+                M[row, i + 1] = -other[1]
+                f[row] -= its[1]
+                M[row + 1, i], M[row + 1, i + 1] = own[0], -other[0]
+            else:
+                M[row + 1, i + 1], f[row + 1] = other[1], its[1]
+        return np.asarray(np.linalg.solve(M.reshape(2 * n, 2 * n), f).reshape(n, 2))
 
 
 # Conductance that depends on pressure
@@ -250,8 +222,7 @@ class WavyContact:
 
     def displacement(self, x: Floats, upper: bool) -> Floats:
         """Displacement (n, 3) at points (n, 3) of one block [mm]."""
-        E, ν = self.materials[upper]
-        λ, μ = E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
+        λ, μ = lame(self.materials[upper])
         T = self.mean + (0.0 if upper else self.jump) - self.reference
         f = (-self.pressures(x) + (3 * λ + 2 * μ) * self.expansions[upper] * T) / (λ + 2 * μ)
         u = np.zeros_like(x)

@@ -52,8 +52,7 @@ def two_rings(
     a, b, c = radii
     first = math.log(b / a) / (2 * math.pi * conductivities[0])
     second = math.log(c / b) / (2 * math.pi * conductivities[1])
-    Q = (hot - cold) / (first + 1 / (2 * math.pi * b * conductance) + second)
-    return Q, hot - Q * first, cold + Q * second
+    return two_bars(hot, cold, (first, second), 2 * math.pi * b * conductance)
 
 
 @dataclass(frozen=True)

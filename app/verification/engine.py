@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,8 @@ from app.results.reading import Run
 from app.system import layout
 from app.system.folders import csv_text, remove, write_json, write_text
 from app.verification import picture
-from app.verification.benchmarks import solution
+from app.verification.benchmarks import benchmarks, solution
+from app.verification.changed_meshes import change
 from app.verification.check import (
     CONFIGS,
     FAILED,
@@ -35,7 +36,10 @@ from app.verification.check import (
     CheckResult,
     within,
 )
-from app.verification.suites import SUITES
+from app.verification.extreme_cases import extremes
+from app.verification.heat_problems import heat_problems
+from app.verification.invariance_cases import invariants
+from app.verification.problems import problems
 
 log = logging.getLogger("mantle")
 
@@ -43,6 +47,21 @@ log = logging.getLogger("mantle")
 REFUSALS = tuple(e.exit_code for e in (InputError, GeometryError, ConvergenceError))
 ORDER_TOLERANCE = 0.2
 MOST_NAMES = 100  # in a message
+
+
+def stress_rows() -> list[Check]:
+    """Checks of ``mantle stress``, with the stiff problems of ``mantle verify``."""
+    stiff = [p for p in heat_problems() if p.group == "stiff"]
+    heat = [replace(p, name=p.name.replace("stiff", "heat", 1), group="heat") for p in stiff]
+    return [*extremes(), *invariants(), *heat]
+
+
+# The checks of each command.
+SUITES: dict[str, Callable[[], list[Check]]] = {
+    "verify": problems,
+    "stress": stress_rows,
+    "bench": benchmarks,
+}
 
 
 class TimedRun(Run):
@@ -67,15 +86,12 @@ def run(suite: str, options: Options) -> bool:
     found = _run(checks, planned, options)
     outcomes = []
     for check in checks:
-        results = [
-            result
-            for run, (job, why) in zip(check.runs, planned[check.name], strict=True)
-            for result in (
-                [Result(job, options.folder, InputError.exit_code, 0.0, {}, why)]
-                if why
-                else [found[_same(job), k] for k in range(run.times)]
-            )
-        ]
+        results: list[Result] = []
+        for run, (job, why) in zip(check.runs, planned[check.name], strict=True):
+            if why:
+                results.append(Result(job, options.folder, InputError.exit_code, 0.0, {}, why))
+            else:
+                results += [found[_same(job), k] for k in range(run.times)]
         outcomes.append(judge(check, results))
     log.info("%s", table(outcomes))
     _write(suite, options, outcomes)
@@ -110,8 +126,6 @@ def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, str]]:
         try:
             case = load(path, overrides).config
             if run.mesh:
-                from app.verification.changed_meshes import change  # needs gmsh
-
                 overrides = (*change(case, run.mesh, folder / "meshes"), *overrides)
         except InputError as error:
             why = str(error)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -20,8 +18,8 @@ from app.verification.measures import in_l2, relative
 # Conductivity [N/(s K)] and capacity [N/(mm2 K)] of the cases.
 CEMENT, BONE = (0.2, 1.74), (0.58, 2.331)
 KELVIN = 273.15
-# Temperature (n,) [degC] at points (n, 3) of a region, counted from 1, at a time [s].
-Field = Callable[[Floats, int, float], Floats]
+# Temperature (n,) [degC] at points (n, 3) of regions (n,), counted from 1, at a time [s].
+Field = Callable[[Floats, Ints, float], Floats]
 
 
 def temperatures(
@@ -39,7 +37,7 @@ def temperatures(
         T = run.temperature(step)
         for region in np.unique(run.region):
             nodes = run.nodes_of(region)
-            should = field(run.points[nodes], int(region), seconds)
+            should = field(run.points[nodes], np.full(len(nodes), region), seconds)
             off = np.abs(T[nodes] - should) / scale
             at = int(np.argmax(off))
             samples.append(Sample(float(off[at]), float(T[nodes[at]]), float(should[at])))
@@ -48,22 +46,15 @@ def temperatures(
 
 def mean_square(run: Run, field: Field, zero: float, ends: Sequence[float] = ()) -> Sample:
     """Temperatures over zero, relative in L2, at the worst written step; ``ends`` as above."""
-    samples = []
-    for step, seconds in _written(run, ends):
-        error, norm, reference = run.norms(
-            partial(_by_region, field=field, zero=zero, seconds=seconds),
-            run.temperature(step)[:, None] - zero,
-        )
-        samples.append(Sample(error / reference, norm, reference))
-    return worst(samples)
 
+    def at(step: int, seconds: float) -> Sample:
+        def exact(x: Floats, region: Ints) -> Floats:
+            return field(x, region, seconds)[:, None] - zero
 
-def _by_region(x: Floats, region: Ints, field: Field, zero: float, seconds: float) -> Floats:
-    """Field (n, 1) less a temperature at points of several regions."""
-    T = np.zeros(len(x))
-    for k in np.unique(region):
-        T[region == k] = field(x[region == k], int(k), seconds) - zero
-    return T[:, None]
+        error, norm, reference = run.norms(exact, run.temperature(step)[:, None] - zero)
+        return Sample(error / reference, norm, reference)
+
+    return worst([at(step, seconds) for step, seconds in _written(run, ends)])
 
 
 def _written(run: Run, ends: Sequence[float]) -> list[tuple[int, float]]:
@@ -74,30 +65,33 @@ def _written(run: Run, ends: Sequence[float]) -> list[tuple[int, float]]:
     return [(k, float(s)) for k, s in enumerate(seconds) if s > 0]
 
 
+def _walls(hot: float, first: float, second: float, cold: float) -> Field:
+    """Temperatures of two bars of 5 mm between walls, linear in each."""
+
+    def field(x: Floats, region: Ints, t: float) -> Floats:
+        below, above = hot + (first - hot) * x[:, 2] / 5, cold + (second - cold) * (2 - x[:, 2] / 5)
+        return np.where(region == 1, below, above)
+
+    return field
+
+
 def bars(run: Run, conductance: float) -> Sample:
     """Temperatures of two_bars.yaml over 63 K, and its flux."""
     q, hot, cold = exact.two_bars(100, 37, (5 / CEMENT[0], 5 / BONE[0]), conductance)
-
-    def field(x: Floats, region: int, t: float) -> Floats:
-        if region == 1:
-            return 100 + (hot - 100) * x[:, 2] / 5
-        return 37 + (cold - 37) * (10 - x[:, 2]) / 5
-
     flux = run.summary["thermal"]["interfaces"]["cement_bone"]["heat_flux_max"]
-    return worst([temperatures(run, field, 63.0), relative(flux, 1e3 * q)])
+    found = temperatures(run, _walls(100, hot, cold, 37), 63.0)
+    return worst([found, relative(flux, 1e3 * q)])
 
 
 def rings(run: Run) -> Sample:
     """Temperatures of two_rings.yaml over 37 degC, relative in L2."""
     _, hot, cold = exact.two_rings(100, 37, (10, 14, 18), (CEMENT[0], BONE[0]), 0.5)
 
-    def field(x: Floats, region: int, t: float) -> Floats:
+    def field(x: Floats, region: Ints, t: float) -> Floats:
         r = np.hypot(x[:, 0], x[:, 1])
-        if region == 1:
-            return np.full(len(x), 100.0)
-        if region == 2:
-            return np.asarray(100 + (hot - 100) * np.log(r / 10) / math.log(14 / 10), dtype=float)
-        return np.asarray(37 + (cold - 37) * np.log(18 / r) / math.log(18 / 14), dtype=float)
+        inner = 100 + (hot - 100) * np.log(r / 10) / math.log(14 / 10)
+        outer = 37 + (cold - 37) * np.log(18 / r) / math.log(18 / 14)
+        return np.select([region == 1, region == 2], [100.0, inner], outer)
 
     return mean_square(run, field, 37.0)
 
@@ -117,7 +111,7 @@ def in_fibre(run: Run) -> Sample:
 def cylinder(run: Run) -> Sample:
     """Temperatures of cooling_cylinder.yaml over 37 degC, relative in L2."""
 
-    def field(x: Floats, region: int, t: float) -> Floats:
+    def field(x: Floats, region: Ints, t: float) -> Floats:
         return exact.cooling_cylinder(np.hypot(x[:, 0], x[:, 1]), t, 10, CEMENT, 100, 37)
 
     return mean_square(run, field, 37.0, (0, 60, 100, 300))
@@ -127,24 +121,25 @@ def half_spaces(run: Run, conductance: float) -> Sample:
     """Temperatures of half_spaces.yaml over 63 K."""
     law = exact.HalfSpaces(CEMENT, BONE, (100, 37), conductance)
 
-    def field(x: Floats, region: int, t: float) -> Floats:
-        return law.temperature(x[:, 2] - 8, t, region == 1)
+    def field(x: Floats, region: Ints, t: float) -> Floats:
+        first, second = (law.temperature(x[:, 2] - 8, t, in_first) for in_first in (True, False))
+        return np.where(region == 1, first, second)
 
     return temperatures(run, field, 63.0, (0, 10))
 
 
 def rubbed(run: Run, share: float) -> Sample:
     """Temperatures of rubbing.yaml over the rise of the hotter surface; share of the cement."""
-    flux = {1: 75 * share, 2: 75 * (1 - share)}
-    materials = {1: CEMENT, 2: BONE}
 
-    def rise(x: Floats, region: int, t: float) -> Floats:
-        return exact.heated_half_space(x, t, flux[region], materials[region])
+    def rises(x: Floats, t: float) -> list[Floats]:
+        sides = ((CEMENT, share), (BONE, 1 - share))
+        return [exact.heated_half_space(x, t, 75 * part, material) for material, part in sides]
 
-    def field(x: Floats, region: int, t: float) -> Floats:
-        return 37 + rise(x[:, 2] - 8, region, t)
+    def field(x: Floats, region: Ints, t: float) -> Floats:
+        cement, bone = rises(x[:, 2] - 8, t)
+        return 37 + np.where(region == 1, cement, bone)
 
-    most = max(float(rise(np.zeros(1), region, 10)[0]) for region in (1, 2))
+    most = float(np.max(rises(np.zeros(1), 10)))
     return temperatures(run, field, most, (0, 0, 10), since=2.5)
 
 
@@ -177,6 +172,7 @@ def layers_stress(run: Run, joined: tuple[bool, bool]) -> Sample:
     """
     law = _layers(joined)
     cells = run.region == 2
+    scale = abs(law.at(1, 6.0)[2])
     x = run.points[run.cells[cells, :4]].mean(axis=1)
     r = np.hypot(x[:, 0], x[:, 1])
     n = x[:, :2] / r[:, None]
@@ -186,11 +182,10 @@ def layers_stress(run: Run, joined: tuple[bool, bool]) -> Sample:
     weights = np.sqrt(run.volumes()[cells])
     rows = np.column_stack([np.ones(len(r)), r**-2.0]) * weights[:, None]
     samples = []
-    for values, should in ((radial, law.radial), (hoop, law.hoop)):
+    for k, values in ((1, radial), (2, hoop)):
         A, B = np.linalg.lstsq(rows, values * weights, rcond=None)[0]
         for at in (6.0, 10.0):
-            value, reference = float(A + B / at**2), should(1, at)
-            scale = abs(law.hoop(1, 6.0))
+            value, reference = float(A + B / at**2), float(law.at(1, at)[k])
             samples.append(Sample(abs(value - reference) / scale, value, reference))
     return worst(samples)
 
@@ -200,21 +195,16 @@ def layers_contact(run: Run) -> Sample:
     law, sides = _layers((True, False)), run.summary["interfaces"]
     return worst(
         [
-            relative(sides["stem_cement"]["pressure_mean"], -law.radial(1, 6.0)),
+            relative(sides["stem_cement"]["pressure_mean"], -law.at(1, 6.0)[1]),
             relative(sides["cement_bone"]["gap_p99"], law.gap(1)),
         ]
     )
 
 
 def _layers(joined: tuple[bool, bool]) -> coupled.Layers:
-    return coupled.Layers(
-        (
-            coupled.ExactLayer(0, 6, (200e3, 0.3)),
-            coupled.ExactLayer(6, 10, (2200.0, 0.3), -80e-6 * 40),
-            coupled.ExactLayer(10, 15, (17e3, 0.3)),
-        ),
-        joined,
-    )
+    """Stem, cement that shrinks by 40 K times 80e-6, and bone."""
+    materials = ((200e3, 0.3), (2200.0, 0.3), (17e3, 0.3))
+    return coupled.Layers((6, 10, 15), materials, (0.0, -80e-6 * 40, 0.0), joined)
 
 
 def hot_fit(run: Run) -> Sample:
@@ -232,15 +222,10 @@ WALLS = coupled.HeatedWalls(
 def walls(run: Run, closed: bool) -> Sample:
     """Temperatures over 43 K and pressure of heated_walls.yaml, in one of its stable states."""
     state = WALLS.states()[-1 if closed else 0]
-
-    def field(x: Floats, region: int, t: float) -> Floats:
-        if region == 1:
-            return 80 + (state.first - 80) * x[:, 2] / 5
-        return 37 + (state.second - 37) * (10 - x[:, 2]) / 5
-
+    found = temperatures(run, _walls(80, state.first, state.second, 37), 43.0)
     pressure = run.summary["interfaces"]["metal_cement"]["pressure_mean"]
     off = abs(pressure - state.pressure) / WALLS.states()[-1].pressure
-    return worst([temperatures(run, field, 43.0), Sample(off, pressure, state.pressure)])
+    return worst([found, Sample(off, pressure, state.pressure)])
 
 
 WAVY = coupled.WavyContact(
@@ -259,7 +244,12 @@ WAVY = coupled.WavyContact(
 
 def wavy_temperature(run: Run) -> Sample:
     """Temperature of wavy_contact.yaml over 37 degC, relative in L2."""
-    return mean_square(run, lambda x, region, t: WAVY.temperature(x, upper=region == 2), 37.0)
+
+    def field(x: Floats, region: Ints, t: float) -> Floats:
+        below, above = WAVY.temperature(x, upper=False), WAVY.temperature(x, upper=True)
+        return np.where(region == 1, below, above)
+
+    return mean_square(run, field, 37.0)
 
 
 def wavy_displacement(run: Run) -> Sample:
@@ -280,23 +270,15 @@ def endured(run: Run, low: float, high: float) -> Sample:
     of the data, the latter infinite if there is a source of heat.
     """
     summary = run.summary
-    regions: list[dict[str, Any]] = list(summary["thermal"]["regions"].values())
+    regions, cured = summary["thermal"]["regions"].values(), summary.get("cure", {}).values()
     balance = float(summary["balance"]["heat"])
     span = high - low if math.isfinite(high) else 100.0
     coldest = min(r["temperature_min"] for r in regions)
     hottest = max(r["temperature_max"] for r in regions)
-    degrees = [
-        q[key] for q in summary.get("cure", {}).values() for key in ("degree_min", "degree_max")
-    ]
-    beyond = [
-        (low - coldest) / span,
-        (hottest - high) / span,
-        *(-a for a in degrees),
-        *(a - 1 for a in degrees),
-    ]
+    cures = [a for q in cured for a in (-q["degree_min"], q["degree_max"] - 1)]
+    off = max(0.0, (low - coldest) / span, (hottest - high) / span, *cures)
     solver = summary["solver"]
     steps = f"steps {solver['steps']}, rejected {solver['rejected_steps']}"
     note = f"{steps}, balance {balance:.0e}, {coldest:.2f} to {hottest:.2f} degC"
-    off = max(0.0, *beyond)
     sample = worst([Sample(abs(balance), balance, 0.0), Sample(off, hottest, high)])
     return replace(sample, note=note)

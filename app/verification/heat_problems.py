@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 
 from app.verification import closed_forms_heat as exact
 from app.verification import heat_measures as measures
-from app.verification.check import Check, CheckRun, Judge, Measure, each, finest, ladder
+from app.verification.check import Check, CheckRun, Measure, each, ladder, problem
 from app.verification.heat_measures import BONE, CEMENT
 from app.verification.measures import number
 
@@ -23,74 +23,40 @@ def heat_problems() -> list[Check]:
     return [check for kind in kinds for check in kind()]
 
 
-def _one(
-    name: str, what: str, case: str, judge: Judge, tolerance: float, overrides: Sequence[str] = ()
-) -> Check:
-    run = CheckRun(f"verification/{case}.yaml", tuple(overrides))
-    return Check(name, what, (run,), judge, tolerance)
-
-
-def _second_order(
-    name: str,
-    what: str,
-    case: str,
-    measure: Measure,
-    tolerance: float,
-    sizes: Sequence[float],
-    overrides: Sequence[str],
-) -> Check:
-    """A problem whose error falls with the square of the mesh size; the last is the finest."""
-    runs = ladder(f"verification/{case}.yaml", overrides, sizes[:-1], sizes[-1])
-    return Check(name, what, runs, finest(measure), tolerance, 2.0)
-
-
 # A slice of cylinders as long as its cells, a mesh of one size.
 _SLICE = ("geometry.length={} mm", "mesh.size={} mm", "mesh.far_size={} mm")
 
 
 def _steady() -> Iterator[Check]:
     conductances = (1.0, 300.0, 1e6)
-    yield Check(
+    yield problem(
         "heat_bars",
         "temperatures of two bars, over their range, and flux; 1 to 1e6 W/(m2 K)",
-        tuple(
-            CheckRun(
-                "verification/two_bars.yaml", (f"interfaces.cement_bone.conductance={h} W/(m^2 K)",)
-            )
-            for h in conductances
-        ),
-        each(*(partial(measures.bars, conductance=1e-3 * h) for h in conductances)),
+        "two_bars",
+        [partial(measures.bars, conductance=1e-3 * h) for h in conductances],
         1e-6,
+        [(f"interfaces.cement_bone.conductance={h} W/(m^2 K)",) for h in conductances],
     )
     what = "temperatures of two rings, relative in L2"
-    rings = (1, 0.5, 0.35, 0.25)
-    yield _second_order("heat_rings", what, "two_rings", measures.rings, 1e-4, rings, _SLICE)
-    yield _one(
-        "heat_slab",
-        "temperatures of a perfused slab, relative in L2",
-        "perfused_slab",
-        each(measures.slab),
-        1e-3,
-    )
+    sizes: tuple[float, ...] = (1, 0.5, 0.35, 0.25)
+    yield ladder("heat_rings", what, "two_rings", measures.rings, 1e-4, _SLICE, sizes)
+    what = "temperatures of a perfused slab, relative in L2"
+    yield problem("heat_slab", what, "perfused_slab", measures.slab, 1e-3)
     what = "temperatures with a fibre in any direction, relative in L2"
     cell, sizes = ("mesh.size={!r} mm",), (1 / 3, 1 / 4, 1 / 6, 1 / 8)
-    yield _second_order("heat_fibre", what, "fibre_heat", measures.in_fibre, 5e-3, sizes, cell)
+    yield ladder("heat_fibre", what, "fibre_heat", measures.in_fibre, 5e-3, cell, sizes)
 
 
 def _transient() -> Iterator[Check]:
     what, case = "temperatures of a cooling cylinder, relative in L2", "cooling_cylinder"
     sizes = (2, 1, 0.5, 0.3)
-    yield _second_order("heat_cylinder", what, case, measures.cylinder, 0.005, sizes, _SLICE)
+    yield ladder("heat_cylinder", what, case, measures.cylinder, 0.005, _SLICE, sizes)
+    what = "temperatures of two half-spaces in contact, over their range"
     for name, h in (("perfect", math.inf), ("resistance", 1.0)):
         text = "perfect" if math.isinf(h) else f"{1e3 * h} W/(m^2 K)"
-        yield _one(
-            f"heat_contact_{name}",
-            "temperatures of two half-spaces in contact, over their range",
-            "half_spaces",
-            each(partial(measures.half_spaces, conductance=h)),
-            0.01,
-            (f"interfaces.cement_bone.conductance={text}",),
-        )
+        law = partial(measures.half_spaces, conductance=h)
+        runs = [(f"interfaces.cement_bone.conductance={text}",)]
+        yield problem(f"heat_contact_{name}", what, "half_spaces", law, 0.01, runs)
 
 
 def _rubbing() -> Iterator[Check]:
@@ -109,7 +75,7 @@ def _rubbing() -> Iterator[Check]:
     ]
     for name, quantity, measure, tolerance, overrides in rows:
         what = f"heat of friction, {quantity}, relative"
-        yield _one(f"rubbing_{name}", what, "rubbing", each(measure), tolerance, overrides)
+        yield problem(f"rubbing_{name}", what, "rubbing", measure, tolerance, [overrides])
 
 
 def _setting() -> Iterator[Check]:
@@ -124,48 +90,34 @@ def _setting() -> Iterator[Check]:
             "stages.0.duration=3200 s",
         )
 
-    cases = {
-        "adiabatic_37C": ((), PMMA.time(0.5, 310.15, 1e-3, RISE)),
-        "adiabatic_23C": (held(23)[1:], PMMA.time(0.5, 296.15, 1e-3, RISE)),
-        "isothermal_23C": (held(23), PMMA.time(0.5, 296.15, 1e-3, 0)),
-        "logistic_37C": (
-            (*held(37), f"{kinetics}.m=1", f"{kinetics}.n=1"),
-            logistic.time(0.5, 310.15, 1e-3, 0),
-        ),
-    }
-    for name, (overrides, reference) in cases.items():
-        yield _one(
-            f"cure_{name}",
-            "when half of it has set, default tolerances [s], relative",
-            "exotherm",
-            each(partial(number, name="cube.time_50", reference=reference)),
-            1e-4,
-            overrides,
-        )
-    yield _one(
-        "cure_heat",
-        "temperature after it has set without losing heat, over its rise",
-        "exotherm",
-        each(measures.heat_of_cure),
-        1e-9,
-    )
+    what = "when half of it has set, default tolerances [s], relative"
+    orders = (f"{kinetics}.m=1", f"{kinetics}.n=1")
+    rows: list[tuple[str, tuple[str, ...], float]] = [
+        ("adiabatic_37C", (), PMMA.time(0.5, 310.15, 1e-3, RISE)),
+        ("adiabatic_23C", held(23)[1:], PMMA.time(0.5, 296.15, 1e-3, RISE)),
+        ("isothermal_23C", held(23), PMMA.time(0.5, 296.15, 1e-3, 0)),
+        ("logistic_37C", (*held(37), *orders), logistic.time(0.5, 310.15, 1e-3, 0)),
+    ]
+    for name, overrides, reference in rows:
+        time = partial(number, name="cube.time_50", reference=reference)
+        yield problem(f"cure_{name}", what, "exotherm", time, 1e-4, [overrides])
+    what = "temperature after it has set without losing heat, over its rise"
+    yield problem("cure_heat", what, "exotherm", measures.heat_of_cure, 1e-9)
     end, reference = 300.0, PMMA.degree(300.0, 310.15, 1e-3, RISE)
+    degree = partial(measures.degree, reference=reference)
     for method, order, counts, tolerance in (
         ("backward_euler", 1.0, (40, 80, 160), 0.02),
         ("sdirk4", 4.0, (4, 6, 8, 12), 1e-5),
     ):
+        steps = [(f"time={{method: {method}}}", *_forced(end / n, n)) for n in counts]
         yield Check(
             f"cure_order_{method}",
             "degree of cure after 300 s in steps of one length, relative",
             tuple(
-                CheckRun(
-                    "verification/exotherm.yaml",
-                    (f"time={{method: {method}}}", *_forced(end / n, n)),
-                    size=end / n,
-                )
-                for n in counts
+                CheckRun("verification/exotherm.yaml", step, size=end / n)
+                for step, n in zip(steps, counts, strict=True)
             ),
-            finest(partial(measures.degree, reference=reference)),
+            each(degree, last=True),
             tolerance,
             order,
             rung="time step (s)",
@@ -175,46 +127,29 @@ def _setting() -> Iterator[Check]:
 def _expanding() -> Iterator[Check]:
     what = "mean pressure of a hot stem in a cooled ring [MPa], relative"
     sizes = (1.2, 0.6, 0.3, 0.2)
-    yield _second_order("hot_fit", what, "hot_fit", measures.hot_fit, 0.005, sizes, _SLICE)
-    yield _one(
-        "layers_bonded",
-        "stresses of a mantle cooled between stem and bone [MPa], over the largest",
-        "cooled_layers",
-        each(partial(measures.layers_stress, joined=(True, True))),
-        0.01,
-    )
+    yield ladder("hot_fit", what, "hot_fit", measures.hot_fit, 0.005, _SLICE, sizes)
+    what = "stresses of a mantle cooled between stem and bone [MPa], over the largest"
+    stress = partial(measures.layers_stress, joined=(True, True))
+    yield problem("layers_bonded", what, "cooled_layers", stress, 0.01)
     law = "{kind: contact, friction_coefficient: 0}"
     free = (f"interfaces.stem_cement={law}", f"interfaces.cement_bone={law}")
-    yield Check(
-        "layers_unilateral",
-        "the same without tension; pressure, gap [mm], relative",
-        2 * (CheckRun("verification/cooled_layers.yaml", free),),
-        each(partial(measures.layers_stress, joined=(True, False)), measures.layers_contact),
-        0.01,
-    )
+    what = "the same without tension; pressure, gap [mm], relative"
+    stress = partial(measures.layers_stress, joined=(True, False))
+    both: list[Measure] = [stress, measures.layers_contact]
+    yield problem("layers_unilateral", what, "cooled_layers", both, 0.01, [free, free])
+    what = "conductance that depends on pressure: one of two states, relative"
     warm = ("regions.cement.thermal.initial_temperature=75 degC",)
     for name, overrides, closed in (("open", (), False), ("closed", warm, True)):
-        yield Check(
-            f"walls_{name}",
-            "conductance that depends on pressure: one of two states, relative",
-            (CheckRun("verification/heated_walls.yaml", overrides),),
-            each(partial(measures.walls, closed=closed)),
-            1e-4,
-        )
+        state = partial(measures.walls, closed=closed)
+        yield problem(f"walls_{name}", what, "heated_walls", state, 1e-4, [overrides])
+    sizes = (0.125, 0.0833, 0.0625, 0.05)
     fields: dict[str, Measure] = {
         "temperature": measures.wavy_temperature,
         "displacement": measures.wavy_displacement,
     }
     for name, measure in fields.items():
-        yield _second_order(
-            f"wavy_{name}",
-            f"{name} of a manufactured contact, conductance by pressure, relative in L2",
-            "wavy_contact",
-            measure,
-            0.005,
-            (0.125, 0.0833, 0.0625, 0.05),
-            _SLICE[1:],
-        )
+        what = f"{name} of a manufactured contact, conductance by pressure, relative in L2"
+        yield ladder(f"wavy_{name}", what, "wavy_contact", measure, 0.005, _SLICE[1:], sizes)
 
 
 # Cement that sets, as in exotherm.yaml.
@@ -245,6 +180,7 @@ def _stiff() -> Iterator[Check]:
         )
 
     euler = ("time.method=backward_euler",)
+    thin = ("geometry.cement_thickness=0.5 mm", "mesh.size=1 mm")
     cases: dict[str, tuple[tuple[str, ...], float]] = {
         f"h_{h:.0e}".replace("+0", "").replace("e0", ""): (conductance(h), 100.0)
         for h in (0.0, 1.0, 1e3, 1e6, 1e9)
@@ -262,33 +198,20 @@ def _stiff() -> Iterator[Check]:
         "seed_1e-6": (_cure(initial=1e-6), math.inf),
         "energy_doubled": (_cure(energy=125732.0), math.inf),
         "exotherm_doubled": (_cure(heat=3.1e8), math.inf),
-        "mantle_half_mm": (("geometry.cement_thickness=0.5 mm", "mesh.size=1 mm"), 100.0),
-        "mantle_half_mm_cure": (
-            ("geometry.cement_thickness=0.5 mm", "mesh.size=1 mm", *_cure()),
-            math.inf,
-        ),
+        "mantle_half_mm": (thin, 100.0),
+        "mantle_half_mm_cure": ((*thin, *_cure()), math.inf),
         "diffusivity_1e3": (("regions.stem.thermal.conductivity=430 W/(m K)",), 100.0),
     }
+    what = "heat lost, temperatures beyond the data, degrees beyond 0 and 1"
     for name, (overrides, high) in cases.items():
         low = 23.0 if any("23 degC" in o for o in overrides) else 37.0
-        yield _one(
-            f"stiff_{name}",
-            "heat lost, temperatures beyond the data, degrees beyond 0 and 1",
-            "stiff",
-            each(partial(measures.endured, low=low, high=high)),
-            1e-6,
-            overrides,
-        )
+        bounds = partial(measures.endured, low=low, high=high)
+        yield problem(f"stiff_{name}", what, "stiff", bounds, 1e-6, [overrides])
 
 
 def _stiff_contact() -> Iterator[Check]:
+    what = "the same as contact opens and closes under 200 K"
     rubbing = ("interfaces.stem_cement.friction_heating=effusivity",)
     for name, overrides, high in (("", (), 237.0), ("_rubbing", rubbing, math.inf)):
-        yield _one(
-            f"stiff_contact{name}",
-            "the same as contact opens and closes under 200 K",
-            "stiff_contact",
-            each(partial(measures.endured, low=-163.0, high=high)),
-            1e-6,
-            overrides,
-        )
+        bounds = partial(measures.endured, low=-163.0, high=high)
+        yield problem(f"stiff_contact{name}", what, "stiff_contact", bounds, 1e-6, [overrides])

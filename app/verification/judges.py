@@ -16,8 +16,9 @@ from app.errors import Reason
 from app.results.reading import Run
 from app.verification import closed_forms as exact
 from app.verification.check import Sample, worst
+from app.verification.closed_forms_coupled import Layers
+from app.verification.measures import end_of_bar, step_at, work_lost
 
-OPEN, STICK = 0, 1
 # Fraction of the friction limit that counts as zero.
 NOTHING = 1e-6
 
@@ -74,16 +75,16 @@ def same(
                 float(np.abs(other.at_interface(name, q, step)).max()) for q in ("gap", "slip")
             ]
             jump = max(*(lengths * x for x in sizes), NOTHING * float(np.abs(u).max()))
-            for quantity, factor in (
-                ("gap", lengths),
-                ("slip", lengths),
-                ("pressure", stresses),
-                ("shear", stresses),
+            peak = float(pressure.max())
+            for quantity, factor, scale in (
+                ("gap", lengths, jump),
+                ("slip", lengths, jump),
+                ("pressure", stresses, peak),
+                ("shear", stresses, peak),
             ):
                 reference = other.at_interface(name, quantity, step)[k] * factor
                 if quantity == "slip":
                     reference = reference @ R.T
-                scale = jump if quantity in ("gap", "slip") else float(pressure.max())
                 value = run.at_interface(name, quantity, step)
                 words = f"{quantity} of {name} at time {time:g}"
                 found.append(Sample(_off(value, reference, scale), note=words))
@@ -104,22 +105,24 @@ def augmented(runs: Sequence[Run], factor: float) -> Sample:
 def lawful(runs: Sequence[Run]) -> Sample:
     """Balance, no tension, no penetration, no more friction than Coulomb's, none created."""
     run = runs[0]
-    balance = run.summary["balance"]
-    off = {f"balance of {key}": float(abs(balance[key])) for key in balance}
+    off = {f"balance of {key}": abs(value) for key, value in run.summary["balance"].items()}
+    moved = float(np.abs(run.displacement()).max())
     for name, q in run.summary["interfaces"].items():
-        law = _friction(run, name)
-        p, t = run.at_interface(name, "pressure"), run.at_interface(name, "shear")
-        gap = run.at_interface(name, "gap")
-        moved = float(np.abs(run.displacement()).max())
+        p, t, gap = (run.at_interface(name, key) for key in ("pressure", "shear", "gap"))
         peak = float(p.max())
         if not peak:
             continue
-        off[f"friction of {name}"] = float((t - law * p).max()) / peak
+        off[f"friction of {name}"] = float((t - _friction(run, name) * p).max()) / peak
         off[f"pressure across a gap of {name}"] = float((p * gap).max()) / (peak * moved)
         off[f"penetration of {name}"] = q["penetration_max"] / moved
         lost = abs(q["dissipation"]) or 1.0
         off[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / lost
-    most, beyond = _worst(off), _beyond(run)
+    most = _worst(off)
+    beyond = ", ".join(
+        name
+        for name, q in run.summary["interfaces"].items()
+        if _friction(run, name) > q.get("critical_friction", np.inf)
+    )
     if beyond and Reason.NOT_UNIQUE not in Reason.within(run.log):
         return Sample(np.inf, note=f"friction beyond the critical one of {beyond} and no warning")
     warned = f"; warns that {beyond} may have several solutions" if beyond else ""
@@ -134,14 +137,6 @@ def _friction(run: Run, name: str) -> float:
     from app.case.case import load
 
     return load(run.folder / "case.yaml").config.interfaces[name].friction
-
-
-def _beyond(run: Run) -> str:
-    return ", ".join(
-        name
-        for name, q in run.summary["interfaces"].items()
-        if _friction(run, name) > q.get("critical_friction", np.inf)
-    )
 
 
 def nothing_moves(runs: Sequence[Run]) -> Sample:
@@ -165,9 +160,8 @@ def stack(runs: Sequence[Run], moduli: Sequence[float], ratios: Sequence[float])
     """Blocks of 5 mm in a smooth box under 2 MPa: displacement and pressure are exact."""
     run = runs[0]
     p, h = 2.0, 5.0
-    strains = [
-        p * (1 + ν) * (1 - 2 * ν) / (E * (1 - ν)) for E, ν in zip(moduli, ratios, strict=True)
-    ]
+    coefficients = map(exact.lame, zip(moduli, ratios, strict=True))
+    strains = [p / (λ + 2 * μ) for λ, μ in coefficients]
     levels = np.arange(len(moduli) + 1) * h
     falls = -np.concatenate([[0.0], np.cumsum(strains)]) * h
     u = run.displacement()
@@ -189,11 +183,12 @@ def shrink_fit(
 ) -> Sample:
     """Mean pressures of a core in a mantle in a ring [MPa]; the outer where it is in contact."""
     numbers = runs[0].summary["interfaces"]
-    should = exact.compound_pressures(interference, radii, materials)
+    swelling = interference / (1 + materials[0][1]) / radii[0]
+    layers = Layers(radii, materials, (swelling, 0.0, 0.0), (True, True))
     off, notes = {}, []
-    for name, p in zip(("stem_cement", "cement_bone"), should, strict=True):
+    for i, name in enumerate(("stem_cement", "cement_bone")):
         if name in numbers:
-            value = numbers[name]["pressure_mean"]
+            value, p = numbers[name]["pressure_mean"], -layers.at(i, radii[i])[1]
             off[name] = abs(value / p - 1)
             notes.append(f"{name} {value:.5g} MPa, exact {p:.5g}")
     return Sample(_worst(off).error, note="; ".join(notes))
@@ -204,13 +199,8 @@ def cycles(runs: Sequence[Run], count: int, force: float, friction: float) -> Sa
     run = runs[0]
     law = exact.FoundationBar(force, friction, 1.1e6)
     ends = np.arange(count + 1) * 2 + 3.0  # unloaded
-    times, work = run.history["time [-]"], run.history["base_bar dissipation [N mm]"]
-    lost = np.diff(np.interp(ends, times, work))
-    at = np.isclose(run.points[:, 0], 110) & np.isclose(run.points[:, 2], 2)
-    left = np.array(
-        [run.displacement(int(np.argmin(np.abs(run.times - t))))[at, 0].mean() for t in ends]
-    )
-    creep = float(np.abs(np.diff(left)).max()) / law.end
+    lost = work_lost(run, "base_bar", ends)
+    creep = float(np.abs(np.diff([end_of_bar(run, t) for t in ends])).max()) / law.end
     return Sample(
         max(float(np.abs(lost / law.cycle - 1).max()), creep),
         note=f"{count} cycles, {lost[0]:.5g} to {lost[-1]:.5g} N mm each, exact {law.cycle:.5g}; "
@@ -223,11 +213,10 @@ def shakedown(runs: Sequence[Run], count: int) -> Sample:
     run = runs[0]
     top = run.points[:, 2] > run.points[:, 2].max() - 1e-6
     top &= np.hypot(run.points[:, 0], run.points[:, 1]) < 1.0
-    steps = [int(np.argmin(np.abs(run.times - t))) for t in np.arange(count + 1) * 2 + 1.0]
-    down = np.array([-run.displacement(k)[top, 2].mean() for k in steps])
+    pushed = np.arange(count + 1) * 2 + 1.0
+    down = np.array([-run.displacement(step_at(run, t))[top, 2].mean() for t in pushed])
     sunk = np.diff(down)
-    times, work = run.history["time [-]"], run.history["stem_cement dissipation [N mm]"]
-    lost = np.diff(np.interp(np.arange(count + 1) * 2 + 1.0, times, work))
+    lost = work_lost(run, "stem_cement", pushed)
     share = abs(sunk[-1]) / down[0]
     words = f"sinks {1e3 * down[0]:.4g} um, then {1e3 * sunk[0]:.2e} .. {1e3 * sunk[-1]:.2e} um"
     return Sample(share, note=f"{words} in a cycle; loses {lost[0]:.3g} .. {lost[-1]:.3g} N mm")
@@ -243,9 +232,9 @@ def wedge(runs: Sequence[Run], half_angle: float, friction: float, left: float) 
     run = runs[0]
     s, c = np.sin(half_angle), np.cos(half_angle)
     area = run.areas("stem_cement")
-    at_push = int(np.argmin(np.abs(run.times - 1.0)))
     pushed, now = (
-        float((area * run.at_interface("stem_cement", "pressure", k)).sum()) for k in (at_push, -1)
+        float((area * run.at_interface("stem_cement", "pressure", k)).sum())
+        for k in (step_at(run, 1.0), -1)
     )
     into = abs(100 / (pushed * (s + friction * c)) - 1)
     words = f"{100 * now / pushed:.0f} % of the pressure stays; sliding in off by {into:.1e}"

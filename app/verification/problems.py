@@ -11,7 +11,7 @@ import numpy as np
 
 from app.verification import closed_forms as exact
 from app.verification import measures
-from app.verification.check import Check, CheckRun, Measure, each, finest, ladder
+from app.verification.check import Check, each, ladder, problem
 from app.verification.heat_problems import heat_problems
 from app.verification.measures import BONE, CEMENT, TITANIUM
 
@@ -47,113 +47,96 @@ def problems() -> list[Check]:
 def _homogeneous() -> Iterator[Check]:
     """Affine displacements and uniaxial tension, by first and second order."""
     b, σ = BONE, 10.0
+
+    def runs(region: str, fibre: list[int]) -> list[tuple[str, str]]:
+        return [(f"regions.{region}.fibre={fibre}", f"mesh.order={order}") for order in (1, 2)]
+
+    what = "stress of an affine displacement [MPa], over the largest; P1 and P2"
+    for name, fibre in {"100": [1, 0, 0], "011": [0, 1, 1], "111": [1, 1, 1]}.items():
+        stress = partial(measures.patch_stress, fibre=fibre)
+        yield problem(f"patch_fibre_{name}", what, "patch", stress, 1e-10, runs("cube", fibre))
+    what = "strains under tension, over the largest; P1 and P2"
     along = σ * np.array([-b.nu_l / b.E_l, -b.nu_l / b.E_l, 1 / b.E_l])
     across = σ * np.array([-b.nu_l / b.E_l, -b.nu_t / b.E_t, 1 / b.E_t])
-    affine = "stress of an affine displacement [MPa], over the largest; P1 and P2"
-    tension = "strains under tension, over the largest; P1 and P2"
-    rows: list[tuple[str, str, str, list[int], Measure]] = [
-        *(
-            (f"patch_fibre_{name}", affine, "cube", a, partial(measures.patch_stress, fibre=a))
-            for name, a in {"100": [1, 0, 0], "011": [0, 1, 1], "111": [1, 1, 1]}.items()
-        ),
-        *(
-            (f"uniaxial_{name}_fibre", tension, "bone", a, partial(measures.strains, along_axes=ε))
-            for name, a, ε in (("along", [0, 0, 1], along), ("across", [1, 0, 0], across))
-        ),
-    ]
-    for name, what, region, fibre, measure in rows:
-        case = f"verification/{name.partition('_')[0]}.yaml"
-        overrides = (f"regions.{region}.fibre={fibre}",)
-        runs = (CheckRun(case, (*overrides, f"mesh.order={order}")) for order in (1, 2))
-        yield Check(name, what, tuple(runs), each(measure), 1e-10)
+    for name, fibre, ε in (("along", [0, 0, 1], along), ("across", [1, 0, 0], across)):
+        strains = partial(measures.strains, along_axes=ε)
+        name = f"uniaxial_{name}_fibre"
+        yield problem(name, what, "uniaxial", strains, 1e-10, runs("bone", fibre))
 
 
 def _sines() -> Iterator[Check]:
-    for order, sizes, last, tolerance in (
-        (1, (1 / 4, 1 / 6, 1 / 8, 1 / 10), 1 / 16, 0.05),
-        (2, (1 / 2, 1 / 3, 1 / 4), 1 / 6, 0.005),
+    what = "displacement of a manufactured solution, relative in L2"
+    for order, sizes, tolerance in (
+        (1, (1 / 4, 1 / 6, 1 / 8, 1 / 10, 1 / 16), 0.05),
+        (2, (1 / 2, 1 / 3, 1 / 4, 1 / 6), 0.005),
     ):
-        overrides = (f"mesh.order={order}", "mesh.size={!r} mm")
-        yield Check(
-            f"sine_p{order}",
-            "displacement of a manufactured solution, relative in L2",
-            ladder("verification/sine.yaml", overrides, sizes, last),
-            finest(measures.sine),
-            tolerance,
-            order + 1.0,
-        )
+        own = (f"mesh.order={order}", "mesh.size={!r} mm")
+        name = f"sine_p{order}"
+        yield ladder(name, what, "sine", measures.sine, tolerance, own, sizes, order + 1.0)
 
 
 def _fibre_rings() -> Iterator[Check]:
     for lay in ("circumferential", "radial"):
         ring = exact.FibreRing(5, 10, 10.0, measures.WOOD, lay == "radial")
-        overrides = (f"regions.ring.fibre.kind={lay}", "mesh.size={} mm")
-        yield Check(
+        yield ladder(
             f"fibre_ring_{lay}",
             f"displacement of a pressed ring of {lay} fibres, relative in L2",
-            ladder("verification/fibre_ring.yaml", overrides, (1, 0.5, 0.35), 0.25),
-            finest(partial(measures.ring_of_fibres, ring=ring)),
+            "fibre_ring",
+            partial(measures.ring_of_fibres, ring=ring),
             0.01,
-            2.0,
+            (f"regions.ring.fibre.kind={lay}", "mesh.size={} mm"),
+            (1, 0.5, 0.35, 0.25),
         )
 
 
 # The slices of cylinders are as long as their cells.
 SLICE = ("geometry.length={} mm", "mesh.size={} mm", "mesh.far_size={} mm")
-_RUNGS = (1.6, 0.8, 0.4)
+_RUNGS = (1.6, 0.8, 0.4, 0.25)
+
+
+def _slice(size: float) -> list[str]:
+    return [o.format(size) for o in SLICE]
 
 
 def _press_fits() -> Iterator[Check]:
     laws = {"plane_strain": exact.lame_pressure, "free_ends": exact.lame_pressure_free}
     for (kind, law), t in product(laws.items(), (2, 3, 4, 5, 7)):
         reference = law(0.01, 7.0, 7.0 + t, TITANIUM, CEMENT)
+        mean = partial(measures.number, name="stem_cement.pressure_mean", reference=reference)
         half = (f"geometry.cement_thickness={t / 2} mm", f"geometry.bone_thickness={t / 2} mm")
-        # One thickness shows the order.
-        sizes, last = (_RUNGS, 0.25) if t == 3 else (_RUNGS[-1:], None)
-        yield Check(
-            f"lame_{kind}_{t}",
-            f"mean pressure of a shrink fit, {t} mm [MPa], relative",
-            ladder(f"verification/lame_{kind}.yaml", (*half, *SLICE), sizes, last),
-            finest(partial(measures.number, name="stem_cement.pressure_mean", reference=reference)),
-            0.005,
-            2.0 if last else None,
-        )
-    overrides = ("mesh.order=2", "mesh.curved=true", *SLICE)
+        name, case = f"lame_{kind}_{t}", f"lame_{kind}"
+        what = f"mean pressure of a shrink fit, {t} mm [MPa], relative"
+        if t == 3:  # one thickness shows the order
+            yield ladder(name, what, case, mean, 0.005, (*half, *SLICE), _RUNGS)
+        else:
+            yield problem(name, what, case, mean, 0.005, [(*half, *_slice(0.4))])
     reference = exact.lame_pressure(0.01, 7.0, 10.0, TITANIUM, CEMENT)
-    yield Check(
+    yield problem(
         "lame_p2_curved",
         "the same, plane strain, 3 mm, by curved cells of second order [MPa], relative",
-        ladder("verification/lame_plane_strain.yaml", overrides, (0.8,)),
-        each(partial(measures.number, name="stem_cement.pressure_mean", reference=reference)),
+        "lame_plane_strain",
+        partial(measures.number, name="stem_cement.pressure_mean", reference=reference),
         1e-3,
+        [("mesh.order=2", "mesh.curved=true", *_slice(0.8))],
     )
 
 
 def _oval_fits() -> Iterator[Check]:
     fit = exact.OvalFit(7, 12, TITANIUM, CEMENT, 0.01, 0.003)
-    elements = {
-        "p1": (("mesh.order=1",), 0.05),
-        "p2": (("mesh.order=2", "mesh.curved=false"), 0.01),
-        "p2_curved": (("mesh.order=2", "mesh.curved=true"), 0.01),
-    }
-    for name, (options, tolerance) in elements.items():
-        runs = ladder("verification/oval_fit.yaml", (*options, *SLICE), _RUNGS, 0.25)
+    what = "displacement of a press fit of varying interference, relative in L2"
+    for name, options, tolerance in (
+        ("p1", ("mesh.order=1",), 0.05),
+        ("p2", ("mesh.order=2", "mesh.curved=false"), 0.01),
+        ("p2_curved", ("mesh.order=2", "mesh.curved=true"), 0.01),
+    ):
+        moved = partial(measures.oval_displacement, fit=fit)
+        own = (*options, *SLICE)
         # The jump is of first order in space whatever the displacement: order 2 for all.
-        yield Check(
-            f"oval_fit_{name}",
-            "displacement of a press fit of varying interference, relative in L2",
-            runs,
-            finest(partial(measures.oval_displacement, fit=fit)),
-            0.005,
-            2.0,
-        )
-        yield Check(
-            f"oval_pressure_{name}",
-            "its pressure [MPa], relative in L2",
-            runs[2:],
-            each(partial(measures.oval_pressure, fit=fit)),
-            tolerance,
-        )
+        rungs = ladder(f"oval_fit_{name}", what, "oval_fit", moved, 0.005, own, _RUNGS)
+        yield rungs
+        judge = each(partial(measures.oval_pressure, fit=fit))
+        pressure = "its pressure [MPa], relative in L2"
+        yield Check(f"oval_pressure_{name}", pressure, rungs.runs[2:], judge, tolerance)
 
 
 def _hertz() -> Iterator[Check]:
@@ -162,7 +145,6 @@ def _hertz() -> Iterator[Check]:
     for kind, hertz, axes in (("line", line, 1), ("ball", ball, 2)):
         peak = partial(measures.number, name="contact.pressure_max", reference=hertz.p0)
         width = partial(measures.contact_width, reference=hertz.a, axes=axes, size=size)
-        run = CheckRun(f"verification/hertz_{kind}.yaml", (f"mesh.size={size} mm", "mesh.order=2"))
         rows = [
             ("pressure", f"peak pressure under a {kind} contact [MPa], relative", peak, 0.03),
             ("width", "half-width of contact [mm], in cells", width, 1.0),
@@ -170,19 +152,16 @@ def _hertz() -> Iterator[Check]:
         if kind == "ball":
             down = partial(measures.approach, reference=hertz.approach)
             rows.append(("approach", "approach [mm], relative", down, 0.02))
+        runs = [(f"mesh.size={size} mm", "mesh.order=2")]
         for name, what, measure, tolerance in rows:
-            yield Check(f"hertz_{kind}_{name}", what, (run,), each(measure), tolerance)
+            yield problem(f"hertz_{kind}_{name}", what, f"hertz_{kind}", measure, tolerance, runs)
 
 
 def _friction() -> Iterator[Check]:
     size = 0.1
-    yield Check(
-        "cattaneo_stick_width",
-        "half-width of the strip that sticks [mm], in cells",
-        (CheckRun("verification/cattaneo.yaml", (f"mesh.size={size} mm",)),),
-        each(partial(measures.stick_width, size=size)),
-        1.0,
-    )
+    what = "half-width of the strip that sticks [mm], in cells"
+    width = partial(measures.stick_width, size=size)
+    yield problem("cattaneo_stick_width", what, "cattaneo", width, 1.0, [(f"mesh.size={size} mm",)])
     bar = exact.FoundationBar(force=500.0, friction=6.0, stiffness=1.1e6)
     end = partial(measures.bar_end, time=2.0, reference=bar.end)
     residual = partial(measures.bar_end, time=3.0, reference=bar.residual)
@@ -192,59 +171,43 @@ def _friction() -> Iterator[Check]:
         ("residual", "the same after unloading [mm], relative", residual),
         ("dissipation", "work lost in a cycle of its load [N mm], relative", cycle),
     ):
-        run = CheckRun("verification/foundation_bar.yaml")
-        yield Check(f"foundation_bar_{name}", what, (run,), each(measure), 0.02)
+        yield problem(f"foundation_bar_{name}", what, "foundation_bar", measure, 0.02)
     law = "{kind: penalty, friction_coefficient: 0.3, penalty: 1.0e3 MPa/mm}"
-    yield Check(
-        "incline",
-        "force over weight that pushes a block up a slope, relative; by a penalty too",
-        tuple(
-            CheckRun("verification/incline.yaml", own)
-            for own in ((), (f"interfaces.slope_block={law}",))
-        ),
-        each(measures.push),
-        0.005,
-    )
+    what = "force over weight that pushes a block up a slope, relative; by a penalty too"
+    runs = [(), (f"interfaces.slope_block={law}",)]
+    yield problem("incline", what, "incline", measures.push, 0.005, runs)
 
 
 def _wall() -> Iterator[Check]:
-    case = "verification/wall.yaml"
-    yield Check(
+    key = "interfaces.wall_bar"
+    yield problem(
         "wall_augmented",
         "force of a bar on a wall [N] and penetration, relative; augmentation 1 to 1e6 MPa/mm",
-        tuple(
-            CheckRun(case, (f"interfaces.wall_bar.augmentation={r} MPa/mm",))
-            for r in 10.0 ** np.arange(0, 7)
-        ),
-        each(measures.wall_force),
+        "wall",
+        measures.wall_force,
         1e-10,
+        [(f"{key}.augmentation={r} MPa/mm",) for r in 10.0 ** np.arange(0, 7)],
     )
-    law = "interfaces.wall_bar={{kind: penalty, friction_coefficient: 0.3, penalty: {} MPa/mm}}"
+    law = "{{kind: penalty, friction_coefficient: 0.3, penalty: {} MPa/mm}}"
     penalties = 10.0 ** np.arange(2, 9)
-    yield Check(
+    yield problem(
         "wall_penalty",
         "penetration by the penalty's law [mm], relative; penalty 1e2 to 1e8 MPa/mm",
-        tuple(CheckRun(case, (law.format(r),)) for r in penalties),
-        each(*(partial(measures.penetration, penalty=float(r)) for r in penalties)),
+        "wall",
+        [partial(measures.penetration, penalty=float(r)) for r in penalties],
         1e-6,
+        [(f"{key}={law.format(r)}",) for r in penalties],
     )
 
 
 def _cook() -> Iterator[Check]:
+    ratio = "regions.membrane.poisson_ratio={}"
     for ν in exact.COOK:
-        yield Check(
-            f"cook_{ν}",
-            f"rise of the corner of Cook's membrane by P2, nu {ν} [mm], relative",
-            (CheckRun("verification/cook.yaml", (f"regions.membrane.poisson_ratio={ν}",)),),
-            each(partial(measures.corner, poisson_ratio=ν)),
-            0.01,
-        )
+        what = f"rise of the corner of Cook's membrane by P2, nu {ν} [mm], relative"
+        corner = partial(measures.corner, poisson_ratio=ν)
+        yield problem(f"cook_{ν}", what, "cook", corner, 0.01, [(ratio.format(ν),)])
     ν = max(exact.COOK)
-    overrides = (f"regions.membrane.poisson_ratio={ν}", "mesh.order=1")
-    yield Check(
-        "cook_p1_warns",
-        f"the same by P1, nu {ν} [mm]: locks, and warns of it (error 0) or not (1)",
-        (CheckRun("verification/cook.yaml", overrides),),
-        each(partial(measures.locking, poisson_ratio=ν)),
-        0.0,
-    )
+    what = f"the same by P1, nu {ν} [mm]: locks, and warns of it (error 0) or not (1)"
+    locks = partial(measures.locking, poisson_ratio=ν)
+    runs = [(ratio.format(ν), "mesh.order=1")]
+    yield problem("cook_p1_warns", what, "cook", locks, 0.0, runs)

@@ -106,16 +106,18 @@ def test_the_usual_augmentation_is_known() -> None:
         (("solver.augmentation_factor=2e-3",), 1e2),
     ):
         _, solver = support.assemble(support.case(STEM, *overrides))
-        assert solver.system.usual_augmentation() == pytest.approx(multiple)
+        assert solver.system.contact.usual_augmentation() == pytest.approx(multiple)
     law = "interfaces.{}={{kind: contact, friction_coefficient: 0.4, augmentation: 1e9 MPa/mm}}"
     laws = [law.format(name) for name in ("stem_cement", "cement_bone")]
     _, solver = support.assemble(support.case(STEM, *laws))
     usual = chosen(STEM)
-    assert solver.system.usual_augmentation() == pytest.approx(np.exp(np.log(usual).mean()) / 1e9)
+    assert solver.system.contact.usual_augmentation() == pytest.approx(
+        np.exp(np.log(usual).mean()) / 1e9
+    )
     penalty = law.replace("contact", "penalty").replace("augmentation", "penalty")
     laws = [penalty.format(name) for name in ("stem_cement", "cement_bone")]
     _, solver = support.assemble(support.case(STEM, *laws))
-    assert solver.system.usual_augmentation() == 1.0
+    assert solver.system.contact.usual_augmentation() == 1.0
 
 
 def test_a_penalty_is_found_with_any_augmentation() -> None:

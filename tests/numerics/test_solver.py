@@ -51,7 +51,7 @@ def test_linear_tolerances_follow_the_states(tagged: TaggedMesh) -> None:
     """Rough while many points change, finer when few do, and what the next residual asks for."""
     problem, solver = support.assemble(support.case(BLOCK, "solver.tolerance=1e-10"), tagged)
     n = len(problem.contact.points.weight)
-    solver.system.active.add(np.zeros(n, dtype=np.int64))
+    solver.active.add(np.zeros(n, dtype=np.int64))
 
     def tolerance(last: float, now: float, changed: int) -> float:
         solver.residuals, solver.changes = [last, now], [n, changed]

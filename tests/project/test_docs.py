@@ -23,7 +23,7 @@ from app.case.study import StudyFile
 from app.case.sweep import Sweep
 from app.command_line.parser import parser
 from app.system import ranks
-from app.verification.suites import SUITES
+from app.verification.engine import SUITES
 from tests import support
 
 ROOT = Path(__file__).resolve().parents[2]

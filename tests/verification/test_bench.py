@@ -104,9 +104,9 @@ def test_equal_error_is_found_between_two_runs() -> None:
 
 @pytest.mark.parametrize(("error", "ratio"), [(0.01, 2 / 16), (0.5, 2 / 1)])
 def test_equal_error_beyond_the_runs_is_against_the_nearest(error: float, ratio: float) -> None:
-    ones = [made(t, slip=(1 - e, 1.0)) for t, e in ((1.0, 0.4), (16.0, 0.1))]
+    ones = [made(t, n, slip=(1 - e, 1.0)) for n, t, e in ((1, 1.0, 0.4), (2, 16.0, 0.1))]
     two = made(2.0, slip=(1 - error, 1))
-    assert benchmarks.equal_error(two, ones, made()) == pytest.approx(ratio)
+    assert figure("order_2_over_1", two, made(), *ones) == pytest.approx(ratio)
 
 
 def test_every_goal_runs_cases_that_are_right() -> None:

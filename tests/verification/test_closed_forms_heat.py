@@ -19,6 +19,7 @@ from scipy.special import expi
 from app.schema.expressions import evaluate
 from app.verification import closed_forms_coupled as coupled
 from app.verification import closed_forms_heat as exact
+from app.verification.closed_forms import lame, lame_pressure
 
 CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
 
@@ -199,37 +200,30 @@ STEM, MANTLE, BONE = (200e3, 0.3), (2200.0, 0.3), (17e3, 0.3)
 
 def cooled(joined: tuple[bool, bool]) -> coupled.Layers:
     """Physics reference 3.2: the cement shrinks by 40 K times 80e-6."""
-    mantle = coupled.ExactLayer(6, 10, MANTLE, -80e-6 * 40)
-    return coupled.Layers(
-        (coupled.ExactLayer(0, 6, STEM), mantle, coupled.ExactLayer(10, 15, BONE)), joined
-    )
+    return coupled.Layers((6, 10, 15), (STEM, MANTLE, BONE), (0, -80e-6 * 40, 0), joined)
 
 
 def test_bonded_cylinders_cooled() -> None:
     layers = cooled((True, True))
-    stresses = (layers.radial(1, 6), layers.radial(1, 10), layers.hoop(1, 6))
-    assert stresses == pytest.approx((5.696, 7.884, 12.534), abs=6e-4)
-    assert (layers.radial(0, 6), layers.radial(2, 10)) == pytest.approx(stresses[:2])
-    assert layers.radial(2, 15) == pytest.approx(0, abs=1e-10)
+    inner, outer = layers.at(1, 6), layers.at(1, 10)
+    assert (inner[1], outer[1], inner[2]) == pytest.approx((5.696, 7.884, 12.534), abs=6e-4)
+    assert (layers.at(0, 6)[1], layers.at(2, 10)[1]) == pytest.approx((inner[1], outer[1]))
+    assert layers.at(2, 15)[1] == pytest.approx(0, abs=1e-10)
     assert (layers.gap(0), layers.gap(1)) == pytest.approx((0, 0), abs=1e-15)
 
 
 def test_unilateral_cylinders_cooled() -> None:
     layers = cooled((True, False))
-    values = (layers.radial(1, 6), layers.gap(1), layers.hoop(1, 6))
-    assert values == pytest.approx((-3.929, 0.02332, 8.349), rel=2e-4)
-    assert layers.radial(1, 10) == pytest.approx(0, abs=1e-10)
+    _, radial, hoop = layers.at(1, 6)
+    assert (radial, layers.gap(1), hoop) == pytest.approx((-3.929, 0.02332, 8.349), rel=2e-4)
+    assert layers.at(1, 10)[1] == pytest.approx(0, abs=1e-10)
 
 
-def test_hot_fit_is_that_of_layers_when_evenly_warm() -> None:
-    """A ring that conducts perfectly against one of free strain, by its own transfer equations."""
-    core, ring = (STEM, 14e-6), (MANTLE, 5e-6)
-    value = coupled.hot_fit_pressure((7, 10), core, ring, 1.0, 0.5, (80, 80, 37))
-    layers = coupled.Layers(
-        (coupled.ExactLayer(0, 7, STEM, 14e-6 * 43), coupled.ExactLayer(7, 10, MANTLE, 5e-6 * 43)),
-        (True,),
-    )
-    assert value == pytest.approx(-layers.radial(0, 7), rel=1e-9)
+def test_a_core_that_swells_is_a_press_fit() -> None:
+    """Lamé's interference δ is a free strain of the core of δ / (1 + ν) b."""
+    layers = coupled.Layers((7, 10), (STEM, MANTLE), (0.01 / 1.3 / 7, 0), (True,))
+    pressure = lame_pressure(0.01, 7, 10, STEM, MANTLE)
+    assert -layers.at(0, 7)[1] == pytest.approx(pressure, rel=1e-12)
 
 
 def test_hot_fit_uses_the_mean_of_the_rings_temperature() -> None:
@@ -238,21 +232,15 @@ def test_hot_fit_uses_the_mean_of_the_rings_temperature() -> None:
     core, ring = (STEM, 14e-6), (MANTLE, 27.5e-6)
     value = coupled.hot_fit_pressure((b, c), core, ring, k, h, (80, 37, 37))
     Q, _, inner = exact.two_rings(80, 37, (1e-9 * b, b, c), (1e12, k), h)
-    area = math.pi * (c * c - b * b)
 
     def heat(r: float) -> float:
         return 2 * math.pi * r * (37 + Q * math.log(c / r) / (2 * math.pi * k))
 
     assert inner == pytest.approx(37 + Q * math.log(c / b) / (2 * math.pi * k))
-    mean = quad(heat, b, c)[0] / area
-    even = coupled.Layers(
-        (
-            coupled.ExactLayer(0, b, STEM, 14e-6 * 43),
-            coupled.ExactLayer(b, c, MANTLE, 27.5e-6 * (mean - 37)),
-        ),
-        (True,),
-    )
-    assert value == pytest.approx(-even.radial(0, b), rel=1e-9)
+    mean = quad(heat, b, c)[0] / (math.pi * (c * c - b * b))
+    strains = (14e-6 * 43, 27.5e-6 * (mean - 37))
+    even = coupled.Layers((b, c), (STEM, MANTLE), strains, (True,))
+    assert value == pytest.approx(-even.at(0, b)[1], rel=1e-9)
 
 
 def test_heated_walls_have_one_or_three_states() -> None:
@@ -286,8 +274,7 @@ WAVY = coupled.WavyContact(
 @pytest.mark.parametrize("x", [0.0, 0.3, 1.7])
 def test_wavy_contact_balances_at_its_interface(upper: bool, x: float) -> None:
     """Traction and heat flux at z = H are those of the pressure."""
-    E, ν = WAVY.materials[upper]
-    λ, μ = E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
+    λ, μ = lame(WAVY.materials[upper])
     p = float(WAVY.pressures(at(x, 1.0))[0])
     T = float(WAVY.temperature(at(x, 1.0), upper)[0])
     strain = slope(lambda z: float(WAVY.displacement(at(x, z), upper)[0, 2]), 1.0)
@@ -323,8 +310,7 @@ def test_what_the_wavy_case_prescribes_is_what_its_fields_need(upper: bool) -> N
     case: dict[str, Any] = YAML(typ="safe").load(CASES / "wavy_contact.yaml")
     name, end = ("bone", "above") if upper else ("cement", "below")
     x = np.array([0.7, 0.1, 1.6 if upper else 0.3])
-    E, ν = WAVY.materials[upper]
-    λ, μ = E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
+    λ, μ = lame(WAVY.materials[upper])
     β = (3 * λ + 2 * μ) * WAVY.expansions[upper]
 
     def T(y: np.ndarray) -> float:

@@ -17,8 +17,8 @@ from app.campaigns.plan import Options
 from app.campaigns.runs import Job, Result
 from app.errors import InputError, Reason
 from app.verification import engine, picture
-from app.verification.check import Check, CheckRun, Sample, each, finest
-from app.verification.suites import SUITES
+from app.verification.check import Check, CheckRun, Sample, each
+from app.verification.engine import SUITES
 
 LOOSE = "no convergence: it is loose [loose-body]"
 KEYS = {"name", "group", "outcome", "error", "tolerance", "order", "seconds", "message", "runs"}
@@ -95,7 +95,7 @@ def test_a_wrong_order_misses(done: Result) -> None:
 
     def result(*errors: float, ladder: bool = True) -> engine.CheckResult:
         samples = iter(errors)
-        judge = (finest if ladder else each)(lambda run: Sample(next(samples)))
+        judge = each(lambda run: Sample(next(samples)), last=ladder)
         return engine.judge(Check("a", "", runs, judge, 0.1, 2.0 if ladder else None), [done] * 3)
 
     assert result(0.16, 0.04, 0.01).order == pytest.approx(2)

@@ -208,7 +208,7 @@ loads:
         place = "[" + ", ".join(f"{v} mm" for v in at) + "]"
         problem, _ = support.assemble(support.case(text.replace("AT", place)))
         problem.set_time(1.0)
-        f, _ = problem.forces.applied(problem.time)
+        f = problem.forces.applied(problem.time).nodal
         forces = f.reshape(-1, 3)
         x = problem.space.tabulate_dof_coordinates()[: len(forces)]
         load = np.array([3.0, -2, 5])

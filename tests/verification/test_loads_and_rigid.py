@@ -24,7 +24,7 @@ CYLINDERS = (
 def nodal_moment(solved: support.Solved, about: tuple[float, float, float]) -> np.ndarray:
     """Moment of the applied nodal forces about a point [N mm]."""
     x = solved.problem.space.tabulate_dof_coordinates()
-    forces = solved.problem.forces.applied(solved.problem.time)[0].reshape(-1, 3)
+    forces = solved.problem.forces.applied(solved.problem.time).nodal.reshape(-1, 3)
     return np.cross(x[: len(forces)] - np.array(about), forces).sum(axis=0)
 
 

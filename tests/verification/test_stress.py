@@ -17,7 +17,7 @@ from app.case.case import load
 from app.results.reading import Run
 from app.verification import changed_meshes, engine, judges
 from app.verification.check import CONFIGS, within
-from app.verification.suites import SUITES
+from app.verification.engine import SUITES
 from meshes import build
 from meshes.data import cell_volumes
 from meshes.quality import sicn

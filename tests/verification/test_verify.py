@@ -13,8 +13,8 @@ from app.campaigns.plan import Options
 from app.case.case import load
 from app.verification import closed_forms, engine
 from app.verification.check import CONFIGS, Check, CheckRun, Sample, each
+from app.verification.engine import SUITES
 from app.verification.problems import problems
-from app.verification.suites import SUITES
 
 KEYS = {"name", "error", "tolerance", "order", "expected_order", "seconds", "outcome"}
 
