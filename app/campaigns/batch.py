@@ -19,7 +19,6 @@ the cores busy. The last of these files bear its id, and the run directories sta
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import math
 import os
@@ -28,18 +27,18 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from app import files
 from app.campaigns import engine
-from app.campaigns.runs import BatchRun, Job, Result, resolve, result_of, runs_of, tail
+from app.campaigns.runs import BatchRun, Job, Result, result_of, runs_of, tail
 from app.case.case import dump, plain
 from app.case.variations import split
 from app.errors import EnvironmentProblem, InputError, StoppedError
 from app.schema import yaml_text
-from app.soundness import memory
-from app.system.folders import FAILED, write_json, write_text
+from app.soundness import cost, memory
+from app.system import layout
+from app.system.folders import FAILED, claim, write_json, write_text
 from app.system.layout import duration
 
 log = logging.getLogger("mantle")
@@ -49,6 +48,25 @@ MANTLE_RUN: tuple[str, ...] = (sys.executable, "-m", "mantle", "run")
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
 BUSY = 0.5  # load of the machine beside runs whose time is compared
 OFTEN = 10.0  # s between reports on all runs that have ended so far
+IDLE = 1.1  # factor for cores that are idle at the end, as runs differ in length
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a command that makes many runs.
+
+    Attributes:
+        folder: Folder of the results; finished runs in it are not repeated.
+        pattern: Part of the names wanted; empty for all.
+        tier: quick, default or long.
+        slurm: Options of sbatch, to make each run a Slurm job; None to run here.
+    """
+
+    folder: Path
+    cores: int
+    pattern: str = ""
+    tier: str = "default"
+    slurm: Sequence[str] | None = None
 
 
 def run(
@@ -76,18 +94,19 @@ def run(
     """
     engine.check(slurm is not None)
     here = cores if slurm is None else None
-    cases = resolve(jobs)
-    with _locked(folder):
-        runs = runs_of(jobs, cases, folder, here)
-        every = {r.id: r for r in runs}
+    runs = runs_of(jobs, folder, here)
+    every = {r.id: r for r in runs}
+    with writable(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    with claim(folder):
         pending = {id: r for id, r in every.items() if r.summary() is None}
         log.info("%d runs: %d done already, in %s", len(every), len(every) - len(pending), folder)
-        if any(r.job.alone for r in pending.values()) and (load := os.getloadavg()[0]) > BUSY:
+        alone = any(r.job.alone for r in pending.values())
+        if alone and (load := os.getloadavg()[0]) > BUSY:
             log.warning("the machine is busy (load %.1f): measured times will be too long", load)
         if pending:
             _write(pending.values(), folder, here)
             progress = _Progress(pending, len(every), lambda: so_far(_so_far(jobs, runs)))
-            alone = any(r.job.alone for r in pending.values())
             try:
                 engine.execute(folder, cores, slurm, alone, progress.watch)
             except KeyboardInterrupt:
@@ -97,26 +116,38 @@ def run(
                     "the same command continues"
                 ) from None
             progress.finish(folder / "snakemake.log")
-        return [result_of(job, r) for job, r in zip(jobs, runs, strict=True)]
+    return [result_of(job, r) for job, r in zip(jobs, runs, strict=True)]
 
 
-def results_so_far(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
-    """Results of `run` so far, without running; jobs that have not ended count as stopped.
+def _so_far(jobs: Sequence[Job], runs: Sequence[BatchRun]) -> list[Result]:
+    return [result_of(job, r, over=False) for job, r in zip(jobs, runs, strict=True)]
+
+
+def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
+    """Table of the runs with size, cost and what is done, below a title; runs nothing.
 
     Raises:
         InputError: Any job is wrong.
     """
-    return _so_far(jobs, runs_of(jobs, resolve(jobs), folder, cores))
-
-
-def _so_far(jobs: Sequence[Job], runs: Sequence[BatchRun]) -> list[Result]:
-    results = [result_of(job, r) for job, r in zip(jobs, runs, strict=True)]
-    return [
-        result
-        if result.summary or r.ended
-        else replace(result, exit_code=StoppedError.exit_code, message="")
-        for result, r in zip(results, runs, strict=True)
-    ]
+    runs = runs_of(jobs, options.folder, options.cores)
+    rows, wall, seen = [], 0.0, set[object]()
+    for job, r in zip(jobs, runs, strict=True):
+        seconds = cost.seconds(r.case, r.process not in seen)  # of one core
+        alone = seconds / min(job.ranks, options.cores)
+        about = duration(alone)
+        note = f"shares the matrices of {r.process}" if r.process in seen else ""
+        if r.path in seen:
+            note, about = "the same as one above", "-"
+        elif r.summary() is not None:
+            note, about = f"done in {duration(result_of(job, r).seconds)}", "-"
+        seen |= {r.process, r.path}
+        if about != "-":
+            wall += alone if job.alone else seconds / options.cores
+        size = layout.count(round(cost.unknowns(r.case), -2))
+        rows.append((job.name, job.ranks, size, about, note))
+    listed = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
+    about = duration(IDLE * wall)
+    return f"{title}\n\n{listed}\n\nabout {about} for what is not done, on {options.cores} cores"
 
 
 class _Progress:
@@ -135,9 +166,7 @@ class _Progress:
 
     def watch(self) -> None:
         """Log the runs that have ended since the last call."""
-        ended = [r for r in self._open.values() if r.ended]
-        self._tell(ended)
-        if ended and self._open and time.monotonic() > self._due:
+        if self._tell(lambda r: r.ended) and self._open and time.monotonic() > self._due:
             self._report()
             self._due = time.monotonic() + OFTEN
 
@@ -147,39 +176,28 @@ class _Progress:
         Raises:
             EnvironmentProblem: Some have not begun.
         """
-        self.watch()
-        self._tell([r for r in self._open.values() if r.file("status").exists()])
+        self._tell(lambda r: r.ended or r.file("status").exists())
         if self._open:
             raise EnvironmentProblem(f"Snakemake failed, see {said}:\n{tail(said)}")
 
-    def _tell(self, ended: Iterable[BatchRun]) -> None:
+    def _tell(self, over: Callable[[BatchRun], bool]) -> bool:
+        ended = [r for r in self._open.values() if over(r)]
         for r in ended:
             del self._open[r.id]
             result = result_of(r.job, r)
             code = result.exit_code
             how = f"failed with exit code {code}" if code else f"done in {duration(result.seconds)}"
             log.info("[%d/%d] %s %s", self.count, self._total, r.job.name, how)
+        return bool(ended)
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Make the folder and lock it against other batches.
-
-    Raises:
-        InputError: It cannot be written, or another batch uses it.
-    """
+def writable(folder: Path) -> Iterator[None]:
+    """Turn a failed write into an error of the option ``-o``."""
     try:
-        for name in ("cases", "runs"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
-        file = open(files.lock_file(folder / ".lock"), "w")
+        yield
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
-    with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"-o {folder}: another batch is running in it") from None
-        yield
 
 
 def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None:
@@ -192,7 +210,9 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
     for r in pending:
         shared.setdefault(r.process, []).append(r)
     jobs = {}
-    try:
+    with writable(folder):
+        for name in ("cases", "runs"):
+            (folder / name).mkdir(exist_ok=True)
         for id, runs in shared.items():
             case, output = folder / "cases" / f"{id}.yaml", folder / "runs" / id
             write_text(case, _text(runs))
@@ -212,8 +232,6 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
                 "memory": math.ceil(max(memory.needed(r.case) for r in runs) / engine.MEGABYTE),
             }
         write_json(folder / "jobs.json", jobs)
-    except OSError as error:
-        raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
 
 
 def _text(runs: Sequence[BatchRun]) -> str:

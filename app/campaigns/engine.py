@@ -16,7 +16,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -126,9 +125,6 @@ def _slurm_options(folder: Path, extra: Sequence[str], alone: bool) -> list[str]
 @contextmanager
 def _interruptible() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end the block like Ctrl-C."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {n: signal.signal(n, signal.default_int_handler) for n in numbers}
     try:
@@ -146,10 +142,9 @@ def _stop(child: subprocess.Popen[bytes]) -> None:
     log.info("stopping; running cases save their state first (once more: stop at once)")
     end = time.monotonic() + SAME_SIGNAL
     _send(child, signal.SIGINT)
-    while True:
+    while child.poll() is None:
         try:
             child.wait()
-            return
         except KeyboardInterrupt:
             # One Ctrl-C may arrive twice: from the terminal and from whatever started this.
             if time.monotonic() > end:

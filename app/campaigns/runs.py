@@ -17,7 +17,7 @@ from typing import Any
 from app.case.case import Case, dump, load, plain
 from app.case.geometries import MeshFile
 from app.case.variations import CHANGED, split
-from app.errors import ConvergenceError, InputError, UnusableError
+from app.errors import ConvergenceError, InputError, StoppedError, UnusableError
 from app.results.closing_lines import reasons_not_to_use
 from app.system import identity
 from app.system.folders import FAILED, saved
@@ -126,12 +126,7 @@ class BatchRun:
             return None
 
 
-def resolve(jobs: Sequence[Job]) -> list[Case]:
-    """Read the case of each job.
-
-    Raises:
-        InputError: Every error of any of them.
-    """
+def _resolved(jobs: Sequence[Job]) -> list[Case]:
     cases, messages = [], []
     for job in jobs:
         try:
@@ -145,18 +140,18 @@ def resolve(jobs: Sequence[Job]) -> list[Case]:
     return cases
 
 
-def runs_of(
-    jobs: Sequence[Job], cases: Sequence[Case], folder: Path, cores: int | None
-) -> list[BatchRun]:
+def runs_of(jobs: Sequence[Job], folder: Path, cores: int | None) -> list[BatchRun]:
     """The run of each job, the same for jobs of equal content.
 
     Args:
         jobs: The jobs.
-        cases: The case of each job.
         folder: Folder of the batch.
         cores: Cores of this machine; None on a cluster.
+
+    Raises:
+        InputError: Every error of any job.
     """
-    ids = []
+    cases, ids = _resolved(jobs), []
     for job, case in zip(jobs, cases, strict=True):
         # Equal cases may have different titles.
         own = case.model_copy(update={"title": case.title.partition(CHANGED)[0]})
@@ -213,8 +208,8 @@ def _digest(text: str, case: Case, ranks: int) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:DIGITS]
 
 
-def result_of(job: Job, run: BatchRun) -> Result:
-    """Result of a run that has ended."""
+def result_of(job: Job, run: BatchRun, *, over: bool = True) -> Result:
+    """Result of a run; until all is over, one that has not ended counts as stopped."""
     status = run.status()
     code, seconds = status or (LOST, 0.0)
     result = partial(Result, job, run.path, process=run.process)
@@ -224,6 +219,8 @@ def result_of(job: Job, run: BatchRun) -> Result:
         why = "; ".join(reasons_not_to_use(summary))
         code = UnusableError.exit_code if why else 0
         return result(code, seconds, summary, f"do not use: {why}" if why else "")
+    if not over and not run.ended:
+        return result(StoppedError.exit_code, 0.0, {}, "")
     with suppress(OSError):
         # A process that continues with other runs leaves the reason in the folder of this one.
         why = (run.path / FAILED).read_text(encoding="utf-8").strip()

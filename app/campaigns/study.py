@@ -7,9 +7,9 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from app.campaigns import batch, plan, study_picture, study_report
+from app.campaigns import batch, study_picture, study_report
 from app.campaigns import work_precision as wp
-from app.campaigns.plan import Options
+from app.campaigns.batch import Options
 from app.campaigns.runs import Job, Result
 from app.campaigns.study_report import Measured, Report, StudyRun, percent
 from app.case import quantities
@@ -61,7 +61,7 @@ def dry_run(path: Path, overrides: Sequence[str], options: Options) -> str:
         InputError: As `run`.
     """
     chosen = _chosen(study_file.read(path, overrides), options)
-    return plan.describe(f"{path}: {len(chosen)} runs", [_job(p) for p in chosen], options)
+    return batch.plan(f"{path}: {len(chosen)} runs", [_job(p) for p in chosen], options)
 
 
 def _chosen(planned: PlannedStudy, options: Options) -> list[PlannedRun]:

@@ -18,8 +18,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from app.campaigns import batch, plan, uncertainty
-from app.campaigns.plan import Options
+from app.campaigns import batch, uncertainty
+from app.campaigns.batch import Options
 from app.campaigns.runs import Job, Result
 from app.case import quantities
 from app.case import sweep as sweep_file
@@ -88,7 +88,7 @@ def dry_run(path: Path, overrides: Sequence[str], options: Options) -> str:
     """
     sweep, planned = sweep_file.read(path, overrides)
     title = f"{sweep.title or path.stem}: {len(planned)} cases"
-    return plan.describe(title, [_job(p) for p in planned], options)
+    return batch.plan(title, [_job(p) for p in planned], options)
 
 
 def _spent(folder: Path) -> float:

@@ -18,9 +18,11 @@ class Stage(Section):
     name: Name
     """Name in the results."""
     increments: units.PositiveInteger = 1
-    """Number of load steps, before any is halved."""
+    """Number of load steps, before any is halved; of a stage that takes time, number of equal parts
+    after each of which the mechanics are solved and fields are written."""
     adaptive: Truth = True
-    """Whether a step that does not converge is halved, and grows again when it is easy."""
+    """Whether a step that does not converge is halved, and grows again when it is easy, and whether
+    time steps are chosen by their error instead of being equal."""
     max_cut_backs: units.NonNegativeInteger = 6
     """How often in a row a step may be halved."""
     duration: units.PositiveTime | None = None
@@ -33,6 +35,11 @@ class Stage(Section):
         if self.steady and self.duration is not None:
             fail("a steady stage takes no `duration`", at=("duration",))
         return self
+
+    @property
+    def seconds(self) -> float:
+        """Duration [s]; 0 without."""
+        return self.duration or 0.0
 
     @property
     def takes_time(self) -> bool:

@@ -25,7 +25,7 @@ from app.system import ranks
 from app.system.ranks import rank
 
 if TYPE_CHECKING:
-    from app.campaigns.plan import Options
+    from app.campaigns.batch import Options
     from app.case.case import LoadedCase
 
 CHECK_FAILED = 1
@@ -187,7 +187,7 @@ def _suite(options: argparse.Namespace) -> int:
 
 
 def _many(options: argparse.Namespace, folder: Path) -> Options:
-    from app.campaigns.plan import Options
+    from app.campaigns.batch import Options
 
     return Options(
         folder=options.output or folder,

@@ -19,8 +19,12 @@ if TYPE_CHECKING:
 
 StageNames = Annotated[tuple[Name, ...], ITEMS, Field(min_length=1)] | None
 Normal = Annotated[
-    Annotated[Axis, Tag(TAG + "axis")] | Annotated[Literal["face"], Tag(TAG + "face")],
-    Discriminator(lambda value: TAG + ("face" if value == "face" else "axis")),
+    Annotated[Axis, Tag(TAG + "axis")] | Annotated[Literal["face"], Tag("face")],
+    Discriminator(
+        lambda value: value if isinstance(value, str) else TAG + "axis",
+        custom_error_type="form",
+        custom_error_message="expected a direction as [1, 1, 0], or face",
+    ),
 ]
 
 

@@ -21,7 +21,7 @@ import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.fem import IntegralType, compute_integration_domains
 from dolfinx.fem.forms import CompiledForm
-from dolfinx.fem.petsc import assemble_matrix, create_vector
+from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
@@ -51,18 +51,11 @@ class OnBody:
         self._mechanics, self._body = mechanics, body
         self.x = ufl.SpatialCoordinate(mechanics.mesh)
         self.n = ufl.FacetNormal(mechanics.mesh)
+        self.constant, self.patch = mechanics.constant, mechanics.patch
 
     def ds(self, boundary: str) -> ufl.Measure | None:
         """Measure of the facets of a boundary that belong to the body, if any."""
         return self._mechanics.ds(boundary, self._body)
-
-    def patch(self, boundary: str) -> Patch:
-        """Area, centroid and moments of a boundary over all bodies; collective."""
-        return self._mechanics.patch(boundary)
-
-    def constant(self, value: Any) -> Expr:
-        """A constant, in UFL."""
-        return self._mechanics.constant(value)
 
     def spread(
         self, density: Field, regions: Sequence[str] | None
@@ -133,7 +126,6 @@ class BodyForms:
             for x in scene.expansions
             if x.region not in self.growth
         }
-        self._measured: dict[str, Patch] = {}
 
     @cached_property
     def scalars(self) -> fem.FunctionSpace:
@@ -253,9 +245,24 @@ class BodyForms:
         Raises:
             InputError: The boundary has no facets.
         """
-        if boundary not in self._measured:
-            self._measured[boundary] = _measured(self.tagged, boundary)
-        return self._measured[boundary]
+        x, _ = facet_coordinates(self.tagged, boundary_facets(self.tagged, boundary))
+        rule = basix.make_quadrature(basix.CellType.triangle, MOMENT_DEGREE)
+        points, weights = (np.asarray(a) for a in rule)
+        L = np.column_stack([1 - points.sum(axis=1), points])
+        _, size = surface(x, L)
+        at = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
+
+        def integral(values: Floats) -> Floats:
+            local = np.einsum("q,fq,fq...->...", weights, size, values)
+            return np.asarray(self.mesh.comm.allreduce(local, MPI.SUM))
+
+        area = float(integral(np.ones(size.shape)))
+        if area <= 0:
+            raise InputError(f"boundary '{boundary}' has no facets on this mesh")
+        centroid = np.asarray(integral(at) / area, dtype=np.float64)
+        arm = at - centroid
+        second = integral(np.einsum("fqi,fqj->fqij", arm, arm))
+        return Patch(area, centroid, np.trace(second) * np.eye(3) - second)
 
     # Assembly
 
@@ -299,37 +306,19 @@ class BodyForms:
             return fem.form(form)
 
     def assemble(self, form: Any) -> PETSc.Vec:
-        """Assemble a linear form into an owned vector."""
-        compiled = self.form(form)
-        vector = create_vector(compiled)
-        fem.petsc.assemble_vector(vector, compiled)
-        vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        return vector
+        """Compile and assemble a linear form."""
+        return assembled_vector(self.form(form))
 
 
-def _measured(tagged: TaggedMesh, boundary: str) -> Patch:
-    x, _ = facet_coordinates(tagged, boundary_facets(tagged, boundary))
-    rule = basix.make_quadrature(basix.CellType.triangle, MOMENT_DEGREE)
-    points, weights = (np.asarray(a) for a in rule)
-    L = np.column_stack([1 - points.sum(axis=1), points])
-    _, size = surface(x, L)
-    at = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
-
-    def integral(values: Floats) -> Floats:
-        local = np.einsum("q,fq,fq...->...", weights, size, values)
-        return np.asarray(tagged.mesh.comm.allreduce(local, MPI.SUM))
-
-    area = float(integral(np.ones(size.shape)))
-    if area <= 0:
-        raise InputError(f"boundary '{boundary}' has no facets on this mesh")
-    centroid = np.asarray(integral(at) / area, dtype=np.float64)
-    arm = at - centroid
-    second = integral(np.einsum("fqi,fqj->fqij", arm, arm))
-    return Patch(area, centroid, np.trace(second) * np.eye(3) - second)
+def assembled_vector(form: fem.Form) -> PETSc.Vec:
+    """Assemble a compiled linear form; collective."""
+    vector = assemble_vector(form)
+    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    return vector
 
 
 def assembled_matrix(form: fem.Form) -> PETSc.Mat:
-    """Assemble a compiled bilinear form."""
+    """Assemble a compiled bilinear form; collective."""
     matrix = assemble_matrix(form)
     matrix.assemble()
     return matrix

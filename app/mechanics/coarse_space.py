@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import fem, la
 
 from app.arrays import Bools, Floats, Ints
+from app.mechanics.constraints import touched_nodes
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
 from app.numerics.deflation import CoarseSpace
@@ -162,14 +162,13 @@ def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bool
     """Own nodal components of a body that no jump moves (n, 3); collective."""
     space = problem.space
     cells = np.flatnonzero(problem.bodies.of_tag[cell_tags(problem.tagged)] == body)
-    marks = fem.Function(space)
-    marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[cells])] = 1
-    marks.x.scatter_reverse(la.InsertMode.add)
-    own = np.asarray(marks.x.array[: 3 * space.dofmap.index_map.size_local] > 0)
+    nodes = touched_nodes(space, cells)[: space.dofmap.index_map.size_local]
+    own = np.repeat(nodes[:, None], 3, axis=1)
     if body in contact.coupling.jump_to_displacement:
         # There nodes are those of the other bodies.
-        own &= np.diff(contact.coupling.jump_to_displacement[body].getValuesCSR()[0]) == 0
-    return own.reshape(-1, 3)
+        rows = contact.coupling.jump_to_displacement[body].getValuesCSR()[0]
+        own &= (np.diff(rows) == 0).reshape(-1, 3)
+    return own
 
 
 def _unknowns(problem: Problem, components: Bools) -> Bools:

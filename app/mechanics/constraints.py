@@ -12,7 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from dolfinx import fem
+from dolfinx import fem, la
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError, everywhere
@@ -37,7 +37,7 @@ def _support_of_dofs(
     stage: int,
     frames: Frames | None,
 ) -> Ints:
-    """Support that holds each own component in a stage, -1 where none does (3 per node).
+    """Support that holds each own component in a stage, -1 where none does (nodes, 3).
 
     Components are along the axes of the node. Where supports on several bodies hold a node, the
     body of lowest number wins: it is the base of that node (see `meshes.contact_points`).
@@ -60,30 +60,27 @@ def _support_of_dofs(
             mine = frames.support(places, body, holding)
             own = np.where(mine >= 0, mine, own)
     support[rows] = own
-    return support[: index_map.size_local].ravel()
+    return support[: index_map.size_local]
 
 
 def _prescribed_values(
-    scene: Scene, space: fem.FunctionSpace, support_of: Ints, axes: Floats | None
-) -> list[Floats]:
-    """Displacement of own nodes by each support at full amplitude (n, 3) [mm]; collective.
+    scene: Scene, space: fem.FunctionSpace, own: Ints, axes: Floats | None
+) -> Floats:
+    """Displacement of own nodes by each support at full amplitude (s, n, 3) [mm]; collective.
 
-    ``support_of`` is the support of each own component (3 n,), ``axes`` the axes of the components
+    ``own`` is the support of each own component (n, 3), ``axes`` the axes of the components
     (n, 3, 3), None for x, y, z.
     """
-    own = support_of.reshape(-1, 3)
     x = space.tabulate_dof_coordinates()[: len(own)]
 
-    def values() -> list[Floats]:
-        result: list[Floats] = []
+    def values() -> Floats:
+        result = np.zeros((len(scene.supports), *own.shape))
         for s, term in enumerate(scene.supports):
             rows = np.flatnonzero((own == s).any(axis=1))
-            given = np.zeros((len(x), 3))
             values = term.values(x[rows])
             if axes is not None:
                 values = np.einsum("nic,ni->nc", axes[rows], values)
-            given[rows] = np.where(own[rows] == s, values, 0.0)
-            result.append(given)
+            result[s, rows] = np.where(own[rows] == s, values, 0.0)
         return result
 
     return everywhere(space.mesh.comm, values)
@@ -97,7 +94,7 @@ class Constraints:
 
     Attributes:
         constrained: Own unknowns that supports hold (n,).
-        unit: Values of the own unknowns by each support at full amplitude (n,).
+        unit: Values of the own unknowns by each support at full amplitude (s, n).
         reacting: Own nodal components through which supports act (3 own nodes,).
         modes: The six rigid modes of the whole model in own unknowns (6, n).
 
@@ -114,18 +111,17 @@ class Constraints:
         stage: int,
         frames: Frames | None,
     ) -> None:
-        support_of = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
+        own = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
         self._bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None
         if scene.rigid or frames:
-            self._transform(scene, tagged, space, support_of.reshape(-1, 3), frames)
+            self._transform(scene, tagged, space, own, frames)
             return
-        self.constrained: Bools = support_of >= 0
-        self.unit: list[Floats] = [
-            v.ravel() for v in _prescribed_values(scene, space, support_of, None)
-        ]
+        self.constrained: Bools = own.ravel() >= 0
+        prescribed = _prescribed_values(scene, space, own, None)
+        self.unit = prescribed.reshape(len(prescribed), own.size)
         self.reacting: Bools = self.constrained
-        x = space.tabulate_dof_coordinates()[: len(support_of) // 3]
+        x = space.tabulate_dof_coordinates()[: len(own)]
         self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
 
     def _transform(
@@ -139,7 +135,10 @@ class Constraints:
         """Build P, from the supports that hold own components (nodes, 3); collective."""
         comm, nodes = tagged.mesh.comm, len(own)
         x = space.tabulate_dof_coordinates()[:nodes]
-        region = _region_of_nodes(scene, tagged, space)[:nodes]
+        region = np.full(nodes, -1, dtype=np.int64)
+        for k, body in enumerate(scene.rigid):
+            cells = np.flatnonzero(cell_tags(tagged) == tagged.regions[body.region])
+            region[touched_nodes(space, cells)[:nodes]] = k
         free = np.flatnonzero(region < 0)
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         turned = np.zeros(nodes, dtype=bool)
@@ -150,10 +149,9 @@ class Constraints:
         start, tail = comm.exscan(n) or 0, comm.bcast(3 * len(free))
         self.constrained = np.zeros(n, dtype=bool)
         self.constrained[: 3 * len(free)] = (own[free] >= 0).ravel()
-        prescribed = _prescribed_values(scene, space, own.ravel(), axes)
-        self.unit = [
-            np.concatenate([v[free].ravel(), np.zeros(n - v[free].size)]) for v in prescribed
-        ]
+        prescribed = _prescribed_values(scene, space, own, axes)
+        self.unit = np.zeros((len(prescribed), n))
+        self.unit[:, : 3 * len(free)] = prescribed[:, free].reshape(len(prescribed), 3 * len(free))
         reacting = (own >= 0) & (region < 0)[:, None]
         reacting[turned] = reacting[turned].any(axis=1, keepdims=True)
         self.modes = np.zeros((6, n))
@@ -167,9 +165,8 @@ class Constraints:
         entries[turned, :, :3] = axes[turned]
         for k, body in enumerate(scene.rigid):
             here = np.flatnonzero(region == k)
-            by_support = [v[here] for v in prescribed]
             motions, basis, rank, amounts, whole = _rigid_unknowns(
-                comm, scene, body.region, x[here], axes[here], own[here], by_support
+                comm, scene, body.region, x[here], axes[here], own[here], prescribed[:, here]
             )
             place = tail + 6 * k
             columns[here] = place + np.arange(6)
@@ -178,8 +175,7 @@ class Constraints:
             if comm.rank == 0:
                 self._bases[place] = basis
                 self.constrained[place : place + rank] = True
-                for unit, amount in zip(self.unit, amounts, strict=True):
-                    unit[place : place + rank] = amount[:rank]
+                self.unit[:, place : place + rank] = amounts[:, :rank]
                 self.modes[:, place : place + 6] = whole.T
         self.reacting = reacting.ravel()
         keep = columns.reshape(-1, 6) >= 0
@@ -239,21 +235,13 @@ class Constraints:
         return u
 
 
-def _region_of_nodes(scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace) -> Ints:
-    """Number of the rigid region of each local node, -1 if it has none; collective."""
-    tags = cell_tags(tagged)
-    owned = tagged.mesh.topology.index_map(3).size_local
-    mark = fem.Function(fem.functionspace(tagged.mesh, ("Lagrange", scene.order)))
-    result = np.full(len(mark.x.array), -1, dtype=np.int64)
-    dofs = mark.function_space.dofmap.list
-    for k, body in enumerate(scene.rigid):
-        mark.x.array[:] = 0
-        cells = np.flatnonzero(tags[:owned] == tagged.regions[body.region])
-        mark.x.array[np.unique(dofs[cells])] = 1
-        mark.x.petsc_vec.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        mark.x.scatter_forward()
-        result[mark.x.array > 0] = k
-    return result
+def touched_nodes(space: fem.FunctionSpace, cells: Ints) -> Bools:
+    """Whether local nodes of a vector space belong to cells of any rank (n,); collective."""
+    marks = fem.Function(space)
+    marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[cells])] = 1
+    marks.x.scatter_reverse(la.InsertMode.add)
+    marks.x.scatter_forward()
+    return np.asarray(marks.x.array[::3] > 0)
 
 
 def _rigid_unknowns(
@@ -263,12 +251,12 @@ def _rigid_unknowns(
     x: Floats,
     axes: Floats,
     own: Ints,
-    prescribed: list[Floats],
-) -> tuple[Floats, Floats, int, list[Floats], Floats]:
+    prescribed: Floats,
+) -> tuple[Floats, Floats, int, Floats, Floats]:
     """Unknowns of a rigid region, from its n own nodes; collective.
 
     ``x`` are positions (n, 3) [mm], ``axes`` those of the components (n, 3, 3), ``own`` the
-    support of each component (n, 3), ``prescribed`` the displacement by each support (n, 3) [mm].
+    support of each component (n, 3), ``prescribed`` the displacement by each support (s, n, 3).
 
     Returns:
         Displacement of the nodes by the unknowns (n, 3, 6); basis, rank and amounts as of
@@ -290,8 +278,8 @@ def _rigid_unknowns(
 
 def _held_motions(
     scene: Scene, region: str, rows: Floats, wanted: list[Floats]
-) -> tuple[Floats, int, list[Floats]]:
-    """Basis (6, 6) of a body's motions, constrained ones first, their number, and their amounts.
+) -> tuple[Floats, int, Floats]:
+    """Basis (6, 6) of a body's motions, constrained ones first, their number, and amounts (s, 6).
 
     ``rows`` are the displacements of the constrained components by the six motions (m, 6),
     ``wanted`` their values at full amplitude by each support (m,).
@@ -299,13 +287,13 @@ def _held_motions(
     Raises:
         InputError: The supports prescribe no rigid motion.
     """
+    amounts = np.zeros((len(scene.supports), 6))
     if not len(rows):
-        return np.eye(6), 0, [np.zeros(6) for _ in scene.supports]
+        return np.eye(6), 0, amounts
     _, singular, vt = np.linalg.svd(np.linalg.qr(rows, mode="r"))
     rank = int((singular > _HELD * singular[0]).sum())
     basis = vt.T
     inverse = np.linalg.pinv(rows, rcond=_HELD)
-    amounts: list[Floats] = [np.zeros(6) for _ in scene.supports]
     # Supports with the same history count as one: only their sum has to be a rigid motion.
     for history in dict.fromkeys(s.history for s in scene.supports):
         alike = [s for s, term in enumerate(scene.supports) if term.history == history]

@@ -32,12 +32,12 @@ from app.mechanics.constraints import Constraints
 from app.mechanics.contact_coupling import JumpCoupling
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_points import (
+    ContactState,
     OwnPoints,
     prescribed_jump,
     refuse_moving_rigid,
     refuse_released,
 )
-from app.mechanics.contact_state import ContactState
 from app.numerics.sparse import owners
 from app.scene.bodies import Bodies, contact_facets
 from app.scene.frames import Frames, held_at

@@ -7,7 +7,7 @@ without friction or without edges never compiles the others.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,12 +17,11 @@ import numpy as np
 from ufl import as_ufl
 from ufl.core.expr import Expr
 
-from app.arrays import Bools, Floats, Ints
+from app.arrays import Floats, Ints
 from app.laws import interface_laws
 from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, InterfaceLaw
-from app.mechanics.contact_points import OwnPoints
-from app.mechanics.contact_state import ContactState
-from app.numerics import kernel_cache, pointwise
+from app.mechanics.contact_points import ContactState, OwnPoints
+from app.numerics import pointwise
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
 from forms import contact
@@ -85,7 +84,8 @@ class PointLaw:
         if forms not in self._known:
             with self._timing.phase("compile", "contact"):
                 self._known[forms] = self._compiled(laws)
-        self._laws, self._factor, self._groups = laws, factor, self._known[forms]
+        self._factor, self._groups = factor, self._known[forms]
+        self._laws = [(law, own.interface == i) for i, law in enumerate(laws)]
         for rows, law, compiled in self._groups:
             for name in law.values:
                 each = np.array([other.values.get(name, 0.0) for other in laws])
@@ -120,32 +120,25 @@ class PointLaw:
             local_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
         self._point_stiffness = np.linalg.eigvalsh(local_stiffness)[:, 0] / self._own.weight
-        self.default_stiffness = self._by_law(
-            lambda law, here, met: law.trial_stiffness(met, self._factor)
-        )
+        self.default_stiffness = np.zeros(len(self._own))
+        for law, here in self._laws:
+            local = self._point_stiffness[here]
+            self.default_stiffness[here] = law.trial_stiffness(local, self._factor)
         self.scale_augmentation(self._scale)
 
     def scale_augmentation(self, factor: float) -> None:
         """Multiply the default augmentation by a factor, until the next call."""
-        self._scale, full = factor, self.default_stiffness
-        self.stiffness = self._by_law(
-            lambda law, here, met: law.softened_stiffness(full[here], met, factor)
-        )
-        self.multiplier_share = self._by_law(
-            lambda law, here, met: law.multiplier_share(self.stiffness[here], full[here])
-        )
-
-    def _by_law(self, value: Callable[[InterfaceLaw, Bools, Floats], Floats | float]) -> Floats:
-        """Values of own points (n,), from a law, its points and their `_point_stiffness`."""
-        values = np.zeros(len(self._own))
-        for i, law in enumerate(self._laws):
-            here = self._own.interface == i
-            values[here] = value(law, here, self._point_stiffness[here])
-        return values
+        self._scale = factor
+        self.stiffness, self.multiplier_share = np.zeros((2, len(self._own)))
+        for law, here in self._laws:
+            full = self.default_stiffness[here]
+            softer = law.softened_stiffness(full, self._point_stiffness[here], factor)
+            self.stiffness[here] = softer
+            self.multiplier_share[here] = law.multiplier_share(softer, full)
 
     def usual_augmentation(self) -> float:
         """Default augmentation over the one in the case, in the mean; collective."""
-        here = np.array([law.augmented for law in self._laws])[self._own.interface]
+        here = np.array([law.augmented for law, _ in self._laws])[self._own.interface]
         usual = USUAL_AUGMENTATION * self._point_stiffness[here]
         own = np.array_equal(usual, self.default_stiffness[here])
         if self._comm.allreduce(own, MPI.LAND):
@@ -161,10 +154,10 @@ class PointLaw:
             trial: Return the stiffness that penalties are solved with, not their own.
         """
         values = {}
-        for i, law in enumerate(self._laws):
+        for i, (law, here) in enumerate(self._laws):
             if law.can_open:
                 stiffness = self.stiffness if law.augmented or trial else self.default_stiffness
-                local = float(stiffness[self._own.interface == i].max(initial=0.0))
+                local = float(stiffness[here].max(initial=0.0))
                 values[i] = float(self._comm.allreduce(local, MPI.MAX))
         return values
 
@@ -246,7 +239,7 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     sizes |= {name: int(np.prod(shape)) for name, shape in law.history.items()}
     module = sys.modules[type(law).__module__]
     known = getattr(module, "__file__", None) is not None
-    note = kernel_cache.note_of(f"{law.form} {len(faces)}", (*SOURCES, module)) if known else None
+    note = pointwise.note_of(f"{law.form} {len(faces)}", (*SOURCES, module)) if known else None
     compiled = Pointwise(comm, len(normals), sizes, build, note)
     constant: dict[str, Any] = {f: normals[:, k] for k, f in enumerate(faces)}
     compiled.set(**constant)

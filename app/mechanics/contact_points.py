@@ -1,8 +1,8 @@
-"""Contact points of one rank; supports that make their jumps impossible are refused."""
+"""Contact points of one rank, their committed state, and supports that are refused there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,16 +42,9 @@ class OwnPoints:
     @classmethod
     def of(cls, points: ContactPoints, rows: Ints) -> OwnPoints:
         """Select the points that a rank owns."""
-        return cls(
-            rows=rows,
-            interface=points.interface[rows],
-            x=points.x[rows],
-            bodies=points.bodies[rows],
-            faces=points.faces[rows],
-            normals=points.normals[rows],
-            weight=points.weight[rows],
-            projector=points.held_part[rows],
-        )
+        names = ("interface", "x", "bodies", "faces", "normals", "weight")
+        kept = {name: getattr(points, name)[rows] for name in names}
+        return cls(rows=rows, projector=points.held_part[rows], **kept)
 
     def __len__(self) -> int:
         """Number of points."""
@@ -65,6 +58,44 @@ class OwnPoints:
         """Part of vectors (n, 3) tangential to some of the faces (n, 3)."""
         n = np.where(faces[:, :, None], self.normals, 0.0)
         return vectors - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, vectors)
+
+
+@dataclass
+class ContactState:
+    """Converged state of the contact points of this rank: committed, never half-updated.
+
+    Attributes:
+        jump: Jump (n, 3) [mm].
+        force: Interface force per area, conjugate to the jump (n, 3) [MPa].
+        friction: Friction part of the force (n, 3) [MPa].
+        opening: Jump plus initial gap (n, 3) [mm].
+        slip: Net sliding while in contact (n, 3) [mm].
+        path: Length of the sliding path (n,) [mm].
+        dissipation: Friction dissipation so far (n,) [N mm].
+        least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
+        contact_work: Work of the pressures in the opening so far (n,) [N mm].
+        work: Work of the whole interface force in the jump so far (n,) [N mm].
+        own: History of the laws of the interfaces, by name: (n, ...).
+    """
+
+    jump: Floats
+    force: Floats
+    friction: Floats
+    opening: Floats
+    slip: Floats
+    path: Floats
+    dissipation: Floats
+    least: Floats
+    contact_work: Floats
+    work: Floats
+    own: Mapping[str, Floats]
+
+    @classmethod
+    def at_rest(cls, gap: Floats, history: Mapping[str, tuple[int, ...]]) -> ContactState:
+        """Unloaded state, for a gap (n, 3) and the shapes of the laws' history."""
+        zero, none = np.zeros_like(gap), np.zeros(len(gap))
+        own = {name: np.zeros((len(gap), *shape)) for name, shape in history.items()}
+        return cls(zero, zero, zero, gap, zero, none, none, none, none, none, own)
 
 
 def prescribed_jump(points: ContactPoints, number: int, support: Support) -> Floats:

@@ -33,7 +33,7 @@ from app.arrays import Floats, Ints
 from app.errors import InputError
 from app.laws.cure import Cure
 from app.laws.materials import Elastic
-from app.mechanics.body_forms import BodyForms
+from app.mechanics.body_forms import BodyForms, assembled_vector
 from app.numerics.pointwise import Pointwise
 from app.numerics.saved_state import LEFT_OUT
 from app.scene.bodies import Bodies
@@ -63,9 +63,10 @@ class CuringStress:
 
     def __init__(self, scene: Scene, mechanics: BodyForms, bodies: Bodies, timing: Timing) -> None:
         self._mechanics = mechanics
-        self._body = {c.region: bodies.of_region[c.region] for c in scene.cures}
+        regions = [c.region for c in scene.cures]
+        self._body = {r: bodies.of_region[r] for r in regions}
         self.bodies = sorted(set(self._body.values()))
-        self._elastic = {e.region: e for e in scene.elastic if e.region in self._body}
+        self._elastic = {e.region: e for e in scene.elastic if e.region in regions}
         for e in self._elastic.values():
             if e.eigenstrains:
                 raise InputError(
@@ -81,10 +82,9 @@ class CuringStress:
         self._stress = fem.Function(fem.functionspace(mechanics.mesh, element))
         self._before = {b: fem.Function(mechanics.space) for b in self.bodies}
         self._step = {b: fem.Function(mechanics.space) for b in self.bodies}
-        scalars = mechanics.scalars
-        self._rise = {c.region: fem.Function(scalars) for c in scene.cures}
+        self._rise = {r: fem.Function(mechanics.scalars) for r in regions}
         # Growth and free strain of the last converged state, and those to come.
-        nodes = len(fem.Function(scalars).x.array)
+        nodes = len(self._rise[regions[0]].x.array)
         with timing.phase("compile", "cure"):
             self._growth = {c.region: _growth(mechanics.mesh.comm, c, nodes) for c in scene.cures}
         self._old = {
@@ -93,7 +93,7 @@ class CuringStress:
         }
         self._new = dict(self._old)
         self.stiffen()
-        self._cells = {c.region: mechanics.region_cells(c.region) for c in scene.cures}
+        self._cells = {r: mechanics.region_cells(r) for r in regions}
         v = ufl.TestFunction(mechanics.space)
         self._measure = mechanics.cells()
         self._forces = {b: mechanics.form(self._prestress(b, v)) for b in self.bodies}
@@ -161,22 +161,14 @@ class CuringStress:
 
     def forces(self) -> dict[int, PETSc.Vec]:
         """Nodal forces of the prestress on each body at the start of the step [N]; collective."""
-        parts = {}
-        for body, form in self._forces.items():
-            part = fem.petsc.assemble_vector(form)
-            part.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            parts[body] = part
-        return parts
+        return {body: assembled_vector(form) for body, form in self._forces.items()}
 
     def stress(self, region: str) -> Floats:
         """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
-        σ = np.zeros((len(self._cells[region]), len(self.weights), 3, 3))
-        σ[..., ROWS, COLUMNS] = σ[..., COLUMNS, ROWS] = self._values(region)
-        return σ
-
-    def _values(self, region: str) -> Floats:
         dofs = self._stress.function_space.dofmap.list[self._cells[region]]
-        return np.asarray(self._stress.x.array.reshape(-1, 6)[dofs])
+        σ = np.zeros((*dofs.shape, 3, 3))
+        σ[..., ROWS, COLUMNS] = σ[..., COLUMNS, ROWS] = self._stress.x.array.reshape(-1, 6)[dofs]
+        return σ
 
     @property
     def row_keys(self) -> Ints:

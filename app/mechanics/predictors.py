@@ -1,25 +1,36 @@
-"""Predictors: the start of a load step from the states before it.
+"""Predictors: the start of a load step from earlier states, of this run or of other variations.
 
-Contact with friction is homogeneous of degree one: without gaps, loads that grow in proportion from
+Contact with friction is homogeneous of degree one. Without gaps, loads that grow in proportion from
 zero make the state grow with them, so that from the second step on the straight line through the
-states before is the exact answer. Where the load turns, or points open or begin to slip, it is near
-the answer at best: a predicted state is used only if its residual is below that of the last state.
+states before is the exact answer; where loads and gaps of two variations differ by a common factor,
+the scaled state is. Where the load turns, or points open or begin to slip, these are near the
+answer at best: a predicted state is used only if its residual is below that of the last state.
+
+Every variation is solved from rest, for friction has a memory; others only provide guesses.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
+from app.arrays import Floats
+from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 
-# Earlier states that are kept.
+# Earlier states of the run that are kept.
 KEPT = 3
+# Other runs whose states are kept, multiples of another one left out; nearest states mixed.
+RUNS, MIXED = 6, 5
+# Friction coefficient below which an interface counts as frictionless.
+LITTLE = 1e-3
 
 
 class Predictor(Protocol):
@@ -51,20 +62,14 @@ class Extrapolation:
         """Use the line or the state of least residual, if it is closer to equilibrium."""
         if len(self._trail) < 2:
             return
-        stage_begins = math.ceil(time) - 1
-        if self._trail[-2][0] >= stage_begins:
-            x = self._line(time)
-        else:
-            *before, last = (state for _, state in self._trail)
-            x = mixture(self._solver, last, before)
-        take_better(self._solver, x)
-
-    def _line(self, time: float) -> PETSc.Vec:
         (t0, x0), (t1, x1) = self._trail[-2:]
-        s = (time - t1) / (t1 - t0)
-        x = x1.copy()
-        x.axpby(-s, 1.0 + s, x0)
-        return x
+        if t0 >= math.ceil(time) - 1:
+            s = (time - t1) / (t1 - t0)
+            x = x1.copy()
+            x.axpby(-s, 1.0 + s, x0)
+        else:
+            x = mixture(self._solver, x1, [state for _, state in self._trail[:-1]])
+        take_better(self._solver, x)
 
     def commit(self, time: float) -> None:
         """Store the state; of two at one time, the later."""
@@ -117,3 +122,102 @@ def same(a: PETSc.Vec, b: PETSc.Vec) -> bool:
     difference = a.copy()
     difference.axpy(-1.0, b)
     return bool(difference.norm() == 0.0)
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """A converged state with its loads, gaps and friction, on this rank.
+
+    Attributes:
+        x: Unknowns.
+        forces: Nodal forces of loads, supports and free strains [N].
+        gaps: Initial gaps at the contact points [mm].
+        friction: Logarithm of the friction coefficient of each interface, on rank 0 alone.
+    """
+
+    x: PETSc.Vec
+    forces: Floats
+    gaps: Floats
+    friction: Floats
+
+
+class WarmStart:
+    """Initial guesses from states of other runs with the same unknowns.
+
+    Scaled states are ordered by their distance in forces, gaps and the logarithm of friction; the
+    span of the nearest holds one that is nearer.
+    """
+
+    def __init__(self, problem: Problem, solver: Solver) -> None:
+        self._problem, self._solver = problem, solver
+        self._past: list[dict[float, Neighbour]] = []
+        self._now: dict[float, Neighbour] = {}
+        self._start: PETSc.Vec | None = None
+        # Whether a state of this run is no multiple or mixture of others.
+        self._new = False
+
+    def begin(self) -> None:
+        """Begin another run."""
+        if self._new:
+            self._past = [*self._past, self._now][-RUNS:]
+        self._now, self._new = {}, False
+
+    def predict(self, time: float) -> None:
+        """Start from the nearest state of another run, or a combination of several, if better."""
+        self._start = None
+        here = self._state()
+        sizes = [self._product(p, p) or 1.0 for p in (here.forces, here.gaps)] + [1.0]
+        # Runs in other load steps have states at other times.
+        known = [
+            state
+            for states in self._past
+            for state in ([states[time]] if time in states else states.values())
+        ]
+        scaled = [_scaled(state, self._factor(state, here, sizes)) for state in known]
+        if not scaled:
+            return
+        scaled.sort(key=lambda state: self._distance(state, here, sizes))
+        nearest, *others = (state.x for state in scaled[:MIXED])
+        for x in (nearest, mixture(self._solver, nearest, others) if others else nearest):
+            if take_better(self._solver, x):
+                self._start = x.copy()
+
+    def commit(self, time: float) -> None:
+        """Store the state."""
+        state = self._state()
+        self._now[time] = state
+        self._new = self._new or self._start is None or not same(self._start, state.x)
+
+    def _state(self) -> Neighbour:
+        problem = self._problem
+        contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
+        friction = [math.log(max(c.law.friction, LITTLE)) for c in contacts]
+        return Neighbour(
+            self._solver.x.copy(),
+            problem.f.array.copy(),
+            problem.contact.gap.ravel() if problem.contact else np.zeros(0),
+            np.array(friction),
+        )
+
+    def _factor(self, state: Neighbour, here: Neighbour, sizes: list[float]) -> float:
+        """Factor that brings loads and gaps of a state nearest to those here."""
+        own, towards = (
+            self._product(state.forces, other.forces) / sizes[0]
+            + self._product(state.gaps, other.gaps) / sizes[1]
+            for other in (state, here)
+        )
+        return towards / own if own > 0 and towards > 0 else 1.0
+
+    def _distance(self, a: Neighbour, b: Neighbour, sizes: list[float]) -> float:
+        pairs = ((a.forces, b.forces), (a.gaps, b.gaps), (a.friction, b.friction))
+        parts = [self._product(p - q, p - q) / s for (p, q), s in zip(pairs, sizes, strict=True)]
+        return float(np.sqrt(sum(parts)))
+
+    def _product(self, a: Floats, b: Floats) -> float:
+        return float(self._problem.comm.allreduce(float(a @ b), MPI.SUM))
+
+
+def _scaled(state: Neighbour, factor: float) -> Neighbour:
+    x = state.x.copy()
+    x.scale(factor)
+    return Neighbour(x, factor * state.forces, factor * state.gaps, state.friction)

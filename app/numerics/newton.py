@@ -116,8 +116,6 @@ class Solver:
         defaults = NEWTON | {"snes_max_it": max_iterations} | system.newton
         self.options = defaults | self.linear.options | options
         self._search = self.usual_search
-        # Linear tolerances chosen by the user.
-        self._chosen = {"ksp_atol", "ksp_rtol"} & set(options)
         self.x, self.failed_state = self.vector(), self.vector()
         self.residuals: list[float] = []
         self.changes: list[int] = []
@@ -276,7 +274,7 @@ class Solver:
         self.converged = all(p.norm <= limit for p, limit in zip(parts, limits, strict=True))
         if self.converged:
             return REASONS.CONVERGED_FNORM_ABS
-        if "ksp_atol" not in self._chosen:
+        if "ksp_atol" not in self.options:
             snes.getKSP().setTolerances(atol=ENOUGH * min(limits))
         if self._adapts:
             snes.getKSP().setTolerances(rtol=self._linear_tolerance(iteration, parts))
@@ -290,7 +288,7 @@ class Solver:
     @property
     def _adapts(self) -> bool:
         """Whether the tolerance of the linear solver follows the residual."""
-        return self.system.contact is not None and "ksp_rtol" not in self._chosen
+        return self.system.contact is not None and "ksp_rtol" not in self.options
 
     def _linear_tolerance(self, iteration: int, parts: list[Measure]) -> float:
         """Relative tolerance of the next linear solve, looser if a step changes contact states."""

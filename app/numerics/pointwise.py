@@ -3,12 +3,23 @@
 A law of `forms` that holds at each point is compiled on a mesh whose cells are the points (a row of
 intervals on this rank alone) with one value of each input per cell. They form one row because
 dolfinx takes quadratic time to order cells that do not touch.
+
+dolfinx finds compiled code by a signature of the whole expression, which UFL has to build at every
+start: seconds for the contact law at corners. A law defined in a few files is identified by their
+text instead; a note beside the meshes names its compiled code.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from importlib.machinery import EXTENSION_SUFFIXES
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,6 +27,8 @@ from typing import Any
 from mpi4py import MPI
 
 import basix.ufl
+import dolfinx
+import ffcx
 import numpy as np
 import ufl
 from dolfinx import fem, jit
@@ -24,8 +37,29 @@ from dolfinx.mesh import create_mesh
 from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
+from app import files
 from app.arrays import Floats, Ints
-from app.numerics import kernel_cache
+from app.system import folders, form_cache
+
+# Names that ffcx gives.
+MODULE, SYMBOL = re.compile(r"libffcx_expressions_[0-9a-f]+"), re.compile(r"expression_[0-9a-f]+")
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Compiled code of several expressions.
+
+    Attributes:
+        module: Name of the compiled module.
+        symbol: Name of the expression in it.
+        inputs: Names of the coefficients, in the order of the code.
+        shapes: Shapes of the expressions.
+    """
+
+    module: str
+    symbol: str
+    inputs: tuple[str, ...]
+    shapes: tuple[tuple[int, ...], ...]
 
 
 class Pointwise:
@@ -36,7 +70,7 @@ class Pointwise:
         n: Number of points of this rank.
         sizes: Inputs by name: 1 for a scalar, 3 for a vector.
         build: Returns the expressions, from the inputs by name.
-        note: Path of the note of the compiled code (`kernel_cache`); without one the expressions
+        note: Path of the note of the compiled code (`note_of`); without one the expressions
             are built at every start.
     """
 
@@ -64,10 +98,10 @@ class Pointwise:
         self._inputs = {name: fem.Function(spaces[size]) for name, size in sizes.items()}
         for function in self._inputs.values():
             function.x.array[:] = 1
-        found = kernel_cache.find(comm, note)
+        found = find(comm, note)
         if found is None:
             found = self._compile(comm, build)
-            kernel_cache.keep(comm, note, found[0])
+            _keep(comm, note, found[0])
         kernel, symbol, self._module = found
         ffi = self._module.ffi
         self._expression = create_expression_float64(
@@ -81,7 +115,7 @@ class Pointwise:
 
     def _compile(
         self, comm: MPI.Comm, build: Callable[[dict[str, Expr]], Sequence[Expr]]
-    ) -> tuple[kernel_cache.Kernel, Any, ModuleType]:
+    ) -> tuple[Kernel, Any, ModuleType]:
         """Compile all expressions into one kernel, which evaluates common terms once."""
         every = build(dict(self._inputs))
         together = ufl.as_vector([c for e in every for c in _components(e)])
@@ -89,7 +123,7 @@ class Pointwise:
         symbol, module, _ = jit.ffcx_jit(comm, (together, np.array([[0.5]])), options)
         used = extract_coefficients(together)
         names = {function: name for name, function in self._inputs.items()}
-        kernel = kernel_cache.Kernel(
+        kernel = Kernel(
             module=module.__name__,
             symbol=next(name for name in dir(module.lib) if name.startswith("expression_")),
             inputs=tuple(
@@ -127,3 +161,57 @@ class Pointwise:
 
 def _components(e: Expr) -> list[Expr]:
     return [e[i] for i in np.ndindex(*e.ufl_shape)] if e.ufl_shape else [e]
+
+
+def note_of(law: str, sources: Sequence[ModuleType]) -> Path | None:
+    """Path of the note of a law; None without a cache.
+
+    Args:
+        law: Key that tells it from others of the same sources.
+        sources: All modules that define it.
+    """
+    folder = folders.cache("laws")
+    if folder is None:
+        return None
+    digest = hashlib.sha256(law.encode())
+    for module in sources:
+        digest.update(Path(str(module.__file__)).read_bytes())
+    versions = [m.__version__ for m in (dolfinx, ffcx, ufl)]
+    options = {**jit.get_options(), **ffcx.get_options(), "cache_dir": None}
+    digest.update(repr([versions, options]).encode())
+    return folder / f"law-{digest.hexdigest()[:24]}.json"
+
+
+def find(comm: MPI.Comm, note: Path | None) -> tuple[Kernel, Any, ModuleType] | None:
+    """Noted code of a law, its expression and module; None if missing on any rank; collective."""
+    found = None
+    damaged = OSError, ValueError, TypeError, KeyError, AttributeError, ImportError, RecursionError
+    with suppress(*damaged):
+        if note is not None:
+            found = _load(json.loads(note.read_text()))
+    return found if comm.allreduce(found is not None, MPI.LAND) else None
+
+
+def _load(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None:
+    shapes = tuple(tuple(int(k) for k in shape) for shape in noted["shapes"])
+    kernel = Kernel(noted["module"], noted["symbol"], tuple(noted["inputs"]), shapes)
+    if not (MODULE.fullmatch(kernel.module) and SYMBOL.fullmatch(kernel.symbol)):
+        return None
+    folder = Path(jit.get_options()["cache_dir"])
+    # ffcx writes this mark when its compiler has finished, and trusts no module without it.
+    if not form_cache.usable(folder, kernel.module):
+        return None
+    path = folder / (kernel.module + EXTENSION_SUFFIXES[0])
+    spec = spec_from_file_location(kernel.module, path)
+    if spec is None or spec.loader is None:
+        return None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return kernel, getattr(module.lib, kernel.symbol), module
+
+
+def _keep(comm: MPI.Comm, note: Path | None, kernel: Kernel) -> None:
+    if note is not None and comm.rank == 0:
+        with suppress(OSError):  # it is made again at the next start
+            files.clear(note.parent, note.name)
+            folders.write_json(note, asdict(kernel))

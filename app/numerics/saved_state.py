@@ -75,14 +75,17 @@ def fill(value: Any, found: Any, keys: Any = None) -> Any:
     """Fill an object from a saved state; return it or its replacement.
 
     Raises:
-        LookupError, TypeError, ValueError: The state does not fit the object.
+        AttributeError, LookupError, TypeError, ValueError: The state does not fit the object.
     """
     if isinstance(value, fem.Function):
         own = keys != LEFT_OUT
         _by_node(value)[own] = found.of(keys[own])
         return value
-    if isinstance(found, Rows):
-        return found.of(keys)
+    if isinstance(value, np.ndarray) or isinstance(found, Rows):
+        rows = found.of(keys)
+        if value is not None and rows.shape != value.shape:
+            raise ValueError("rows have another shape")
+        return rows
     if names := _names(value):
         keys = getattr(value, "row_keys", keys)
         new = {name: fill(getattr(value, name), found[name], _inner(keys, name)) for name in names}
@@ -95,7 +98,7 @@ def fill(value: Any, found: Any, keys: Any = None) -> Any:
         old = value or {}
         return {name: fill(old.get(name), v, _inner(keys, name)) for name, v in found.items()}
     if isinstance(found, list):
-        here = [*value, *[None] * (len(found) - len(value))] if value is not None else found
+        here = [*(value or ()), *[None] * (len(found) - len(value or ()))]
         items = enumerate(zip(here, found, strict=True))
         new_items = [fill(v, f, _inner(keys, k)) for k, (v, f) in items]
         return tuple(new_items) if isinstance(value, tuple) else new_items

@@ -82,27 +82,21 @@ class System(Protocol):
     @property
     def version(self) -> int:
         """Number of changes of the matrices that outdate their preconditioners."""
-        raise NotImplementedError
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """A new vector for each block, in the order of the preconditioner."""
-        raise NotImplementedError
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """The blocks of the Jacobian; None where it is zero."""
-        raise NotImplementedError
 
     def options(self, linear: str) -> dict[str, Options]:
         """PETSc options of each block's preconditioner; ``linear`` is direct, multigrid or auto."""
-        raise NotImplementedError
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Set prescribed values in a state."""
-        raise NotImplementedError
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """The residual of a state."""
-        raise NotImplementedError
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state, unless they are constant."""
@@ -115,7 +109,6 @@ class System(Protocol):
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Size of the residual f of a state x, by part; collective."""
-        raise NotImplementedError
 
     def coarse_space(self) -> CoarseSpace | None:
         """Sliding motions that the last Jacobian hardly resists, to be deflated; None without."""

@@ -16,6 +16,7 @@ from ufl.core.expr import Expr
 from app.arrays import Floats
 from app.laws.materials import Elastic
 from app.laws.values import amplitude
+from app.mechanics.body_forms import assembled_vector
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from forms import elasticity, loads
@@ -154,9 +155,7 @@ class Balance:
     @staticmethod
     def _assemble(form: fem.Form) -> Floats:
         """Own entries of a linear form; collective."""
-        part = fem.petsc.assemble_vector(form)
-        part.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        return np.array(part.array)
+        return np.array(assembled_vector(form).array)
 
     def update(self, u: PETSc.Vec, trial: TrialState | None) -> None:
         """Add a committed step with updated displacements; collective."""

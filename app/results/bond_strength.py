@@ -15,7 +15,7 @@ import numpy as np
 from app.arrays import Floats
 from app.mechanics.problem import Problem
 from app.results.stresses import Stresses, extrapolated
-from app.scene.bodies import FACET_VERTICES, facet_coordinates, facets_between
+from app.scene.bodies import FACET_NODES, facet_coordinates, facets_between
 from meshes.contact_facets import QUADRATURE, surface
 
 # Strength of the cement-bone interface [MPa]: Mann, Werner & Ayers 1999, as quoted by the paper in
@@ -52,7 +52,7 @@ class Bond:
             n, size = surface(x, QUADRATURE)
             inward = np.einsum("fqi,fi->fq", n, centre - x[:, :3].mean(axis=1)) > 0
             # The facets' points in the reference cell (f, q, 3).
-            X = np.einsum("qk,fki->fqi", QUADRATURE, vertices[np.array(FACET_VERTICES)[f.local]])
+            X = np.einsum("qk,fki->fqi", QUADRATURE, vertices[FACET_NODES[f.local, :3]])
             rows = np.searchsorted(stresses.cells[region], f.cells)
             self.facets += len(rows)
             self._sides.append((region, rows, np.where(inward[..., None], -n, n), size / 6, X))

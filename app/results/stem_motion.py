@@ -72,7 +72,7 @@ def _surface(problem: Problem, inside: Sequence[str], outside: Sequence[str]) ->
     corners = bodies.facet_coordinates(problem.tagged, f)[0][:, :3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     dofs = _corner_dofs(problem, f.cells)
-    dofs = np.take_along_axis(dofs, np.array(bodies.FACET_VERTICES)[f.local].reshape(-1, 3), axis=1)
+    dofs = np.take_along_axis(dofs, bodies.FACET_NODES[f.local, :3], axis=1)
     body = problem.bodies.of_tag[bodies.cell_tags(problem.tagged)[f.cells]]
     u = _displacements(problem)[body[:, None], dofs].mean(axis=1)
     own = corners.mean(axis=1), u, np.linalg.norm(normal, axis=1) / 2

@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from mpi4py import MPI
-
 import basix
 import numpy as np
 from dolfinx import fem
@@ -26,8 +24,17 @@ from meshes.contact_facets import InterfaceFacets, gather, sorted_facets
 from meshes.contact_points import Holds
 from meshes.distribute import TaggedMesh
 
-FACET_VERTICES = basix.topology(basix.CellType.tetrahedron)[2]
-FACET_EDGES = basix.cell.sub_entity_connectivity(basix.CellType.tetrahedron)[2]
+# Nodes of each facet of a tetrahedron: vertices, then the middles of the edges opposite them.
+FACET_NODES = np.array(
+    [
+        [*vertices, *(4 + edge for edge in parts[1])]
+        for vertices, parts in zip(
+            basix.topology(basix.CellType.tetrahedron)[2],
+            basix.cell.sub_entity_connectivity(basix.CellType.tetrahedron)[2],
+            strict=True,
+        )
+    ]
+)
 
 
 @dataclass(frozen=True)
@@ -47,11 +54,16 @@ class Bodies:
 
 @dataclass(frozen=True)
 class FacetCells:
-    """Facets that this rank owns with their cells (n,) and local numbers in those cells (n,)."""
+    """Facets (n,) of cells that this rank owns, with their local numbers in those cells.
+
+    Attributes:
+        outside: Cells on the other side, -1 where there is none (n,).
+    """
 
     facets: Ints
     cells: Ints
     local: Ints
+    outside: Ints
 
 
 def cell_tags(tagged: TaggedMesh) -> Ints:
@@ -70,9 +82,8 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence
     """
     tags = cell_tags(tagged)
     names = {tag: name for name, tag in tagged.regions.items()}
-    _, first, second = _interior(tagged)
-    low, high = np.minimum(tags[first], tags[second]), np.maximum(tags[first], tags[second])
-    pairs = {(int(a), int(b)) for a, b in zip(low, high, strict=True) if a != b}
+    between = np.unique(np.sort(tags[_interior(tagged)[1]], axis=1), axis=0)
+    pairs = {(int(a), int(b)) for a, b in between if a != b}
     pairs = set().union(*tagged.mesh.comm.allgather(pairs))
     separated = {
         frozenset((tagged.regions[a], tagged.regions[b]))
@@ -128,7 +139,8 @@ def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
     facets = np.unique(facets[facets < mesh.topology.index_map(2).size_local]).astype(np.int64)
     link = mesh.topology.connectivity(2, 3)
     cells = link.array[link.offsets[facets]].astype(np.int64)
-    return FacetCells(facets, cells, _local_numbers(tagged, facets, cells))
+    outside = np.full(len(facets), -1)
+    return FacetCells(facets, cells, _local_numbers(tagged, facets, cells), outside)
 
 
 def bodies_at(tagged: TaggedMesh, bodies: Bodies, boundary: str) -> set[int]:
@@ -138,19 +150,16 @@ def bodies_at(tagged: TaggedMesh, bodies: Bodies, boundary: str) -> set[int]:
     return set().union(*tagged.mesh.comm.allgather(here))
 
 
-def _interior(tagged: TaggedMesh) -> tuple[Ints, Ints, Ints]:
-    """Owned facets with two cells, and both cells (n,)."""
-    topology = tagged.mesh.topology
-    link = topology.connectivity(2, 3)
-    owned = topology.index_map(2).size_local
-    inside = np.flatnonzero(np.diff(link.offsets)[:owned] == 2)
-    start = link.offsets[inside]
-    return inside, link.array[start].astype(np.int64), link.array[start + 1].astype(np.int64)
+def _interior(tagged: TaggedMesh) -> tuple[Ints, Ints]:
+    """Facets of this rank with two cells (n,), and both cells (n, 2)."""
+    link = tagged.mesh.topology.connectivity(2, 3)
+    inside = np.flatnonzero(np.diff(link.offsets) == 2)
+    return inside, link.array[link.offsets[inside][:, None] + np.arange(2)].astype(np.int64)
 
 
 def _local_numbers(tagged: TaggedMesh, facets: Ints, cells: Ints) -> Ints:
     link = tagged.mesh.topology.connectivity(3, 2).array.reshape(-1, 4)
-    return np.argmax(link[cells] == facets[:, None], axis=1) if len(facets) else facets
+    return np.argmax(link[cells] == facets[:, None], axis=1)
 
 
 def contact_facets(
@@ -172,99 +181,61 @@ def contact_facets(
     Raises:
         InputError: An interface has no facets on this mesh.
     """
-    tags = cell_tags(tagged)
-    facets, first, second = _interior(tagged)
-    side = np.zeros((len(contacts), len(bodies.of_tag)), dtype=np.int64)
+    tags, comm = cell_tags(tagged), tagged.mesh.comm
+    stiffness = np.zeros(len(bodies.of_tag))
+    for region, modulus in moduli.items():
+        stiffness[tagged.regions[region]] = modulus
+    rows = []
     for i, c in enumerate(contacts):
-        side[i, [tagged.regions[r] for r in c.master]] = 1
-        side[i, [tagged.regions[r] for r in c.slave]] = 2
-    rows: list[tuple[Ints, Ints, Ints, Ints]] = []
-    for i in range(len(contacts)):
-        a, b = side[i, tags[first]], side[i, tags[second]]
-        for on_master, on_slave, pick in (
-            (first, second, (a == 1) & (b == 2)),
-            (second, first, (a == 2) & (b == 1)),
-        ):
-            n = int(pick.sum())
-            rows.append((np.full(n, i), facets[pick], on_master[pick], on_slave[pick]))
-    interface, facet, master, slave = (np.concatenate([r[k] for r in rows]) for k in range(4))
-    counts = tagged.mesh.comm.allreduce(np.bincount(interface, minlength=len(contacts)), MPI.SUM)
-    for c, count in zip(contacts, counts, strict=True):
-        if count == 0:
+        f = facets_between(tagged, c.slave, c.master)
+        if not comm.allreduce(len(f.cells)):
             raise InputError(
                 f"interfaces.{c.name}: its two sides share no facet of the mesh; allowed: regions "
                 "that touch on a conforming mesh"
             )
-    vertices, vertex_dofs, edge_dofs, x, inside = facet_nodes(
-        tagged, space, FacetCells(facet, slave, _local_numbers(tagged, facet, slave))
-    )
-    stiffness = np.zeros(len(bodies.of_tag))
-    for region, modulus in moduli.items():
-        stiffness[tagged.regions[region]] = modulus
-    sides = np.stack([tags[master], tags[slave]], axis=1)
-    return sorted_facets(
-        tagged.mesh.comm,
-        interface,
-        vertices,
-        bodies.of_tag[sides],
-        (vertex_dofs, edge_dofs),
-        x,
-        inside,
-        stiffness[sides],
-    )
+        numbers, dofs, x, inside = facet_nodes(tagged, space, f)
+        sides = tags[np.column_stack([f.outside, f.cells])]
+        own = np.full(len(numbers), i), numbers, bodies.of_tag[sides], dofs, x, inside
+        rows.append((*own, stiffness[sides]))
+    interface, numbers, of, dofs, x, inside, stiff = map(np.concatenate, zip(*rows, strict=True))
+    both = dofs[:, :3], dofs[:, 3:]
+    return sorted_facets(comm, interface, numbers, of, both, x, inside, stiff)
+
+
+def _at_facets(values: NDArray, f: FacetCells) -> NDArray:
+    """Values of the nodes of facets (f, 3 or 6), from those of all cells (cells, 4 or 10)."""
+    nodes = FACET_NODES[f.local, : 3 if values.shape[1] == 4 else 6]
+    return np.take_along_axis(values[f.cells], nodes, axis=1)
 
 
 def facet_nodes(
     tagged: TaggedMesh, space: fem.FunctionSpace, f: FacetCells
-) -> tuple[Ints, Ints, Ints, NDArray, NDArray]:
-    """Vertex numbers, vertex dofs, edge dofs, coordinates of facets, and a point in their cells."""
+) -> tuple[Ints, Ints, NDArray, NDArray]:
+    """Vertex numbers (f, 3), global dofs (f, 3 or 6) and `facet_coordinates` of facets."""
+    local = np.ascontiguousarray(_at_facets(space.dofmap.list, f), dtype=np.int32)
+    dofs = space.dofmap.index_map.local_to_global(local.ravel()).reshape(local.shape)
     geometry = tagged.mesh.geometry
-    at = np.array(FACET_VERTICES)[f.local].reshape(-1, 3)
-    nodes = np.take_along_axis(geometry.dofmap[f.cells], at, axis=1)
-    layout = space.dofmap.dof_layout
-    dofs = space.dofmap.list[f.cells]
-    vertex_local = np.array([layout.entity_dofs(0, v)[0] for v in range(4)])
-    vertex_dofs = np.take_along_axis(dofs, vertex_local[at], axis=1)
-    index_map = space.dofmap.index_map
-
-    def globally(local: NDArray) -> Ints:
-        flat = np.ascontiguousarray(local, dtype=np.int32).ravel()
-        return index_map.local_to_global(flat).reshape(local.shape).astype(np.int64)
-
-    edge_dofs: Ints = np.zeros((len(f.cells), 0), dtype=np.int64)
-    if layout.num_entity_dofs(1):
-        edge_local = np.array([layout.entity_dofs(1, e)[0] for e in range(6)])
-        edges = np.array([c[1] for c in FACET_EDGES])[f.local].reshape(-1, 3)
-        edge_dofs = globally(np.take_along_axis(dofs, edge_local[edges], axis=1))
-    x, centre = facet_coordinates(tagged, f)
+    nodes = _at_facets(geometry.dofmap, f)[:, :3]
     numbers = np.asarray(geometry.input_global_indices)[nodes].astype(np.int64)
-    return numbers, globally(vertex_dofs), edge_dofs, x, centre
+    return numbers, dofs.astype(np.int64), *facet_coordinates(tagged, f)
 
 
 def facets_between(tagged: TaggedMesh, inside: Sequence[str], outside: Sequence[str]) -> FacetCells:
     """Facets between regions, with the cell inside, which this rank owns."""
-    tags, topology = cell_tags(tagged), tagged.mesh.topology
-    link = topology.connectivity(2, 3)
-    facets = np.flatnonzero(np.diff(link.offsets) == 2)
-    pairs = link.array[link.offsets[facets][:, None] + np.arange(2)].astype(np.int64)
-    mine, other = (
-        np.isin(tags[pairs], [tagged.regions[r] for r in side]) for side in (inside, outside)
-    )
-    found = mine & other[:, ::-1] & (pairs < topology.index_map(3).size_local)
+    facets, pairs = _interior(tagged)
+    tags = cell_tags(tagged)[pairs]
+    own, other = (np.isin(tags, [tagged.regions[r] for r in side]) for side in (inside, outside))
+    found = own & other[:, ::-1] & (pairs < tagged.mesh.topology.index_map(3).size_local)
     rows, side = np.nonzero(found)
-    facets, cells = facets[rows].astype(np.int64), pairs[rows, side]
-    return FacetCells(facets, cells, _local_numbers(tagged, facets, cells))
+    facets, cells = facets[rows], pairs[rows, side]
+    return FacetCells(facets, cells, _local_numbers(tagged, facets, cells), pairs[rows, 1 - side])
 
 
 def facet_coordinates(tagged: TaggedMesh, f: FacetCells) -> tuple[NDArray, NDArray]:
     """Nodes of facets, vertices first (f, 3 or 6, 3), and centres of their cells (f, 3) [mm]."""
     geometry = tagged.mesh.geometry
-    at: NDArray = np.array(FACET_VERTICES)[f.local].reshape(-1, 3)
-    if geometry.dofmap.shape[1] == 10:
-        middles = 4 + np.array([c[1] for c in FACET_EDGES])[f.local].reshape(-1, 3)
-        at = np.hstack([at, middles])
-    x = geometry.x[np.take_along_axis(geometry.dofmap[f.cells], at, axis=1)]
-    return x, geometry.x[geometry.dofmap[f.cells][:, :4]].mean(axis=1).reshape(-1, 3)
+    centres = geometry.x[geometry.dofmap[f.cells][:, :4]].mean(axis=1).reshape(-1, 3)
+    return geometry.x[_at_facets(geometry.dofmap, f)], centres
 
 
 def held_vertices(

@@ -15,7 +15,7 @@ from app.laws.materials import Elastic, Rigid
 from app.laws.supports import Foundation, Support
 from app.laws.thermal import Thermal
 from app.laws.values import field
-from app.scene.scene import Interface, Scene, SceneStage
+from app.scene.scene import Interface, Scene
 
 
 def build_scene(case: Case) -> Scene:
@@ -41,12 +41,7 @@ def build_scene(case: Case) -> Scene:
         loads=tuple(load.named(name) for name, load in case.loads.items()),
         contacts=tuple(i for i in interfaces if i.law.can_part),
         bonds=tuple(i for i in interfaces if not i.law.can_part and np.isfinite(i.modulus)),
-        stages=tuple(
-            SceneStage(
-                s.name, s.increments, s.adaptive, s.max_cut_backs, s.duration or 0.0, s.steady
-            )
-            for s in case.stages
-        ),
+        stages=case.stages,
         conductors=tuple(thermal.values()),
         heat=tuple(condition.named(name) for name, condition in case.heat.items()),
         thermal_contacts=conducting,

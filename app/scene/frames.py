@@ -109,8 +109,7 @@ def frames_of(
     found = []
     for s in supports:
         f = boundary_facets(tagged, s.boundary)
-        _, vertices, edges, x, inside = facet_nodes(tagged, space, f)
-        dofs = np.hstack([vertices, edges])
+        _, dofs, x, inside = facet_nodes(tagged, space, f)
         body = np.broadcast_to(bodies.of_tag[tags[f.cells]][:, None], dofs.shape)
         place = np.einsum("qn,fni->fqi", shape_functions(at, x.shape[1]), x)
         n = nodal_normals(x, inside, at)

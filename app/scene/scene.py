@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 from app.arrays import Field
+from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
 from app.laws.cure import Cure
 from app.laws.heat_conditions import HeatCondition
@@ -45,29 +46,6 @@ class Interface:
 
 
 @dataclass(frozen=True)
-class SceneStage:
-    """A stage of the loading: from pseudo-time k to k + 1, in a number of increments.
-
-    Attributes:
-        increments: Load steps; in a stage with a duration, equal parts after each of which the
-            mechanics are solved and fields are written.
-        adaptive: Whether load steps may be cut and time steps be chosen by their error; if not,
-            a stage with a duration takes ``increments`` equal time steps, divided at kinks of
-            courses and of cure.
-        max_cut_backs: Most halvings of a step in a row.
-        duration: Duration [s]; 0: temperatures stay as they are.
-        steady: Whether heat is solved for its steady state.
-    """
-
-    name: str
-    increments: int
-    adaptive: bool
-    max_cut_backs: int
-    duration: float = 0.0
-    steady: bool = False
-
-
-@dataclass(frozen=True)
 class Scene:
     """Everything that is solved, and nothing else.
 
@@ -90,7 +68,7 @@ class Scene:
     supports: tuple[Support, ...]
     loads: tuple[Load, ...]
     contacts: tuple[Interface, ...]
-    stages: tuple[SceneStage, ...]
+    stages: tuple[Stage, ...]
     conductors: tuple[Thermal, ...] = ()
     heat: tuple[HeatCondition, ...] = ()
     thermal_contacts: tuple[Interface, ...] = ()

@@ -12,7 +12,7 @@ import json
 import logging
 import time as clock
 import zipfile
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -67,12 +67,24 @@ def write(comm: MPI.Comm, path: Path, header: Mapping[str, Any], state: Any) -> 
         OSError: It cannot be written (on every rank); an earlier file stays.
     """
     arrays: dict[str, Array] = {}
-    tree = _gathered(comm, state, "state", arrays)
+
+    def gathered(rows: Rows) -> dict[str, list[str]]:
+        """Move the rows of all ranks to arrays on rank 0; keys on several rows occur once."""
+        pieces = comm.gather(rows)
+        if pieces is None:
+            return {}
+        keys, first = np.unique(np.concatenate([p.keys for p in pieces]), return_index=True)
+        names = [f"keys {hashlib.sha256(keys.tobytes()).hexdigest()[:16]}", f"rows {len(arrays)}"]
+        arrays[names[0]] = keys
+        arrays[names[1]] = np.concatenate([p.values for p in pieces])[first]
+        return {ROWS: names}
+
+    # All ranks meet the rows in the same order.
+    text = json.dumps({**header, "format": FORMAT, "state": state}, default=gathered)
     failure = None
     if comm.rank == 0:
         file = io.BytesIO()
-        text = json.dumps({**header, "format": FORMAT, "state": tree}).encode()
-        arrays[HEADER] = np.frombuffer(text, np.uint8)
+        arrays[HEADER] = np.frombuffer(text.encode(), np.uint8)
         np.savez(file, allow_pickle=False, **arrays)
         try:
             write_bytes(path, file.getvalue())
@@ -81,27 +93,6 @@ def write(comm: MPI.Comm, path: Path, header: Mapping[str, Any], state: Any) -> 
     failure = comm.bcast(failure)
     if failure is not None:
         raise failure
-
-
-def _gathered(comm: MPI.Comm, state: Any, name: str, arrays: dict[str, Array]) -> Any:
-    """Move the rows of all ranks to arrays on rank 0; returns the rest of the state; collective.
-
-    ``arrays`` receives values and keys by name; keys on several rows occur once.
-    """
-    if isinstance(state, dict):
-        return {k: _gathered(comm, v, f"{name}.{k}", arrays) for k, v in state.items()}
-    if isinstance(state, list):
-        return [_gathered(comm, v, f"{name}.{k}", arrays) for k, v in enumerate(state)]
-    if not isinstance(state, Rows):
-        return state
-    pieces = comm.gather(state)
-    if pieces is None:
-        return None
-    keys, first = np.unique(np.concatenate([p.keys for p in pieces]), return_index=True)
-    arrays[name] = np.concatenate([p.values for p in pieces])[first]
-    of_keys = f"keys {hashlib.sha256(keys.tobytes()).hexdigest()[:16]}"
-    arrays[of_keys] = keys
-    return {ROWS: [of_keys, name]}
 
 
 def read(path: Path) -> Checkpoint:
@@ -115,38 +106,25 @@ def read(path: Path) -> Checkpoint:
         if not (path.is_file() and zipfile.is_zipfile(path)):
             raise DamagedError("it is no checkpoint, or not a whole one")
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        header = json.loads(arrays[HEADER].tobytes())
+            arrays = dict(file)
+
+        def with_rows(data: dict[str, Any]) -> Any:
+            return Rows(*(arrays[name] for name in data[ROWS])) if ROWS in data else data
+
+        header = json.loads(arrays[HEADER].tobytes(), object_hook=with_rows)
         if header["format"] != FORMAT:
             raise DamagedError(f"written by mantle {header['mantle']} in another format")
-        return Checkpoint(path, header, _with_rows(header.pop("state"), arrays))
+        return Checkpoint(path, header, header.pop("state"))
     except OSError as error:
         raise DamagedError(error.strerror or str(error)) from error
     except (zipfile.BadZipFile, EOFError, LookupError, TypeError, ValueError) as error:
         raise DamagedError(f"the file is damaged ({error})") from error
 
 
-def _with_rows(tree: Any, arrays: Mapping[str, Array]) -> Any:
-    if isinstance(tree, dict):
-        if ROWS in tree:
-            return Rows(*(arrays[name] for name in tree[ROWS]))
-        return {key: _with_rows(value, arrays) for key, value in tree.items()}
-    if isinstance(tree, list):
-        return [_with_rows(value, arrays) for value in tree]
-    return tree
-
-
 # Which one
 
 
-def find(
-    comm: MPI.Comm,
-    wanted: str,
-    folder: Path,
-    case: Case,
-    force: bool,
-    passed: Collection[Path] = (),
-) -> Checkpoint | None:
+def find(comm: MPI.Comm, wanted: str, folder: Path, case: Case, force: bool) -> Checkpoint | None:
     """Checkpoint to restart from, or None; collective.
 
     Args:
@@ -155,7 +133,6 @@ def find(
         folder: The run directory.
         case: The configuration.
         force: Whether to accept a checkpoint of another configuration.
-        passed: Files that ``auto`` skips.
 
     Raises:
         InputError: It is of another configuration, or the file cannot be read.
@@ -163,13 +140,13 @@ def find(
 
     def choose() -> Path | None:
         every = folders.saved(folder) if wanted == "auto" else [Path(wanted)]
-        for path in (p for p in every if p not in passed):
+        for path in every:
             try:
                 found = read(path)
             except DamagedError as error:
                 if wanted != "auto":
                     raise InputError(f"--restart {path}: cannot be used: {error}") from error
-                pass_over(path, error)
+                log.warning("%s cannot be used: %s; trying the one before", path, error)
                 continue
             _refuse_another(found, case, force)
             return path
@@ -179,11 +156,6 @@ def find(
 
     path = on_root(comm, choose)
     return None if path is None else everywhere(comm, lambda: read(path))
-
-
-def pass_over(path: Path, error: Exception) -> None:
-    """Log that ``auto`` skips a checkpoint, and why."""
-    log.warning("%s cannot be used: %s; trying the one before", path, error)
 
 
 def _refuse_another(found: Checkpoint, case: Case, force: bool) -> None:
@@ -237,12 +209,7 @@ class CheckpointWriter:
     """Write checkpoints when they are due, and restore one."""
 
     def __init__(
-        self,
-        case: Case,
-        model: Model,
-        recorder: Recorder,
-        folder: Path,
-        found: Checkpoint | None,
+        self, case: Case, model: Model, recorder: Recorder, folder: Path, found: Checkpoint | None
     ) -> None:
         self._case, self._model, self._recorder = case, model, recorder
         self._folder, self._found = folder, found
@@ -256,11 +223,9 @@ class CheckpointWriter:
 
         Raises:
             InputError: It is of another mesh, or of other unknowns.
-            DamagedError: It claims to be of this case, but does not fit it.
         """
         if (found := self._found) is None:
             return 0
-        self._refuse_another_model(found)
         header = found.header
         parts = self._parts()
         everywhere(self._comm, lambda: self._fill(found, parts))
@@ -280,44 +245,27 @@ class CheckpointWriter:
         return {**self._model.saved_parts(), "recorder": self._recorder}
 
     def _fill(self, found: Checkpoint, parts: dict[str, Any]) -> None:
-        try:
-            fill(parts, found.state["parts"])
-        except (AttributeError, LookupError, TypeError, ValueError) as error:
-            raise self._misfit(found, str(error)) from error
-
-    def _misfit(self, found: Checkpoint, what: str) -> InputError:
-        """Error for a state that does not fit: damaged if it claims to be of this case."""
-        if found.header["case"] == described(self._case):
-            return DamagedError(f"its state does not fit: {what}")
-        return InputError(
-            f"--restart: {found.path}: checkpoint of another model, with other unknowns or records "
-            f"({what}); allowed: cases of the same interfaces, heat and cure"
-        )
-
-    def _refuse_another_model(self, found: Checkpoint) -> None:
-        """Raise InputError for a checkpoint of another mesh or other arrays; collective."""
-        stages = len(self._model.scene.stages)
-        where = f"--restart: {found.path}"
-        if found.header["mesh"] != self._model.mesh_hash:
-            raise InputError(
-                f"{where}: checkpoint of another mesh ({found.header['mesh'][:12]}; this case has "
-                f"{self._model.mesh_hash[:12]}); restart with the mesh it was written on"
+        """Fill the parts; raise InputError for a checkpoint of another mesh or other unknowns."""
+        mesh, stage = found.header["mesh"], found.header["stage"]
+        here, stages = self._model.mesh_hash, len(self._model.scene.stages)
+        why = ""
+        if mesh != here:
+            why = (
+                f"of another mesh ({mesh[:12]}; this case has {here[:12]}); restart with the mesh "
+                "it was written on"
             )
-        if found.header["stage"] >= stages:
-            raise InputError(
-                f"{where}: checkpoint is in stage {found.header['stage'] + 1}; this case has "
-                f"{stages} stages"
-            )
-        here, there = dict[str, Array](), dict[str, Array]()
-        _gathered(self._comm, collect(self._parts()), "", here)
-        _gathered(MPI.COMM_SELF, found.state["parts"], "", there)
-
-        def compare() -> None:
-            bad = [n for n, a in here.items() if n not in there or a.shape != there[n].shape]
-            if bad:
-                raise self._misfit(found, ", ".join(bad[:TOLD]))
-
-        on_root(self._comm, compare, share=False)
+        elif stage >= stages:
+            why = f"is in stage {stage + 1}; this case has {stages} stages"
+        else:
+            try:
+                fill(parts, found.state["parts"])
+            except (AttributeError, LookupError, TypeError, ValueError) as error:
+                why = (
+                    f"of another model, with other unknowns or records ({error}); allowed: cases "
+                    "of the same interfaces, heat and cure"
+                )
+        if why:
+            raise InputError(f"--restart: {found.path}: checkpoint {why}")
 
     def _now(self, k: int) -> tuple[dict[str, Any], Any]:
         """Header and state of the step last recorded, in stage k."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from app.mechanics.predictors import WarmStart
 from app.mechanics.problem import Problem
-from app.mechanics.warm_start import WarmStart
 from app.numerics.newton import Solver
 from app.results.balance import Balance
 from app.results.bond_strength import Bond, bonds

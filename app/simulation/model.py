@@ -29,7 +29,7 @@ from app.results.mechanical_fields import MechanicalFields
 from app.results.run_folder import on_root
 from app.results.stem_motion import stem_motion
 from app.scene.build import build_scene
-from app.scene.scene import Scene, SceneStage
+from app.scene.scene import Scene, Stage
 from app.simulation import coarser_case
 from app.simulation.mechanical_model import Mechanical
 from app.simulation.thermal_model import ThermalModel
@@ -70,7 +70,7 @@ class Observer:
     on_step: OnStep = _nothing
     on_heat: OnHeat = _nothing
     on_trouble: Callable[[str], None] = _nothing
-    on_stage: Callable[[SceneStage], None] = _nothing
+    on_stage: Callable[[Stage], None] = _nothing
     checkpoint_point: Callable[[int], None] = _nothing
     resume: Callable[[], int] = lambda: 0
 
@@ -117,11 +117,8 @@ class Model:
         for model in self._others:
             if (model._case.geometry, model._case.mesh) == (case.geometry, case.mesh):
                 return model.tagged, model.mesh_hash, model.parts
-        data = on_root(
-            comm,
-            lambda: meshes.build(case.geometry, case.mesh, folders.cache("meshes")),
-            share=False,
-        )
+        cache = folders.cache("meshes")
+        data = on_root(comm, lambda: meshes.build(case.geometry, case.mesh, cache), share=False)
         found = well_posedness.look(case, data) if data is not None else None
         digest = comm.bcast(_mesh_hash(data) if data is not None else "")
         return distribute(data, comm), digest, found
@@ -132,10 +129,9 @@ class Model:
         Raises:
             InputError: The case cannot be solved.
         """
-        found = self.parts
+        parts = self.parts
         notes = on_root(
-            self.tagged.mesh.comm,
-            lambda: well_posedness.judge(self._case, found) if found is not None else [],
+            self.tagged.mesh.comm, lambda: parts and well_posedness.judge(self._case, parts)
         )
         return notes or []
 
@@ -144,17 +140,10 @@ class Model:
         return coarser_case.matrices(self._case) == coarser_case.matrices(case)
 
     def _solver(self, system: System) -> Solver:
-        chosen = self._case.solver
-        options = dict(chosen.petsc) | self.options
-        return Solver(
-            system,
-            chosen.tolerance,
-            chosen.max_iterations,
-            chosen.linear,
-            options,
-            self._timing,
-            self.stop,
-        )
+        s = self._case.solver
+        options = dict(s.petsc) | self.options
+        limits = s.tolerance, s.max_iterations
+        return Solver(system, *limits, s.linear, options, self._timing, self.stop)
 
     def _mechanics(self) -> Mechanical | None:
         if not self.scene.elastic:
@@ -166,10 +155,9 @@ class Model:
             if model.deforms_like(case):
                 m.begin(self.scene, case.solver.augmentation_factor, case.solver.tolerance)
                 return m
-            if coarser_case.stiffness(model._case) == coarser_case.stiffness(case):
+            same = coarser_case.stiffness(model._case) == coarser_case.stiffness(case)
+            if same and all(support.stages is None for support in self.scene.supports):
                 like = like or m.problem
-        if any(support.stages is not None for support in self.scene.supports):
-            like = None
         factor, timing = case.solver.augmentation_factor, self._timing
         problem = Problem(self.scene, self.tagged, factor, timing, like)
         solver = self._solver(mechanical(problem))
@@ -216,7 +204,12 @@ class Model:
                 t.update(accepted)
                 observer.on_heat(step, accepted)
 
-            beside = self._beside_heat(t.heating, load_stepper)
+            beside: SolvedAfterHeat | SolvedWithHeat | None = None
+            if load_stepper and (coupled := t.heating.coupled):
+                beside = SolvedWithHeat(load_stepper, t.heating, coupled)
+            elif load_stepper:
+                tolerance = t.heating.options.mechanical_step
+                beside = SolvedAfterHeat(load_stepper, t.heating, tolerance)
             heat_stepper = HeatStepper(t.heating, beside, on_heat, observer.on_trouble)
         self._steppers = load_stepper, heat_stepper
         run_stages(
@@ -260,17 +253,6 @@ class Model:
 
     def _other(self, case: Case, timing: Timing) -> Model:
         return Model(case, self.tagged.mesh.comm, self.options, timing, self.stop, self)
-
-    @staticmethod
-    def _beside_heat(
-        heating: HeatState, load_stepper: LoadStepper | None
-    ) -> SolvedAfterHeat | SolvedWithHeat | None:
-        """Mechanics beside the heat: in one system with it, or after it."""
-        if load_stepper is None:
-            return None
-        if heating.coupled is not None:
-            return SolvedWithHeat(load_stepper, heating, heating.coupled)
-        return SolvedAfterHeat(load_stepper, heating, heating.options.mechanical_step)
 
     # Published numbers of the state last committed
 

@@ -21,7 +21,7 @@ from app.results import closing_lines as text
 from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
 from app.results.run_folder import UNITS, Writer
-from app.scene.scene import SceneStage
+from app.scene.scene import Stage
 from app.simulation.model import Model
 from app.soundness import uniqueness
 from app.stepping.heat_state import HeatStep
@@ -136,9 +136,9 @@ class Recorder:
             else:
                 self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + some
 
-    def stage(self, stage: SceneStage) -> None:
+    def stage(self, stage: Stage) -> None:
         """Write the header of a stage's lines."""
-        self._takes_time = stage.duration > 0 or stage.steady
+        self._takes_time = stage.takes_time
         columns = text.HEAT if self._takes_time else text.STEP
         log.info("%s", text.line(columns, columns))
 

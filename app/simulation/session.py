@@ -1,12 +1,13 @@
-"""A run as requested: one case, or its variations one after another."""
+"""A run as requested: one case, or its variations one after another; prepare, solve, finish."""
 
 from __future__ import annotations
 
 import logging
 import os
 import time as clock
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -14,20 +15,68 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app import errors
-from app.case.case import Case, LoadedCase, Varied
+from app.case.case import Case, LoadedCase, Varied, dump
+from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError, agree
+from app.numerics.condition import condition_number
 from app.numerics.newton import raw_options
 from app.results import closing_lines as text
-from app.results.run_folder import on_root
+from app.results import error_estimate
+from app.results.run_folder import Writer, on_root, provenance
 from app.simulation import checkpoint, finished_runs, variations
-from app.simulation.checkpoint import Checkpoint
-from app.simulation.recorder import OnAccepted
-from app.simulation.run import CaseRun, Setup
-from app.soundness import plausibility
+from app.simulation.checkpoint import CheckpointWriter
+from app.simulation.model import Model, Observer
+from app.simulation.recorder import OnAccepted, Recorder
+from app.soundness import plausibility, well_posedness
+from app.stepping.load_steps import Summary
 from app.system import blas_check, form_cache, ranks, stopping
-from app.system.folders import FAILED, claim, prepare_run, write_text
+from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
+from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
+
+# Writing results is announced if the run has taken so many seconds.
+LONG = 10.0
+
+
+@dataclass
+class Setup:
+    """Parts shared by successive runs.
+
+    Attributes:
+        stop: Returns the name of a pending stop signal, or "".
+        progress: Called on every rank after each accepted step.
+        restart: A checkpoint to restart from, ``auto`` or "".
+        force: Whether to accept a checkpoint of another configuration.
+        begin: Start of the run, by `time.perf_counter`.
+        started: The same, by the clock.
+        model: The model of the last run, for reuse.
+        noted: Notes already logged.
+    """
+
+    comm: MPI.Comm
+    loaded: LoadedCase
+    options: dict[str, str]
+    stop: Callable[[], str]
+    progress: OnAccepted
+    restart: str
+    force: bool
+    begin: float
+    started: datetime
+    timing: Timing = field(default_factory=Timing)
+    model: Model | None = None
+    noted: set[str] = field(default_factory=set)
+
+    def note(self, messages: Sequence[str]) -> None:
+        """Log notes on the case, each once."""
+        for message in messages:
+            if message not in self.noted:
+                log.warning("note: %s", message)
+        self.noted.update(messages)
+
+    def begin_next(self) -> None:
+        """Start the clocks of another run."""
+        self.begin, self.started = clock.perf_counter(), datetime.now(UTC)
+        self.timing.clear()
 
 
 def run(
@@ -59,7 +108,7 @@ def run(
     comm, started, begin = MPI.COMM_WORLD, datetime.now(UTC), clock.perf_counter()
     expected = ranks.world_size()
     if expected and expected != comm.size:
-        raise errors.EnvironmentProblem(
+        raise EnvironmentProblem(
             f"started as one of {expected} ranks, but MPI sees {comm.size}: mpirun belongs to "
             "another MPI; use the one of this installation, or mantle run -n"
         )
@@ -70,135 +119,241 @@ def run(
     signalled = stopping.signals() if signals else str
     form_cache.guard()
     late = str if walltime is None else stopping.WallTime(begin, walltime)
-    options = raw_options(petsc_options)
-    setup = Setup(comm, case, options, lambda: signalled() or late(), progress, begin, started)
+    setup = Setup(
+        comm=comm,
+        loaded=case,
+        options=raw_options(petsc_options),
+        stop=lambda: signalled() or late(),
+        progress=progress,
+        restart=restart,
+        force=force,
+        begin=begin,
+        started=started,
+    )
     setup.note(plausibility.warnings(case.config))
-    session = Session(setup, restart, force)
-    with case.file.placing(), _claimed(comm, output):
-        if not case.config.variations:
-            summary = session.solve(case.config, (), output)
+    with case.file.placing(), ExitStack() as held:
+        on_root(comm, lambda: held.enter_context(claim(output)), share=False)
+        if case.config.variations:
+            _vary(setup, output)
+        else:
+            summary = _solve(setup, case.config, (), output)
             text.report(summary)
             text.check_usable({output: summary})
-        else:
-            session.vary(output, keep=not force and restart in ("", "auto"))
     log.info("results in %s", output)
 
 
-class Session:
-    """The run of a case, or of its variations one after another."""
+def _vary(setup: Setup, output: Path) -> None:
+    """Solve the variations of the case, each in a folder below ``output``; collective.
 
-    def __init__(self, setup: Setup, restart: str, force: bool) -> None:
-        self._setup, self._comm = setup, setup.comm
-        self._restart, self._force = restart, force
+    Finished ones are not solved again, unless ``--force`` asks for it.
 
-    def vary(self, output: Path, *, keep: bool) -> None:
-        """Solve the variations of the case, each in a folder below ``output``; collective.
-
-        With ``keep`` finished ones are not solved again.
-
-        Raises:
-            ConvergenceError: Some did not converge; the others are done.
-            UnusableError: All did, but the numbers of some are not to be used.
-            StoppedError: Those before are done.
-        """
-        varied = self._setup.loaded.variations()
-        chain = variations.order(self._setup.loaded.config, varied)
-        mark = output / "DONE"
-        on_root(self._comm, lambda: mark.unlink(missing_ok=True), share=False)
-        rows: dict[int, variations.Row] = {}
-        solved: dict[Path, dict[str, Any]] = {}
-        if keep:
-            finished = on_root(self._comm, lambda: finished_runs.summaries(output, varied)) or {}
-            for i, old in finished.items():
-                solved[output / varied[i].name] = old
-                rows[i] = variations.row(varied[i], old, old["status"], old["timing"]["total"])
-            log.info("%d of %d variations are finished already", len(rows), len(chain))
-        failed = []
-        for number, i in enumerate(chain, 1):
-            if i in rows:
-                continue
-            v, folder = varied[i], output / varied[i].name
-            log.info("variation %d of %d: %s", number, len(chain), v.name)
-            place = f"variation {v.name} (number {number} of {len(chain)})"
-            if summary := self._variation(v, folder, place):
-                solved[folder] = summary
-            else:
-                failed.append(v.name)
-            status = summary.get("status", "not converged")
-            rows[i] = variations.row(v, summary, status, clock.perf_counter() - self._setup.begin)
-            self._write_table(rows, output)
-            self._setup.begin_next()
-        log.info("%s", variations.table(self._write_table(rows, output)))
-        if failed:
-            raise errors.ConvergenceError(
-                f"{len(failed)} of {len(chain)} variations did not converge: {', '.join(failed)} "
-                f"(in {output})"
-            )
-        on_root(self._comm, partial(write_text, mark, ""), share=False)
-        text.check_usable(solved)
-
-    def _variation(self, varied: Varied, folder: Path, place: str) -> dict[str, Any]:
-        """Solve a variation; returns its summary, empty if it does not converge; collective."""
-        on_root(self._comm, partial(_prepare, folder), share=False)
+    Raises:
+        ConvergenceError: Some did not converge; the others are done.
+        UnusableError: All did, but the numbers of some are not to be used.
+        StoppedError: Those before are done.
+    """
+    comm, varied = setup.comm, setup.loaded.variations()
+    chain = variations.order(setup.loaded.config, varied)
+    mark = output / "DONE"
+    on_root(comm, lambda: mark.unlink(missing_ok=True), share=False)
+    solved: dict[int, dict[str, Any]] = {}
+    if not setup.force and setup.restart in ("", "auto"):
+        solved = on_root(comm, lambda: finished_runs.summaries(output, varied)) or {}
+        log.info("%d of %d variations are finished already", len(solved), len(chain))
+    rows = {
+        i: variations.row(varied[i], old, old["status"], old["timing"]["total"])
+        for i, old in solved.items()
+    }
+    for number, i in enumerate(chain, 1):
+        if i in rows:
+            continue
+        v = varied[i]
+        log.info("variation %d of %d: %s", number, len(chain), v.name)
         try:
-            summary = self.solve(varied.case, varied.overrides, folder)
-        except errors.ConvergenceError as failure:
-            log.warning("%s: %s", varied.name, failure)
-            why = partial(write_text, folder / FAILED, f"{failure}\n")
-            on_root(self._comm, why, share=False)
-            return {}
-        except errors.StoppedError as stop:
-            raise errors.StoppedError(f"{place}: {stop}") from stop
-        text.report(summary, table=False)
-        return summary
-
-    def _write_table(self, rows: dict[int, variations.Row], output: Path) -> list[variations.Row]:
+            solved[i] = _variation(setup, v, output / v.name)
+        except StoppedError as stop:
+            place = f"variation {v.name} (number {number} of {len(chain)})"
+            raise StoppedError(f"{place}: {stop}") from stop
+        status = solved[i].get("status", "not converged")
+        rows[i] = variations.row(v, solved[i], status, clock.perf_counter() - setup.begin)
         done = [rows[k] for k in sorted(rows)]
-        on_root(self._comm, partial(variations.write, done, output), share=False)
-        return done
-
-    def solve(self, case: Case, changes: Sequence[str], output: Path) -> dict[str, Any]:
-        """Solve the case or a variation, write its run directory; returns its summary; collective.
-
-        ``changes`` are the overrides of the variation.
-
-        Raises:
-            MantleError: With the last converged state on disk where there is one.
-        """
-        passed: list[Path] = []
-        while self._restart:
-            found = checkpoint.find(self._comm, self._restart, output, case, self._force, passed)
-            try:
-                return self._solve(case, changes, output, found)
-            except checkpoint.DamagedError as damaged:
-                assert found is not None
-                if self._restart != "auto":
-                    raise errors.InputError(
-                        f"--restart {found.path}: cannot be used: {damaged}"
-                    ) from None
-                checkpoint.pass_over(found.path, damaged)
-                passed.append(found.path)
-                self._setup.model = None  # it has taken up some of it
-        return self._solve(case, changes, output, None)
-
-    def _solve(
-        self, case: Case, changes: Sequence[str], output: Path, found: Checkpoint | None
-    ) -> dict[str, Any]:
-        run = CaseRun(self._setup, case, changes, output, found)
-        return run.finish(run.solve())
+        on_root(comm, partial(variations.write, done, output), share=False)
+        setup.begin_next()
+    done = [rows[k] for k in sorted(rows)]
+    on_root(comm, partial(variations.write, done, output), share=False)
+    log.info("%s", variations.table(done))
+    if failed := [v.name for i, v in enumerate(varied) if not solved[i]]:
+        raise ConvergenceError(
+            f"{len(failed)} of {len(chain)} variations did not converge: {', '.join(failed)} "
+            f"(in {output})"
+        )
+    on_root(comm, partial(write_text, mark, ""), share=False)
+    text.check_usable({output / varied[i].name: summary for i, summary in solved.items()})
 
 
-@contextmanager
-def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
-    held = on_root(comm, partial(claim, output), share=False)
+def _variation(setup: Setup, varied: Varied, folder: Path) -> dict[str, Any]:
+    """Solve a variation; returns its summary, empty if it does not converge; collective."""
+    on_root(setup.comm, partial(_prepare, folder), share=False)
     try:
-        yield
-    finally:
-        if held is not None:
-            os.close(held)
+        summary = _solve(setup, varied.case, varied.overrides, folder)
+    except ConvergenceError as failure:
+        log.warning("%s: %s", varied.name, failure)
+        why = partial(write_text, folder / FAILED, f"{failure}\n")
+        on_root(setup.comm, why, share=False)
+        return {}
+    text.report(summary, table=False)
+    return summary
 
 
 def _prepare(folder: Path) -> None:
     """Make the folder of a variation; remove the note of an earlier failure."""
     prepare_run(folder, force=True)
     (folder / FAILED).unlink(missing_ok=True)
+
+
+def _solve(setup: Setup, case: Case, changes: Sequence[str], output: Path) -> dict[str, Any]:
+    """Solve the case or a variation, write its run directory; returns its summary; collective.
+
+    Raises:
+        MantleError: With the last converged state on disk where there is one.
+    """
+    run = _CaseRun(setup, case, changes, output)
+    return run.finish(run.solve())
+
+
+class _CaseRun:
+    """The run of one case: its model, its records and its checkpoints; made on all ranks.
+
+    ``case`` is the case of the file or a variation of it with overrides ``changes``.
+    """
+
+    def __init__(self, setup: Setup, case: Case, changes: Sequence[str], output: Path) -> None:
+        comm, self._setup, self._case, self._folder = setup.comm, setup, case, output
+        found = None
+        if setup.restart:
+            found = checkpoint.find(comm, setup.restart, output, case, setup.force)
+        self._model = Model(case, comm, setup.options, setup.timing, setup.stop, setup.model)
+        setup.model = self._model
+        self._notes = [*plausibility.warnings(case), *self._model.judge()]
+        setup.note(self._notes)
+        log.info(
+            "%s: %d cells, unknowns %s, %d rank(s)",
+            case.title or setup.loaded.path.stem,
+            self._model.tagged.mesh.topology.index_map(3).size_global,
+            ", ".join(f"{n} {name}" for name, n in self._model.sizes().items()),
+            comm.size,
+        )
+        record = partial(
+            provenance,
+            comm.size,
+            setup.loaded.file.digests,
+            [*setup.loaded.overrides, *changes],
+            self._model.mesh_hash,
+            setup.started,
+        )
+        self._writer = Writer(
+            self._model.tagged,
+            self._model.layers(),
+            output,
+            dump(case),
+            case.output.fields,
+            record,
+            found is not None,
+        )
+        self._recorder = Recorder(
+            case, self._model, self._writer, setup.timing, setup.begin, setup.progress
+        )
+        self._checkpoints = CheckpointWriter(case, self._model, self._recorder, output, found)
+
+    def solve(self) -> Summary:
+        """Solve all stages; returns a summary of the effort; collective.
+
+        Raises:
+            ConvergenceError: With the last converged state on disk, if there is one.
+            StoppedError: The same, and with a checkpoint.
+        """
+        with self._last_state_kept():
+            return self._model.go(
+                Observer(
+                    self._recorder.step,
+                    self._recorder.heat,
+                    lambda s: log.info("     %s", s),
+                    self._recorder.stage,
+                    self._checkpoints.mark,
+                    self._checkpoints.resume,
+                )
+            )
+
+    @contextmanager
+    def _last_state_kept(self) -> Iterator[None]:
+        """Write the last converged state to disk where a solve fails or is stopped; collective."""
+        try:
+            yield
+        except (ConvergenceError, StoppedError) as failure:
+            agree(self._setup.comm, failure)
+            lines = [str(failure), self._recorder.last_state()]
+            if isinstance(failure, ConvergenceError):
+                self._recorder.close("not converged")
+                raise ConvergenceError("\n".join(lines)) from failure
+            if path := self._checkpoints.save():
+                lines.append(f"state saved in {path}: --restart auto goes on from there")
+            self._recorder.close("stopped")
+            raise StoppedError("\n".join(lines)) from failure
+
+    def finish(self, total: Summary) -> dict[str, Any]:
+        """Write the results of a converged run; returns its summary; collective."""
+        setup, case, model = self._setup, self._case, self._model
+        blas_check.check(setup.comm)  # once more: what has converged by wrong sums is no result
+        if clock.perf_counter() - setup.begin > LONG:
+            log.info("     computing and writing results")
+        with setup.timing.phase("output"):
+            self._recorder.flush()
+            summary = self._recorder.summary("converged", total)
+        summary["notes"] = [*self._notes, *well_posedness.doubts(case, summary["regions"])]
+        summary["notes"] += model.thermal.heating.notes if model.thermal else []
+        if text.reasons_not_to_use(summary):
+            summary["status"] = text.UNUSABLE
+        setup.note(summary["notes"])
+        if case.output.condition and model.mechanics:
+            A = model.mechanics.solver.snes.getJacobian()[0]
+            summary["solver"]["condition"] = condition_number(A)
+        if companions := error_estimate.companions(case):
+            # The numbers are safe before their errors are looked for.
+            self._writer.finish(summary, done=False)
+            with setup.timing.phase("error"), self._last_state_kept():
+                summary["error"] = _errors(companions, model, summary, case)
+            summary["timing"] = self._recorder.seconds()
+        self._writer.finish(summary, done=True)
+        if not case.output.checkpoint.model_fields_set:
+            # Those of interruptions are of no more use.
+            on_root(setup.comm, partial(remove, saved(self._folder)), share=False)
+        return summary
+
+
+def _errors(
+    companions: Sequence[error_estimate.Companion],
+    model: Model,
+    summary: dict[str, Any],
+    case: Case,
+) -> dict[str, Any]:
+    solved, failed = [], []
+    for companion in companions:
+        begin = clock.perf_counter()
+        try:
+            solved.append((companion, model.relative(companion.case)))
+        except (ConvergenceError, GeometryError) as failure:
+            agree(model.tagged.mesh.comm, failure)
+            why = str(failure).splitlines()[0]
+            log.warning("error estimate: the companion run on %s failed: %s", companion, why)
+            failed.append(str(companion))
+        except StoppedError as stop:
+            raise StoppedError(f"{stop}, in its companions") from stop
+        else:
+            seconds = clock.perf_counter() - begin
+            log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
+    return {
+        "companions": [str(c) for c, _ in solved],
+        "of": error_estimate.error_sources([c for c, _ in solved]),
+        "failed": failed,
+        "unsettled": error_estimate.estimate(summary, case, solved),
+    }

@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -104,7 +103,7 @@ class CoarseModelStart:
             problem.set_time(begin + s * (time - begin))
 
         # A start that takes many steps to find is not worth them.
-        stage = replace(problem.scene.stages[k], adaptive=False)
+        stage = problem.scene.stages[k].model_copy(update={"adaptive": False})
         coarse.run_path(stage, 1.0, set_load, begin, time)
         assert problem.contact is not None
         known = self._weights @ replicated(problem.contact)

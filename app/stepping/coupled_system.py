@@ -23,7 +23,7 @@ from app.mechanics.systems import ContactSystem
 from app.numerics.preconditioners import INTERFACE, Options
 from app.numerics.sparse import from_triplets, matrix_sum
 from app.numerics.system import Measure
-from app.scene.scene import Scene, SceneStage
+from app.scene.scene import Scene, Stage
 from app.stepping.contact_heat import ContactHeat, PointDerivatives
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
@@ -51,7 +51,7 @@ class CoupledSystem(ContactSystem):
         self._heat, self._committed = heat, committed
         self.exchange = ContactHeat(scene, problem, heat.operators)
         self._n = len(heat.blocks())
-        self._stage: tuple[int, SceneStage, float] | None = None
+        self._stage: tuple[int, Stage, float] | None = None
         self._thermal = self._thermal_forces() if self.exchange.expands else None
         # Heat enters the rows of its nodes and of its jumps.
         self._nodes = self._entries()
@@ -64,7 +64,7 @@ class CoupledSystem(ContactSystem):
         ] or heat.matrices()
         self._down = self._from_heat()
 
-    def begin_stage(self, k: int, stage: SceneStage, start: float) -> None:
+    def begin_stage(self, k: int, stage: Stage, start: float) -> None:
         """Begin stage k, which starts at a time [s]."""
         self._stage = k, stage, start
 
@@ -78,7 +78,7 @@ class CoupledSystem(ContactSystem):
         """
         if self._stage is not None:
             k, stage, start = self._stage
-            part = 1.0 if stage.steady else min((seconds - start) / stage.duration, 1.0)
+            part = 1.0 if stage.steady else min((seconds - start) / stage.seconds, 1.0)
             self._problem.set_time(k + part)
         self.exchange.begin(h, work)
 

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from app.errors import ConvergenceError
 from app.numerics.integrator import Controller
-from app.scene.scene import SceneStage
+from app.scene.scene import Stage
 from app.soundness.failure import attempts
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
@@ -58,7 +58,7 @@ class HeatStepper:
         return self.heating.total
 
     def run_stage(
-        self, k: int, stage: SceneStage, checkpoint_point: Callable[[], None] = no_checkpoint
+        self, k: int, stage: Stage, checkpoint_point: Callable[[], None] = no_checkpoint
     ) -> None:
         """Run a stage that takes time, or find a steady state."""
         self._checkpoint_point = checkpoint_point
@@ -75,7 +75,7 @@ class HeatStepper:
             self._fixed(k, stage)
         self._under_way = False
 
-    def _steady(self, k: int, stage: SceneStage) -> None:
+    def _steady(self, k: int, stage: Stage) -> None:
         if self._steps:
             return
         started = clock.perf_counter()
@@ -89,12 +89,12 @@ class HeatStepper:
         self.heating.warn_if_unstable(stage.name)
         self._finish_step(k, stage, 1.0, accepted, started, True)
 
-    def _fixed(self, k: int, stage: SceneStage) -> None:
+    def _fixed(self, k: int, stage: Stage) -> None:
         """Equal steps, whatever their error, divided at events."""
-        heating, whole = self.heating, stage.duration / stage.increments
+        heating, whole = self.heating, stage.seconds / stage.increments
         if not self._steps:
             heating.start(whole)
-        tiny, steps = SHORTEST * stage.duration, []
+        tiny, steps = SHORTEST * stage.seconds, []
         for n in range(stage.increments):
             inside = [e - self._begin - n * whole for e in heating.events]
             ends = [0.0, *(e for e in inside if tiny < e < whole - tiny), whole]
@@ -107,16 +107,16 @@ class HeatStepper:
             accepted = heating.accept(*found, dt)
             self._finish_step(k, stage, done / stage.increments, accepted, started, at_end)
 
-    def _adaptive(self, k: int, stage: SceneStage) -> None:
+    def _adaptive(self, k: int, stage: Stage) -> None:
         heating, begin = self.heating, self._begin
-        whole = stage.duration / stage.increments
+        whole = stage.seconds / stage.increments
         ends = [begin + (n + 1) * whole for n in range(stage.increments)]
         events = [*ends, *(e for e in heating.events if begin < e < ends[-1])]
         controller = self._controller
         controller.events = sorted(events)
         if not self._steps:
             controller.begin(min(heating.start(whole), whole))
-        tiny = SHORTEST * stage.duration
+        tiny = SHORTEST * stage.seconds
         while heating.seconds < ends[-1] - tiny:
             started = clock.perf_counter()
             while True:
@@ -133,13 +133,13 @@ class HeatStepper:
             at_end = min(abs(heating.seconds - e) for e in ends) < tiny
             self._finish_step(k, stage, self._done(stage), accepted, started, at_end)
 
-    def _done(self, stage: SceneStage) -> float:
-        return min((self.heating.seconds - self._begin) / stage.duration, 1.0)
+    def _done(self, stage: Stage) -> float:
+        return min((self.heating.seconds - self._begin) / stage.seconds, 1.0)
 
     def _finish_step(
         self,
         k: int,
-        stage: SceneStage,
+        stage: Stage,
         part: float,
         accepted: HeatStep,
         started: float,
@@ -154,7 +154,7 @@ class HeatStepper:
         self._steps += 1
         self._checkpoint_point()
 
-    def _failure_text(self, stage: SceneStage, dt: float) -> str:
+    def _failure_text(self, stage: Stage, dt: float) -> str:
         outcome = self.heating.outcome
         tail = ", ".join(f"{r:.1e}" for r in outcome.residuals[-6:]) or "none"
         advice = (

@@ -7,7 +7,7 @@ import time as clock
 import numpy as np
 
 from app.arrays import Ints
-from app.scene.scene import SceneStage
+from app.scene.scene import Stage
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_state import HeatState
 from app.stepping.load_steps import LoadStepper
@@ -41,7 +41,7 @@ class SolvedAfterHeat:
         """Load the mechanics with the thermal state of their last solve; collective."""
         self._heating.loading.restore(self._load_stepper.problem, self._before)
 
-    def begin(self, k: int, stage: SceneStage, anew: bool) -> None:
+    def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
         if anew:
@@ -82,7 +82,7 @@ class SolvedWithHeat:
         self._before = self._heating.thermal_state()
         self._heating.loading.restore(self._load_stepper.problem, self._before)
 
-    def begin(self, k: int, stage: SceneStage, anew: bool) -> None:
+    def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
         if anew:

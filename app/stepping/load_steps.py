@@ -18,7 +18,7 @@ from app.mechanics.predictors import Extrapolation, Predictor, same
 from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
-from app.scene.scene import SceneStage
+from app.scene.scene import Stage
 from app.soundness.failure import explain
 from app.soundness.loose_bodies import held_by_facets, runaway
 
@@ -99,7 +99,7 @@ class Progress:
         goal = (math.floor(self.done / whole + 1e-9) + 1) * whole
         return 1.0 if goal > 1.0 - 1e-9 else goal
 
-    def may_halve(self, stage: SceneStage, free: bool) -> bool:
+    def may_halve(self, stage: Stage, free: bool) -> bool:
         """Whether to try half of a failed step; once only if a body is free, as it hardly helps."""
         most = min(1, stage.max_cut_backs) if free else stage.max_cut_backs
         return stage.adaptive and self.cuts < most
@@ -145,7 +145,7 @@ class LoadStepper:
         self._progress = Progress()
 
     def run_stage(
-        self, k: int, stage: SceneStage, checkpoint_point: Callable[[], None] = no_checkpoint
+        self, k: int, stage: Stage, checkpoint_point: Callable[[], None] = no_checkpoint
     ) -> None:
         """Take load steps through a stage that takes no time."""
         whole = 1.0 / stage.increments
@@ -160,7 +160,7 @@ class LoadStepper:
 
     def run_path(
         self,
-        stage: SceneStage,
+        stage: Stage,
         whole: float,
         set_load: Callable[[float], None],
         begin: float,
@@ -220,7 +220,7 @@ class LoadStepper:
             checkpoint_point()
 
     def commit(
-        self, stage: SceneStage, time: float, outcome: NewtonResult, started: float, whole: bool
+        self, stage: Stage, time: float, outcome: NewtonResult, started: float, whole: bool
     ) -> None:
         """Commit the state of the solver and report the step; collective.
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from app.scene.scene import SceneStage
+from app.scene.scene import Stage
 from app.stepping.heat_steps import HeatStepper
 from app.stepping.load_steps import LoadStepper
 
 
 def run_stages(
-    stages: Sequence[SceneStage],
+    stages: Sequence[Stage],
     load_stepper: LoadStepper | None,
     heat_stepper: HeatStepper | None,
-    begin: Callable[[SceneStage], None] = lambda stage: None,
+    begin: Callable[[Stage], None] = lambda stage: None,
     checkpoint_point: Callable[[int], None] = lambda k: None,
     first: int = 0,
 ) -> None:
@@ -35,7 +35,6 @@ def run_stages(
         begin(stage)
         if load_stepper is not None:
             load_stepper.problem.set_stage(k, load_stepper.solver.u_and_q()[0])
-        takes_time = stage.duration > 0 or stage.steady
-        stepper = heat_stepper if takes_time else load_stepper
+        stepper = heat_stepper if stage.takes_time else load_stepper
         if stepper is not None:
             stepper.run_stage(k, stage, partial(checkpoint_point, k))

@@ -10,8 +10,8 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -118,8 +118,9 @@ def prepare_run(folder: Path, force: bool) -> None:
         raise InputError(f"-o {folder}: is not writable")
 
 
-def claim(folder: Path) -> int:
-    """Lock a run folder until the descriptor is closed or this process ends.
+@contextmanager
+def claim(folder: Path) -> Iterator[None]:
+    """Lock a folder of results for the block; the end of this process frees it too.
 
     Raises:
         InputError: Another run has locked it.
@@ -129,14 +130,16 @@ def claim(folder: Path) -> int:
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be read: {error.strerror}") from error
     try:
-        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            text = "another run is writing into it; wait for its end, or choose another folder"
+            raise InputError(f"-o {folder}: {text}") from None
+        except OSError:
+            pass  # a file system without locks
+        yield
+    finally:
         os.close(held)
-        text = "another run is writing into it; wait for its end, or choose another folder"
-        raise InputError(f"-o {folder}: {text}") from None
-    except OSError:
-        pass  # a file system without locks
-    return held
 
 
 def saved(folder: Path) -> list[Path]:

@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from app.campaigns import batch, plan
-from app.campaigns.plan import Options
+from app.campaigns import batch
+from app.campaigns.batch import Options
 from app.campaigns.runs import Job, Result
 from app.campaigns.work_precision import fitted_order
 from app.case.case import load
@@ -104,7 +104,7 @@ def dry_run(suite: str, options: Options) -> str:
     """A table of the runs that `run` would start."""
     checks = _chosen(suite, options)
     jobs = [job for c in checks for job, why in _planned(c, options.folder) if not why]
-    return plan.describe(f"{suite}: {len(checks)} checks", jobs, options)
+    return batch.plan(f"{suite}: {len(checks)} checks", jobs, options)
 
 
 def _chosen(suite: str, options: Options) -> list[Check]:

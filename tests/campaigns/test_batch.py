@@ -1,135 +1,41 @@
-"""Many runs: what is run again and what is not, how failures and interruptions end.
-
-Most of these run a stand-in for ``mantle run``, which leaves what a run leaves in no time: a
-summary with the mesh size, an exit code for the sizes that a file lists, a line for every call.
-"""
+"""Many runs: what is run again and what is not, how failures and interruptions end."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
 import os
 import re
-import signal
 import subprocess
-import sys
-import threading
-import time
 from pathlib import Path
 
 import pytest
 
 import meshes
 from app.campaigns import batch, engine
-from app.campaigns.runs import Job, Result
+from app.campaigns.runs import Job, Result, result_of, runs_of
 from app.case.case import load
 from app.case.geometries import MeshFile
-from app.errors import EnvironmentProblem, InputError, StoppedError
+from app.errors import EnvironmentProblem, InputError
 from app.soundness import memory
-from app.system import identity
-from tests import support
+from app.system import folders, identity
+from tests.campaigns.conftest import Bench, wait
+from tests.campaigns.test_points import CASE
 
-CASE = """\
-geometry:
-  kind: blocks
-  blocks: [{name: one, size: [4 mm, 4 mm, 4 mm]}]
-mesh: {order: 1, size: 4 mm}
-regions: {one: {youngs_modulus: 1 GPa, poisson_ratio: 0.3, tissue: other}}
-supports: {base: {kind: fixed, boundary: bottom}}
-"""
 # Names without elements.
 NO_MESH = """\
 $MeshFormat
 4.1 0 8
 $EndMeshFormat
 $PhysicalNames
-2
+4
 2 1 "bottom"
-3 2 "one"
+2 2 "top"
+3 3 "lower"
+3 4 "upper"
 $EndPhysicalNames
 """
-STAND_IN = """\
-import json, os, pathlib, re, sys, time
-here = pathlib.Path(__file__).parent
-case, output = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[3])
-size = re.search(r"size: (\\S+) mm$", case.read_text(), re.M).group(1)
-with (here / "calls").open("a") as file:
-    file.write(" ".join([size, *sys.argv[4:], os.environ["OMP_NUM_THREADS"]]) + "\\n")
-if size in (here / "broken").read_text().split():
-    sys.exit("the mesh is bad\\nmesh.size is cursed")
-running = here / "running"
-running.mkdir(exist_ok=True)
-(running / output.name).touch()
-most, wanted, end = 0, int((here / "meet").read_text()), time.monotonic() + 60
-try:
-    time.sleep(float((here / "seconds").read_text()))
-    # Some are to run at the same time: they wait for each other, but not for ever.
-    while most < wanted and not (here / "met").exists() and time.monotonic() < end:
-        most = max(most, len(list(running.iterdir())))
-        time.sleep(0.02)
-    if most > 1:
-        (here / "met").touch()
-    (running / output.name).unlink()
-except KeyboardInterrupt:
-    sys.exit(5)
-output.mkdir(parents=True, exist_ok=True)
-(output / "summary.json").write_text(json.dumps({"size": float(size)}))
-(output / "DONE").write_text("")
-"""
-
-
-class Bench:
-    """A folder with a case and the stand-in."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.case, self.out = folder, folder / "case.yaml", folder / "out put"
-        self.case.write_text(CASE)
-        (folder / "mantle.py").write_text(STAND_IN)
-        self.tell(broken="", seconds="0", meet="1")
-
-    def tell(self, **files: str) -> None:
-        """Tell the stand-in which sizes fail, how long it takes, how many run at a time."""
-        for name, text in files.items():
-            (self.folder / name).write_text(text)
-
-    def calls(self) -> list[str]:
-        """The calls since the last time."""
-        path = self.folder / "calls"
-        lines = path.read_text().splitlines() if path.exists() else []
-        path.unlink(missing_ok=True)
-        return sorted(lines)
-
-    def job(self, size: float, *more: str, **options: object) -> Job:
-        return Job(f"size-{size}", self.case, (f"mesh.size={size} mm", *more), **options)  # type: ignore[arg-type]
-
-    def run(self, *jobs: Job) -> list[Result]:
-        return batch.run(jobs, self.out, 2)
-
-    def sizes(self) -> list[float]:
-        return [float(line.split()[0]) for line in self.calls()]
-
-    def wait_for_calls(self, number: int = 1) -> None:
-        deadline = time.monotonic() + 120
-        calls = self.folder / "calls"
-        while not calls.exists() or len(calls.read_text().splitlines()) < number:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-
-    def processes(self) -> list[int]:
-        """Other processes that have to do with the batch."""
-        here, found = str(self.folder).encode(), []
-        for path in Path("/proc").glob("[0-9]*/cmdline"):
-            with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-                if here in path.read_bytes() and path.parent.name != str(os.getpid()):
-                    found.append(int(path.parent.name))
-        return found
-
-
-@pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
-    monkeypatch.setattr(batch, "MANTLE_RUN", (sys.executable, str(tmp_path / "mantle.py")))
-    return Bench(tmp_path)
+SIDES = "interfaces: {lower_upper: [lower, upper]}"
 
 
 def test_failures_are_isolated_and_alone_run_again(
@@ -141,8 +47,9 @@ def test_failures_are_isolated_and_alone_run_again(
     results = bench.run(*jobs)
     assert [r.job for r in results] == jobs
     assert [r.exit_code for r in results] == [0, 1, 0]
-    assert [r.summary for r in results] == [{"size": 1.0}, {}, {"size": 3.0}]
-    assert results[1].message == "the mesh is bad\nmesh.size is cursed" and not results[0].message
+    assert [r.summary.get("size") for r in results] == [1.0, None, 3.0]
+    assert results[1].message == "the mesh is bad\nthe block slides away"
+    assert not results[0].message
     assert all(0 < r.seconds < 20 for r in results)
     assert bench.sizes() == [1.0, 2.0, 3.0]
     lines = [m for m in caplog.messages if m.startswith("[")]
@@ -152,10 +59,10 @@ def test_failures_are_isolated_and_alone_run_again(
     bench.tell(broken="")
     results = bench.run(*jobs)
     assert bench.sizes() == [2.0]
-    assert [r.exit_code for r in results] == [0, 0, 0] and results[1].summary == {"size": 2.0}
+    assert [r.exit_code for r in results] == [0, 0, 0] and results[1].summary["size"] == 2.0
     # Nothing to do: Snakemake is not even started.
     before = {p: p.stat().st_mtime_ns for p in bench.out.rglob("[!.]*")}
-    assert bench.run(*jobs) == results and bench.calls() == []
+    assert bench.run(*jobs) == results and not bench.sizes()
     assert {p: p.stat().st_mtime_ns for p in bench.out.rglob("[!.]*")} == before
     # What cannot be read is not done.
     (results[0].folder / "summary.json").write_text("{")
@@ -169,16 +76,14 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
     assert bench.sizes() == [1.0, 2.0]
     jobs = [
         Job("another name" * 30, bench.case, ("mesh.size=0.1 cm",)),
-        bench.job(2.0, "regions.one.poisson_ratio=0.2"),
+        bench.job(2.0, "regions.upper.poisson_ratio=0.2"),
         bench.job(2.0, ranks=2),
         bench.job(3.0),
         Job("twin", bench.case, ("mesh.size=3000 um",), alone=True),
     ]
     results = bench.run(*jobs)
-    assert bench.calls() == [
-        "2.0 --restart auto -n 2 1",
-        "2.0 --restart auto 1",
-        "3.0 --restart auto 1",
+    assert bench.told("calls") == [
+        f"{run} 1" for run in ("2 --restart auto -n 2", "2 --restart auto", "3 --restart auto")
     ]
     assert [r.summary["size"] for r in results] == [1, 2, 2, 3, 3]
     assert results[0].folder == first[0].folder
@@ -188,40 +93,43 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
     # Comments in the case file are not content.
     bench.case.write_text(CASE + "# a comment\n")
     bench.run(*jobs)
-    assert bench.calls() == []
+    assert not bench.sizes()
 
 
 def test_a_changed_mesh_file_runs_again(bench: Bench) -> None:
     mesh = bench.folder / "box.msh"
     case = load(bench.case).config
     meshes.write_msh(meshes.build(case.geometry, case.mesh), mesh)
-    text = re.sub(r"geometry:\n.*\n.*\n", "geometry: {kind: file, path: box.msh}\n", CASE)
-    bench.case.write_text(text)
+    text = re.sub(r"geometry:\n.*\n.*\n", "geometry: {kind: file, path: box.msh, SIDES}\n", CASE)
+    bench.case.write_text(text.replace("SIDES", SIDES))
     first = bench.run(bench.job(1.0))
     saved = load(next((bench.out / "cases").iterdir())).config
     assert isinstance(saved.geometry, MeshFile) and saved.geometry.path == mesh
     os.utime(mesh)
-    assert bench.run(bench.job(1.0)) == first and len(bench.calls()) == 1
+    assert bench.run(bench.job(1.0)) == first and len(bench.sizes()) == 1
     mesh.write_text(mesh.read_text() + "\n")
     second = bench.run(bench.job(1.0))
-    assert second[0].folder != first[0].folder and len(bench.calls()) == 1
+    assert second[0].folder != first[0].folder and len(bench.sizes()) == 1
 
 
 @pytest.mark.parametrize("part", ["mantle", "dolfinx", "petsc", "gmsh", "blas"])
 def test_what_another_stack_has_done_is_not_done(
-    part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    part: str, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "case.yaml").write_text(CASE)
-    job, out = Job("one", tmp_path / "case.yaml"), tmp_path / "out"
+    def result() -> Result:
+        run = runs_of([job], bench.out, 1)[0]
+        return result_of(job, run, over=False)
+
+    job = bench.job(1.0)
     known = dict.fromkeys(identity.parts(), "1")
     monkeypatch.setattr(identity, "parts", lambda: known)
-    folder = batch.results_so_far([job], out, 1)[0].folder
+    folder = result().folder
     folder.mkdir(parents=True)
     (folder / "summary.json").write_text("{}")
     (folder / "DONE").write_text("")
-    assert batch.results_so_far([job], out, 1)[0].exit_code == 0
+    assert result().exit_code == 0
     known[part] = "2"
-    assert batch.results_so_far([job], out, 1)[0].exit_code == 5
+    assert result().exit_code == 5
 
 
 def test_bad_jobs_are_told_together_before_anything_runs(bench: Bench) -> None:
@@ -239,7 +147,7 @@ def test_bad_jobs_are_told_together_before_anything_runs(bench: Bench) -> None:
     for message, start in zip(messages, ("a: --set mesh.sise", "b: --set mesh.size"), strict=False):
         assert message.startswith(start)
     assert "none.yaml: no such file" in messages[2] and messages[3].startswith("d: 0 is not")
-    assert not bench.out.exists() and bench.calls() == []
+    assert not bench.out.exists() and not bench.sizes()
     bench.out.write_text("a file")
     with pytest.raises(InputError, match="cannot be written"):
         bench.run(bench.job(1.0))
@@ -258,30 +166,7 @@ def test_what_runs_beside_what(
     bench.run(*(bench.job(s, alone=alone) for s in (1.0, 2.0)))
     assert (bench.folder / "met").exists() == together
     # Snakemake would give each as many threads as cores.
-    assert all(line.endswith(" 1") for line in bench.calls())
-
-
-def test_interruption_leaves_nothing_running_and_is_resumed(bench: Bench) -> None:
-    """The third of three is interrupted; afterwards only it runs."""
-    bench.run(bench.job(1.0), bench.job(2.0))
-    bench.calls()
-    bench.tell(seconds="60")
-    jobs = [bench.job(s) for s in (1.0, 2.0, 3.0)]
-
-    def interrupt() -> None:
-        bench.wait_for_calls()
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    thread = threading.Thread(target=interrupt)
-    thread.start()
-    with pytest.raises(StoppedError, match="stopped after 2 of 3"):
-        bench.run(*jobs)
-    thread.join()
-    assert not bench.processes()
-    assert bench.sizes() == [3.0]
-    bench.tell(seconds="0")
-    assert [r.exit_code for r in bench.run(*jobs)] == [0, 0, 0]
-    assert bench.sizes() == [3.0]
+    assert all(line.endswith(" 1") for line in bench.told("calls"))
 
 
 def test_nothing_runs_on_where_the_table_cannot_be_written(bench: Bench) -> None:
@@ -289,7 +174,7 @@ def test_nothing_runs_on_where_the_table_cannot_be_written(bench: Bench) -> None
     bench.tell(seconds="60", broken="2.0")
 
     def tell(results: object) -> None:
-        bench.wait_for_calls(2)
+        wait(lambda: len((bench.folder / "calls").read_text().splitlines()) == 2)
         raise InputError("the disk is full")
 
     with pytest.raises(InputError, match="the disk is full"):
@@ -297,32 +182,10 @@ def test_nothing_runs_on_where_the_table_cannot_be_written(bench: Bench) -> None
     assert not bench.processes()
 
 
-def test_a_killed_batch_does_not_block_the_next(bench: Bench) -> None:
-    """Everything is killed while a case runs; and while it lives, no second batch may start."""
-    bench.tell(seconds="60")
-    script = (
-        "import sys, pathlib; from app.campaigns import batch;"
-        "from app.campaigns.runs import Job;"
-        "batch.MANTLE_RUN = tuple(sys.argv[2:4]);"
-        "case = pathlib.Path(sys.argv[1]) / 'case.yaml';"
-        "job = Job('size-1.0', case, ('mesh.size=1.0 mm',));"
-        "batch.run([job], case.parent / 'out put', 1)"
-    )
-    first = subprocess.Popen(
-        [sys.executable, "-c", script, bench.folder, *batch.MANTLE_RUN],
-        env=support.environment(),
-        stdout=subprocess.DEVNULL,
-    )
-    bench.wait_for_calls()
-    with pytest.raises(InputError, match="another batch"):
+def test_a_folder_has_one_batch_at_a_time(bench: Bench) -> None:
+    bench.out.mkdir()
+    with folders.claim(bench.out), pytest.raises(InputError, match="another run is writing"):
         bench.run(bench.job(1.0))
-    first.kill()
-    first.wait()
-    for number in bench.processes():
-        os.kill(number, signal.SIGKILL)
-    bench.calls()
-    bench.tell(seconds="0")
-    assert bench.run(bench.job(1.0))[0].exit_code == 0 and bench.sizes() == [1.0]
 
 
 def test_a_broken_snakemake_is_told(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -371,7 +234,7 @@ def test_real_runs(tmp_path: Path) -> None:
     case = tmp_path / "case.yaml"
     case.write_text(CASE)
     (tmp_path / "bad.msh").write_text(NO_MESH)
-    bad_mesh = ("geometry={kind: file, path: bad.msh}",)
+    bad_mesh = (f"geometry={{kind: file, path: bad.msh, {SIDES}}}",)
     jobs = [Job("two", case, ranks=2), Job("bad", case, bad_mesh)]
     two, bad = batch.run(jobs, tmp_path / "out", 2)
     assert two.exit_code == 0 and two.summary["status"] == "converged"

@@ -20,8 +20,10 @@ from app.schema import yaml_file
 from tests import support
 from tests.schema.test_layers import BLOCKS
 
-CASE = BLOCKS.replace("size: 4 mm}", "size: 4 mm, far_size: 6 mm}").replace(
-    "  push: {kind: force, boundary: top, force: [3 N, 0 N, -4 N]}\n", ""
+CASE = (
+    BLOCKS.replace("size: 4 mm}", "size: 4 mm, far_size: 6 mm}")
+    .replace("ratio: 0.3}", "ratio: 0.3, tissue: other}")
+    .replace("  push: {kind: force, boundary: top, force: [3 N, 0 N, -4 N]}\n", "")
 )
 FRICTION = "interfaces.lower_upper.friction_coefficient"
 SWEEP = f"""\

@@ -26,8 +26,7 @@ from app.arrays import Floats
 from app.laws.interface_laws import Coulomb
 from app.mechanics import contact_law as point_law
 from app.mechanics.contact_law import PointLaw, gap_vectors
-from app.mechanics.contact_points import OwnPoints
-from app.mechanics.contact_state import ContactState
+from app.mechanics.contact_points import ContactState, OwnPoints
 from app.system.timing import Timing
 from forms.contact import OPEN, SLIP, STICK, contact_law
 

@@ -214,7 +214,7 @@ def test_a_shaft_turns_in_its_bearing() -> None:
         ),
         ("x={kind: roller, boundary: x_min, normal: [0, 0, 0]}", "is the zero vector"),
         ("x={kind: roller, boundary: x_min, normal: [1, 0]}", "has 2 values; expected three"),
-        ("x={kind: roller, boundary: x_min, normal: fcae}", r"no direction; expected .* or face"),
+        ("x={kind: roller, boundary: x_min, normal: fcae}", r"expected a direction .* or face"),
         (
             "z={kind: roller, boundary: bottom, normal: [1, 1, 0]}",
             "nothing holds the model along z",

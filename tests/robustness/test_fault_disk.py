@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import random
 import subprocess
 from pathlib import Path
@@ -123,11 +122,11 @@ def test_an_output_folder_on_a_read_only_disk_is_refused(warmed: Path, tmp_path:
 
 
 def test_a_folder_belongs_to_one_run(tmp_path: Path) -> None:
-    held = folders.claim(tmp_path)
-    child = start(tmp_path)
-    said = child.communicate(timeout=60)[1]
+    with folders.claim(tmp_path):
+        child = start(tmp_path)
+        said = child.communicate(timeout=60)[1]
     assert child.returncode == 2
     assert f"-o {tmp_path}: another run is writing into it" in said
     assert not list(tmp_path.iterdir())
-    os.close(held)
-    os.close(folders.claim(tmp_path))
+    with folders.claim(tmp_path):
+        pass

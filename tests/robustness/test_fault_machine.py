@@ -33,7 +33,6 @@ def test_only_records_are_by_the_clock_of_the_wall() -> None:
     }
     # Provenance of a run, of a checkpoint; and how old files are, which is by that clock.
     assert used == {
-        "app/simulation/run.py",
         "app/simulation/session.py",
         "app/results/run_folder.py",
         "app/simulation/checkpoint.py",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.campaigns.runs import Job, resolve, runs_of
+from app.campaigns.runs import Job, runs_of
 from app.case import sweep as sweep_file
 from app.case.case import dump, load
 from tests.support import CONFIGS
@@ -66,5 +66,5 @@ def test_a_title_makes_no_other_run(tmp_path: Path) -> None:
     """A value that is the file's own, given as an option, is the same case."""
     own = ("geometry.cement_thickness=4 mm",)
     jobs = [Job("a", STANCE), Job("b", STANCE, own)]
-    one, two = runs_of(jobs, resolve(jobs), tmp_path, 1)
+    one, two = runs_of(jobs, tmp_path, 1)
     assert one.id == two.id

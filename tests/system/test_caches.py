@@ -13,7 +13,7 @@ import pytest
 
 from app import files
 from app.cli import main
-from app.numerics import kernel_cache
+from app.numerics import pointwise
 from app.system import folders, form_cache
 from tests import support
 
@@ -107,7 +107,7 @@ def test_a_note_names_a_module_of_the_cache(home: Path, change: dict[str, object
     note = folder / "law-0.json"
     right = {"module": f"libffcx_expressions_{'0' * 40}", "symbol": f"expression_{'0' * 40}"}
     folders.write_json(note, right | {"inputs": [], "shapes": []} | change)
-    assert kernel_cache.find(support.MPI.COMM_SELF, note) is None
+    assert pointwise.find(support.MPI.COMM_SELF, note) is None
 
 
 def test_unfinished_files_have_no_name_that_can_be_guessed(

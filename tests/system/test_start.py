@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 import meshes
 from app.case.case import load
-from app.numerics import kernel_cache, pointwise
+from app.numerics import pointwise
 from app.numerics.sparse import from_triplets
 from app.schema import unit_conversion
 from app.system import folders
@@ -124,7 +124,7 @@ def test_a_law_has_another_note_when_its_text_changes(tmp_path: Path) -> None:
     notes = set()
     for text in ("1", "2"):
         Path(source.__file__).write_text(text)
-        notes |= {kernel_cache.note_of(law, [source]) for law in ("plain", "corner")}
+        notes |= {pointwise.note_of(law, [source]) for law in ("plain", "corner")}
     assert len(notes) == 4
 
 

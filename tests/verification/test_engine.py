@@ -13,7 +13,7 @@ import pytest
 
 from app import cli
 from app.campaigns import batch
-from app.campaigns.plan import Options
+from app.campaigns.batch import Options
 from app.campaigns.runs import Job, Result
 from app.errors import InputError, Reason
 from app.verification import engine, picture

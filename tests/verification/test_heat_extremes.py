@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.campaigns.plan import Options
+from app.campaigns.batch import Options
 from app.verification import engine
 
 

@@ -12,7 +12,7 @@ from app.case.case import load
 from app.errors import StoppedError
 from app.results.reading import Run
 from app.simulation import coarser_case
-from app.simulation import run as running
+from app.simulation import session as running
 from app.simulation.session import run
 from app.system.folders import saved
 from tests import coupled, restarted, support

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.campaigns.plan import Options
+from app.campaigns.batch import Options
 from app.case.case import load
 from app.results.reading import Run
 from app.verification import changed_meshes, engine, judges

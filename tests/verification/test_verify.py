@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.campaigns.plan import Options
+from app.campaigns.batch import Options
 from app.case.case import load
 from app.verification import closed_forms, engine
 from app.verification.check import CONFIGS, Check, CheckRun, Sample, each
