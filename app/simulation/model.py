@@ -23,6 +23,7 @@ from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results import gruen
+from app.results.bond_strength import bonds
 from app.results.field_output import FieldGroup, HeatFields
 from app.results.interface_numbers import ContactSamples
 from app.results.mechanical_fields import MechanicalFields
@@ -264,8 +265,8 @@ class Model:
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
-            if m.bonds:
-                numbers["bonds"] = {b.name: b.numbers() for b in m.bonds}
+            if found := bonds(m.problem, m.stresses):
+                numbers["bonds"] = found
             numbers["stem"] = stem_motion(m.problem, self._case)
         if t := self.thermal:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}

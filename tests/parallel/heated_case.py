@@ -73,7 +73,7 @@ def main(output: Path) -> None:
     found = {
         "interface": samples.numbers["stem_cement"],
         "cement": model.stresses.region("cement"),
-        "bond": {b.name: b.numbers() for b in bonds(problem, model.stresses)},
+        "bond": bonds(problem, model.stresses),
         "balance": [model.balance.force, model.balance.moment, model.balance.energy],
         "thermal": [A.norm() for A in G[0]],
     }
