@@ -49,9 +49,7 @@ def bonds(problem: Problem, stresses: Stresses) -> dict[str, dict[str, float]]:
 def tractions(problem: Problem, stresses: Stresses, soft: str, stiff: Sequence[str]) -> Floats:
     """Normal traction, positive in tension, shear [MPa] and area [mm2] at own points (3, p).
 
-    Args:
-        soft: Region whose stress counts.
-        stiff: Regions on the other side.
+    Those of the soft region where it meets the stiff ones.
     """
     f = facets_between(problem.tagged, [soft], stiff)
     x, centre = facet_coordinates(problem.tagged, f)
