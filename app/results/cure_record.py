@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -15,14 +14,16 @@ from app.arrays import Floats, Ints
 LEVELS = (0.5, 0.9)
 
 
-@dataclass
 class _CuringRegion:
     """Cure recorded at the nodes of one region (n,), and times of reaching the levels (n, k)."""
 
-    degree: Floats
-    rate: Floats
-    reached: Floats
-    fastest: Floats
+    saved = ("degree", "rate", "reached", "fastest")
+
+    def __init__(self, degree: Floats, seconds: float) -> None:
+        self.degree: Floats = degree.copy()
+        self.rate: Floats = np.zeros(len(degree))
+        self.reached = np.where(degree[:, None] >= np.array(LEVELS), seconds, np.inf)
+        self.fastest: Floats = self.rate
 
 
 class CureRecord:
@@ -47,15 +48,7 @@ class CureRecord:
     ) -> None:
         self._comm, self._seconds = comm, seconds
         self.row_keys = {"_regions": keys}
-        self._regions = {
-            name: _CuringRegion(
-                degree.copy(),
-                np.zeros(len(degree)),
-                np.where(degree[:, None] >= np.array(LEVELS), seconds, np.inf),
-                np.zeros(len(degree)),
-            )
-            for name, degree in degrees.items()
-        }
+        self._regions = {name: _CuringRegion(d, seconds) for name, d in degrees.items()}
 
     def update(
         self, seconds: float, degrees: Mapping[str, Floats], rates: Mapping[str, Floats]

@@ -141,14 +141,10 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     status = np.full(len(rows), -1.0)
     ends = s.status[rows[on]]
     status[on] = np.where((ends == OPEN).any(axis=1), OPEN, ends.max(axis=1))
-    name = contact.name
-    own = {f"{name}_{variable}": spread(s.own[variable]) for variable in contact.law.history}
-    return own | {
-        f"{name}_gap": spread(s.opening),
-        f"{name}_slip": spread(s.slip),
-        f"{name}_slip_path": spread(s.path),
-        f"{name}_motion": spread(s.motion),
-        f"{name}_pressure": spread(s.pressure),
-        f"{name}_shear": spread(s.shear),
-        f"{name}_status": status,
+    fields = {
+        **{variable: s.own[variable] for variable in contact.law.history},
+        **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
+        **{"pressure": s.pressure, "shear": s.shear},
     }
+    found = {f"{contact.name}_{key}": spread(values) for key, values in fields.items()}
+    return found | {f"{contact.name}_status": status}

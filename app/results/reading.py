@@ -128,11 +128,11 @@ class Run(Results):
 
     def on_points(self, name: str, step: int | str = -1) -> Floats:
         """A field on the nodes at a written step (n,) or (n, k), by its name in the file."""
-        return self._field(f"PointData/{name}", "Points", step)
+        return self._field(f"PointData/{name}", len(self.points), step)
 
     def on_cells(self, name: str, step: int | str = -1) -> Floats:
         """A field on the cells at a written step (m,) or (m, k), by its name in the file."""
-        return self._field(f"CellData/{name}", "Cells", step)
+        return self._field(f"CellData/{name}", len(self.cells), step)
 
     def displacement(self, step: int | str = -1) -> Floats:
         """Displacement of the nodes at a written step (n, 3) [mm]."""
@@ -221,8 +221,7 @@ class Run(Results):
 
         return norm(have - should), norm(have), norm(should)
 
-    def _field(self, name: str, kind: str, step: int | str) -> Floats:
-        rows = len(self.points) if kind == "Points" else len(self.cells)
+    def _field(self, name: str, rows: int, step: int | str) -> Floats:
         k = self._last_of(step) if isinstance(step, str) else range(len(self.times))[step]
         with h5py.File(self.folder / "fields.vtkhdf", "r") as file:
             field = file["VTKHDF"][name]

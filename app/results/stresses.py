@@ -156,36 +156,25 @@ class Stresses:
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         deviator = σ - mean[:, None, None] * np.eye(3)
         eigen = np.linalg.eigvalsh(σ)
-        local = np.column_stack(
-            [
-                np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator)),
-                _hoop(σ, x),
-                eigen[:, 2],
-                eigen[:, 0],
-                mean,
-                volumes.ravel(),
-            ]
+        mises = np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator))
+        local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
+        mises, hoop, principal, least, mean, volume = np.concatenate(
+            self._problem.comm.allgather(local), axis=1
         )
-        pieces = self._problem.comm.gather(local)
-        result: dict[str, Any] = {}
-        if pieces is not None:
-            mises, hoop, principal, least, mean, volume = np.concatenate(pieces).T
-            result = {
-                "von_mises_max": float(mises.max()),
-                "von_mises_p99": percentile(mises, volume),
-                "principal_max": float(principal.max()),
-                "principal_p99": percentile(principal, volume),
-                "principal_min": float(least.min()),
-                "mean_stress_min": float(mean.min()),
-                "mean_stress_max": float(mean.max()),
-                "volume": float(volume.sum()),
-                "volume_over_5_8_10_MPa": [
-                    float(volume[principal > level].sum()) for level in STRESS_LEVELS
-                ],
-            }
-            if self._around_z:
-                result["hoop_p99"] = percentile(hoop, volume)
-        return self._problem.comm.bcast(result) | computed("regions", self, region)
+        result = {
+            "von_mises_max": float(mises.max()),
+            "von_mises_p99": percentile(mises, volume),
+            "principal_max": float(principal.max()),
+            "principal_p99": percentile(principal, volume),
+            "principal_min": float(least.min()),
+            "mean_stress_min": float(mean.min()),
+            "mean_stress_max": float(mean.max()),
+            "volume": float(volume.sum()),
+            "volume_over_5_8_10_MPa": [float(volume[principal > p].sum()) for p in STRESS_LEVELS],
+        }
+        if self._around_z:
+            result["hoop_p99"] = percentile(hoop, volume)
+        return result | computed("regions", self, region)
 
 
 def _stiffness(e: Elastic) -> Floats:

@@ -88,7 +88,7 @@ class ThermalRecord:
     def start(self, temperatures: Sequence[fem.Function], seconds: float = 0.0) -> None:
         """Record the initial state; collective."""
         for name, nodes in self._nodes.items():
-            self.regions[name] = RegionTemperatures.of(nodes, temperatures, seconds)
+            self.regions[name] = RegionTemperatures(nodes, temperatures, seconds)
         self._watched = -np.inf
         self._take(seconds, temperatures)
         if not self._bone_sides:

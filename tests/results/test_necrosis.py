@@ -89,7 +89,7 @@ def test_time_above_a_level() -> None:
 
 def test_a_step_may_be_cut_anywhere() -> None:
     """Doses add up: one long line is as many short ones."""
-    whole, parts = necrosis.Exposure.of(2), necrosis.Exposure.of(2)
+    whole, parts = necrosis.Exposure(2), necrosis.Exposure(2)
     start, end = kelvin(37.0, 70.0), kelvin(58.0, 44.0)
     whole.add(start, end, 90.0)
     for k in range(37):
@@ -100,7 +100,7 @@ def test_a_step_may_be_cut_anywhere() -> None:
 
 
 def test_the_criteria_disagree() -> None:
-    e = necrosis.Exposure.of(3)
+    e = necrosis.Exposure(3)
     T = kelvin(47.0, 50.0, 57.0)
     e.add(T, T, 59.0)
     assert (e.levels()["47C_1min"] < 0).all()
@@ -117,7 +117,7 @@ def test_the_criteria_disagree() -> None:
 
 
 def test_levels_of_exponential_doses_are_linear_in_temperature() -> None:
-    e = necrosis.Exposure.of(3)
+    e = necrosis.Exposure(3)
     T = kelvin(45.0, 47.0, 49.0)
     e.add(T, T, 60.0)
     level = e.levels()["cem43_16"]
