@@ -23,11 +23,10 @@ from app.campaigns.batch import Options
 from app.campaigns.runs import Job, Result
 from app.case import quantities
 from app.case import sweep as sweep_file
-from app.case.planned_run import PlannedRun
-from app.case.sweep import Sweep
+from app.case.sweep import PlannedRun, Sweep
 from app.errors import InputError, gravest
 from app.results.closing_lines import UNUSABLE
-from app.schema import yaml_text
+from app.schema import yaml_file
 from app.simulation import variations
 from app.system import identity, layout
 from app.system.folders import csv_text, write_json, write_text
@@ -134,7 +133,7 @@ def _write(
         write_text(folder / "sweep.csv", _csv(rows, keys))
         # The file may have changed since.
         data = sweep.model_dump(mode="json", exclude_unset=True)
-        write_text(folder / "sweep.yaml", yaml_text.to_yaml(data))
+        write_text(folder / "sweep.yaml", yaml_file.to_yaml(data))
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
     return rows

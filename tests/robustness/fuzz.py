@@ -195,7 +195,7 @@ def read(path: Path, overrides: list[str]) -> None:
     data = yaml_file.read(path).data
     if path.parent.name == "sweeps" or "parts" in data or "grid" in data:
         sweep_file.read(path, overrides)
-    elif overlay.is_study(data) or path.parent.name == "studies":
+    elif "study" in data or path.parent.name == "studies":
         study_file.read(path, overrides)
     else:
         file = overlay.read(path, overrides)
