@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -17,18 +19,10 @@ def kelvin(*celsius: float) -> np.ndarray:
 
 
 # Time at which the damage integral of a constant temperature is one.
-DEADLY = [
-    (45.0, 4.10e4),
-    (47.0, 9313.0),
-    (50.0, 1042.0),
-    (53.0, 121.0),
-    (55.0, 29.6),
-    (60.0, 0.935),
-    (70.0, 1.26e-3),
-]
+DEADLY = {45.0: 4.10e4, 47.0: 9313.0, 50.0: 1042.0, 53.0: 121.0, 55.0: 29.6, 60.0: 0.935}
 
 
-@pytest.mark.parametrize(("celsius", "seconds"), DEADLY)
+@pytest.mark.parametrize(("celsius", "seconds"), [*DEADLY.items(), (70.0, 1.26e-3)])
 def test_damage_of_constant_temperatures(celsius: float, seconds: float) -> None:
     T = kelvin(celsius)
     assert necrosis.henriques_moritz(T, T, seconds) == pytest.approx(1.0, rel=6e-3)
@@ -42,16 +36,8 @@ def test_damage_far_above_boiling_is_finite() -> None:
 
 def integral(rate, a: float, b: float, seconds: float, corners=()) -> float:
     at = sorted((c - a) / (b - a) * seconds for c in corners if min(a, b) < c < max(a, b))
-    value, _ = quad(
-        lambda t: rate(a + (b - a) * t / seconds),
-        0,
-        seconds,
-        points=at or None,
-        epsrel=1e-12,
-        epsabs=0,
-        limit=500,
-    )
-    return value
+    accuracy: Any = {"points": at or None, "epsrel": 1e-12, "epsabs": 0, "limit": 500}
+    return quad(lambda t: rate(a + (b - a) * t / seconds), 0, seconds, **accuracy)[0]
 
 
 RAMPS = [(37.0, 60.0, 300.0), (60.0, 37.0, 300.0), (48.0, 48.05, 20.0), (49.95, 50.06, 1.0)]
