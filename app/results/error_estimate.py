@@ -87,7 +87,9 @@ def companions(case: Case) -> tuple[Companion, ...]:
         half = most // 2 / most if most > 1 else 1.0
     else:
         half = 0.5 if timed else 1.0
-    coarsenings = _coarsenings(case)
+    # Mesh sizes over that of the run, as far as the geometry can be meshed.
+    limit = case.geometry.coarsest_size / case.mesh.size
+    coarsenings = tuple(dict.fromkeys(c for f in COARSER if (c := min(f, limit)) > LEAST))
     meshes = tuple(_companion(case, c, half) for c in coarsenings)
     if not (frictional or timed) or (len(meshes) == 1 and half < 1):
         # On one coarser mesh the difference itself shows half the steps well enough.
@@ -110,12 +112,6 @@ def _companion(case: Case, coarsening: float, steps: float) -> Companion:
         tolerance = case.time.tolerance / steps ** TOLERANCE_POWER[case.time.method]
         changed["time"] = case.time.model_copy(update={"tolerance": tolerance})
     return Companion(case.model_copy(update=changed), coarsening, steps)
-
-
-def _coarsenings(case: Case) -> tuple[float, ...]:
-    """Mesh sizes of the companions over that of the run, as far as the geometry can be meshed."""
-    limit = case.geometry.coarsest_size / case.mesh.size
-    return tuple(dict.fromkeys(c for f in COARSER if (c := min(f, limit)) > LEAST))
 
 
 def error_sources(solved: Sequence[Companion]) -> str:

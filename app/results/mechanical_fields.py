@@ -80,9 +80,8 @@ class MechanicalFields:
         if self._problem.contact is None:
             return []
         points, index_map = self._problem.contact.points, self.space.dofmap.index_map
-        layout, count = self.space.dofmap.dof_layout, len(self.bodies.names)
-        corner = np.array([layout.entity_dofs(0, v)[0] for v in range(4)])
-        ends = np.take_along_axis(self.space.dofmap.list[nodes.cell], corner[nodes.ends], axis=1)
+        count, dofs = len(self.bodies.names), self.space.dofmap.list
+        ends = np.take_along_axis(dofs[nodes.cell], nodes.ends, axis=1)
         numbers = index_map.local_to_global(ends.ravel().astype(np.int32)).reshape(ends.shape)
         rows = []
         for i, triangles in enumerate(points.triangles):

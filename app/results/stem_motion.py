@@ -9,9 +9,8 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
+from app.arrays import Floats
 from app.case.case import Case
 from app.mechanics.problem import Problem
 from app.scene import bodies
@@ -71,7 +70,7 @@ def _surface(problem: Problem, inside: Sequence[str], outside: Sequence[str]) ->
     f: bodies.FacetCells = bodies.facets_between(problem.tagged, inside, outside)
     corners = bodies.facet_coordinates(problem.tagged, f)[0][:, :3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    dofs = _corner_dofs(problem, f.cells)
+    dofs = problem.space.dofmap.list[f.cells][:, :4]
     dofs = np.take_along_axis(dofs, bodies.FACET_NODES[f.local, :3], axis=1)
     body = problem.bodies.of_tag[bodies.cell_tags(problem.tagged)[f.cells]]
     u = _displacements(problem)[body[:, None], dofs].mean(axis=1)
@@ -95,9 +94,8 @@ def _against(stem: _Surface, bone: _Surface) -> tuple[Floats, Floats]:
 
 def _ends(problem: Problem, implant: Sequence[str]) -> dict[str, Any]:
     comm, u = problem.comm, _displacements(problem)
-    dofs_of = {
-        r: np.unique(_corner_dofs(problem, problem.mechanics.region_cells(r))) for r in implant
-    }
+    cells = {r: problem.mechanics.region_cells(r) for r in implant}
+    dofs_of = {r: np.unique(problem.space.dofmap.list[c][:, :4]) for r, c in cells.items()}
     dofs = np.concatenate(list(dofs_of.values()))
     body = problem.bodies.of_region
     moved = np.concatenate([u[body[r], rows] for r, rows in dofs_of.items()])
@@ -118,10 +116,3 @@ def _ends(problem: Problem, implant: Sequence[str]) -> dict[str, Any]:
 def _displacements(problem: Problem) -> Floats:
     """Of all bodies at all nodes of this rank (bodies, n, 3) [mm]."""
     return np.stack([f.x.array.reshape(-1, 3) for f in problem.displacements()])
-
-
-def _corner_dofs(problem: Problem, cells: NDArray[Any]) -> Ints:
-    """Rows of the displacement at the corners of cells (c, 4)."""
-    layout = problem.space.dofmap.dof_layout
-    corner = [layout.entity_dofs(0, v)[0] for v in range(4)]
-    return np.asarray(problem.space.dofmap.list[cells][:, corner], dtype=np.int64)

@@ -121,7 +121,7 @@ class ThermalRecord:
             r.take(self._seconds, temperatures)
         if step > 0:
             self._expose(seconds, rates)
-        elif self._warm():
+        elif self._comm.allreduce(any(r.warm.any() for r in self.regions.values()), MPI.LOR):
             for r in self.regions.values():
                 r.exposure.forget()
         for r in self.regions.values():
@@ -138,11 +138,6 @@ class ThermalRecord:
         pieces = int(np.clip(np.ceil(np.sqrt(worst / _STRAIGHT)), 1, _MOST_PIECES))
         for name, r in self.regions.items():
             r.expose(bends[name], pieces, seconds - self._seconds)
-
-    def _warm(self) -> bool:
-        """Whether anything is warm enough for doses at either end of a step; collective."""
-        local = any(r.warm.any() for r in self.regions.values())
-        return bool(self._comm.allreduce(local, MPI.LOR))
 
     def _take(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
         """Keep the reported histories, and the hottest state."""
