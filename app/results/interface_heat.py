@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
 
 from app.arrays import Floats
-from app.heat.temperature_jumps import TemperatureJumps
+from app.heat.operators import HeatOperators
 from forms import interface_heat
 
 W_PER_M2 = 1e3  # W/m2 in N/(mm s), W/(m2 K) in N/(mm s K)
@@ -21,25 +22,23 @@ Exchanges = Mapping[str, tuple[Floats, Floats]]
 
 
 def exchange(
-    names: Sequence[str],
-    jumps: TemperatureJumps,
-    temperatures: Sequence[fem.Function],
-    τ: Floats,
+    operators: HeatOperators, x: Sequence[PETSc.Vec], temperatures: Sequence[fem.Function]
 ) -> Exchanges:
-    """Heat through the interfaces of finite conductance.
+    """Heat through the interfaces of finite conductance, if there are any.
 
     Args:
-        names: Names of the interfaces.
-        jumps: Their points.
+        operators: The heat on the mesh.
+        x: Its unknowns.
         temperatures: Of the bodies [K].
-        τ: Jumps at own points (n,) [K].
     """
-    table = np.stack([t.x.array[jumps.dof] for t in temperatures])
-    master, slave = (table[jumps.bodies[:, k], np.arange(len(jumps.dof))] for k in (0, 1))
-    q = jumps.flux(τ)[0]
-    s = interface_heat.entropy_production(q, jumps.friction, jumps.share, master, slave)
-    at = [jumps.interface == i for i in range(len(names))]
-    return {name: (q[here], np.asarray(s)[here]) for name, here in zip(names, at, strict=True)}
+    if (j := operators.jumps) is None:
+        return {}
+    table = np.stack([t.x.array[j.dof] for t in temperatures])
+    master, slave = (table[j.bodies[:, k], np.arange(len(j.dof))] for k in (0, 1))
+    q = j.flux(x[1].array)[0]
+    s = np.asarray(interface_heat.entropy_production(q, j.friction, j.share, master, slave))
+    at = {c.name: j.interface == i for i, c in enumerate(operators.scene.thermal_contacts)}
+    return {name: (q[here], s[here]) for name, here in at.items()}
 
 
 @dataclass

@@ -10,7 +10,7 @@ from app.heat.initial_jump import InitialJump
 from app.heat.nodes import ProbedPoint
 from app.results.cure_record import CureRecord
 from app.results.heat_balance import HeatBalance
-from app.results.interface_heat import Exchanges, exchange
+from app.results.interface_heat import exchange
 from app.results.thermal_record import ThermalRecord
 from app.stepping.heat_state import HeatState, HeatStep
 
@@ -34,7 +34,6 @@ class ThermalModel:
         operators = heating.operators
         self.operators, self.heating = operators, heating
         self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
-        self._names = [c.name for c in operators.scene.thermal_contacts]
         self.record = ThermalRecord(
             operators.tagged,
             operators.forms,
@@ -67,9 +66,7 @@ class ThermalModel:
         heating, operators = self.heating, self.operators
         x = heating.vectors()
         temperatures = operators.temperatures(x)
-        exchanges: Exchanges = {}
-        if (j := operators.jumps) is not None:
-            exchanges = exchange(self._names, j, temperatures, x[1].array)
+        exchanges = exchange(operators, x, temperatures)
         self._settled = self._settled or accepted.dt == 0.0
         temperatures = self._reported(accepted.seconds)
         highest = heating.step.bounds(x).high
