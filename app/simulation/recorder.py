@@ -188,7 +188,7 @@ class Recorder:
             "krylov [-]": step.outcome.linear_iterations,
             "residual [-]": step.outcome.residuals[-1],
             "step [s]": round(step.seconds, 3),
-            "augmentation [-]": step.augmentation,
+            "augmentation [-]": step.outcome.augmentation,
             "force balance [-]": balance.force,
             "moment balance [-]": balance.moment,
             "energy balance [-]": balance.energy,

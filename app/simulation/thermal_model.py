@@ -69,8 +69,8 @@ class ThermalModel:
         exchanges = exchange(operators, x, temperatures)
         self._settled = self._settled or accepted.dt == 0.0
         temperatures = self._reported(accepted.seconds)
-        highest = heating.step.bounds(x).high
-        rates = heating.slopes() if heating.begins_at_event(accepted) else ()
+        highest = operators.principle.high
+        rates = [*heating.slopes()] if heating.begins_at_event(accepted) else ()
         self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
         if self.cure:
             self.cure.update(accepted.seconds, heating.degrees(), heating.rates())
