@@ -22,7 +22,8 @@ from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
-from app.results import gruen, interface_numbers
+from app.results import gruen
+from app.results.bond_strength import bonds
 from app.results.field_output import FieldGroup, HeatFields
 from app.results.interface_numbers import ContactSamples
 from app.results.mechanical_fields import MechanicalFields
@@ -260,10 +261,11 @@ class Model:
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}, "stem": {}}
         if m := self.mechanics:
             elastic = m.problem.scene.elastic
-            numbers["interfaces"] = self.interfaces(samples)
+            if samples is not None:
+                numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
-            if m.bonds:
-                numbers["bonds"] = {b.name: b.numbers() for b in m.bonds}
+            if found := bonds(m.problem, m.stresses):
+                numbers["bonds"] = found
             numbers["stem"] = stem_motion(m.problem, self._case)
         if t := self.thermal:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}
@@ -281,15 +283,6 @@ class Model:
             zones = Zones(self._case.geometry)
             found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
         return found
-
-    def interfaces(self, samples: ContactSamples | None) -> dict[str, dict[str, Any]]:
-        """Published numbers of the contact interfaces, by name; collective."""
-        if samples is None or (m := self.mechanics) is None:
-            return {}
-        return {
-            c.name: interface_numbers.interface(m.problem, samples, i)
-            for i, c in enumerate(self.scene.contacts)
-        }
 
     def relative(self, case: Case) -> dict[str, Any]:
         """Solve a companion case; returns its numbers; collective."""
