@@ -9,7 +9,6 @@ from app.mechanics.predictors import WarmStart
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 from app.results.balance import Balance
-from app.results.bond_strength import Bond, bonds
 from app.results.stresses import Stresses
 from app.scene.scene import Scene
 from app.system.timing import Timing
@@ -19,7 +18,6 @@ class Mechanical:
     """Mechanics of a model, or of successive models that differ in loads and laws alone.
 
     Attributes:
-        bonds: Stresses of bonded interfaces.
         neighbours: States of earlier models, as warm starts.
     """
 
@@ -28,7 +26,6 @@ class Mechanical:
     def __init__(self, problem: Problem, solver: Solver, around_z: bool, timing: Timing) -> None:
         self.problem, self.solver = problem, solver
         self.stresses = Stresses(problem, timing, around_z)
-        self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
