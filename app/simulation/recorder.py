@@ -173,19 +173,13 @@ class Recorder:
             self._row(step)
 
     def _line(self, step: LoadStep) -> None:
-        interfaces = self._model.interfaces(self.samples)
+        interfaces = self._model.interfaces(self.samples).values()
+        fractions = self._fraction(OPEN), self._fraction(SLIP)
+        deepest = max((q["penetration_max"] for q in interfaces), default=0.0)
+        wall = clock.perf_counter() - self._begin
         rate = (len(self._model.scene.stages) - step.time) / step.time
-        solved = self._timing.seconds.get("solve", 0.0)
-        log.info(
-            "%s",
-            text.step_line(
-                step,
-                (self._fraction(OPEN), self._fraction(SLIP)),
-                max((q["penetration_max"] for q in interfaces.values()), default=0.0),
-                clock.perf_counter() - self._begin,
-                solved * rate,
-            ),
-        )
+        left = self._timing.seconds.get("solve", 0.0) * rate
+        log.info("%s", text.step_line(step, fractions, deepest, wall, left))
 
     def _row_of(self, step: LoadStep, balance: Balance) -> dict[str, Any]:
         row: dict[str, Any] = {
@@ -218,8 +212,7 @@ class Recorder:
             self._frames += 1
             if self._frames % self._case.output.every == 0:
                 self._fields()
-        end = float(len(self._case.stages))
-        folder = self._writer.folder
+        end, folder = float(len(self._case.stages)), self._writer.folder
         self._progress(AcceptedStep(folder, self.step_count, step.stage, step.time, end, wall, row))
 
     def _displacements(self) -> dict[str, list[float]]:

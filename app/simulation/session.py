@@ -176,11 +176,9 @@ def _vary(setup: Setup, output: Path) -> None:
             raise StoppedError(f"{place}: {stop}") from stop
         status = solved[i].get("status", "not converged")
         rows[i] = variations.row(v, solved[i], status, clock.perf_counter() - setup.begin)
-        done = [rows[k] for k in sorted(rows)]
-        on_root(comm, partial(variations.write, done, output), share=False)
+        on_root(comm, partial(variations.write, rows, output), share=False)
         setup.begin_next()
-    done = [rows[k] for k in sorted(rows)]
-    on_root(comm, partial(variations.write, done, output), share=False)
+    done = on_root(comm, partial(variations.write, rows, output)) or []
     log.info("%s", variations.table(done))
     if failed := [v.name for i, v in enumerate(varied) if not solved[i]]:
         raise ConvergenceError(
