@@ -83,7 +83,10 @@ def _against_time(report: Report, axes: Any, m: Measured) -> None:
     error = [None if e is None else max(e, EXACT) for e in m.errors]
     for k, name in enumerate(m.exponents):
         _line(axes, report, m, error, name, k)
-    _front(axes, m, error)
+    if m.front:  # as steps: least error reached by a time
+        band = {"color": "#f2c14e", "lw": 6, "alpha": 0.55, "zorder": 1, "label": "Pareto front"}
+        time = [m.points[i].time for i in m.front]
+        axes.step(time, [error[i] for i in m.front], where="post", **band)
     _limits(axes, report, error)
     target = f"target {percent(report.target)}"
     axes.axhline(report.target, color="0.3", lw=1, ls=(0, (5, 3)), label=target)
@@ -93,14 +96,6 @@ def _against_time(report: Report, axes: Any, m: Measured) -> None:
         axes.axhspan(axes.get_ylim()[0], own, **below)
     if all(e is None for e in error):
         axes.text(0.5, 0.5, "no known error", transform=axes.transAxes, ha="center", color="0.4")
-
-
-def _front(axes: Any, m: Measured, error: list[float | None]) -> None:
-    """Pareto front as steps: least error reached by a time."""
-    time = [m.points[i].time for i in m.front]
-    if time:
-        band = {"color": "#f2c14e", "lw": 6, "alpha": 0.55, "zorder": 1, "label": "Pareto front"}
-        axes.step(time, [error[i] for i in m.front], where="post", **band)
 
 
 def _line(

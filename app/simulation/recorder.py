@@ -240,7 +240,7 @@ class Recorder:
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
         model, counted = self._model, total or self._total
-        sizes = model.sizes()
+        comm, sizes = model.tagged.mesh.comm, model.sizes()
         balance: dict[str, float] = {}
         if b := self._balance:
             balance |= {"force": b.force, "moment": b.moment, "energy": b.energy}
@@ -263,22 +263,19 @@ class Recorder:
                 "linear_iterations": counted.linear_iterations,
                 "rejected_steps": total.rejected if total else None,
                 "augmentation": model.mechanics.problem.augmentation() if model.mechanics else {},
-                "ranks": model.tagged.mesh.comm.size,
+                "ranks": comm.size,
             },
         }
         for name, value in self._critical.items():
             if name in result["interfaces"]:
                 result["interfaces"][name]["critical_friction"] = value
-        comm = model.tagged.mesh.comm
-        cpu = comm.allgather(self._timing.cpu)
-        memory = comm.allreduce(peak_memory())
-        result["timing"] = self.seconds()
-        result["cpu"] = {k: round(sum(c.get(k, 0.0) for c in cpu), 3) for k in cpu[0]}
-        result["memory"] = {
-            "peak": round(memory, 1),
-            "per_unknown": round(1e3 * memory / sum(sizes.values()), 2),
+        cpu, memory = comm.allgather(self._timing.cpu), comm.allreduce(peak_memory())
+        per_unknown = round(1e3 * memory / sum(sizes.values()), 2)
+        return result | {
+            "timing": self.seconds(),
+            "cpu": {k: round(sum(c.get(k, 0.0) for c in cpu), 3) for k in cpu[0]},
+            "memory": {"peak": round(memory, 1), "per_unknown": per_unknown},
         }
-        return result
 
     def seconds(self) -> dict[str, float]:
         """Wall seconds so far, by phase."""

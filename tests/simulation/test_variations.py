@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import random
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -208,27 +207,6 @@ def test_the_chain_takes_the_nearest_to_any_before(tmp_path: Path) -> None:
         expected.append(left.pop(next(n for n, f in enumerate(far) if f < nearest + 1e-9)))
         known.append(places[expected[-1]])
     assert variations.order(base, found) == expected
-
-
-def test_the_order_of_many_takes_no_more_than_their_square(tmp_path: Path) -> None:
-    """Four times as many: what is called may become sixteen times as much, not sixty-four."""
-
-    def calls(frictions: int) -> int:
-        base, found = grid_of(frictions, 1, tmp_path)
-        count = 0
-
-        def note(frame: object, event: str, argument: object) -> None:
-            nonlocal count
-            count += event in ("call", "c_call")
-
-        sys.setprofile(note)
-        try:
-            variations.order(base, found)
-        finally:
-            sys.setprofile(None)
-        return count
-
-    assert calls(40) < 17 * calls(10)
 
 
 # What they give
