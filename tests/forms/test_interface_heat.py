@@ -64,18 +64,6 @@ def test_heat_flows_from_hot_to_cold(law: Pointwise) -> None:
     assert sloped.any() and (~sloped).any()
 
 
-def test_derivatives_by_differences(law: Pointwise) -> None:
-    x = random(2)
-    _, by_jump, by_pressure, _ = law(**x)
-    for name, slope in (("τ", by_jump), ("p", by_pressure)):
-        step = 1e-6
-        up, down = (law(**(x | {name: x[name] + s}))[0] for s in (step, -step))
-        numeric = (up - down) / (2 * step)
-        h_p = x["per_pressure"] * x["p"] + x["open"]
-        smooth = (np.abs(x["p"]) > 1e-3) & (np.abs(h_p - x["cap"]) > 1e-3)
-        assert slope[smooth] == pytest.approx(numeric[smooth], rel=1e-6, abs=1e-7)
-
-
 def test_friction_heats_both_sides_with_all_of_its_heat() -> None:
     """E10: as printed the two sides would get +D and -D, nothing in sum."""
     master, slave = interface_heat.friction_heat(3.0, 0.34)

@@ -35,7 +35,6 @@ def test_first_order_gives_all_linear_displacements() -> None:
     coarse, found = P.createVecs()
     x = fine.space.tabulate_dof_coordinates()
     slope = np.random.default_rng(1).normal(size=(3, 3))
-    below = CoarseOrder(fine.space, lambda: fine.held).space.tabulate_dof_coordinates()
     coarse.array[:] = (below @ slope).ravel()
     P.mult(coarse, found)
     np.testing.assert_allclose(found.array, (x @ slope).ravel(), atol=1e-12)

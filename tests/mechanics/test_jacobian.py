@@ -47,15 +47,3 @@ def test_taylor_remainder_is_of_second_order(order: int, law: str) -> None:
     # The relative remainder falls with ε, down to rounding; a wrong entry would leave it constant.
     assert remainders[-1] < 1e-4
     assert remainders[0] < 1e-6 or remainders[-1] < 0.6 * remainders[0]
-
-
-def test_jacobian_changes_with_friction() -> None:
-    """At the same state another friction coefficient gives another Jacobian."""
-    norms = []
-    for μ in (0.1, 0.4):
-        solved = support.solve(support.STEM, f"interfaces.stem_cement.friction_coefficient={μ}")
-        snes = solved.solver.snes
-        J = snes.getJacobian()[0]
-        snes.computeJacobian(solved.solver.x, J)
-        norms.append(J.getNestSubMatrix(1, 1).norm())
-    assert abs(norms[0] - norms[1]) > 1e-6 * norms[0]

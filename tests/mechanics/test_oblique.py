@@ -117,17 +117,6 @@ def test_a_turned_quarter_around_a_rigid_stem() -> None:
     same(QUARTER, "regions.stem={rigid: true}", under)
 
 
-def test_a_turned_block() -> None:
-    """Uniaxial stress between three planes: what they bear is the load."""
-    this, tagged = turn(BLOCK)
-    solved = support.solve(this, tagged=tagged)
-    axis = ROTATION[:, 2]
-    stress = -120 / 24 * np.outer(axis, axis)
-    found = solved.stress("block")
-    np.testing.assert_allclose(found, np.broadcast_to(stress, found.shape), atol=1e-10)
-    np.testing.assert_allclose(reactions(solved).sum(axis=0), 120 * axis, atol=1e-9)
-
-
 @pytest.mark.parametrize("rigid", [False, True])
 def test_released_and_held_again(rigid: bool) -> None:
     """An oblique support that lets go of a block, or of a plate on it, and takes hold again."""
