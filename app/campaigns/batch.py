@@ -35,7 +35,7 @@ from app.campaigns.runs import BatchRun, Job, Result, result_of, runs_of, tail
 from app.case.case import dump, plain
 from app.case.variations import split
 from app.errors import EnvironmentProblem, InputError, StoppedError
-from app.schema import yaml_text
+from app.schema import yaml_file
 from app.soundness import cost, memory
 from app.system import layout
 from app.system.folders import FAILED, claim, write_json, write_text
@@ -246,7 +246,7 @@ def _text(runs: Sequence[BatchRun]) -> str:
         _, own = split(plain(r.case))
         keys = [key for key in base | own if base.get(key) != own.get(key)]
         variations[r.id] = {key: own.get(key) for key in keys}
-    return yaml_text.to_yaml(data | {"variations": variations})
+    return yaml_file.to_yaml(data | {"variations": variations})
 
 
 def _environment() -> list[str]:

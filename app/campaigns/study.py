@@ -15,8 +15,8 @@ from app.campaigns.study_report import Measured, Report, StudyRun, percent
 from app.case import quantities
 from app.case import study as study_file
 from app.case.case import Case
-from app.case.planned_run import PlannedRun
 from app.case.study import PlannedStudy, Study
+from app.case.sweep import PlannedRun
 from app.errors import InputError, StoppedError, gravest
 from app.simulation.variations import value_at
 from app.system import folders

@@ -9,9 +9,9 @@ from typing import Any
 
 from app.campaigns.runs import Result
 from app.campaigns.work_precision import USEFUL, ErrorPoint, ReferenceValue
-from app.case.planned_run import PlannedRun
 from app.case.quantities import Quantity
 from app.case.study import PlannedStudy
+from app.case.sweep import PlannedRun
 from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 from app.system.layout import duration

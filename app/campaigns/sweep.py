@@ -22,10 +22,10 @@ from app.campaigns import batch, uncertainty
 from app.campaigns.batch import Options
 from app.campaigns.runs import Job, Result
 from app.case import sweep as sweep_file
-from app.case.planned_run import PlannedRun
+from app.case.sweep import PlannedRun
 from app.errors import gravest
 from app.results.closing_lines import UNUSABLE
-from app.schema import yaml_text
+from app.schema import yaml_file
 from app.simulation import variations
 from app.system import identity, layout
 from app.system.folders import write_json, write_text
@@ -76,7 +76,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
             write_text(folder / "sweep.csv", variations.csv(rows, keys, "case"))
             # The file may have changed since.
             data = sweep.model_dump(mode="json", exclude_unset=True)
-            write_text(folder / "sweep.yaml", yaml_text.to_yaml(data))
+            write_text(folder / "sweep.yaml", yaml_file.to_yaml(data))
         return record
 
     jobs = [_job(p) for p in planned]

@@ -32,8 +32,8 @@ from app.laws.interface_laws import Bonded, Interface
 from app.laws.loads import AnyLoad
 from app.laws.materials import Region
 from app.laws.supports import AnySupport
-from app.schema import section, yaml_file, yaml_text
-from app.schema.section import ITEMS, MAPPING, Name, Section, Text, Word
+from app.schema import section, yaml_file
+from app.schema.section import ITEMS, MAPPING, Name, Section, Text
 from app.schema.yaml_file import CaseFile, Fault
 
 # Sections whose entries are valid one by one.
@@ -47,7 +47,7 @@ class Case(Section):
     """A line for people."""
     geometry: Geometry
     """Bodies, interfaces and boundaries."""
-    side: Annotated[Literal["left", "right"], Word()] = "left"
+    side: Literal["left", "right"] = "left"
     """Side of the hip, z being proximal and y anterior: x is medial of a left one and lateral of a
     right one. It decides the signs of retroversion and varus, and nothing else. Parametric femurs
     are left, and nothing else: their numbers are those of the mirrored right one."""
@@ -209,16 +209,15 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
         places: dict[str, yaml_file.Path] = {
             full: ("variations", name, key) for full, key in keys.items()
         }
-        faults += yaml_file.clashes(options, ((place, full) for full, place in places.items()))
+        faults += points.clashes(options, ((place, full) for full, place in places.items()))
         overrides = tuple(points.as_overrides({full: changes[key] for full, key in keys.items()}))
-        copy = yaml_file.changed(file, overrides)
+        copy = overlay.changed(file, overrides)
         del copy.data["variations"]
         try:
             found.append(Varied(name, overrides, changes, _resolved(copy, folder)))
         except InputError as error:
             faults += [
-                yaml_file.at_override(message, places)
-                or Fault(("variations",), f"{name}: {message}")
+                points.at_override(message, places) or Fault(("variations",), f"{name}: {message}")
                 for message in error.messages
             ]
     file.raise_all(faults)
@@ -274,7 +273,7 @@ def plain(case: Case) -> dict[str, Any]:
 
 def dump(case: Case) -> str:
     """A case without its variations as YAML in internal units; it reads back equal."""
-    return yaml_text.to_yaml(plain(case))
+    return yaml_file.to_yaml(plain(case))
 
 
 def _renew() -> None:

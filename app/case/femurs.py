@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from functools import partial
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
@@ -12,6 +13,7 @@ from app.schema.section import fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 
 BONE = ("cortical_bone", "cancellous_bone")
+OF_BONE = dict.fromkeys(BONE, "bone")
 # Centre of each muscle's insertion on the bone (mm); as in `meshes.femur_bone`.
 MUSCLES: dict[str, Point3] = {
     "gluteus_medius": (-25.395, -15.237, 28.0),
@@ -38,17 +40,22 @@ def _between(at: float, values: tuple[float, ...]) -> float:
     return values[low] + (at - low) * (values[low + 1] - values[low])
 
 
+_length = partial(Dimension, "mm", "a length")
+
+
 class _Femur(Shape):
     """A proximal femur, the operation and the implant."""
 
+    is_around_z: ClassVar[bool] = True
+    has_gruen_zones: ClassVar[bool] = True
+    has_curved_surfaces: ClassVar[bool] = True
+    coarsest_size: ClassVar[float] = 20.0  # a few cells along the stem
+    joined: ClassVar[tuple[tuple[str, ...], ...]] = (BONE,)
+
     kind: str
-    cement_thickness: Annotated[
-        float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
-    ] = 4.0
+    cement_thickness: Annotated[float, _length("4 mm", at_least=1.0, at_most=8.0)] = 4.0
     """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
-    canal_widening: Annotated[
-        float, Dimension("mm", "a length", "1 mm", at_least=0.0, at_most=5.0)
-    ] = 0.0
+    canal_widening: Annotated[float, _length("1 mm", at_least=0.0, at_most=5.0)] = 0.0
     """Reaming: distance by which the endosteal surface is moved outwards, 0 to 5 mm."""
     stem_length: PositiveLength = 147.0
     """From the shoulder to the tip; two thirds of it at least are below the neck cut."""
@@ -68,19 +75,13 @@ class _Femur(Shape):
     """Half the antero-posterior depth there."""
     stem_corner_radius: PositiveLength = 3.0
     """Radius of the section's corners there."""
-    neck_diameter: Annotated[float, Dimension("mm", "a length", "10 mm", at_least=5.0)] = 9.8
+    neck_diameter: Annotated[float, _length("10 mm", at_least=5.0)] = 9.8
     """Diameter of the neck where it leaves the body: at least 5 mm, at most the body's width."""
-    trunnion_diameter: Annotated[
-        float, Dimension("mm", "a length", "12 mm", at_least=5.0, at_most=22.0)
-    ] = 12.0
+    trunnion_diameter: Annotated[float, _length("12 mm", at_least=5.0, at_most=22.0)] = 12.0
     """Diameter of the neck's end, which carries the head, 5 to 22 mm."""
-    head_offset: Annotated[
-        float, Dimension("mm", "a length", "43 mm", at_least=20.0, at_most=80.0)
-    ] = 43.0
+    head_offset: Annotated[float, _length("43 mm", at_least=20.0, at_most=80.0)] = 43.0
     """Medial distance of the head's centre from the shaft axis, 20 to 80 mm."""
-    head_height: Annotated[
-        float, Dimension("mm", "a length", "54 mm", at_least=20.0, at_most=100.0)
-    ] = 54.0
+    head_height: Annotated[float, _length("54 mm", at_least=20.0, at_most=100.0)] = 54.0
     """Height of the head's centre above mid lesser trochanter, 20 to 100 mm; no part of the stem's
     body is higher."""
     neck_angle: Angle = math.radians(130.0)
@@ -91,7 +92,7 @@ class _Femur(Shape):
     """Angle of the cut to the transverse plane (rad)."""
     plug_length: PositiveLength = 10.0
     """Length of cement below the tip."""
-    distal_cut_z: Annotated[float, Dimension("mm", "a length", "-200 mm", at_least=-350.0)] = -200.0
+    distal_cut_z: Annotated[float, _length("-200 mm", at_least=-350.0)] = -200.0
     """Level at which the shaft is cut and held: below the plug, at least -350 mm."""
 
     @model_validator(mode="after")
@@ -162,26 +163,6 @@ class _Femur(Shape):
         """Centre of the head and muscles' insertions (mm)."""
         return {"head_centre": self.head_centre, **MUSCLES}
 
-    @property
-    def joined(self) -> tuple[tuple[str, ...], ...]:
-        """Bone is one body."""
-        return (BONE,)
-
-    @property
-    def has_curved_surfaces(self) -> bool:
-        """Always."""
-        return True
-
-    @property
-    def is_around_z(self) -> bool:
-        """Always: the stem is along the shaft."""
-        return True
-
-    @property
-    def has_gruen_zones(self) -> bool:
-        """Always: of the bone around the stem, or where it will be."""
-        return True
-
     def _spokes(self, size: float) -> int:
         """Number of lines around the stem."""
         # Half-way through the mantle, half-way between the tip and the neck cut.
@@ -230,11 +211,6 @@ class _Femur(Shape):
         layers = stem * (18.0 - 6.0 * along) + below * (18.0 - 6.0 * under)
         return size, (stem + below) * self._core_cells(size) + spokes * layers
 
-    @property
-    def coarsest_size(self) -> float:
-        """Largest edge length (mm): a few cells along the stem."""
-        return 20.0
-
 
 class Femur(_Femur):
     """A proximal femur with a straight tapered collarless stem in a cement mantle.
@@ -244,27 +220,18 @@ class Femur(_Femur):
     and the implant. Defaults: an Exeter-class 150 mm stem in an average femur.
     """
 
+    tissues: ClassVar[dict[str, str]] = {"stem": "implant", "cement": "cement", **OF_BONE}
+    boundary_names: ClassVar[tuple[str, ...]] = (
+        *("distal_cut", "bone_surface", "stem_trunnion"),
+        *MUSCLES,
+        "resection",
+    )
+    interface_sides: ClassVar[dict[str, Sides]] = {
+        "stem_cement": (("stem",), ("cement",)),
+        "cement_bone": (("cement",), BONE),
+    }
+
     kind: Literal["femur"] = "femur"
-
-    @property
-    def region_names(self) -> tuple[str, ...]:
-        """Implant, mantle and the two kinds of bone."""
-        return ("stem", "cement", *BONE)
-
-    @property
-    def tissues(self) -> dict[str, str]:
-        """Tissue of each region."""
-        return {"stem": "implant", "cement": "cement", **dict.fromkeys(BONE, "bone")}
-
-    @property
-    def boundary_names(self) -> tuple[str, ...]:
-        """The distal cut, the bone with its muscle patches, the trunnion and the resection."""
-        return ("distal_cut", "bone_surface", "stem_trunnion", *MUSCLES, "resection")
-
-    @property
-    def interface_sides(self) -> dict[str, Sides]:
-        """``stem_cement`` and ``cement_bone``."""
-        return {"stem_cement": (("stem",), ("cement",)), "cement_bone": (("cement",), BONE)}
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
@@ -295,36 +262,12 @@ class IntactFemur(_Femur):
     compared with that of a femur of the same numbers.
     """
 
+    tissues: ClassVar[dict[str, str]] = OF_BONE
+    boundary_names: ClassVar[tuple[str, ...]] = ("distal_cut", "bone_surface", "head", *MUSCLES)
+
     kind: Literal["intact_femur"] = "intact_femur"
-    head_radius: Annotated[
-        float, Dimension("mm", "a length", "23 mm", at_least=18.0, at_most=30.0)
-    ] = 23.0
+    head_radius: Annotated[float, _length("23 mm", at_least=18.0, at_most=30.0)] = 23.0
     """Radius of the femoral head, 18 to 30 mm; the neck has about two thirds of it."""
-
-    @property
-    def region_names(self) -> tuple[str, ...]:
-        """The two kinds of bone."""
-        return BONE
-
-    @property
-    def tissues(self) -> dict[str, str]:
-        """Tissue of each region."""
-        return dict.fromkeys(BONE, "bone")
-
-    @property
-    def boundary_names(self) -> tuple[str, ...]:
-        """The distal cut, and the bone's surface with its muscle patches and the head."""
-        return ("distal_cut", "bone_surface", "head", *MUSCLES)
-
-    @property
-    def interface_sides(self) -> dict[str, Sides]:
-        """None."""
-        return {}
-
-    @property
-    def interface_area(self) -> float:
-        """None."""
-        return 0.0
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, to 10 %."""

@@ -9,14 +9,14 @@ import itertools
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, is_script, physical_names
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
-from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, Word, fail, one_of, show
+from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, fail, one_of, show
 from app.schema.units import Angle, PositiveLength, SizeVector
 
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
@@ -50,27 +50,18 @@ class Blocks(Shape):
         if not self.blocks:
             fail("is empty; expected at least one block", at=("blocks",))
         for i, block in enumerate(self.blocks):
-            if block.name in self.region_names[:i]:
-                fail(
-                    f"'{block.name}' is the name of an earlier block too", at=("blocks", i, "name")
-                )
+            if block.name in [b.name for b in self.blocks[:i]]:
+                text = f"'{block.name}' is the name of an earlier block too"
+                fail(text, at=("blocks", i, "name"))
             if block.size[:2] != self.blocks[0].size[:2]:
                 fail("has other x and y edges than the first block", at=("blocks", i, "size"))
-        names = [*self.region_names, *self.interface_sides]
-        if len(set(names)) < len(names):
-            fail(
-                "two interfaces would have the same name, <block>_<block>; rename a block",
-                at=("blocks",),
-            )
+        if len({*self.region_names, *self.interface_sides}) < 2 * len(self.blocks) - 1:
+            text = "two interfaces would have the same name, <block>_<block>; rename a block"
+            fail(text, at=("blocks",))
         rise = 0.5 * self.blocks[0].size[0] * math.tan(abs(self.tilt))
         if abs(self.tilt) >= math.pi / 4 or rise >= 0.5 * min(b.size[2] for b in self.blocks):
             fail("tilts an interface through its neighbour; expected a smaller angle", at=("tilt",))
         return self
-
-    @property
-    def region_names(self) -> tuple[str, ...]:
-        """Names of the blocks."""
-        return tuple(b.name for b in self.blocks)
 
     @property
     def boundary_names(self) -> tuple[str, ...]:
@@ -82,7 +73,7 @@ class Blocks(Shape):
     @property
     def tissues(self) -> dict[str, str]:
         """``other`` for every block."""
-        return dict.fromkeys(self.region_names, "other")
+        return {b.name: "other" for b in self.blocks}
 
     @property
     def interface_sides(self) -> dict[str, Sides]:
@@ -115,6 +106,14 @@ class Cylinders(Shape):
     length. ``sector: half`` keeps y >= 0, ``quarter`` keeps x >= 0 and y >= 0.
     """
 
+    is_around_z: ClassVar[bool] = True
+    has_curved_surfaces: ClassVar[bool] = True
+    tissues: ClassVar[dict[str, str]] = {"stem": "implant", "cement": "cement", "bone": "bone"}
+    interface_sides: ClassVar[dict[str, Sides]] = {
+        "stem_cement": (("stem",), ("cement",)),
+        "cement_bone": (("cement",), ("bone",)),
+    }
+
     kind: Literal["cylinders"] = "cylinders"
     stem_radius: PositiveLength
     """Radius of the stem at mid length."""
@@ -126,7 +125,7 @@ class Cylinders(Shape):
     """Length along z."""
     taper: Angle = 0.0
     """Half-angle of the cones (rad)."""
-    sector: Annotated[Literal["full", "half", "quarter"], Word()] = "full"
+    sector: Literal["full", "half", "quarter"] = "full"
     """How much of the full circle is modelled."""
 
     @model_validator(mode="after")
@@ -141,36 +140,11 @@ class Cylinders(Shape):
         return self
 
     @property
-    def region_names(self) -> tuple[str, ...]:
-        """From inside to outside."""
-        return ("stem", "cement", "bone")
-
-    @property
-    def tissues(self) -> dict[str, str]:
-        """Tissue of each region."""
-        return {"stem": "implant", "cement": "cement", "bone": "bone"}
-
-    @property
-    def is_around_z(self) -> bool:
-        """Always: the layers are coaxial."""
-        return True
-
-    @property
     def boundary_names(self) -> tuple[str, ...]:
         """Ends by region and together, the outer surface, and the planes of symmetry."""
         ends = tuple(f"{r}_{end}" for r in self.region_names for end in ("top", "bottom"))
         planes = {"full": (), "half": ("symmetry_y",), "quarter": ("symmetry_x", "symmetry_y")}
         return (*ends, "top", "bottom", "bone_surface", *planes[self.sector])
-
-    @property
-    def interface_sides(self) -> dict[str, Sides]:
-        """``stem_cement`` and ``cement_bone``."""
-        return {"stem_cement": (("stem",), ("cement",)), "cement_bone": (("cement",), ("bone",))}
-
-    @property
-    def has_curved_surfaces(self) -> bool:
-        """Always: the interfaces are cylinders or cones."""
-        return True
 
     @property
     def fraction(self) -> float:
@@ -217,7 +191,7 @@ class MeshFile(Shape):
     kind: Literal["file"] = "file"
     path: Path
     """The file; relative to the case file."""
-    unit: Annotated[Literal["mm", "cm", "m", "um", "inch"], Word()] = "mm"
+    unit: Literal["mm", "cm", "m", "um", "inch"] = "mm"
     """Unit of the file's coordinates."""
     interfaces: Annotated[dict[Name, tuple[tuple[str, ...], tuple[str, ...]]], MAPPING] = Field(
         default_factory=dict
@@ -255,10 +229,7 @@ class MeshFile(Shape):
         for name, sides in self.interfaces.items():
             for i, side in enumerate(sides):
                 for region in side:
-                    try:
-                        one_of(region, self.region_names)
-                    except ValueError as error:
-                        fail(str(error), at=("interfaces", name, i))
+                    one_of(region, self.region_names, at=("interfaces", name, i))
             if set(sides[0]) & set(sides[1]):
                 fail("has the same region on both sides", at=("interfaces", name))
         return self
@@ -292,11 +263,6 @@ class MeshFile(Shape):
     def joined(self) -> tuple[tuple[str, ...], ...]:
         """Regions on one side of an interface are one body."""
         return tuple(side for sides in self.interfaces.values() for side in sides)
-
-    @property
-    def interface_area(self) -> float:
-        """Unknown without the mesh: 0."""
-        return 0.0
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Number of elements of any dimension in the file, an upper bound; 0 for a script."""

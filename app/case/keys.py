@@ -1,50 +1,63 @@
-"""The table of all keys of a file, from the schema: for `mantle explain` and the manual."""
+"""The table of all keys of a file, from its JSON schema; what `mantle explain` tells of them."""
 
 from __future__ import annotations
 
-import inspect
+import difflib
 import re
-import types
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Any
 
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
 
+from app.case import library
 from app.case.case import Case
-from app.case.study import StudyFile
-from app.case.sweep import Sweep
-from app.schema.expressions import Varying
-from app.schema.section import Scalar, docstrings
-from app.schema.units import Dimension, Plain
+from app.errors import InputError
+from app.schema.section import docstrings
+from app.schema.units import bounds_in_words
 
+Schema = dict[str, Any]
 NUMBERS = {2: "two", 3: "three", 6: "six"}
-# Number of equal rows of two kinds that are written once; larger bounds only avoid overflow.
-SHARED, HUGE = 8, 1e9
-CASE = """# Keys of a case file
+TYPES = {"string": "text", "integer": "whole number", "number": "number"}
+TYPES |= {"boolean": "`true`, `false`", "object": "mapping of keys to values"}
 
-A case is a YAML file. A value with a dimension is text with its unit: `110 GPa`, `4 mm`. Any unit
-of the right dimension is accepted. The column *unit* names the unit in which mantle keeps and
-reports the value. A list of values of one unit may be written once with the unit, in quotes:
-`"[0, 0, -1800] N"`. Unknown keys are errors.
+WIDTH = 96
+# Keys explained by the text of another.
+WITHIN = {"loads.library": "loads"}
 
-An *expression* is arithmetic in the coordinates x, y, z in mm, for example
-`"-0.02 * (1 - z / 50)"`; its result is in the unit of the column. It may use `sqrt`, `sin`, `cos`,
-`tan`, `exp`, `log`, `abs`, `min`, `max`, `atan2`, `hypot` and `pi`.
 
-`<name>` stands for a name that you choose or that the geometry gives. A key without a default is
-required; *none* means that it may be left out. `mantle explain --schema` prints the same as a JSON
-schema, for completion in editors.
-"""
-CAMPAIGNS = """# Keys of sweep and study files
+class _Generator(GenerateJsonSchema):
+    """Shows defaults with their units."""
 
-How to use them: [Many runs](../howto/many-runs.md). Keys of overrides are written as after
-`--set`: `interfaces.stem_cement.friction_coefficient`. The key `ranks` sets the number of MPI
-ranks of a run.
-"""
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        writer: Any = schema["schema"].get("serialization", {})
+        default = schema.get("default")
+        if default is not None and writer.get("type") == "function-plain":
+            schema = {**schema, "default": writer["function"](default)}
+        return super().default_schema(schema)
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
+        result = super().model_schema(schema)
+        for name, text in docstrings(schema["cls"]).items():
+            if name in result.get("properties", {}):
+                result["properties"][name]["description"] = text
+        return result
+
+    def tagged_union_schema(self, schema: core_schema.TaggedUnionSchema) -> JsonSchemaValue:
+        """Allow any of the kinds: without required keys a section may match several."""
+        return {"anyOf": super().tagged_union_schema(schema)["oneOf"]}
+
+
+def json_schema(model: type[BaseModel] = Case) -> Schema:
+    """JSON schema of a file for editors; no key is required, as a base may have it."""
+    found = model.model_json_schema(schema_generator=_Generator)
+    for section in (found, *found["$defs"].values()):
+        section.pop("required", None)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}
 
 
 @dataclass(frozen=True)
@@ -57,7 +70,7 @@ class Key:
         value: Type and bounds.
         unit: Internal unit, or "".
         default: "" if it is required.
-        inner: Sections that its value may be.
+        inner: Kinds of sections that its value may be, with their keys.
     """
 
     section: str
@@ -67,100 +80,69 @@ class Key:
     unit: str
     default: str
     meaning: str
-    inner: tuple[type[BaseModel], ...]
+    inner: tuple[tuple[str, tuple[str, ...]], ...]
 
     @property
     def path(self) -> str:
         """The whole key."""
         return f"{self.section}.{self.name}" if self.section else self.name
 
+
+@dataclass(frozen=True)
+class Keys:
+    """The keys of a section; `path` is its first place, ``supports.<name>``."""
+
+    path: str
+    kind: str
+    meaning: str
+    keys: list[Key]
+
     @property
-    def row(self) -> str:
-        """Its row in the manual."""
-        cells = (f"`{self.name}`", self.value, self.unit, self.default, self.meaning)
-        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    def heading(self) -> str:
+        """Heading in the manual."""
+        return f"`{self.path}`" + (f" of kind `{self.kind}`" if self.kind else "")
 
 
 @cache
-def table(root: type[BaseModel] = Case) -> dict[type[BaseModel], list[Key]]:
-    """All keys of a `Case`, `StudyFile` or `Sweep` by section, in the order of the file."""
-    places = dict((model, path) for path, model in _places("", root, set()))
-    return {model: list(_keys(model, path, places)) for model, path in places.items()}
+def table(root: type[BaseModel] = Case) -> list[Keys]:
+    """All sections of a `Case`, `StudyFile` or `Sweep` with their keys, in the order of the file.
+
+    Kinds added from outside the program are among them.
+    """
+    whole = root.model_json_schema(schema_generator=_Generator)
+    schemas: Schema = {"": whole} | whole["$defs"]
+    places: dict[str, Keys] = {}
+
+    def visit(path: str, name: str) -> None:
+        schema = schemas[name]
+        meaning = prose(schema.get("description", "")) if name else ""
+        places[name] = Keys(path, _kind(schema) if name else "", meaning, [])
+        for key, field in schema["properties"].items():
+            for place, other in _sections(field, f"{path}.{key}" if path else key):
+                if other not in places:
+                    visit(place, other)
+
+    visit("", "")
+    for name, section in places.items():
+        for key, field in schemas[name]["properties"].items():
+            value, unit = _value(field, places)
+            meaning = prose(field.get("description", ""))
+            if key == "kind":
+                meaning = "Says that it is of this kind."
+            default = "" if key in schemas[name].get("required", ()) else _default(key, field)
+            inner = tuple(
+                (_kind(schemas[n]), tuple(k for k in schemas[n]["properties"] if k != "kind"))
+                for _, n in _sections(field, "")
+            )
+            made = Key(section.path, section.kind, key, value, unit, default, meaning, inner)
+            section.keys.append(made)
+    return list(places.values())
 
 
-def case_page() -> str:
-    """Every key of a case file, in Markdown."""
-    return "\n".join([CASE, *_page(Case, "Sections of a case")])
-
-
-def campaigns_page() -> str:
-    """Every key of sweep and study files, in Markdown."""
-    sweep = _page(Sweep, "Sections of a sweep file")
-    study = _page(StudyFile, "Sections of a study file")
-    return "\n".join([CAMPAIGNS, *sweep, *study])
-
-
-def _page(root: type[BaseModel], title: str) -> Iterator[str]:
-    written: dict[str, tuple[str, list[str]]] = {}
-    for model, keys in table(root).items():
-        path = keys[0].section
-        yield f"## {_heading(path, model) if path else title}\n"
-        if path:
-            yield f"{prose(inspect.cleandoc(model.__doc__ or ''))}\n"
-        rows = [key.row for key in keys]
-        kind, others = written.get(path, ("", []))
-        own = [row for row in rows if row not in others]
-        if len(rows) - len(own) > SHARED:
-            rows = own
-            yield f"All keys of kind `{kind}`, and:\n"
-        else:
-            written[path] = kind_of(model), rows
-        yield "| key | value | unit | default | meaning |\n|---|---|---|---|---|"
-        yield from rows
-        yield ""
-
-
-def _places(
-    path: str, model: type[BaseModel], seen: set[type[BaseModel]]
-) -> Iterator[tuple[str, type[BaseModel]]]:
-    """Each section below a section, at its first place, in the order of the file."""
-    seen.add(model)
-    yield path, model
-    for key, field in model.model_fields.items():
-        for place, other in _models(_annotation(field), f"{path}.{key}" if path else key):
-            if other not in seen:
-                yield from _places(place, other, seen)
-
-
-def _keys(model: type[BaseModel], path: str, places: dict[type[BaseModel], str]) -> Iterator[Key]:
-    links = {m: _slug(_heading(place, m)) for m, place in places.items()}
-    texts = docstrings(model)
-    for name, field in model.model_fields.items():
-        annotation = _annotation(field)
-        value, unit = _value(annotation, links)
-        meaning = prose(texts.get(name, ""))
-        if name == "kind":
-            value, unit, meaning = f"`{kind_of(model)}`", "", "Says that it is of this kind."
-        inner = tuple(m for _, m in _models(annotation, ""))
-        kind = kind_of(model) if path else ""
-        yield Key(path, kind, name, value, unit, _default(name, field), meaning, inner)
-
-
-def _heading(path: str, model: type[BaseModel]) -> str:
-    kind = kind_of(model)
-    return f"`{path}`" + (f" of kind `{kind}`" if kind else "")
-
-
-def _slug(heading: str) -> str:
-    """Anchor of a heading, as GitHub and MyST make it."""
-    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
-
-
-def kind_of(model: type[BaseModel]) -> str:
+def _kind(schema: Schema) -> str:
     """Kind of a section as written in a file; empty if it has none."""
-    if "kind" in model.model_fields:
-        return str(get_args(model.model_fields["kind"].annotation)[0])
-    return "rigid" if "rigid" in model.model_fields else ""
+    rigid = "rigid" if "rigid" in schema["properties"] else ""
+    return str(schema["properties"].get("kind", {}).get("const", rigid))
 
 
 def prose(text: str) -> str:
@@ -169,69 +151,50 @@ def prose(text: str) -> str:
     return "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
 
 
-def _annotation(field: FieldInfo) -> Any:
-    """Annotation of a field with the marks that pydantic has removed."""
-    annotation: Any = field.annotation
-    for mark in field.metadata:
-        annotation = Annotated[annotation, mark]
-    return annotation
+def _sections(schema: Schema, path: str) -> Iterator[tuple[str, str]]:
+    """Places and names of the sections that a value may have."""
+    if "$ref" in schema:
+        yield path, schema["$ref"].rpartition("/")[2]
+    for inner in schema.get("anyOf", ()):
+        yield from _sections(inner, path)
+    for key, end in (("items", "[]"), ("additionalProperties", ".<name>")):
+        if isinstance(inner := schema.get(key), dict):
+            yield from _sections(inner, path + end)
 
 
-def _models(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]:
-    """Sections in an annotation, with their paths."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield from ((path, model) for model in _variants(annotation))
-        return
-    ends = {dict: ".<name>", tuple: "[]"}
-    for argument in get_args(annotation):
-        yield from _models(argument, path + ends.get(get_origin(annotation), ""))
-
-
-def _variants(model: type[BaseModel]) -> list[type[BaseModel]]:
-    """A section, or the kinds derived from a base without kind."""
-    kind = model.model_fields.get("kind")
-    if kind is None or get_args(kind.annotation):
-        return [model]
-    # Kinds added from outside the program are left out.
-    below = [c for c in model.__subclasses__() if c.__module__.startswith("app.")]
-    return list(dict.fromkeys(v for c in below for v in _variants(c)))
-
-
-def _marks(annotation: Any) -> tuple[list[Any], Any]:
-    """Marks of an annotation, and the bare annotation."""
-    marks: list[Any] = []
-    while get_origin(annotation) is Annotated:
-        annotation, *more = get_args(annotation)
-        marks = [*more, *marks]
-    return marks, annotation
-
-
-def _value(annotation: Any, links: dict[type[BaseModel], str]) -> tuple[str, str]:
+def _value(schema: Schema, places: dict[str, Keys]) -> tuple[str, str]:
     """Type of a value, in words, and the unit in which it is kept."""
-    marks, bare = _marks(annotation)
-    for mark in marks:
-        if isinstance(mark, Scalar):
-            return _scalar(mark)
-    least = [mark.ge for mark in marks if hasattr(mark, "ge")]
-    most = [mark.le for mark in marks if hasattr(mark, "le")]
-    if bare is int and least:
-        return _scalar(Plain(integer=True, at_least=least[0], at_most=next(iter(most), None)))
-    origin, arguments = get_origin(bare), get_args(bare)
-    if origin is Literal:
-        return ", ".join(f"`{_yaml(a)}`" for a in arguments), ""
-    if origin in (Union, types.UnionType):
-        return _union([_value(a, links) for a in arguments if a is not type(None)])
-    if origin is dict:
-        inner, unit = _value(arguments[1], links)
-        return ("mapping of keys to values" if arguments[1] is Any else f"by name: {inner}"), unit
-    if origin is tuple:
-        found = [_value(a, links) for a in arguments if a is not Ellipsis]
-        return _sequence(found, Ellipsis in arguments)
-    if isinstance(bare, type) and issubclass(bare, BaseModel):
-        kinds = [f"[`{kind_of(m)}`](#{links[m]})" for m in _variants(bare) if kind_of(m)]
-        return f"kind {', '.join(kinds)}" if kinds else f"[section](#{links[bare]})", ""
-    words = {bool: "`true`, `false`", str: "text", int: "whole number", Path: "path"}
-    return words.get(bare, "number" if bare is float else "any value"), ""
+    match schema:
+        case {"x-value": str(text)}:
+            return text, schema.get("x-unit", "")
+        case {"$ref": str(ref)}:
+            section = places[ref.rpartition("/")[2]]
+            # Anchor of a heading, as GitHub and MyST make it.
+            link = re.sub(r"[^\w\- ]", "", section.heading.lower()).replace(" ", "-")
+            kind = section.kind
+            return f"kind [`{kind}`](#{link})" if kind else f"[section](#{link})", ""
+        case {"anyOf": list(parts)}:
+            return _union([_value(p, places) for p in parts if p != {"type": "null"}])
+        case {"const": value}:
+            return f"`{_yaml(value)}`", ""
+        case {"enum": list(values)}:
+            return ", ".join(f"`{_yaml(value)}`" for value in values), ""
+        case {"additionalProperties": dict(inner)}:
+            text, unit = _value(inner, places)
+            return f"by name: {text}", unit
+        case {"prefixItems": list(items)}:
+            found = [_value(item, places) for item in items]
+            if len(set(found)) == 1:
+                return f"list of {NUMBERS[len(found)]}: {found[0][0]}", found[0][1]
+            units = ", ".join(dict.fromkeys(unit for _, unit in found if unit))
+            return f"pair of {' and '.join(text for text, _ in found)}", units
+        case {"items": dict(inner)}:
+            text, unit = _value(inner, places)
+            return f"list of: {text}", unit
+    if schema.get("format") == "path":
+        return "path", ""
+    bounds = bounds_in_words({k: v for k, v in schema.items() if k != "type"})
+    return f"{TYPES.get(schema.get('type', ''), 'any value')}{bounds}", ""
 
 
 def _union(found: list[tuple[str, str]]) -> tuple[str, str]:
@@ -239,63 +202,109 @@ def _union(found: list[tuple[str, str]]) -> tuple[str, str]:
     others = list(dict.fromkeys(text for text, _ in found if not text.startswith("kind ")))
     if {"text", "whole number", "number"} <= set(others):
         others = ["number, text" + (", `true`, `false`" if len(others) > 3 else "")]
-    parts = [*others, *([f"kind {', '.join(kinds)}"] if kinds else [])]
+    parts = [*filter(None, others), *([f"kind {', '.join(kinds)}"] if kinds else [])]
     return " or ".join(parts), next((unit for _, unit in found if unit), "")
 
 
-def _sequence(found: list[tuple[str, str]], endless: bool) -> tuple[str, str]:
-    text, unit = found[0]
-    if endless:
-        return f"list of: {text}", unit
-    if len(set(found)) == 1:
-        return f"list of {NUMBERS[len(found)]}: {text}", unit
-    units = dict.fromkeys(unit for _, unit in found if unit)
-    return f"pair of {' and '.join(text for text, _ in found)}", ", ".join(units)
-
-
-def _scalar(mark: Scalar) -> tuple[str, str]:
-    match mark:
-        case Varying():
-            text, unit = _scalar(mark.constant)
-            return f"{text}, or an expression", unit
-        case Dimension():
-            what = mark.what.removeprefix("a ").removeprefix("an ")
-            return f"{what}{_bounds(mark)}, e.g. `{mark.example}`", mark.unit
-        case Plain():
-            return f"{'whole number' if mark.integer else 'number'}{_bounds(mark)}", ""
-    return "`effusivity`, or a number from 0 to 1", ""
-
-
-def _bounds(mark: Any) -> str:
-    words = {"above": "above", "at_least": "at least", "at_most": "at most", "below": "below"}
-    found = {word: getattr(mark, key, None) for key, word in words.items()}
-    parts = [f"{word} {v:g}" for word, v in found.items() if v is not None and v < HUGE]
-    return f", {' and '.join(parts)}" if parts else ""
-
-
-def _default(key: str, field: FieldInfo) -> str:
-    """Default of a key, in Markdown; empty if required."""
-    if field.is_required() or (key == "kind" and field.default != "isotropic"):
+def _default(key: str, field: Schema) -> str:
+    """Default of a key that is not required, in Markdown."""
+    if key == "kind" and field["const"] != "isotropic":
         return ""
-    default = field.get_default(call_default_factory=True)
-    for mark in _marks(_annotation(field))[0]:
-        if isinstance(mark, Scalar) and default is not None:
-            return f"`{_yaml(mark.write(default))}`"
-    match default:
+    match field.get("default", {}):
         case None:
             return "none"
-        case BaseModel():
-            return "its defaults"
-        case "" | () | {} if not default:
+        case "" | [] | {} as value if not value:
             return "empty"
-        case (BaseModel(), *_):
-            return "`[{name: load}]`"
-        case tuple():
-            return "`[" + ", ".join(f"{value:g}" for value in default) + "]`"
-    return f"`{_yaml(default)}`"
+        case dict():
+            return "its defaults"
+        case [{"name": str(name)}]:
+            return f"`[{{name: {name}}}]`"
+        case list(values):
+            return "`[" + ", ".join(f"{value:g}" for value in values) + "]`"
+        case value:
+            return f"`{_yaml(value)}`"
 
 
 def _yaml(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return value if isinstance(value, str) else f"{value:g}"
+
+
+# ------------------------------------------------------------------------------ explanations
+
+
+def explained(key: str) -> str:
+    """Meaning, value, unit, default and an example of a key; or an entry of the library.
+
+    Args:
+        key: As after ``--set``, without names or with the last word alone. Else a name of the
+            library, or ``materials`` or ``loads`` for all of them.
+
+    Raises:
+        InputError: There is no such key.
+    """
+    every = _every()
+    asked = key.strip().strip(".")
+    asked = WITHIN.get(asked, asked)
+    found = [k for k in every if _matches(k, asked)] or [k for k in every if k.name == asked]
+    listed = library.listed(key).replace("`", "") if key in library.KINDS else ""
+    if not found and (listed or key in library.names()):
+        return listed or library.described(key)
+    if not found:
+        names = {re.sub(r"\.<name>|\[\]", "", k.path): None for k in every}
+        ends = {name.rpartition(".")[2]: name for name in reversed(names)}
+        near = difflib.get_close_matches(asked, [*names, *library.names()], 3)
+        near += [ends[w] for w in difflib.get_close_matches(asked.rpartition(".")[2], ends, 3)]
+        nearest = ", ".join(dict.fromkeys(near)) or ", ".join(Case.model_fields)
+        raise InputError(f"{key}: no key of a case; nearest: {nearest}")
+    heads: dict[str, list[str]] = {}
+    for k in found:
+        kind = f"  (kind {k.kind})" if k.kind else ""
+        heads.setdefault("\n".join(_body(k)), []).append(k.path + kind)
+    parts = ["\n".join([*own, body]) for body, own in heads.items()]
+    return "\n\n".join([*parts, *([listed] if listed else [])])
+
+
+@cache
+def unit(key: str) -> str:
+    """Internal unit of a key as after ``--set``; empty if it has none or is unknown."""
+    units = {k.unit for k in _every() if _matches(k, key)} - {""}
+    return units.pop() if len(units) == 1 else ""
+
+
+def _every() -> list[Key]:
+    return [key for section in table() for key in section.keys]
+
+
+def _matches(key: Key, asked: str) -> bool:
+    """Whether a key matches; names and numbers may be any or be left out."""
+    pattern = re.escape(key.path)
+    pattern = pattern.replace(r"\.<name>", r"(\.[^.]+)?")
+    pattern = pattern.replace(r"\[\]", r"(\[\d*\]|\.\d+)?")
+    return re.fullmatch(pattern, asked) is not None
+
+
+def _body(key: Key) -> Iterator[str]:
+    """Lines of an explanation below its heading."""
+    said = f"{key.value} such as {key.default} {key.meaning}"
+    example = re.search(r"(?:e\.g\.|such as) `([^`]*)`", said)
+    rows = {
+        "value": key.value,
+        "unit": key.unit,
+        "default": key.default or "none: it is required",
+        "keys": "; ".join(f"{kind}: {', '.join(names)}" for kind, names in key.inner),
+        "example": f"{key.name}: {example[1]}" if example else "",
+    }
+    yield from _wrapped(key.meaning, "  ", "  ")
+    for name, text in rows.items():
+        if text:
+            yield from _wrapped(text.removeprefix(": "), f"  {name:<9}", " " * 11)
+
+
+def _wrapped(text: str, start: str, further: str) -> list[str]:
+    """Wrap Markdown without its marks, with indents of the first and further lines."""
+    plain = re.sub(r"\[([^\]]*)\]\(#[^)]*\)", r"\1", text).replace("`", "")
+    return textwrap.wrap(
+        plain, WIDTH, initial_indent=start, subsequent_indent=further, break_on_hyphens=False
+    )

@@ -1,13 +1,15 @@
 """Merge a case with its bases, entries of a library, and overrides.
 
-Each value keeps its place: file, line and column, also of a base or a library.
+Each value keeps its place: file, line and column, also of a base or a library. A place may be left
+of a value that is gone; nothing asks for it.
 """
 
 from __future__ import annotations
 
-from collections import ChainMap
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import replace
 from math import hypot
 from os.path import expanduser
 from pathlib import Path as FilePath
@@ -22,20 +24,25 @@ from app.schema import yaml_file
 from app.schema.section import did_you_mean, show
 from app.schema.units import FORCE
 from app.schema.vectors import VECTOR, Triple
-from app.schema.yaml_file import CaseFile, Fault, Path, Place
-from app.schema.yaml_text import MOST_NODES, TOO_MANY, BadYaml
+from app.schema.yaml_file import (
+    DEEPEST,
+    MOST_NODES,
+    TOO_MANY,
+    BadYaml,
+    CaseFile,
+    Fault,
+    Path,
+    Reader,
+    key_parts,
+    path_text,
+)
 
 MOST_BASES = 10
 # Keys that a region keeps when it gets another material.
 OF_REGION = ("thermal", "tissue", "eigenstrains")
 OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
-Places = Mapping[Path, Place]
-# Keys of a case alone; `AXES` are of a sweep alone.
-SECTIONS = frozenset(
-    "library title geometry side mesh regions interfaces supports loads heat stages time solver "
-    "output variations".split()
-)
 STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
+# Keys of a sweep alone.
 AXES = frozenset({"grid", "lists", "table", "latin_hypercube", "parts"})
 
 
@@ -50,34 +57,27 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
         InputError: The file, a base or a library cannot be read or used.
     """
     chain = _chain(path)
-    case = LayeredCase(chain[0][0].name, others=[file.name for file, _ in chain[1:]])
-    for file, _ in chain:
+    case = CaseFile(chain[0].name)
+    for file in chain:
         case.digests |= file.digests
-    faults: list[Fault] = []
-    for number, (file, place) in reversed(list(enumerate(chain))):
-        file.data.pop("base", None)
-        if (name := file.data.pop("library", None)) is not None:
-            case.add(_library(file, place.parent, name), len(case.libraries))
-        if number:
-            _anchor(file.data, place.parent)
-        above: dict[Path, Place] = {k: (number, *p[1:]) for k, p in file.places.items()}  # type: ignore[misc]
-        case.complaints += [((number, *key[1:]), text) for key, text in file.complaints]  # type: ignore[misc]
-        laying = _Laying(case)
-        below = case.data if number < len(chain) - 1 else None
-        case.data = laying.over(below, file.data, (), case.places, above)
-        case.places = laying.places
-        faults += laying.faults
-    if faults:
-        case.raise_all(faults)
-    yaml_file.apply(case, overrides)
+        case.complaints += file.complaints
+    found = len(case.complaints)
+    for file in reversed(chain):
+        if file.data.get("library") is not None:
+            case.libraries.append(library.read(_named_file(file, "library")))
+            case.digests |= case.libraries[-1].digests
+        if file is not chain[0]:
+            _anchor(file.data, FilePath(file.name).parent)
+        below = None if file is chain[-1] else case.data
+        upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
+        case.data = _over(case, below, upper, ())
+        case.places |= file.places
+    if len(case.complaints) > found:
+        case.raise_all([])  # what they leave incomplete has other errors
+    apply(case, overrides)
     if case.data.pop("study", None) is not None:
-        case.complaints.append(case._locate(Fault(("study",), STUDY_APART)))
+        case.complaints.append(Fault(("study",), STUDY_APART))
     return case
-
-
-def is_study(data: Mapping[str, Any]) -> bool:
-    """Whether a file holds a study of a case (`case.study`) instead of a case."""
-    return "base" in data and bool({"set", "study"} & data.keys()) and not SECTIONS & data.keys()
 
 
 def found(folder: FilePath, base: str) -> FilePath:
@@ -87,267 +87,157 @@ def found(folder: FilePath, base: str) -> FilePath:
     return shipped if word and shipped.is_file() else folder / expanduser(base)
 
 
-def _chain(path: FilePath) -> list[tuple[CaseFile, FilePath]]:
+def _chain(path: FilePath) -> list[CaseFile]:
     """A case and its bases, the nearest first.
 
     Raises:
         InputError: A file cannot be read or is no case, or the bases make a circle.
     """
-    own = yaml_file.read(path)
-    for what, holds in (("sweep", bool(AXES & own.data.keys())), ("study", is_study(own.data))):
-        if "base" in own.data and holds:
+    chain = [yaml_file.read(path)]
+    for what, keys in (("sweep", AXES), ("study", {"study"})):
+        if "base" in chain[0].data and keys & chain[0].data.keys():
             text = f"this is a {what} of another case, not a case; use mantle {what} {path}"
-            own.raise_all([Fault(("base",), text)])
-    chain = [(own, path)]
-    while (base := chain[-1][0].data.get("base")) is not None:
-        file, place = chain[-1]
-        at = ("base",)
-        if not isinstance(base, str):
-            file.raise_all([Fault(at, f"{show(base)} is not text; expected a case file")])
-        try:
-            below = found(place.parent, base)
-            seen = [p.resolve() for _, p in chain]
-            if below.resolve() in seen:
-                names = " -> ".join([str(p) for _, p in chain] + [base])
-                file.raise_all([Fault(at, f"the bases make a circle: {names}")])
-            if len(chain) > MOST_BASES:
-                file.raise_all([Fault(at, f"more than {MOST_BASES} bases")])
-            readable = below.is_file()
-        except (OSError, RuntimeError, ValueError) as error:
-            file.raise_all([Fault(at, f"{show(base)} cannot be read: {error}")])
-        if not readable:
-            known = sorted(p.stem for p in configs.FOLDER.glob("*.yaml"))
-            hint = did_you_mean(base, known) or f"; cases by name: {', '.join(known)}"
-            file.raise_all([Fault(at, f"no such file: {below}{hint}")])
-        chain.append((yaml_file.read(below), below))
+            chain[0].raise_all([Fault(("base",), text)])
+    while chain[-1].data.get("base") is not None:
+        below = _named_file(chain[-1], "base")
+        names = [file.name for file in chain]
+        if len(chain) > MOST_BASES or below.resolve() in [FilePath(n).resolve() for n in names]:
+            text = f"more than {MOST_BASES} bases, or a circle: {' -> '.join(names)} -> {below}"
+            chain[-1].raise_all([Fault(("base",), text)])
+        chain.append(yaml_file.read(below))
     return chain
 
 
-def _anchor(data: Any, folder: FilePath) -> None:
-    """Make paths of a base absolute, which are relative to its file."""
-
-    def absolute(value: Any) -> Any:
-        if isinstance(value, list):
-            return [absolute(v) for v in value]
-        return str((folder / expanduser(value)).absolute()) if isinstance(value, str) else value
-
-    if isinstance(data, dict):
-        for key, value in data.items():
-            if key == "geometry" and isinstance(value, dict) and "path" in value:
-                value["path"] = absolute(value["path"])
-            elif key == "geometry.path":
-                data[key] = absolute(value)
-            _anchor(value, folder)
-
-
-def _library(file: CaseFile, folder: FilePath, name: Any) -> CaseFile:
-    """Read the library named by a case.
+def _named_file(file: CaseFile, key: str) -> FilePath:
+    """The file that a key of another names.
 
     Raises:
-        InputError: It does not exist or is no library.
+        InputError: It does not exist.
     """
+    name, hint = file.data[key], ""
     if not isinstance(name, str):
-        file.raise_all([Fault(("library",), f"{show(name)} is not text; expected a file")])
-    path = folder / expanduser(name)
-    if not path.is_file():
-        file.raise_all([Fault(("library",), f"no such file: {path}")])
-    return library.read(path)
+        file.raise_all([Fault((key,), f"{show(name)} is not text; expected a file")])
+    path = found(FilePath(file.name).parent, name)
+    try:
+        readable = path.is_file()
+    except OSError as error:
+        file.raise_all([Fault((key,), f"{show(name)} cannot be read: {error.strerror}")])
+    if not readable:
+        if key == "base":
+            known = sorted(p.stem for p in configs.FOLDER.glob("*.yaml"))
+            hint = did_you_mean(name, known) or f"; cases by name: {', '.join(known)}"
+        file.raise_all([Fault((key,), f"no such file: {path}{hint}")])
+    return path
 
 
-@dataclass
-class LayeredCase(CaseFile):
-    """A case merged with its bases; overrides are merged in the same way.
+def _anchor(data: Mapping[str, Any], folder: FilePath) -> None:
+    """Make the path of a mesh absolute, which is relative to the file of its case."""
+    geometry = data.get("geometry")
+    if isinstance(geometry, dict) and isinstance(path := geometry.get("path"), str):
+        geometry["path"] = str((folder / expanduser(path)).absolute())
 
-    Attributes:
-        libraries: Files of materials and loads by name, the newest last.
-        places_of: Places of the values of each library entry, by library, kind and name.
-        taken: Number of values taken from libraries.
+
+# ---------------------------------------------------------------------------------- merging
+
+
+def _over(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
+    """Merge one value over another; faults become complaints of the case.
+
+    Args:
+        case: The case that gets the values; it has the libraries.
+        lower: Value of the bases; None if there is none.
+        upper: Value over it.
+        path: Path of both.
     """
-
-    libraries: list[CaseFile] = field(default_factory=list)
-    places_of: dict[Path, list[tuple[Path, Place]]] = field(default_factory=dict)
-    taken: int = 0
-
-    def add(self, file: CaseFile, at: int) -> None:
-        """Insert a library among the others."""
-        self.others.append(file.name)
-        self.digests |= file.digests
-        self.libraries.insert(at, file)
-        for path, place in file.places.items():
-            found = self.places_of.setdefault((file.name, *path[:2]), [])
-            found.append((path[2:], (len(self.others), *place[1:])))  # type: ignore[arg-type]
-
-    def entry(self, kind: str, name: str, path: Path) -> tuple[dict[str, Any], dict[Path, Place]]:
-        """Entry of the newest library that has it, and the places of its values.
-
-        Args:
-            kind: ``materials`` or ``loads``.
-            name: Its name.
-            path: Its path in the case.
-
-        Raises:
-            BadYaml: No library has it.
-            InputError: Too many values were taken.
-        """
-        if all(file.name != str(library.SHIPPED) for file in self.libraries):
-            self.add(library.read(), 0)
-        for file in reversed(self.libraries):
-            if name in (entries := file.data.get(kind, {})):
-                places = self.places_of[file.name, kind, name]
-                self.taken += len(places)
-                if self.taken > MOST_NODES:
-                    raise InputError(f"{self.name}: {TOO_MANY}")
-                values = {
-                    k: v
-                    for k, v in entries[name].items()
-                    if k not in (library.ABOUT, library.SOURCE)
-                }
-                return values, {(*path, *inner): place for inner, place in places}
-        known = [n for file in self.libraries for n in file.data.get(kind, {})]
-        hint = did_you_mean(name, known)
-        raise BadYaml(f"{show(name)} is not in the library; {kind}: {', '.join(known)}{hint}")
-
-    def put(self, holder: Any, path: Path, value: Any) -> None:
-        """Merge a value into the data; null removes the old value.
-
-        Args:
-            holder: Mapping or list that gets the value.
-            path: Path of the value.
-            value: Mappings, lists and scalars.
-
-        Raises:
-            BadYaml: The value is not allowed there.
-        """
-        step, laying = path[-1], _Laying(self)
-        old = holder.get(step) if isinstance(holder, dict) else None
-        match path:
-            case ("base" | "library", *_):
-                raise BadYaml("stands in the file alone; --set cannot change it")
-            case _ if value is None and old is not None:
-                del holder[step]
-                return
-            case _ if not isinstance(holder, dict):
-                holder[step] = value
-                return
-            case ("regions", _, "material") | ("loads", "library") if isinstance(value, str):
-                new = laying.over(holder, {step: value}, path[:-1], self.places, self.places)
-            case ("loads", _, "force"):
-                new = {step: laying.over(old, value, path, self.places, self.places)}
-            case ("regions" | "loads",) | ("regions", _):
-                new = {step: laying.over(None, value, path, {}, self.places)}
-            case _:
-                holder[step] = value
-                return
-        if laying.faults:
-            raise BadYaml(laying.faults[0].text)
-        if step not in new:
-            holder.clear()
-        holder.update(new)
-        self.places |= laying.places
+    match path:
+        case ("loads", _, "force"):
+            return _force(case, lower, upper, path)
+        case ("regions", _) | ("loads",) if isinstance(upper, dict):
+            lower, upper = _named_entry(case, lower, upper, path)
+    if not isinstance(upper, dict):
+        return upper
+    if isinstance(lower, dict) and _kind(lower, path) != _kind(upper, path) and "kind" in upper:
+        lower = None
+    known = lower if isinstance(lower, dict) else {}
+    result = {
+        key: _over(case, value, upper[key], (*path, key)) if key in upper else value
+        for key, value in known.items()
+        if key not in upper or upper[key] is not None
+    }
+    for key in [key for key in upper if key not in known]:
+        if upper[key] is None and lower is not None:
+            text = f"there is nothing to remove{did_you_mean(key, list(known))}"
+            case.complaints.append(Fault((*path, key), text))
+        else:
+            result[key] = _over(case, None, upper[key], (*path, key))
+    return result
 
 
-class _Laying:
-    """Merges the content of a file over that of its bases."""
+def _force(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
+    """The upper force; a magnitude alone keeps the direction of the lower one."""
+    magnitude = isinstance(upper, str | int | float) and not VECTOR.fullmatch(str(upper))
+    vector = isinstance(lower, list) or (isinstance(lower, str) and VECTOR.fullmatch(lower))
+    if not (magnitude and vector):
+        return upper
+    try:
+        parts = [FORCE.read(value) for value in Triple("").spread(lower)]  # type: ignore[attr-defined]
+        size, length = FORCE.read(upper), hypot(*parts)
+        if length > 0.0 and size >= 0.0:
+            return [f"{part * size / length!r} N" for part in parts]
+        why = "a magnitude is not negative" if length else "a force of zero has no direction"
+        text = f"{show(upper)}: {why}; expected a vector"
+    except PydanticCustomError as error:
+        text = (error.context or {})["text"]
+    case.complaints.append(Fault(path, text))
+    return lower
 
-    def __init__(self, case: LayeredCase) -> None:
-        self._case = case
-        self.places: dict[Path, Place] = {}
-        self.faults: list[Fault] = []
 
-    def over(self, lower: Any, upper: Any, path: Path, below: Places, above: Places) -> Any:
-        """Merge one value over another.
+def _named_entry(
+    case: CaseFile, lower: Any, upper: dict[str, Any], path: Path
+) -> tuple[Any, dict[str, Any]]:
+    """Replace the lower value by the library entry that `upper` names."""
+    key, kind = ("library", "loads") if len(path) == 1 else ("material", "materials")
+    name = upper.get(key)
+    if not isinstance(name, str):
+        return lower, upper
+    rest = {k: v for k, v in upper.items() if k != key}
+    entry = _entry(case, kind, name, (*path, key))
+    if kind == "loads" or not entry:
+        return entry or lower, rest
+    if rest.get("kind", "conductor") not in ("conductor", own := _kind(entry, path)):
+        text = f"{name} is of kind {own}; leave kind out"
+        case.complaints.append(Fault((*path, "kind"), text))
+    return _material(lower if isinstance(lower, dict) else {}, entry, rest), rest
 
-        Args:
-            lower: Value of the bases; None if there is none.
-            upper: Value over it.
-            path: Path of both.
-            below: Places of the paths of `lower`.
-            above: Places of the paths of `upper`.
-        """
-        if (place := above.get(path)) is not None:
-            self.places[path] = place
-        match path:
-            case ("loads", _, "force"):
-                return self._force(lower, upper, path, above)
-            case ("regions", _) | ("loads",) if isinstance(upper, dict):
-                lower, upper, below = self._named(lower, upper, path, below, above)
-        if not isinstance(upper, dict):
-            return self._kept(upper, path, above)
-        if isinstance(lower, dict) and _kind(lower, path) != _kind(upper, path) and "kind" in upper:
-            lower = None
-        known = lower if isinstance(lower, dict) else {}
-        result = {}
-        for key, value in known.items():
-            inner = (*path, key)
-            if key not in upper:
-                result[key] = self._kept(value, inner, below)
-            elif upper[key] is not None:
-                result[key] = self.over(value, upper[key], inner, below, above)
-        for key in upper.keys() - known.keys():
-            inner = (*path, key)
-            if upper[key] is None and lower is not None:
-                hint = did_you_mean(key, list(known))
-                self._wrong(inner, f"there is nothing to remove{hint}", above)
-        for key, value in upper.items():
-            if key not in known and (value is not None or lower is None):
-                result[key] = self.over(None, value, (*path, key), below, above)
-        return result
 
-    def _kept(self, value: Any, path: Path, places: Places) -> Any:
-        """Return a value unchanged and keep its places."""
-        if (place := places.get(path)) is not None:
-            self.places[path] = place
-        if isinstance(value, dict):
-            return {k: self._kept(v, (*path, k), places) for k, v in value.items()}
-        if isinstance(value, list):
-            return [self._kept(v, (*path, i), places) for i, v in enumerate(value)]
-        return value
+def _entry(case: CaseFile, kind: str, name: str, path: Path) -> dict[str, Any]:
+    """Entry of the newest library that has it; empty, with a complaint, if none has.
 
-    def _wrong(self, path: Path, text: str, places: Places) -> None:
-        """Add a fault, and its place even if the result does not have the path."""
-        self.faults.append(Fault(path, text))
-        if (place := places.get(path)) is not None:
-            self.places[path] = place
+    Args:
+        case: The case; it gets the places of the values.
+        kind: ``materials`` or ``loads``.
+        name: Its name.
+        path: Path of the name in the case.
 
-    def _force(self, lower: Any, upper: Any, path: Path, above: Places) -> Any:
-        """The upper force; a magnitude alone keeps the direction of the lower one."""
-        magnitude = isinstance(upper, str | int | float) and not VECTOR.fullmatch(str(upper))
-        vector = isinstance(lower, list) or (isinstance(lower, str) and VECTOR.fullmatch(lower))
-        if magnitude and vector:
-            try:
-                parts = [FORCE.read(value) for value in Triple("").spread(lower)]  # type: ignore[attr-defined]
-                size, length = FORCE.read(upper), hypot(*parts)
-            except PydanticCustomError as error:
-                self._wrong(path, (error.context or {})["text"], above)
-            else:
-                if length > 0.0 and size >= 0.0:
-                    return [f"{part * size / length!r} N" for part in parts]
-                why = (
-                    "a magnitude is not negative" if length else "a force of zero has no direction"
-                )
-                self._wrong(path, f"{show(upper)}: {why}; expected a vector", above)
-        return self._kept(upper, path, above)
-
-    def _named(
-        self, lower: Any, upper: dict[str, Any], path: Path, below: Places, above: Places
-    ) -> tuple[Any, dict[str, Any], Places]:
-        """Replace the lower value by the library entry that `upper` names."""
-        key, kind = ("library", "loads") if len(path) == 1 else ("material", "materials")
-        name, inner = upper.get(key), (*path, key)
-        if not isinstance(name, str):
-            return lower, upper, below
-        rest = {k: v for k, v in upper.items() if k != key}
-        try:
-            entry, places = self._case.entry(kind, name, path)
-        except BadYaml as error:
-            self._wrong(inner, error.text, above)
-            return lower, rest, below
-        if kind == "materials":
-            kind = rest.get("kind", "conductor")
-            if kind not in ("conductor", own := _kind(entry, path)):
-                self._wrong((*path, "kind"), f"{name} is of kind {own}; leave kind out", above)
-            entry = _material(lower if isinstance(lower, dict) else {}, entry, rest)
-        return entry, rest, ChainMap(places, below)  # type: ignore[arg-type]
+    Raises:
+        InputError: Too many values were taken.
+    """
+    if all(file.name != str(library.SHIPPED) for file in case.libraries):
+        case.libraries.insert(0, library.read())
+        case.digests |= case.libraries[0].digests
+    for file in reversed(case.libraries):
+        if (entry := file.data.get(kind, {}).get(name)) is not None:
+            for p, place in file.places.items():
+                if p[:2] == (kind, name) and len(p) > 2:
+                    case.places[*path[:-1], *p[2:]] = place
+            if len(case.places) > MOST_NODES:
+                raise InputError(f"{case.name}: {TOO_MANY}")
+            about = (library.ABOUT, library.SOURCE)
+            return {k: deepcopy(v) for k, v in entry.items() if k not in about}
+    known = [n for file in case.libraries for n in file.data.get(kind, {})]
+    text = f"{show(name)} is not in the library; {kind}: {', '.join(known)}"
+    case.complaints.append(Fault(path, text + did_you_mean(name, known)))
+    return {}
 
 
 def _kind(data: Mapping[str, Any], path: Path) -> Any:
@@ -380,3 +270,95 @@ def _material(
         data = {k: v for k, v in entry["thermal"].items() if solid or k != "thermal_expansion"}
         new["thermal"] = data | own
     return new
+
+
+# -------------------------------------------------------------------------------- overrides
+
+
+def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
+    """A copy with more overrides, without reading the file again."""
+    copies: dict[str, Any] = {"data": deepcopy(case.data), "places": dict(case.places)}
+    copy = replace(case, **copies, complaints=[], given=dict(case.given))
+    apply(copy, overrides)
+    return copy
+
+
+def apply(case: CaseFile, overrides: Iterable[str]) -> None:
+    """Apply overrides to a case; errors become complaints."""
+    for override in overrides:
+        key = override.partition("=")[0].strip()
+        try:
+            _override(case, key, override)
+        except BadYaml as error:
+            case.complaints.append(Fault((), error.text, key or "''"))
+
+
+def _override(case: CaseFile, key: str, override: str) -> None:
+    """Apply ``a.b[0].c=value``.
+
+    Raises:
+        BadYaml: Malformed, or it goes through something that is not a mapping or list.
+    """
+    _, equals, text = override.partition("=")
+    items = key_parts(key)
+    if not equals or not all(items):
+        raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
+    if len(items) > DEEPEST:
+        raise BadYaml(f"{len(items)} keys in each other; at most {DEEPEST}")
+    if items[0] in ("base", "library"):
+        raise BadYaml("stands in the file alone; --set cannot change it")
+    target: Any = case.data
+    path: Path = ()
+    for n, item in enumerate(items):
+        step: str | int = item
+        if isinstance(target, list):
+            if not re.fullmatch("[0-9]{1,6}", item) or int(item) >= len(target):
+                raise BadYaml(f"{path_text(path)} has entries 0 to {len(target) - 1}, not '{item}'")
+            step = int(item)
+        elif not isinstance(target, dict):
+            raise BadYaml(f"{path_text(path)} is a single value: it has no '{item}'")
+        path = (*path, step)
+        if n < len(items) - 1:
+            if isinstance(target, dict) and target.get(item) is None:
+                target[item] = [{}] if items[n + 1] == "0" else {}
+                case.places[path] = key
+            target = target[step]
+    for old in [p for p in case.places if p[: len(path)] == path]:
+        del case.places[old]
+    case.places[path] = key
+    value: Any = text
+    try:
+        node = yaml_file.compose(text)
+        if node is None:  # KEY= without a value is not the null that removes an entry
+            case.given[key] = target[step] = None
+            return
+        value = Reader(case, key).value(node, path)
+    except BadYaml:
+        # "[0, 0, -1] N" is no YAML without the quotes, which the shell has removed.
+        if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):
+            raise
+    case.given[key] = value
+    _put(case, target, path, value)
+
+
+def _put(case: CaseFile, holder: Any, path: Path, value: Any) -> None:
+    """Merge the value of an override into its mapping or list; null removes the old value."""
+    step, complaints = path[-1], len(case.complaints)
+    old = holder.get(step) if isinstance(holder, dict) else None
+    if value is None and old is not None:
+        del holder[step]
+        return
+    own = {p: place for p, place in case.places.items() if p[: len(path)] == path}
+    of_entry = step in ("material", "library") and path[0] in ("regions", "loads")
+    if of_entry and isinstance(value, str):
+        new = _over(case, holder, {step: value}, path[:-1])
+    else:
+        new = {step: _over(case, old if step == "force" else None, value, path)}
+    case.places |= own  # over those of the entry
+    if len(case.complaints) > complaints:
+        return
+    if step in new:
+        holder[step] = new[step]
+    else:
+        holder.clear()
+        holder.update(new)

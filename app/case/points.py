@@ -13,13 +13,12 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
-from app.schema.yaml_file import Path, key_parts
+from app.schema.units import NUMBER
+from app.schema.yaml_file import Fault, Path, key_parts
 
 # Number of random designs to choose from.
 DESIGNS = 20
 MOST_CASES = 20_000
-# A number, and its unit if it has one.
-QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 # A value that can be part of a name.
 LABEL = re.compile(r"[A-Za-z0-9_.+-]{1,24}")
 
@@ -94,7 +93,7 @@ Table = Annotated[dict[Name, Changes], MAPPING, Field(min_length=1)]
 
 
 def _number(value: object) -> tuple[float, str]:
-    found = QUANTITY.fullmatch(str(value)) if isinstance(value, str | int | float) else None
+    found = NUMBER.fullmatch(str(value)) if isinstance(value, str | int | float) else None
     if found is None or isinstance(value, bool):
         fail(f"{show(value)} is not a number, with its unit if it has one")
     number = float(found[1])
@@ -303,3 +302,32 @@ def short_keys(keys: Sequence[str]) -> dict[str, str]:
 def as_overrides(changes: Mapping[str, Any]) -> list[str]:
     """Overrides as options ``key=value``; JSON is YAML."""
     return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in changes.items()]
+
+
+def at_override(message: str, places: Mapping[str, Path]) -> Fault | None:
+    """Locate a message about an override in the file; None if it is about something else.
+
+    Args:
+        message: A message about the case.
+        places: Path of each override in the file, by key.
+    """
+    for key, place in places.items():
+        if message.startswith(start := f"--set {key}: "):
+            return Fault(place, message.removeprefix(start))
+    return None
+
+
+def clashes(overrides: Iterable[str], varied: Iterable[tuple[Path, str]]) -> list[Fault]:
+    """Errors for ``--set`` keys that the file varies too.
+
+    Args:
+        overrides: ``--set`` options.
+        varied: Varied keys, each with the path of its list, or of a value in it.
+    """
+    places = {(p[:-1] if isinstance(p[-1], int) else p, key): None for p, key in varied}
+    return [
+        Fault(place, f"varies, but --set {given} holds for every case; leave one of them out")
+        for given in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
+        for place, key in places
+        if all(a == b for a, b in zip(key_parts(given), key_parts(key), strict=False))
+    ]

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 from app.laws.interface_laws import USUAL_AUGMENTATION
 from app.laws.loads import Point
 from app.schema import units
-from app.schema.section import MAPPING, Name, Section, Truth, Word, fail, show
+from app.schema.section import MAPPING, Name, Section, Truth, fail, show
 
 
 class Stage(Section):
@@ -67,7 +67,7 @@ class SolverOptions(Section):
     """Residual relative to the scale of the forces at which a step has converged."""
     max_iterations: units.PositiveInteger = 40
     """Largest number of Newton iterations in a step."""
-    linear: Annotated[Literal["auto", "direct", "multigrid"], Word()] = "auto"
+    linear: Literal["auto", "direct", "multigrid"] = "auto"
     """Linear solver; `auto` is direct for small models."""
     petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc)] = Field(
         default_factory=dict
@@ -80,7 +80,7 @@ class SolverOptions(Section):
 class TimeOptions(Section):
     """How stages that take time are divided into steps."""
 
-    method: Annotated[Literal["sdirk4", "backward_euler"], Word()] = "sdirk4"
+    method: Literal["sdirk4", "backward_euler"] = "sdirk4"
     """Time integrator; both are L-stable, of order 4 and 1."""
     tolerance: units.PositiveDifference = 1e-3
     """Largest error of the temperature in a time step."""

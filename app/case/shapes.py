@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import model_validator
 
@@ -33,7 +33,32 @@ class Mantle:
 
 
 class Shape(Section):
-    """Base of the geometries, with defaults of optional properties."""
+    """Base of the geometries: what a case may name in them, and defaults of their properties."""
+
+    is_around_z: ClassVar[bool] = False
+    """Whether z is the axis of a stem, or of a planned one."""
+    has_gruen_zones: ClassVar[bool] = False
+    """Whether it has the bone around a stem, or a planned one (`meshes.gruen`)."""
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """Names of the regions."""
+        return tuple(self.tissues)
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """Names of the boundaries."""
+        return ()
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """Regions on the two sides of each interface; none by default."""
+        return {}
+
+    @property
+    def interface_area(self) -> float:
+        """Approximate area of all interfaces (mm2); 0 if unknown."""
+        return 0.0
 
     @property
     def has_curved_surfaces(self) -> bool:
@@ -54,16 +79,6 @@ class Shape(Section):
     def mantles(self) -> tuple[Mantle, ...]:
         """Cement mantles; none by default."""
         return ()
-
-    @property
-    def is_around_z(self) -> bool:
-        """Whether z is the axis of a stem, or of a planned one."""
-        return False
-
-    @property
-    def has_gruen_zones(self) -> bool:
-        """Whether it has the bone around a stem, or a planned one (`meshes.gruen`)."""
-        return False
 
     @property
     def joined(self) -> tuple[tuple[str, ...], ...]:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.case import checks, planned_run, points, quantities
-from app.case.planned_run import PlannedRun
+from app.case import checks, overlay, points, quantities, sweep
 from app.case.points import Changes, Lists, Point, Runs
-from app.schema import section, yaml_file
+from app.case.sweep import PlannedRun
+from app.schema import yaml_file
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
 from app.schema.units import PositiveNumber
 from app.schema.yaml_file import CaseFile, Fault
@@ -158,17 +158,14 @@ def read(path: Path, overrides: Sequence[str] = ()) -> PlannedStudy:
     """
     own = [o for o in overrides if re.match(r"\s*study\b", o)]
     others = [o for o in overrides if o not in own]
-    file = yaml_file.read(path, own)
+    file = yaml_file.read(path)
+    overlay.apply(file, own)
     if "study" not in file.data or "geometry" in file.data:
         text = "expected a study file: base: CASE, set, and study with quantities, lines, reference"
         file.raise_all([Fault(("study",) if "study" in file.data else (), text)])
-    try:
-        content = StudyFile.model_validate(file.data)
-    except ValidationError as error:
-        file.raise_all(section.faults(error))
-        raise  # unreachable: the faults were raised
+    content = sweep.content(file, StudyFile)
     study = content.study
-    runs, problems = planned_run.plan(file, path.parent, list(content.points()), others)
+    runs, problems = sweep.plan(file, path.parent, list(content.points()), others)
     if runs:
         problems += checks.quantities(runs[0].case.geometry, study)
     if CONDITION in study.quantities and not all(r.case.output.condition for r in runs):

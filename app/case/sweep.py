@@ -1,19 +1,24 @@
-"""Sweep files: a base case, and axes whose values are combined."""
+"""Sweep files: a base case, and axes whose values are combined; points as checked cases."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
-from app.case import planned_run, points
-from app.case.planned_run import PlannedRun
+from app.case import overlay, points
+from app.case.case import Case, load
 from app.case.points import MOST_CASES, Point, SweepPart
 from app.errors import InputError
 from app.schema import section, yaml_file
-from app.schema.section import MAPPING, Name, Text, Word, fail
+from app.schema.section import MAPPING, Name, Section, Text, fail, show
+from app.schema.yaml_file import CaseFile, Fault
+
+Content = TypeVar("Content", bound=Section)
 
 
 class Sweep(SweepPart):
@@ -23,7 +28,7 @@ class Sweep(SweepPart):
     """A line for people."""
     parts: Annotated[dict[Name, SweepPart], MAPPING] = Field(default_factory=dict)
     """Parts with axes of their own, and with a base of their own where it differs."""
-    compare_with: Annotated[Literal["paper"], Word()] | None = None
+    compare_with: Literal["paper"] | None = None
     """A publication whose numbers, figures and trends get a page beside the report."""
 
     @model_validator(mode="after")
@@ -58,6 +63,25 @@ class Sweep(SweepPart):
         return {k: list(p.latin_hypercube.inputs) for k, p in parts.items() if p.latin_hypercube}
 
 
+@dataclass(frozen=True)
+class PlannedRun:
+    """A case of a sweep or a study.
+
+    Attributes:
+        point: Its place in the file; its overrides include ``--set`` options.
+        base: The case file.
+        overrides: Changes of the base, as after ``--set``.
+        ranks: Number of MPI ranks.
+        case: The base with the overrides.
+    """
+
+    point: Point
+    base: Path
+    overrides: tuple[str, ...]
+    ranks: int
+    case: Case
+
+
 def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[PlannedRun]]:
     """Read a sweep and check every case of it.
 
@@ -72,11 +96,74 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
     for key, what in (("geometry", "case: use mantle run"), ("study", "study: use mantle study")):
         if key in file.data:
             raise InputError(f"{path}: this is a {what} {path}")
+    sweep = content(file, Sweep)
+    planned, problems = plan(file, path.parent, sweep.points(), overrides)
+    file.raise_all(problems)
+    return sweep, planned
+
+
+def content(file: CaseFile, model: type[Content]) -> Content:
+    """The checked content of a sweep or study file.
+
+    Raises:
+        InputError: Every error of the file itself.
+    """
     try:
-        sweep = Sweep.model_validate(file.data)
+        return model.model_validate(file.data)
     except ValidationError as error:
         file.raise_all(section.faults(error))
         raise  # unreachable: the faults were raised
-    planned, problems = planned_run.plan(file, path.parent, sweep.points(), overrides)
-    file.raise_all(problems)
-    return sweep, planned
+
+
+def plan(
+    file: CaseFile, folder: Path, every: Sequence[Point], overrides: Sequence[str]
+) -> tuple[list[PlannedRun], list[Fault]]:
+    """Check the case of each point; return the cases and the faults.
+
+    Args:
+        file: The file of the points.
+        folder: The folder of relative bases.
+        every: The points.
+        overrides: ``--set`` options for every point; they replace values under ``set``.
+    """
+    problems = points.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
+    given = {o.partition("=")[0].strip(): _value(o) for o in overrides}
+    others = [o for o in overrides if o.partition("=")[0].strip() != "ranks"]
+    planned: list[PlannedRun] = []
+    failed: dict[tuple[Path, str], list[Point]] = {}
+    bases = Counter(overlay.found(folder, p.base) for p in every)
+    for point in every:
+        base, used = overlay.found(folder, point.base), point.changes | given
+        ranks = used.get("ranks", 1)
+        if not (type(ranks) is int and ranks > 0):
+            text = f"{show(ranks)} is not a number of ranks; allowed: 1, 2, 3, ..."
+            if "ranks" in given:
+                raise InputError(f"--set ranks: {text}")
+            problems.append(Fault(point.places["ranks"], text))
+        own = {k: v for k, v in point.changes.items() if k not in ("ranks", *given)}
+        changes = (*points.as_overrides(own), "variations={}", *others)
+        try:
+            case = load(base, changes).config
+        except InputError as error:
+            for message in error.messages:
+                if found := points.at_override(message, {key: point.places[key] for key in own}):
+                    problems.append(found)
+                else:
+                    failed.setdefault((base, message), []).append(point)
+            continue
+        planned.append(PlannedRun(replace(point, changes=used), base, changes, ranks, case))
+    for (base, message), of in failed.items():
+        at = (*of[0].path, "base")
+        if len(of) < bases[base]:
+            problems.append(Fault(of[0].path, f"{of[0].name}: {message}"))
+        elif message.startswith(f"{base}: "):  # it cannot be read
+            problems.append(Fault(at if at in file.places else ("base",), message))
+        else:
+            problems.append(Fault((), message, ""))
+    return planned, problems
+
+
+def _value(option: str) -> Any:
+    """Value of an option; None if it cannot be read."""
+    text = option.partition("=")[2]
+    return overlay.changed(CaseFile(""), [f"value={text}"]).data.get("value")

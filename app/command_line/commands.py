@@ -226,14 +226,12 @@ def _report(options: argparse.Namespace) -> int:
 def _explain(options: argparse.Namespace) -> int:
     import json
 
-    from app.case import explain
-    from app.case.case import Case
-    from app.schema.json_schema import json_schema
+    from app.case import keys
 
     if options.schema:
-        print(json.dumps(json_schema(Case), indent=2, ensure_ascii=False))
+        print(json.dumps(keys.json_schema(), indent=2, ensure_ascii=False))
     elif options.key:
-        print(explain.explained(options.key))
+        print(keys.explained(options.key))
     else:
         raise InputError("mantle explain: a KEY, a name of the library, or --schema is missing")
     return 0

@@ -15,13 +15,13 @@ from pydantic import BeforeValidator, Field, model_validator
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
 from app.laws.values import History, Named
-from app.schema.section import ITEMS, Kinds, Section, Text, Word, fail, show
+from app.schema.section import ITEMS, Kinds, Section, Text, fail, show
 from app.schema.units import Modulus, Number, Plain
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
-Tissue = Annotated[Literal["bone", "cement", "implant", "other"], Word()]
+Tissue = Literal["bone", "cement", "implant", "other"]
 # Poisson's ratio beyond which a material counts as nearly incompressible, and the margin there.
 LOCKING_RATIO = 0.45
 LOCKING_MARGIN = (1 + LOCKING_RATIO) * (1 - 2 * LOCKING_RATIO)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from app.laws.values import History, LengthField, Named, field
-from app.schema.section import ITEMS, TAG, Kinds, Name, Word, fail
+from app.schema.section import ITEMS, TAG, Kinds, Name, fail
 from app.schema.units import Axis, Stiffness
 from app.schema.vectors import Triple
 
@@ -78,7 +78,7 @@ class Roller(Support):
     history: ClassVar[None] = None  # type: ignore[misc]
 
     kind: Literal["roller"] = "roller"
-    axis: Annotated[Literal["x", "y", "z"], Word()] | None = None
+    axis: Literal["x", "y", "z"] | None = None
     """The direction, if it is an axis."""
     normal: Normal | None = None
     """The direction; any length but zero, normalised. `face`: at each node along the outward

@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from app.case import explain, quantities
+from app.case import keys, quantities
 from app.report import page
 from app.report.curves import ROUNDED, Figure, Line, Panel, draw, in_words, too_few
 from app.report.page import Blocks
@@ -173,7 +173,7 @@ def scale(cases: Sequence[SweptCase], key: str) -> tuple[str, Callable[[Any], fl
     written = {match[2] for t in texts if (match := NUMBER.fullmatch(t))}
     if len(written) == 1 and (unit := written.pop()):
         return quantities.printed(unit), magnitude
-    kept = explain.unit(key)
+    kept = keys.unit(key)
 
     def converted(level: Any) -> float | None:
         match = NUMBER.fullmatch(level) if isinstance(level, str) else None

@@ -7,9 +7,9 @@ node, with the operators, names and functions listed here alone.
 from __future__ import annotations
 
 import ast
-import math
 import warnings
 from dataclasses import dataclass
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 from pydantic import GetJsonSchemaHandler
@@ -17,7 +17,7 @@ from pydantic_core import core_schema
 
 from app.errors import InputError
 from app.schema.section import Scalar, did_you_mean, fail
-from app.schema.units import NUMBER, Dimension
+from app.schema.units import NUMBER, Dimension, finite
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,13 +35,7 @@ OPERATORS = {
 }
 # name in the language -> numpy function and allowed numbers of arguments
 FUNCTIONS: dict[str, tuple[str, int, int]] = {
-    "sqrt": ("sqrt", 1, 1),
-    "sin": ("sin", 1, 1),
-    "cos": ("cos", 1, 1),
-    "tan": ("tan", 1, 1),
-    "exp": ("exp", 1, 1),
-    "log": ("log", 1, 1),
-    "abs": ("abs", 1, 1),
+    **{name: (name, 1, 1) for name in ("sqrt", "sin", "cos", "tan", "exp", "log", "abs")},
     "min": ("minimum", 2, 9),
     "max": ("maximum", 2, 9),
     "atan2": ("arctan2", 2, 2),
@@ -57,9 +51,7 @@ def parse(expression: str) -> ast.expr:
         ValueError: It is no valid expression; the argument names the error and what is allowed.
     """
     if len(expression) > LONGEST:
-        raise ValueError(
-            f"expression of {len(expression)} characters; at most {LONGEST} are allowed"
-        )
+        raise ValueError(f"expression of {len(expression)} characters; at most {LONGEST}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about code that is refused below
@@ -77,19 +69,13 @@ def _check(node: ast.expr) -> None:
         case ast.Constant(value=bool()):
             raise ValueError("true and false are not numbers")
         case ast.Constant(value=int() | float() as value):
-            try:
-                finite = math.isfinite(float(value))
-            except OverflowError:
-                finite = False
-            if not finite:
+            if not finite(value):
                 raise ValueError("a number in the expression is too large")
         case ast.Name(id=name):
             allowed = (*COORDINATES, "pi")
             if name not in allowed:
-                known = ", ".join(allowed)
-                raise ValueError(
-                    f"'{name}' is not one of {known}{did_you_mean(name, (*allowed, *FUNCTIONS))}"
-                )
+                hint = did_you_mean(name, (*allowed, *FUNCTIONS))
+                raise ValueError(f"'{name}' is not one of {', '.join(allowed)}{hint}")
         case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
             _check(operand)
         case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
@@ -97,10 +83,8 @@ def _check(node: ast.expr) -> None:
             _check(right)
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
             if name not in FUNCTIONS:
-                known = ", ".join(FUNCTIONS)
-                raise ValueError(
-                    f"'{name}' is not one of {known}{did_you_mean(name, tuple(FUNCTIONS))}"
-                )
+                hint = did_you_mean(name, tuple(FUNCTIONS))
+                raise ValueError(f"'{name}' is not one of {', '.join(FUNCTIONS)}{hint}")
             _, least, most = FUNCTIONS[name]
             if not least <= len(arguments) <= most:
                 wanted = f"{least} to {most} arguments" if most > least else f"{least} argument(s)"
@@ -154,12 +138,8 @@ def _value(node: ast.expr, names: dict[str, Any]) -> Any:
             return function(_value(left, names), _value(right, names))
         case ast.Call(func=ast.Name(id=name), args=arguments):
             function = getattr(np, FUNCTIONS[name][0])
-            result = _value(arguments[0], names)
-            if len(arguments) == 1:
-                return function(result)
-            for argument in arguments[1:]:
-                result = function(result, _value(argument, names))
-            return result
+            values = [_value(argument, names) for argument in arguments]
+            return reduce(function, values) if len(values) > 1 else function(values[0])
     raise AssertionError("the tree was not checked")
 
 
@@ -209,4 +189,6 @@ class Varying(Scalar):
             "description": f"{kind.what} with a unit, or an expression in x, y, z (mm) that gives "
             f"{kind.unit}",
             "examples": [kind.example, f"{kind.example.split()[0]} * (1 - z / 50)"],
+            "x-value": f"{kind.in_words}, or an expression",
+            "x-unit": kind.unit,
         }

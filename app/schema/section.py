@@ -40,7 +40,7 @@ class Section(BaseModel):
         try:
             return handler(value)
         except ValidationError as error:
-            lines = [defect(f.text, f.path) for f in faults(error, cls)]
+            lines = [_defect(f.text, f.path) for f in faults(error, cls)]
             raise ValidationError.from_exception_data(
                 cls.__name__, [{"type": line, "input": None} for line in lines]
             ) from None
@@ -66,8 +66,17 @@ def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
             return path, f"unknown key; allowed: {', '.join(keys)}{hint}"
         case "model_type" | "model_attributes_type":
             return path, f"{value} is not a mapping; expected keys {', '.join(keys)}"
-        case "literal_error":
-            return path, f"{value} is not {entry['ctx']['expected']}"
+        case "literal_error" if words := re.findall("'([^']*)'", entry["ctx"]["expected"]):
+            return path, _not_one_of(entry["input"], words)
+        case "union_tag_invalid":
+            given, tags = entry["input"], entry["ctx"]["expected_tags"]
+            kinds = re.findall(f"'{TAG}(\\w+)'", tags)
+            if not isinstance(given, dict):
+                text = f"{value} is not a mapping; expected one with kind: {' | '.join(kinds)}"
+                return path, text
+            missing = f"is missing; expected one of {', '.join(kinds)}"
+            text = _not_one_of(given["kind"], kinds) if "kind" in given else missing
+            return (*path, "kind"), text
     return path, f"{value}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
 
 
@@ -88,12 +97,11 @@ def docstrings(model: type) -> dict[str, str]:
     return found
 
 
-def defect(text: str, at: tuple[str | int, ...] = ()) -> PydanticCustomError:
-    """An error of a value, with its path below the value."""
+def _defect(text: str, at: Path) -> PydanticCustomError:
     return PydanticCustomError("mantle", "{text}", {"text": text, "at": at})
 
 
-def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:
+def fail(text: str, at: Path = ()) -> NoReturn:
     """Report a defect of the value under validation.
 
     Args:
@@ -103,23 +111,23 @@ def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:
     Raises:
         PydanticCustomError: Always.
     """
-    raise defect(text, at)
+    raise _defect(text, at)
 
 
 def show(value: object) -> str:
     """Quote a value in a message, shortened."""
-    if isinstance(value, bool):
-        text = str(value).lower()
-    elif isinstance(value, dict):
-        return "a mapping"
-    elif isinstance(value, list | tuple):
-        return "a list"
-    elif value is None:
-        return "nothing"
-    elif isinstance(value, int) and value.bit_length() > 200:
-        return "a huge number"
-    else:
-        text = repr(value)
+    match value:
+        case bool():
+            return str(value).lower()
+        case dict():
+            return "a mapping"
+        case list() | tuple():
+            return "a list"
+        case None:
+            return "nothing"
+        case int() if value.bit_length() > 200:
+            return "a huge number"
+    text = repr(value)
     return text if len(text) <= 60 else text[:56] + "...'"
 
 
@@ -189,32 +197,19 @@ class Scalar:
         )
 
 
-def one_of(value: object, allowed: Sequence[str], at: tuple[str | int, ...] = ()) -> None:
+def one_of(value: object, allowed: Sequence[str], at: Path = ()) -> None:
     """Refuse a value that is not among the allowed words.
 
     Raises:
         PydanticCustomError: It is not.
     """
     if value not in allowed:
-        hint = did_you_mean(value, allowed) if isinstance(value, str) else ""
-        fail(f"{show(value)} is not one of {', '.join(allowed)}{hint}", at)
+        fail(_not_one_of(value, allowed), at)
 
 
-@dataclass(frozen=True)
-class Word:
-    """Restricts a `Literal` field to its words, with a message that proposes the nearest one."""
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Check the word before pydantic does."""
-        words = get_args(source)
-
-        def check(value: object) -> object:
-            one_of(value, words)
-            return value
-
-        return core_schema.no_info_before_validator_function(check, handler(source))
+def _not_one_of(value: object, allowed: Sequence[str]) -> str:
+    hint = did_you_mean(value, allowed) if isinstance(value, str) else ""
+    return f"{show(value)} is not one of {', '.join(allowed)}{hint}"
 
 
 # Called when a kind is added, to rebuild the schema (`case.case`).
@@ -255,38 +250,20 @@ class Kinds:
     ) -> core_schema.CoreSchema:
         """A tagged union whose tags cannot be mistaken for keys of the file."""
         classes: tuple[type[BaseModel], ...] = get_args(source) or kinds_of(source)
-        by_kind = {
-            get_args(c.model_fields["kind"].annotation)[0]: c
-            for c in classes
-            if "kind" in c.model_fields
-        }
-        by_key = {
-            next(key for key, field in c.model_fields.items() if field.is_required()): c
-            for c in classes
-            if "kind" not in c.model_fields
-        }
+        tags, keys = dict[type, str](), dict[str, str]()
+        for model in classes:
+            if "kind" in (fields := model.model_fields):
+                tags[model] = TAG + get_args(fields["kind"].annotation)[0]
+            else:
+                key = next(key for key, field in fields.items() if field.is_required())
+                tags[model] = keys[key] = f"{TAG}.{key}"
 
-        def model_of(value: object) -> type[BaseModel]:
+        def tag(value: object) -> str:
             if isinstance(value, classes):
-                return type(value)
-            if not isinstance(value, dict):
-                kinds = " | ".join(by_kind)
-                fail(f"{show(value)} is not a mapping; expected one with kind: {kinds}")
-            for key, model in by_key.items():
-                if key in value:
-                    return model
-            if "kind" not in value and not self.default:
-                fail(f"is missing; expected one of {', '.join(by_kind)}", at=("kind",))
-            kind = value.get("kind", self.default)
-            one_of(kind, tuple(by_kind), at=("kind",))
-            return by_kind[kind]
+                return tags[type(value)]
+            found = value if isinstance(value, dict) else {}
+            by_key = next((tag for key, tag in keys.items() if key in found), "")
+            return by_key or f"{TAG}{found.get('kind', self.default)}"
 
-        def check(value: object) -> object:
-            model_of(value)
-            return value
-
-        union = core_schema.tagged_union_schema(
-            {TAG + c.__name__: handler.generate_schema(c) for c in classes},
-            lambda value: TAG + model_of(value).__name__,
-        )
-        return core_schema.no_info_before_validator_function(check, union)
+        schemas = {tags[model]: handler.generate_schema(model) for model in classes}
+        return core_schema.tagged_union_schema(schemas, tag)

@@ -19,33 +19,6 @@ UNIT = re.compile(r"(1\s*/\s*)?[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
 TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
 KEPT = "conversions.json"
 ANGLES = re.compile("radian|degree|arc|turn|grade")
-# A unit of each dimension named in messages.
-DIMENSIONS = {
-    "rad": "an angle",
-    "mm": "a length",
-    "mm^2": "an area",
-    "mm^3": "a volume",
-    "kg": "a mass",
-    "s": "a time",
-    "K": "a temperature",
-    "N": "a force",
-    "N/mm": "a force per length",
-    "MPa": "a stress",
-    "MPa/mm": "a stiffness per area",
-    "N*mm": "a moment or an energy",
-    "kg/m^3": "a mass per volume",
-    "1/s": "a rate",
-    "1/K": "an expansion per temperature",
-    "W/(m*K)": "a conductivity",
-    "J/(kg*K)": "a specific heat",
-    "J/kg": "an energy per mass",
-    "J/mol": "an energy per amount of substance",
-    "W": "a power",
-    "W/m^2": "a power per area",
-    "W/m^3": "a power per volume",
-    "W/(m^2*K)": "a conductance per area",
-    "W/(m^2*K*Pa)": "a conductance per area and pressure",
-}
 
 
 @lru_cache(maxsize=1)
@@ -62,7 +35,7 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
 
     Raises:
         LookupError: The unit is unknown.
-        ValueError: It has another dimension, which the argument names.
+        ValueError: It has another dimension.
     """
     text = unit.replace("**", "^").replace("·", "*").replace("μ", "µ")
     if not UNIT.fullmatch(text) or TOWER.search(text):
@@ -104,7 +77,7 @@ def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
     # Angles and plain numbers have the same dimension for pint, but "5 %" is not an angle.
     plain = source.dimensionless and not ANGLES.search(_names(source))
     if source.dimensionality != target.dimensionality or (plain and "radian" in _names(target)):
-        raise ValueError("a plain number" if plain else _dimension(source))
+        raise ValueError(unit)
     offset = Fraction(ureg.Quantity(Fraction(0), source).to(target).magnitude)
     return Fraction(ureg.Quantity(Fraction(1), source).to(target).magnitude) - offset, offset
 
@@ -112,10 +85,3 @@ def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
 def _names(unit: Any) -> str:
     """Names in a unit; pint cannot print rational powers (Python 3.13)."""
     return " ".join(unit._units)
-
-
-def _dimension(unit: Any) -> str:
-    for known, what in DIMENSIONS.items():
-        if registry().parse_units(known).dimensionality == unit.dimensionality:
-            return what
-    return "something else"

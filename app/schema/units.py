@@ -10,9 +10,12 @@ A field is declared by one of the aliases below, for example ``thickness: Positi
 from __future__ import annotations
 
 import math
+import operator
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, GetJsonSchemaHandler
@@ -23,12 +26,19 @@ from app.schema.unit_conversion import conversion
 from app.schema.vectors import Triple
 
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
-NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)
 # Longest number: huge exponents would be expensive.
 LONGEST = 60
 # Longest number with its unit; matching takes quadratic time.
 LONGEST_VALUE = 200
+HUGE = 1e9
 
+# By attribute: what it asks of a value, in words, and in a JSON schema.
+BOUNDS: dict[str, tuple[Callable[[float, float], bool], str, str]] = {
+    "above": (operator.gt, "above", "exclusiveMinimum"),
+    "at_least": (operator.ge, "at least", "minimum"),
+    "at_most": (operator.le, "at most", "maximum"),
+    "below": (operator.lt, "below", "exclusiveMaximum"),
+}
 SUGGESTIONS = (
     "GPa MPa kPa Pa mm um cm m nm N kN mN deg rad degC K s ms min hour N/mm N/mm^2 N/mm^3 MPa/mm "
     "kg tonne kg/m^3 W/m^2 W/m^3 J/m^3 J/mol 1/K 1/s"
@@ -41,6 +51,12 @@ def finite(value: int | float) -> bool:
         return math.isfinite(float(value))
     except OverflowError:
         return False
+
+
+def bounds_in_words(schema: dict[str, Any]) -> str:
+    """Bounds of a JSON schema; those that only avoid overflow are left out."""
+    words = [f"{w} {schema[n]:g}" for _, w, n in BOUNDS.values() if schema.get(n, HUGE) < HUGE]
+    return f", {' and '.join(words)}" if words else ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,19 +75,23 @@ class _Bounded(Scalar):
     at_most: float | None = None
     below: float | None = None
 
-    def violated(self, value: float, unit: str = "") -> str:
-        """Message of the bound that a value violates, or ""."""
-        behind = f" {unit}".rstrip()
-        if self.below is not None and not value < self.below:
-            return f"must be below {self.below:g}{behind}"
-        if self.above is not None and not value > self.above:
-            return f"must be above {self.above:g}{behind}" if self.above else "must be positive"
-        if self.at_least is not None and value < self.at_least:
-            least = f"must be at least {self.at_least:g}{behind}"
-            return least if self.at_least else "must not be negative"
-        if self.at_most is not None and value > self.at_most:
-            return f"must be at most {self.at_most:g}{behind}"
-        return ""
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Bounds by attribute."""
+        return {key: bound for key in BOUNDS if (bound := getattr(self, key)) is not None}
+
+    def check(self, value: float, shown: str, unit: str = "") -> None:
+        """Refuse a value beyond a bound.
+
+        Raises:
+            PydanticCustomError: It is beyond one.
+        """
+        for key, bound in self.bounds.items():
+            holds, words, _ = BOUNDS[key]
+            if not holds(value, bound):
+                signs = {"above": "must be positive", "at_least": "must not be negative"}
+                text = f"must be {words} {bound:g} {unit}".rstrip()
+                fail(f"{shown} {text if bound else signs.get(key, text)}")
 
 
 @dataclass(frozen=True)
@@ -96,26 +116,21 @@ class Dimension(_Bounded):
                 bounds.
         """
         expected = f"expected {self.what} such as '{self.example}'"
-        text = value if isinstance(value, str) else ""
+        text = value if isinstance(value, str) else show(value)
         match = NUMBER.fullmatch(text) if len(text) <= LONGEST_VALUE else None
-        number, unit = match.groups() if match else ("", "")
-        if isinstance(value, int | float) and not isinstance(value, bool) and finite(value):
-            number = str(value)
-        elif match is None:
-            endless = isinstance(value, int | float) and not isinstance(value, bool)
-            endless = endless or NOT_FINITE.match(text) is not None
-            wrong = "is not finite" if endless else f"is not {self.what}"
-            fail(f"{show(value)} {wrong}; {expected}")
+        if match is None:
+            fail(f"{show(value)} is not {self.what} such as '{self.example}'")
+        number, unit = match.groups()
         if not unit:
-            shown = show(value) if text else number
-            fail(f"{shown} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
+            example = f"{number} {self.example.split(maxsplit=1)[1]}"
+            fail(f"{show(value)} needs a unit, e.g. '{example}'")
         try:
             slope, offset = conversion(unit, self.unit)
         except LookupError:
             hint = did_you_mean(unit, SUGGESTIONS)
             fail(f"{show(value)}: '{unit}' is not a unit; {expected}{hint}")
-        except ValueError as error:
-            fail(f"{show(value)} is {error}; {expected}")
+        except ValueError:
+            fail(f"{show(value)} is not {self.what} such as '{self.example}'")
         if len(number) > LONGEST or not math.isfinite(float(number)):
             fail(f"{show(value)} is not finite; {expected}")
         # A number that underflows is zero; as a fraction it could take gigabytes.
@@ -124,8 +139,7 @@ class Dimension(_Bounded):
             result = float(exact * slope + offset)
         except OverflowError:
             fail(f"{show(value)} is not finite in {self.unit}")
-        if bound := self.violated(result, self.unit):
-            fail(f"{show(value)} {bound}")
+        self.check(result, show(value), self.unit)
         return result
 
     def write(self, value: float) -> str:
@@ -145,7 +159,16 @@ class Dimension(_Bounded):
             "pattern": r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(1\s*/\s*)?[A-Za-zµμ°].*$",
             "description": f"{self.what} with a unit (kept in {self.unit})",
             "examples": [self.example],
+            "x-value": self.in_words,
+            "x-unit": self.unit,
         }
+
+    @property
+    def in_words(self) -> str:
+        """The values that it allows, in Markdown."""
+        what = self.what.removeprefix("a ").removeprefix("an ")
+        bounds = {BOUNDS[key][2]: bound for key, bound in self.bounds.items()}
+        return f"{what}{bounds_in_words(bounds)}, e.g. `{self.example}`"
 
 
 @dataclass(frozen=True)
@@ -224,73 +247,53 @@ class Plain(_Bounded):
             fail(f"{show(value)} is not finite; expected a {kind}")
         if self.integer and value != int(value):
             fail(f"{value} is not a {kind}")
-        if bound := self.violated(value):
-            fail(f"{value} {bound}")
+        self.check(value, str(value))
         return int(value) if self.integer else float(value)
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         """A number with its bounds."""
-        bounds = {
-            "exclusiveMinimum": self.above,
-            "minimum": self.at_least,
-            "maximum": self.at_most,
-            "exclusiveMaximum": self.below,
-        }
         kind = {"type": "integer" if self.integer else "number"}
-        return kind | {k: v for k, v in bounds.items() if v is not None}
+        return kind | {BOUNDS[key][2]: bound for key, bound in self.bounds.items()}
 
 
-_length = ("mm", "a length", "4 mm")
-_stiffness = ("MPa/mm", "a stiffness per area", "100 MPa/mm")
+_length = partial(Dimension, "mm", "a length", "4 mm")
+_time = partial(Dimension, "s", "a time", "600 s")
+_stiffness = partial(Dimension, "MPa/mm", "a stiffness per area", "100 MPa/mm")
+# Each internal unit of heat equals one in mm, N, s, K, tonne: 1 W/(m K) = 1 N/(s K).
+_conductance = partial(Dimension, "mW/(mm^2*K)", "a conductance per area", "300 W/(m^2 K)")
+_specific_heat = Dimension("mJ/(tonne*K)", "a specific heat", "1460 J/(kg K)", above=0.0)
+_expansion = Dimension("1/K", "an expansion per temperature", "80e-6 1/K")
+_heat = Dimension("J/cm^3", "an energy per volume", "1.55e8 J/m^3", at_least=0.0)
+_per_pressure = partial(Dimension, "mW/(mm^2*K*MPa)", "a conductance per area and pressure")
+_per_amount = partial(Dimension, "J/mol", "an energy per amount of substance", "62866 J/mol")
+FORCE = Dimension("N", "a force", "1800 N")
 
-Length = Annotated[float, Dimension(*_length)]
-# Bound of lengths in a geometry, so that volumes do not overflow.
-_longest = 1e10
-PositiveLength = Annotated[float, Dimension(*_length, above=0.0, at_most=_longest)]
+Length = Annotated[float, _length()]
+# The bound keeps volumes from overflow.
+PositiveLength = Annotated[float, _length(above=0.0, at_most=1e10)]
 Angle = Annotated[float, Dimension("rad", "an angle", "1.5 deg")]
 Stress = Annotated[float, Dimension("MPa", "a pressure", "2 MPa")]
 Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa", above=0.0)]
-Stiffness = Annotated[float, Dimension(*_stiffness, at_least=0.0)]
-PositiveStiffness = Annotated[float, Dimension(*_stiffness, above=0.0)]
-FORCE = Dimension("N", "a force", "1800 N")
+Stiffness = Annotated[float, _stiffness(at_least=0.0)]
+PositiveStiffness = Annotated[float, _stiffness(above=0.0)]
 Newton = Annotated[float, FORCE]
-_time = ("s", "a time", "600 s")
-NonNegativeTime = Annotated[float, Dimension(*_time, at_least=0.0)]
-PositiveTime = Annotated[float, Dimension(*_time, above=0.0)]
+NonNegativeTime = Annotated[float, _time(at_least=0.0)]
+PositiveTime = Annotated[float, _time(above=0.0)]
 
 Temperature = Annotated[float, AbsoluteTemperature()]
 PositiveDifference = Annotated[float, TemperatureDifference(above=0.0)]
-# Each internal unit equals one in mm, N, s, K, tonne: 1 W/(m K) = 1 N/(s K).
 Conductivity = Annotated[float, Dimension("W/(m*K)", "a conductivity", "0.2 W/(m K)", above=0.0)]
 Density = Annotated[float, Dimension("tonne/mm^3", "a density", "1100 kg/m^3", above=0.0)]
-SpecificHeat = Annotated[
-    float, Dimension("mJ/(tonne*K)", "a specific heat", "1460 J/(kg K)", above=0.0)
-]
-ExpansionCoefficient = Annotated[
-    float, Dimension("1/K", "an expansion per temperature", "80e-6 1/K")
-]
-HeatDensity = Annotated[
-    float, Dimension("J/cm^3", "an energy per volume", "1.55e8 J/m^3", at_least=0.0)
-]
-_conductance = ("mW/(mm^2*K)", "a conductance per area", "300 W/(m^2 K)")
-ConductancePerArea = Annotated[float, Dimension(*_conductance, at_least=0.0)]
-FilmCoefficient = Annotated[float, Dimension(*_conductance, above=0.0)]
-ConductancePerPressure = Annotated[
-    float,
-    Dimension(
-        "mW/(mm^2*K*MPa)",
-        "a conductance per area and pressure",
-        "100 W/(m^2 K MPa)",
-        above=0.0,
-    ),
-]
+SpecificHeat = Annotated[float, _specific_heat]
+ExpansionCoefficient = Annotated[float, _expansion]
+HeatDensity = Annotated[float, _heat]
+ConductancePerArea = Annotated[float, _conductance(at_least=0.0)]
+FilmCoefficient = Annotated[float, _conductance(above=0.0)]
+ConductancePerPressure = Annotated[float, _per_pressure("100 W/(m^2 K MPa)", above=0.0)]
 PositiveRate = Annotated[float, Dimension("1/s", "a rate", "0.002 1/s", above=0.0)]
-ActivationEnergy = Annotated[
-    float,
-    Dimension("J/mol", "an energy per amount of substance", "62866 J/mol", at_least=0.0),
-]
+ActivationEnergy = Annotated[float, _per_amount(at_least=0.0)]
 
 Number = Annotated[float, Plain()]
 PositiveNumber = Annotated[float, Plain(above=0.0)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
@@ -42,48 +42,19 @@ class Pair:
     """
 
     example: str
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Check the number of entries before they are read."""
-
-        def check(value: object) -> object:
-            if not isinstance(value, list | tuple) or len(value) != 2:
-                found = (
-                    f"has {len(value)} values" if isinstance(value, list | tuple) else show(value)
-                )
-                fail(f"{found}; expected a pair such as {self.example}")
-            return value
-
-        return core_schema.no_info_before_validator_function(check, handler(source))
-
-
-@dataclass(frozen=True)
-class Triple:
-    """Marks a field as a vector: a list of exactly three, or ``"[a, b, c] unit"``.
-
-    Attributes:
-        example: Value as written in a file.
-        scalar: Whether a single value stands for three equal ones.
-    """
-
-    example: str
-    scalar: bool = False
+    number: ClassVar[int] = 2
 
     def spread(self, value: object) -> object:
-        """The three entries, before they are read.
+        """The entries, before they are read.
 
         Raises:
-            PydanticCustomError: Not a list, or not of three entries.
+            PydanticCustomError: Not a list, or not of this number of entries.
         """
-        value = spread_unit(value)
+        words = {2: "two", 3: "three"}[self.number]
         if not isinstance(value, list | tuple):
-            if self.scalar and value is not None and not isinstance(value, dict):
-                return (value, value, value)
-            fail(f"{show(value)} is not a list of three values; expected e.g. {self.example}")
-        if len(value) != 3:
-            fail(f"has {len(value)} values; expected three, e.g. {self.example}")
+            fail(f"{show(value)} is not a list of {words} values; expected e.g. {self.example}")
+        if len(value) != self.number:
+            fail(f"has {len(value)} values; expected {words}, e.g. {self.example}")
         return value
 
     def __get_pydantic_core_schema__(
@@ -92,6 +63,25 @@ class Triple:
         """Spread before the entries are read."""
         return core_schema.no_info_before_validator_function(self.spread, handler(source))
 
+
+@dataclass(frozen=True)
+class Triple(Pair):
+    """Marks a field as a vector: a list of exactly three, or ``"[a, b, c] unit"``.
+
+    Attributes:
+        scalar: Whether a single value stands for three equal ones.
+    """
+
+    scalar: bool = False
+    number: ClassVar[int] = 3
+
+    def spread(self, value: object) -> object:
+        """The three entries, before they are read."""
+        value = spread_unit(value)
+        if self.scalar and value is not None and not isinstance(value, list | tuple | dict):
+            return (value, value, value)
+        return super().spread(value)
+
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
@@ -99,4 +89,4 @@ class Triple:
         result = handler(schema)
         if result.get("prefixItems", [{}])[0].get("type") != "string":
             return result
-        return {"anyOf": [result, {"type": "string", "examples": [self.example]}]}
+        return {"anyOf": [result, {"type": "string", "examples": [self.example], "x-value": ""}]}

@@ -1,30 +1,41 @@
-"""The content of a case file: data, the place of each key, overrides, errors at their places."""
+"""YAML files as data with the place of each value, and errors at their places.
+
+YAML 1.2 by ruamel.yaml's parser. Nodes are converted here, so that all duplicate keys are found at
+once and aliases cannot expand without bound.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
-from ruamel.yaml.nodes import MappingNode
+from ruamel.yaml import YAML
+from ruamel.yaml.composer import Composer
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.reader import ReaderError
 
 from app.errors import GeometryError, InputError
-from app.schema import yaml_text
-from app.schema.yaml_text import DEEPEST, LONGEST, BadYaml
 
-Path = yaml_text.Path
-# Number of the file (from 0), line and column (from 1); or the key of an option.
-Place = tuple[int, int, int] | str
+Path = tuple[str | int, ...]
+# Name of the file, line and column (from 1); or the key of an option.
+Place = tuple[str, int, int] | str
+# Bounds: bytes of a file, number of values, nesting, length of a text.
+LARGEST, MOST_NODES, DEEPEST, LONGEST = 4 << 20, 100_000, 50, 10_000
+TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"
+# The only tags allowed on mappings and lists.
+PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
 # A message that begins with a key, and a step of the key.
 KEYED = re.compile(r"([A-Za-z_][\w-]*(?:\.[\w-]+|\[\d+\])*): (.*)", re.DOTALL)
 STEP = re.compile(r"[\w-]+")
-TWICE = "this key stands here twice; keep one"
-# Sorting key of what has no place in the file.
+# Sorting key of what has no place in a file.
 LAST = (1 << 30, 0, 0)
 
 
@@ -35,46 +46,43 @@ class Fault:
     Attributes:
         path: Keys from the top to the value.
         text: The defect; what is allowed.
+        place: Its place where that is not the place of the path; "" if the text tells it.
     """
 
     path: Path
     text: str
+    place: Place | None = None
+
+
+class BadYaml(Exception):
+    """Invalid YAML, or data that is no case; with line and column."""
+
+    def __init__(self, text: str, place: tuple[int, int] = (1, 1)) -> None:
+        self.text, self.place = text, place
+        super().__init__(text)
 
 
 @dataclass
 class CaseFile:
-    """The content of a case file with the overrides applied.
+    """The content of a YAML file, or of a case with its bases and overrides (`case.overlay`).
 
     Attributes:
         name: The file as named by the user.
         data: Mappings, lists and scalars.
         places: Place of each path.
-        complaints: Errors found while reading: sorting key and message.
-        others: Its bases and libraries (`case.overlay`), in the order of their numbers.
+        complaints: Errors found while reading.
         given: Values of overrides as given, by key.
-        digests: SHA-256 of the parsed bytes, by file name.
+        digests: SHA-256 of the file, its bases and libraries, by name.
+        libraries: Files of materials and loads by name, the newest last.
     """
 
     name: str
     data: dict[str, Any] = field(default_factory=dict)
     places: dict[Path, Place] = field(default_factory=dict)
-    complaints: list[tuple[tuple[int, int, int], str]] = field(default_factory=list)
-    others: list[str] = field(default_factory=list)
+    complaints: list[Fault] = field(default_factory=list)
     given: dict[str, Any] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
-
-    def put(self, holder: Any, path: Path, value: Any) -> None:
-        """Put a value into the data.
-
-        Args:
-            holder: Mapping or list that gets the value.
-            path: Path of the value.
-            value: Mappings, lists and scalars; their places are known already.
-
-        Raises:
-            BadYaml: The value is not allowed there.
-        """
-        holder[path[-1]] = value
+    libraries: list[CaseFile] = field(default_factory=list)
 
     def raise_all(self, problems: Sequence[Fault]) -> None:
         """Raise one error for all problems, in the order of the file.
@@ -82,9 +90,8 @@ class CaseFile:
         Raises:
             InputError: There is at least one problem, given or found while reading.
         """
-        lines = [*self.complaints, *(self._locate(p) for p in problems)]
-        if lines:
-            raise InputError(list(dict.fromkeys(printable(text) for _, text in sorted(lines))))
+        if lines := sorted(map(self._locate, (*self.complaints, *problems))):
+            raise InputError(list(dict.fromkeys(printable(text) for _, text in lines)))
 
     @contextmanager
     def placing(self) -> Iterator[None]:
@@ -109,20 +116,20 @@ class CaseFile:
             return message
         return self._locate(Fault(path, found[2]))[1]
 
-    def _locate(self, problem: Fault) -> tuple[tuple[int, int, int], str]:
-        """Sorting key and message of a problem, at its key or the nearest one above."""
-        for n in range(len(problem.path), -1, -1):
-            if (place := self.places.get(problem.path[:n])) is not None:
-                break
-        else:
-            place = (0, 1, 1)
-        key = path_text(problem.path)
+    def _locate(self, fault: Fault) -> tuple[tuple[int, int, int], str]:
+        """Sorting key and message of a fault, at its key or the nearest one above."""
+        if fault.place == "":
+            return LAST, fault.text
+        key = path_text(fault.path)
+        steps = (fault.path[:n] for n in range(len(fault.path) + 1))
+        above = [self.places[p] for p in steps if p in self.places]
+        place = fault.place or [(self.name, 1, 1), *above][-1]
+        text = f"{key}: {fault.text}" if key and key != place else fault.text
         if isinstance(place, str):
-            inner = "" if key == place else f"{key}: "
-            return LAST, f"--set {place}: {inner}{problem.text}"
+            return LAST, f"--set {path_text((place,))}: {text}"
         file, line, column = place
-        start = f"{[self.name, *self.others][file]}:{line}:{column}: "
-        return place, start + (f"{key}: {problem.text}" if key else problem.text)
+        order = [self.name, *self.digests].index(file)
+        return (order, line, column), f"{file}:{line}:{column}: {text}"
 
 
 def printable(text: str) -> str:
@@ -140,144 +147,185 @@ def path_text(path: Path) -> str:
     return text
 
 
-def at_override(message: str, places: Mapping[str, Path]) -> Fault | None:
-    """Locate a message about an override in the file; None if it is about something else.
-
-    Args:
-        message: A message about the case.
-        places: Path of each override in the file, by key.
-    """
-    for key, place in places.items():
-        if message.startswith(start := f"--set {key}: "):
-            return Fault(place, message.removeprefix(start))
-    return None
-
-
-def clashes(overrides: Iterable[str], varied: Iterable[tuple[Path, str]]) -> list[Fault]:
-    """Errors for ``--set`` keys that the file varies too.
-
-    Args:
-        overrides: ``--set`` options.
-        varied: Varied keys, each with the path of its list, or of a value in it.
-    """
-    places = {(p[:-1] if isinstance(p[-1], int) else p, key): None for p, key in varied}
-    return [
-        Fault(place, f"varies, but --set {given} holds for every case; leave one of them out")
-        for given in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
-        for place, key in places
-        if all(a == b for a, b in zip(key_parts(given), key_parts(key), strict=False))
-    ]
-
-
 def key_parts(key: str) -> list[str]:
     """Split an override key: ``a.b[0].c`` into a, b, 0, c."""
     return re.sub(r"\[([0-9]+)\]", r".\1", key).split(".")
 
 
-def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
-    """Read a case file and apply overrides.
+# ---------------------------------------------------------------------------------- reading
 
-    Args:
-        path: The file.
-        overrides: ``a.b.c=value`` each, the value in YAML.
+
+def read(path: FilePath) -> CaseFile:
+    """Read a file.
 
     Raises:
         InputError: The file cannot be read or is not YAML.
     """
-    case = CaseFile(str(path))
-    raw = yaml_text.read_bytes(path)
-    case.digests[str(path)] = hashlib.sha256(raw).hexdigest()
-    reader = yaml_text.Reader()
     try:
-        node = yaml_text.compose(yaml_text.decoded(raw))
-        if node is None:
-            raise BadYaml("the file is empty; expected a mapping with geometry, mesh, regions")
+        with path.open("rb") as file:
+            raw = file.read(LARGEST + 1)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; expected a YAML file") from None
+    except (OSError, ValueError) as error:  # a null character in the name
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}") from error
+    if len(raw) > LARGEST:
+        raise InputError(f"{path}: is larger than {LARGEST >> 20} MB; no case is")
+    case = CaseFile(str(path), digests={str(path): hashlib.sha256(raw).hexdigest()})
+    try:
+        node = compose(raw.decode("utf-8-sig", errors="surrogateescape"))
         if not isinstance(node, MappingNode):
-            text = "expected a mapping with geometry, mesh, regions"
-            raise BadYaml(text, yaml_text.place(node))
-        case.data = reader.value(node)
+            found = "" if node else "the file is empty; "
+            text = f"{found}expected a mapping with geometry, mesh, regions"
+            raise BadYaml(text, _start(node) if node else (1, 1))
+        case.data = Reader(case).value(node)
     except BadYaml as error:
-        line, column = error.place
-        raise InputError(printable(f"{path}:{line}:{column}: {error.text}")) from error
-    case.places = {key: (0, *place) for key, place in reader.places.items()}
-    for key, (line, column) in reader.twice:
-        text = f"{path}:{line}:{column}: {path_text(key)}: {TWICE}"
-        case.complaints.append(((0, line, column), text))
-    apply(case, overrides)
+        case.complaints.clear()  # duplicates before it
+        case.raise_all([Fault((), error.text, (case.name, *error.place))])
     return case
 
 
-def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
-    """A copy with more overrides, without reading the file again."""
-    copy = replace(
-        case,
-        data=deepcopy(case.data),
-        places=dict(case.places),
-        complaints=[],
-        given=dict(case.given),
-    )
-    apply(copy, overrides)
-    return copy
-
-
-def apply(case: CaseFile, overrides: Sequence[str]) -> None:
-    """Apply overrides to a case; errors become complaints."""
-    for override in overrides:
-        try:
-            _override(case, override)
-        except BadYaml as error:
-            place = f"--set {override.partition('=')[0]}"
-            case.complaints.append((LAST, f"{path_text((place,))}: {error.text}"))
-
-
-def _override(case: CaseFile, override: str) -> None:
-    """Apply ``a.b[0].c=value``.
+def compose(text: str) -> Node | None:
+    """The nodes of a YAML text; bytes that are not UTF-8 are surrogates.
 
     Raises:
-        BadYaml: Malformed, or it goes through something that is not a mapping or list.
+        BadYaml: A syntax error.
     """
-    key, equals, text = override.partition("=")
-    key = key.strip()
-    items = key_parts(key)
-    if not equals or not all(items):
-        raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
-    if len(items) > DEEPEST:
-        raise BadYaml(f"{len(items)} keys in each other; at most {DEEPEST}")
-    target: Any = case.data
-    path: Path = ()
-    for n, item in enumerate(items):
-        last = n == len(items) - 1
-        step: str | int = item
-        if isinstance(target, list):
-            if not re.fullmatch("[0-9]{1,6}", item) or int(item) >= len(target):
-                raise BadYaml(f"{path_text(path)} has entries 0 to {len(target) - 1}, not '{item}'")
-            step = int(item)
-        elif not isinstance(target, dict):
-            raise BadYaml(f"{path_text(path)} is a single value: it has no '{item}'")
-        path = (*path, step)
-        if not last:
-            if isinstance(target, dict) and target.get(item) is None:
-                target[item] = [{}] if items[n + 1] == "0" else {}
-                case.places[path] = key
-            target = target[step]
-    for old in [p for p in case.places if p[: len(path)] == path]:
-        del case.places[old]
-    case.places[path] = key
     try:
-        node = yaml_text.compose(text)
-    except BadYaml:
-        # "[0, 0, -1] N" is no YAML without the quotes, which the shell has removed.
-        if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):
-            raise
-        value: Any = text
-    else:
-        if node is None:  # KEY= without a value is not the null that removes an entry
-            case.given[key] = target[step] = None
-            return
-        reader = yaml_text.Reader()
-        value = reader.value(node)
-        for inner, _ in reader.twice:
-            raise BadYaml(f"{path_text((*path, *inner))}: {TWICE}")
-        case.places |= dict.fromkeys(((*path, *inner) for inner in reader.places), key)
-    case.given[key] = value
-    case.put(target, path, value)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # anchors may be redefined
+            # Without `pure` ruamel would use libyaml, which knows YAML 1.1 only.
+            yaml = YAML(typ="safe", pure=True)
+            yaml.Composer = _Counting
+            return yaml.compose(io.StringIO(text))
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        problem = " ".join(str(error.problem or error.context).split())
+        hint = "; indent with spaces" if "\\t" in problem else ""
+        line = "".join(text.splitlines()[place[0] - 1 : place[0]])
+        if re.search(r":\s*\[[^\]]*\]\s*[A-Za-z]", line):
+            hint = '; a list with one unit needs quotes: "[0, 0, -1800] N"'
+        raise BadYaml(f"not valid YAML: {problem}{hint}", place) from error
+    except ReaderError as error:
+        before, code = text[: error.position], ord(text[error.position])
+        reason = "not valid YAML: a control character is not allowed"
+        if 0xDC80 <= code <= 0xDCFF:
+            reason = f"not UTF-8 text (byte 0x{code - 0xDC00:02x})"
+        place = before.count("\n") + 1, error.position - before.rfind("\n")
+        raise BadYaml(reason, place) from error
+    except (YAMLError, RecursionError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else "nested too deeply"
+        raise BadYaml(f"not valid YAML: {reason}") from error
+
+
+class _Counting(Composer):
+    """Stops at too many nodes: parsing takes seconds per megabyte."""
+
+    nodes = 0
+
+    def compose_node(self, parent: Node | None, index: int) -> Node | None:
+        self.nodes += 1
+        if self.nodes > MOST_NODES:
+            mark = self.parser.peek_event().start_mark
+            raise BadYaml(TOO_MANY, (mark.line + 1, mark.column + 1))
+        found: Node | None = super().compose_node(parent, index)
+        return found
+
+
+def _start(node: Node) -> tuple[int, int]:
+    """Line and column of a node, from 1."""
+    return node.start_mark.line + 1, node.start_mark.column + 1
+
+
+@dataclass
+class Reader:
+    """Converts nodes to data; gives a file the place of each value, or of its key.
+
+    Attributes:
+        option: Key of the option that has the text; empty if the file has it.
+    """
+
+    file: CaseFile
+    option: str = ""
+    _count: int = 0
+
+    def value(self, node: Node, path: Path = (), depth: int = 0) -> Any:
+        """Convert a node to data.
+
+        Raises:
+            BadYaml: Too large, nested too deeply or of an unsupported type.
+        """
+        self._count += 1
+        if self._count > MOST_NODES or depth > DEEPEST:
+            raise BadYaml(TOO_MANY, _start(node))
+        self.file.places.setdefault(path, self._place(node))
+        if isinstance(node, ScalarNode):
+            return _scalar(node)
+        if str(node.tag) not in PLAIN_TAGS:
+            raise BadYaml(f"the tag {node.tag} has no meaning here", _start(node))
+        if isinstance(node, SequenceNode):
+            return [self.value(v, (*path, i), depth + 1) for i, v in enumerate(node.value)]
+        data: dict[str, Any] = {}
+        merged: list[Node] = []
+        for key_node, value_node in node.value:
+            if not isinstance(key_node, ScalarNode):
+                raise BadYaml("a key must be a plain word", _start(key_node))
+            key, place = _text(key_node), self._place(key_node)
+            inner = (*path, key)
+            if str(key_node.tag).endswith(":merge") or (key == "<<" and key_node.style is None):
+                merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
+            elif key in data:
+                twice = "this key stands here twice; keep one"
+                self.file.complaints.append(Fault(inner, twice, place))
+            else:
+                self.file.places.setdefault(inner, place)
+                data[key] = self.value(value_node, inner, depth + 1)
+        for other in merged:
+            if not isinstance(other, MappingNode):
+                raise BadYaml("<< needs a mapping", _start(other))
+            data = self.value(other, path, depth + 1) | data
+        return data
+
+    def _place(self, node: Node) -> Place:
+        return self.option or (self.file.name, *_start(node))
+
+
+def _scalar(node: ScalarNode) -> Any:
+    kind = str(node.tag).rpartition(":")[2]
+    if kind in ("str", "timestamp", "value"):
+        return _text(node)
+    if kind not in ("null", "bool", "int", "float"):
+        raise BadYaml(f"the tag {node.tag} has no meaning here", _start(node))
+    try:
+        return _SCALARS.construct_object(node)
+    # A tag can mark any text as a number or a truth value.
+    except (ValueError, LookupError, YAMLError) as error:
+        what = "true or false" if kind == "bool" else "a number"
+        raise BadYaml(f"'{_text(node)[:60]}' is not {what}", _start(node)) from error
+
+
+_SCALARS = YAML(typ="safe", pure=True).constructor
+
+
+def _text(node: ScalarNode) -> str:
+    """Text of a scalar, of bounded length and without surrogates."""
+    text = str(node.value)
+    if len(text) > LONGEST:
+        raise BadYaml(f"a text of {len(text)} characters; at most {LONGEST}", _start(node))
+    if any("\ud800" <= c <= "\udfff" for c in text):
+        raise BadYaml("a surrogate is no character", _start(node))
+    return text
+
+
+def to_yaml(data: dict[str, Any]) -> str:
+    """Mappings, lists and scalars as YAML that reads back to the same."""
+    yaml: Any = YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False
+    yaml.width = 1 << 20
+    stream = io.StringIO()
+    yaml.dump(data, stream)
+    return stream.getvalue()

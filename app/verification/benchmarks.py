@@ -6,7 +6,6 @@ mesh, compiling forms and writing results. Ratios are of runs made in turn.
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -14,6 +13,8 @@ from itertools import product
 from statistics import median
 from time import perf_counter
 from typing import Any
+
+import numpy as np
 
 from app.campaigns.work_precision import fitted_order
 from app.results.reading import Run
@@ -248,13 +249,8 @@ def equal_error(runs: Sequence[Run]) -> Sample:
         have = _numbers(run, "slip_p99")
         return max(abs(have[name] / known[name] - 1) for name in known)
 
-    wanted = error(two)
-    k = next((k for k, one in enumerate(ones) if error(one) <= wanted), None)
-    if not k:
-        return Sample(cpu(two) / cpu(ones[-1 if k is None else 0]))
-    worse, better = ones[k - 1], ones[k]
-    part = math.log(wanted / error(worse)) / math.log(error(better) / error(worse))
-    return Sample(cpu(two) / (cpu(worse) * (cpu(better) / cpu(worse)) ** part))
+    errors, times = (np.log([figure(one) for one in reversed(ones)]) for figure in (error, cpu))
+    return Sample(cpu(two) / float(np.exp(np.interp(np.log(error(two)), errors, times))))
 
 
 def _start_to_finish(runs: Sequence[Any]) -> Sample:

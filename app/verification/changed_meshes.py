@@ -22,16 +22,6 @@ ROTATION = np.eye(3) + np.sin(_ANGLE) * _CROSS + (1 - np.cos(_ANGLE)) * _CROSS @
 ROUNDS = 8
 
 
-def turned(data: MeshData) -> MeshData:
-    """The mesh turned about a skew axis."""
-    return replace(data, points=data.points @ ROTATION.T)
-
-
-def scaled(data: MeshData, factor: float) -> MeshData:
-    """The mesh with all lengths multiplied."""
-    return replace(data, points=factor * data.points)
-
-
 def flattened(data: MeshData, worst: float) -> MeshData:
     """Move nodes at random within the planes they lie in, wherever that makes cells worse.
 
@@ -86,12 +76,12 @@ def mirrored(data: MeshData) -> MeshData:
 
 
 CHANGES: dict[str, Callable[[MeshData], MeshData]] = {
-    "turned": turned,
+    "turned": lambda data: replace(data, points=data.points @ ROTATION.T),
     "mirrored": mirrored,
     "bad": lambda data: flattened(data, 0.1),
     "worst": lambda data: flattened(data, 1.2 * BAD),
-    "metres": lambda data: scaled(data, 1e-3),
-    "micrometres": lambda data: scaled(data, 1e3),
+    "metres": lambda data: replace(data, points=1e-3 * data.points),
+    "micrometres": lambda data: replace(data, points=1e3 * data.points),
 }
 
 

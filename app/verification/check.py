@@ -157,6 +157,25 @@ def ladder(
     return Check(name, what, runs, each(measure, last=True), tolerance, order)
 
 
+def run(case: str, *overrides: str, mesh: str = "") -> CheckRun:
+    """A run of a case with some overrides, on a mesh that may be changed first."""
+    return CheckRun(case, overrides, mesh)
+
+
+def row(
+    name: str,
+    runs: CheckRun | tuple[CheckRun, ...],
+    judge: Judge | None,
+    tolerance: float = 0.0,
+    refusal: Reason | None = None,
+    tier: str = "default",
+) -> Check:
+    """A row of ``mantle stress``, ``varied/what else is set/value``; the first is its group."""
+    group, own = name.partition("/")[0], name.replace("/", "_").replace(" ", "_")
+    runs = (runs,) if isinstance(runs, CheckRun) else runs
+    return Check(own, "", runs, judge, tolerance, None, refusal, tier, group)
+
+
 def each(*measures: Measure, last: bool = False) -> Judge:
     """Worst sample of all runs, or the last of a ladder; a measure for each run or one for all."""
 

@@ -42,23 +42,20 @@ class Fibrous:
         Written down from uniaxial and shear tests, one column each (Lekhnitskii, Theory of
         Elasticity of an Anisotropic Body, section 4); nothing of eq. 50 enters.
         """
-        S = np.zeros((6, 6))
-        S[:3, 0] = [1 / self.E_t, -self.nu_t / self.E_t, -self.nu_l / self.E_l]
-        S[:3, 1] = [-self.nu_t / self.E_t, 1 / self.E_t, -self.nu_l / self.E_l]
-        S[:3, 2] = [-self.nu_l / self.E_l, -self.nu_l / self.E_l, 1 / self.E_l]
-        S[3, 3] = S[4, 4] = 1 / self.mu_l
-        S[5, 5] = 2 * (1 + self.nu_t) / self.E_t
+        across, along = 1 / self.E_t, 1 / self.E_l
+        S = np.diag([across, across, along, 1 / self.mu_l, 1 / self.mu_l, 0])
+        S[0, 1] = S[1, 0] = -self.nu_t * across
+        S[:2, 2] = S[2, :2] = -self.nu_l * along
+        S[5, 5] = 2 * (1 + self.nu_t) * across
         return S
 
     def stress(self, strain: Floats, fibre: Sequence[float]) -> Floats:
         """Stress (3, 3) [MPa] of a tensor strain (3, 3), the fibre along a direction (3,)."""
-        C = np.zeros((3, 3, 3, 3))
-        stiffness = np.linalg.inv(self.compliance())
-        for a, (i, j) in enumerate(VOIGT):
-            for b, (k, m) in enumerate(VOIGT):
-                C[i, j, k, m] = C[j, i, k, m] = C[i, j, m, k] = C[j, i, m, k] = stiffness[a, b]
-        R = _frame(fibre)
-        return np.asarray(R @ np.einsum("ijkl,kl->ij", C, R.T @ strain @ R) @ R.T)
+        R, (i, j) = _frame(fibre), np.array(VOIGT).T
+        engineering = (R.T @ strain @ R)[i, j] * [1, 1, 1, 2, 2, 2]
+        σ = np.zeros((3, 3))
+        σ[i, j] = σ[j, i] = np.linalg.solve(self.compliance(), engineering)
+        return np.asarray(R @ σ @ R.T)
 
 
 def _frame(axis: Sequence[float]) -> Floats:

@@ -182,7 +182,8 @@ class WavyContact:
         T = T_m + g (below only) - q (z - H) / k,     u = (0, 0, f(x) (z - H)),
         (λ + 2 μ) f = -p + (3 λ + 2 μ) a (T_i - T_ref),   T_i = T_m + g below, T_m above,
 
-    so that neither shear nor motion is on z = H, and nothing but sliding on x = 0 and x = L.
+    so that neither shear nor motion is on z = H, and nothing but sliding on x = 0 and x = L. By
+    default as in wavy_contact.yaml.
 
     Attributes:
         length: L [mm].
@@ -197,16 +198,16 @@ class WavyContact:
         expansions: [1/K], below and above.
     """
 
-    length: float
-    height: float
-    pressure: tuple[float, float]
-    conductance: tuple[float, float]
-    jump: float
-    mean: float
-    reference: float
-    conductivities: tuple[float, float]
-    materials: tuple[Elastic, Elastic]
-    expansions: tuple[float, float]
+    length: float = 2.0
+    height: float = 1.0
+    pressure: tuple[float, float] = (2.0, 1.0)
+    conductance: tuple[float, float] = (0.1, 0.1)
+    jump: float = 10.0
+    mean: float = 50.0
+    reference: float = 37.0
+    conductivities: tuple[float, float] = (0.2, 0.58)
+    materials: tuple[Elastic, Elastic] = ((2200.0, 0.3), (17e3, 0.3))
+    expansions: tuple[float, float] = (80e-6, 27.5e-6)
 
     def pressures(self, x: Floats) -> Floats:
         """Pressure (n,) at points (n, 3)."""

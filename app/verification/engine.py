@@ -87,11 +87,11 @@ def run(suite: str, options: Options) -> bool:
     outcomes = []
     for check in checks:
         results: list[Result] = []
-        for run, (job, why) in zip(check.runs, planned[check.name], strict=True):
+        for job, times, why in planned[check.name]:
             if why:
                 results.append(Result(job, options.folder, InputError.exit_code, 0.0, {}, why))
             else:
-                results += [found[_same(job), k] for k in range(run.times)]
+                results += [found[_same(job), k] for k in range(times)]
         outcomes.append(judge(check, results))
     log.info("%s", table(outcomes))
     _write(suite, options, outcomes)
@@ -103,7 +103,7 @@ def run(suite: str, options: Options) -> bool:
 def dry_run(suite: str, options: Options) -> str:
     """A table of the runs that `run` would start."""
     checks = _chosen(suite, options)
-    jobs = [job for c in checks for job, why in _planned(c, options.folder) if not why]
+    jobs = [job for c in checks for job, _, why in _planned(c, options.folder) if not why]
     return batch.plan(f"{suite}: {len(checks)} checks", jobs, options)
 
 
@@ -118,8 +118,8 @@ def _chosen(suite: str, options: Options) -> list[Check]:
     return chosen
 
 
-def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, str]]:
-    """The job of each run, and the reason to refuse it before it begins, or ""."""
+def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, int, str]]:
+    """The job of each run, how often, and the reason to refuse it before it begins, or ""."""
     for k, run in enumerate(check.runs, start=1):
         name = f"{check.name}_{k}" if len(check.runs) > 1 else check.name
         path, overrides, why = CONFIGS / run.case, run.overrides, ""
@@ -129,11 +129,12 @@ def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, str]]:
                 overrides = (*change(case, run.mesh, folder / "meshes"), *overrides)
         except InputError as error:
             why = str(error)
-        yield Job(name, path, overrides, run.ranks, alone=check.timed, share=run.share), why
+        job = Job(name, path, overrides, run.ranks, alone=check.timed, share=run.share)
+        yield job, run.times, why
 
 
 def _run(
-    checks: Sequence[Check], planned: Mapping[str, Sequence[tuple[Job, str]]], options: Options
+    checks: Sequence[Check], planned: Mapping[str, list[tuple[Job, int, str]]], options: Options
 ) -> dict[tuple[Job, int], Result]:
     """Results by `_same` job and number of earlier runs of it; failed jobs are not repeated.
 
@@ -143,15 +144,10 @@ def _run(
     found: dict[tuple[Job, int], Result] = {}
     together = [[c for c in checks if not c.timed], *([c] for c in checks if c.timed)]
     for some in together:
-        pairs = [
-            (job, run.times)
-            for c in some
-            for run, (job, why) in zip(c.runs, planned[c.name], strict=True)
-            if not why
-        ]
-        for k in range(max((times for _, times in pairs), default=0)):
+        wanted = [(job, times) for c in some for job, times, why in planned[c.name] if not why]
+        for k in range(max((times for _, times in wanted), default=0)):
             folder = options.folder / f"again-{k}" if k else options.folder
-            asked = {_same(job): job for job, times in pairs if times > k}
+            asked = {_same(job): job for job, times in wanted if times > k}
             jobs = {key: job for key, job in asked.items() if (key, k) not in found}
             if jobs:
                 results = batch.run(list(jobs.values()), folder, options.cores, options.slurm)

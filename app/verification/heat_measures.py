@@ -228,18 +228,7 @@ def walls(run: Run, closed: bool) -> Sample:
     return worst([found, Sample(off, pressure, state.pressure)])
 
 
-WAVY = coupled.WavyContact(
-    length=2.0,
-    height=1.0,
-    pressure=(2.0, 1.0),
-    conductance=(0.1, 0.1),
-    jump=10.0,
-    mean=50.0,
-    reference=37.0,
-    conductivities=(0.2, 0.58),
-    materials=((2200.0, 0.3), (17e3, 0.3)),
-    expansions=(80e-6, 27.5e-6),
-)
+WAVY = coupled.WavyContact()
 
 
 def wavy_temperature(run: Run) -> Sample:

@@ -109,19 +109,17 @@ def _setting() -> Iterator[Check]:
         ("backward_euler", 1.0, (40, 80, 160), 0.02),
         ("sdirk4", 4.0, (4, 6, 8, 12), 1e-5),
     ):
-        steps = [(f"time={{method: {method}}}", *_forced(end / n, n)) for n in counts]
-        yield Check(
-            f"cure_order_{method}",
-            "degree of cure after 300 s in steps of one length, relative",
-            tuple(
-                CheckRun("verification/exotherm.yaml", step, size=end / n)
-                for step, n in zip(steps, counts, strict=True)
-            ),
-            each(degree, last=True),
-            tolerance,
-            order,
-            rung="time step (s)",
+        runs = tuple(
+            CheckRun(
+                "verification/exotherm.yaml",
+                (f"time={{method: {method}}}", *_forced(end / n, n)),
+                size=end / n,
+            )
+            for n in counts
         )
+        what = "degree of cure after 300 s in steps of one length, relative"
+        judge, rung = each(degree, last=True), "time step (s)"
+        yield Check(f"cure_order_{method}", what, runs, judge, tolerance, order, rung=rung)
 
 
 def _expanding() -> Iterator[Check]:
@@ -152,17 +150,13 @@ def _expanding() -> Iterator[Check]:
         yield ladder(f"wavy_{name}", what, "wavy_contact", measure, 0.005, _SLICE[1:], sizes)
 
 
-# Cement that sets, as in exotherm.yaml.
-_CURE = (
-    "regions.cement.thermal.initial_temperature=23 degC",
-    "regions.cement.thermal.cure={{kinetics: {{kind: autocatalytic, rate_constant: 2.6397e8 1/s, "
-    "activation_energy: {energy} J/mol, m: 0.98, n: 1.064}}, heat: {heat} J/m^3, "
-    "initial: {initial}}}",
-)
-
-
-def _cure(energy: float = 62866.0, heat: float = 1.55e8, initial: float = 1e-3) -> tuple[str, ...]:
-    return tuple(o.format(energy=energy, heat=heat, initial=initial) for o in _CURE)
+def _cure(energy: float = 62866.0, heat: float = 1.55e8, initial: float = 1e-3) -> tuple[str, str]:
+    """Cement that sets, as in exotherm.yaml."""
+    rate = f"rate_constant: 2.6397e8 1/s, activation_energy: {energy} J/mol, m: 0.98, n: 1.064"
+    kinetics = f"{{kind: autocatalytic, {rate}}}"
+    cure = f"{{kinetics: {kinetics}, heat: {heat} J/m^3, initial: {initial}}}"
+    thermal = "regions.cement.thermal"
+    return f"{thermal}.initial_temperature=23 degC", f"{thermal}.cure={cure}"
 
 
 def _forced(step: float, count: int) -> tuple[str, ...]:

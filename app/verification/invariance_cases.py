@@ -10,9 +10,10 @@ import numpy as np
 from app.errors import Reason
 from app.verification import judges
 from app.verification.changed_meshes import ROTATION
-from app.verification.check import Check, Judge
-from app.verification.rows import BAR, MESH, STACK, STEM, TAPER, row, run
+from app.verification.check import Check, Judge, row, run
+from app.verification.extreme_cases import BAR, MESH, STACK, STEM
 
+TAPER = "stress/taper.yaml"
 SIDES = ("stem_cement", "cement_bone")
 
 

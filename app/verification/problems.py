@@ -27,17 +27,8 @@ QUICK = {
 
 def problems() -> list[Check]:
     """All mechanical problems of ``mantle verify``."""
-    kinds = (
-        _homogeneous,
-        _sines,
-        _fibre_rings,
-        _press_fits,
-        _oval_fits,
-        _hertz,
-        _friction,
-        _wall,
-        _cook,
-    )
+    fits = (_homogeneous, _sines, _fibre_rings, _press_fits, _oval_fits)
+    kinds = (*fits, _hertz, _friction, _wall, _cook)
     what = "friction beyond which a particle has several equilibria, relative"
     klarbring = Check("klarbring", what, (), measures.klarbring, 1e-9)
     every = [*(check for kind in kinds for check in kind()), klarbring, *heat_problems()]

@@ -260,4 +260,4 @@ def test_one_rank_of_a_plain_mpirun_speaks_and_all_exit_with_2(path: Path) -> No
         timeout=120,
     )
     assert (result.returncode, result.stdout) == (2, "")
-    assert result.stderr.count("regions.stem.youngs_modulus: '110 mm' is a length") == 1
+    assert result.stderr.count("regions.stem.youngs_modulus: '110 mm' is not a stress") == 1

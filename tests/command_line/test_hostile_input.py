@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 
 import meshes
+from app.case import overlay
 from app.case import study as study_file
 from app.case import sweep as sweep_file
 from app.case.case import load, resolve
 from app.case.gmsh_header import ALLOWED
 from app.cli import main
 from app.errors import GeometryError, InputError
-from app.schema import yaml_file, yaml_text
+from app.schema import yaml_file
 from app.schema.units import LONGEST_VALUE
 from app.soundness import cost, memory
 from tests import support
@@ -71,10 +72,10 @@ def test_a_file_too_long_to_be_a_case_is_not_read_to_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "case.yaml"
-    monkeypatch.setattr(yaml_text, "MOST_NODES", 1000)
-    path.write_text("a: [" + "1," * (yaml_text.MOST_NODES + 10))
+    monkeypatch.setattr(yaml_file, "MOST_NODES", 1000)
+    path.write_text("a: [" + "1," * (yaml_file.MOST_NODES + 10))
     assert "too many or too deeply nested values" in complaint(path)
-    path.write_text("#" * yaml_text.LARGEST + "\n")
+    path.write_text("#" * yaml_file.LARGEST + "\n")
     assert complaint(path) == f"{path}: is larger than 4 MB; no case is"
     assert complaint(Path("/dev/zero")) == "/dev/zero: is larger than 4 MB; no case is"
 
@@ -117,7 +118,7 @@ def test_a_mesh_of_a_nanometre_is_refused_with_the_estimate(
 
 def test_the_size_that_would_do_does(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available", lambda: 8e9)
-    file = yaml_file.read(BLOCKS, ["mesh.size=1e-3 mm"])
+    file = overlay.read(BLOCKS, ["mesh.size=1e-3 mm"])
     with pytest.raises(InputError) as caught:
         memory.check(file, resolve(file, BLOCKS.parent))
     size = str(caught.value).split("; ")[-1].removesuffix(" would do")
@@ -127,7 +128,7 @@ def test_the_size_that_would_do_does(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_geometry_too_large_for_any_mesh_has_no_size_that_would_do() -> None:
-    file = yaml_file.read(
+    file = overlay.read(
         CONFIGS / "cylinders.yaml", ["geometry.length=1e10 mm", "geometry.taper=0 deg"]
     )
     with pytest.raises(InputError, match=r"mesh.size: 2 mm makes about .* GB$"):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import mantle
-from app.case import explain, keys, new_case
+from app.case import keys, new_case
 from app.case.case import load
 from app.cli import main
 from app.errors import InputError
@@ -183,8 +183,8 @@ def test_a_key_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_every_key_is_explained_by_its_own_words() -> None:
-    for section in keys.table().values():
-        for key in section:
-            text = explain.explained(key.path)
+    for section in keys.table():
+        for key in section.keys:
+            text = keys.explained(key.path)
             assert "`" not in text and "  value " in text and "](#" not in text
             assert max(map(len, text.splitlines())) <= 100

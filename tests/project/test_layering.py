@@ -215,9 +215,8 @@ def test_nobody_asks_an_interface_a_load_or_a_support_for_its_kind(path: Path) -
 
 @all_of("app")
 def test_only_the_configuration_knows_yaml(path: Path) -> None:
-    allowed = {f"app/schema/{name}.py" for name in ("yaml_file", "yaml_text")}
     if any(top(m) == "ruamel" for m in imported(path)):
-        assert named(path) in allowed
+        assert named(path) == "app/schema/yaml_file.py"
 
 
 @all_of("app", "forms")

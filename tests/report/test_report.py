@@ -23,7 +23,7 @@ from app.report import (
 from app.report import sweep_results as rs
 from app.report.paper_claims import CONFIRMED, NOT_CONFIRMED, UNDECIDED
 from app.report.sweep_results import PERCENTILES, Number
-from app.schema import yaml_file, yaml_text
+from app.schema import yaml_file
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MODULI = {"titanium": 110, "CoCr": 200}
@@ -54,7 +54,7 @@ class Maker:
     ) -> Path:
         run = self.folder / "runs" / f"r{len(self.cases)}"
         run.mkdir(parents=True)
-        (run / "case.yaml").write_text(yaml_text.to_yaml(data))
+        (run / "case.yaml").write_text(yaml_file.to_yaml(data))
         if summary is not None:
             (run / "summary.json").write_text(json.dumps(summary))
         entry = {"name": name, "part": "thickness", "overrides": {}, "status": "converged"}

@@ -195,7 +195,7 @@ def read(path: Path, overrides: list[str]) -> None:
     data = yaml_file.read(path).data
     if path.parent.name == "sweeps" or "parts" in data or "grid" in data:
         sweep_file.read(path, overrides)
-    elif overlay.is_study(data) or path.parent.name == "studies":
+    elif "study" in data or path.parent.name == "studies":
         study_file.read(path, overrides)
     else:
         file = overlay.read(path, overrides)
@@ -245,6 +245,14 @@ def wrong(call: Callable[[], None], names: tuple[str, ...], seconds: float) -> s
     return ""
 
 
+def search(numbers: range, attempt: Callable[[int], dict[str, Any]]) -> None:
+    """Print what attempts with some numbers find, a line of JSON each, then how many they were."""
+    for i in numbers:
+        if found := attempt(i):
+            print(json.dumps({"number": i, **found}), flush=True)
+    print(json.dumps({"tried": len(numbers)}))
+
+
 def main(seed: str, first: int, last: int, folder: Path) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     signal.signal(signal.SIGPROF, _late)
@@ -256,22 +264,24 @@ def main(seed: str, first: int, last: int, folder: Path) -> None:
     for name in shipped:  # imports, and the conversions of units
         read(folder / "configs" / name, [])
     guard(folder.resolve())
-    for i in range(first, last):
+
+    def attempt(i: int) -> dict[str, Any]:
         rng = RANDOM(f"{seed} {i}")
         name = rng.choice(shipped)
         path = folder / "configs" / name.with_stem("mutant")
         text = (CONFIGS / name).read_text(encoding="utf-8")
-        kind = rng.randrange(4)
-        raw = (of_text, of_text, of_tree, of_tree)[kind](rng, text)
+        raw = (of_text, of_text, of_tree, of_tree)[rng.randrange(4)](rng, text)
         path.write_bytes(raw)
         overrides = options(rng, text) if rng.random() < 0.3 else []
         many = name.parent.name in ("sweeps", "studies") or b"variations" in raw
         limit = SECONDS_OF_MANY if many else SECONDS
-        told = wrong(lambda: read(path, overrides), (f"{folder}", "--set "), limit)  # noqa: B023
-        if told or (folder / "PWNED").exists() or Path("PWNED").exists():
-            found = {"number": i, "file": str(name), "overrides": overrides, "what": told}
-            print(json.dumps(found | {"text": raw.decode("utf-8", "replace")[:100_000]}))
-    print(json.dumps({"tried": last - first}))
+        told = wrong(lambda: read(path, overrides), (f"{folder}", "--set "), limit)
+        if not told and not (folder / "PWNED").exists() and not Path("PWNED").exists():
+            return {}
+        shown = raw.decode("utf-8", "replace")[:100_000]
+        return {"file": str(name), "overrides": overrides, "what": told, "text": shown}
+
+    search(range(first, last), attempt)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ an error of a kind that the command line tells. What does otherwise is printed, 
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import resource
@@ -15,11 +14,13 @@ import signal
 import sys
 import traceback
 from pathlib import Path
+from typing import Any
 
 import meshes
 from app.case.case import load
 from app.errors import GeometryError, InputError
 from meshes.gmsh_child import session
+from tests.robustness.fuzz import search
 
 MEMORY = 4 << 30
 SECONDS = 20
@@ -132,16 +133,17 @@ def main(seed: str, first: int, last: int, folder: Path) -> None:
     for raw in files:
         mutant.write_bytes(raw)
         assert not (told := read(case)), told
-    for i in range(first, last):
+
+    def one(i: int) -> dict[str, Any]:
         rng = random.Random(f"{seed} {i}")
         which = rng.randrange(len(files))
         mutant.write_bytes(damaged(rng, files[which]))
-        if told := attempt(case):
+        told = attempt(case)
+        if told:
             (folder / f"found-{i}.msh").write_bytes(mutant.read_bytes())
-            print(
-                json.dumps({"number": i, "file": which, "what": told, "overrides": []}), flush=True
-            )
-    print(json.dumps({"tried": last - first}))
+        return {"file": which, "what": told} if told else {}
+
+    search(range(first, last), one)
 
 
 if __name__ == "__main__":

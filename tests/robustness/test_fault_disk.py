@@ -1,4 +1,4 @@
-"""Disks that are full or become read-only, folders of two runs: told, and the next run works."""
+"""Disks that are full or become read-only, a folder of two runs: told, and the next run works."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[
 
 
 @mounts
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [4, 12, 32, 64, 96, 160])
 def test_an_output_folder_with_little_room(size: int, warmed: Path, tmp_path: Path) -> None:
     """Fields, history, checkpoints, summary: whichever comes last before the disk is full."""
@@ -58,6 +59,7 @@ def test_an_output_folder_with_little_room(size: int, warmed: Path, tmp_path: Pa
 
 
 @mounts
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [16, 128, 512, 1024, 2048])
 def test_a_cache_with_little_room(size: int, tmp_path: Path) -> None:
     """Forms have to be kept, meshes need not."""
@@ -70,6 +72,7 @@ def test_a_cache_with_little_room(size: int, tmp_path: Path) -> None:
 
 
 @mounts
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(4))
 def test_a_disk_that_becomes_read_only(number: int, warmed: Path, tmp_path: Path) -> None:
     """At a random moment, as disks with errors do."""
@@ -90,35 +93,6 @@ def test_a_disk_that_becomes_read_only(number: int, warmed: Path, tmp_path: Path
     assert (first, ended) in {("0", "yes"), ("5", "no"), ("2", "no")}, said
     if first != "0":
         assert "Read-only file system" in said or "is not writable" in said
-
-
-@pytest.mark.parametrize("number", range(4))
-def test_two_runs_in_one_folder(number: int, warmed: Path, tmp_path: Path) -> None:
-    """One of them gets it, at whatever moment the other comes."""
-    out = tmp_path / "out"
-    both = []
-    for _ in range(2):
-        both.append(start(out, "--force", XDG_CACHE_HOME=str(warmed)))
-        try:
-            both[0].wait(timeout=0.15 * number)
-        except subprocess.TimeoutExpired:
-            pass
-    said = [child.communicate(timeout=300)[1] for child in both]
-    codes = [child.returncode for child in both]
-    assert 0 in codes and set(codes) <= {0, 2}, said
-    for code, text in zip(codes, said, strict=True):
-        assert code == 0 or "another run is writing into it" in text
-    assert (out / "DONE").exists()
-    assert json.loads((out / "summary.json").read_text())["status"] == "converged"
-
-
-@mounts
-def test_an_output_folder_on_a_read_only_disk_is_refused(warmed: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    lines = [f"mount -t tmpfs -o ro none {out}", '"$@"; echo "codes $?" >&2']
-    codes, said = script(lines, command(out), warmed, 1)
-    assert codes == ["2"] and f"-o {out}: is not writable" in said
 
 
 def test_a_folder_belongs_to_one_run(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -18,36 +17,27 @@ from app.errors import EnvironmentProblem
 from app.soundness import memory
 from app.system import blas_check, form_cache
 from tests import support
-from tests.robustness.faulty import CASE, DAMAGES, arguments, damage, start
+from tests.robustness.faulty import DAMAGES, arguments, command, damage, start
 
 # ------------------------------------------------------------------------------------ clocks
 
 
 def test_only_records_are_by_the_clock_of_the_wall() -> None:
     """Limits and durations are by clocks that are never set."""
-    used = {
-        path.relative_to(support.ROOT).as_posix()
-        for folder in ("app", "meshes", "forms")
-        for path in (support.ROOT / folder).rglob("*.py")
-        if re.search(r"\btime\.time\(|datetime\.now|clock\.time\(", path.read_text())
-    }
+    clock = re.compile(r"\btime\.time\(|datetime\.now|clock\.time\(")
+    files = [p for part in ("app", "meshes", "forms") for p in (support.ROOT / part).rglob("*.py")]
+    used = {f"{p.parent.name}/{p.name}" for p in files if clock.search(p.read_text())}
     # Provenance of a run, of a checkpoint; and how old files are, which is by that clock.
-    assert used == {
-        "app/simulation/session.py",
-        "app/results/run_folder.py",
-        "app/simulation/checkpoint.py",
-    }
+    records = {"simulation/session.py", "simulation/checkpoint.py", "results/run_folder.py"}
+    assert used == records
 
 
 # ------------------------------------------------------------------------------------- memory
 
 
 def test_errors_for_want_of_memory_are_told_as_such() -> None:
-    for error in (
-        MemoryError(),
-        OSError(12, "Cannot allocate memory"),
-        Exception("std::bad_alloc"),
-    ):
+    full = OSError(12, "Cannot allocate memory")
+    for error in (MemoryError(), full, Exception("std::bad_alloc")):
         found = memory.explain(error)
         assert isinstance(found, EnvironmentProblem) and "not enough memory" in str(found)
     try:
@@ -63,14 +53,9 @@ def test_errors_for_want_of_memory_are_told_as_such() -> None:
 
 
 def test_no_case_fits_hardly_any_memory(tmp_path: Path) -> None:
-    program = ["-m", "mantle", "run", str(CASE), "-o", str(tmp_path / "out")]
-    done = subprocess.run(
-        ["sh", "-c", 'ulimit -v 500000; exec "$@"', "sh", sys.executable, *program],
-        env=support.environment(),
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    limited = ["sh", "-c", 'ulimit -v 500000; exec "$@"', "sh", *command(tmp_path / "out")]
+    env = support.environment()
+    done = subprocess.run(limited, env=env, capture_output=True, text=True, timeout=60)
     assert done.returncode == 69
     assert "there is too little memory for any case: a process may use 0.5 GB" in done.stderr
     assert not (tmp_path / "out").exists()
@@ -102,6 +87,7 @@ def test_threads_that_have_no_core_are_told() -> None:
 # ------------------------------------------------------------------------------- compilations
 
 
+# Of each what it does, as a script; None: there is none.
 COMPILERS: dict[str, str | None] = {
     "fails": "exit 1",
     "makes nothing": "exit 0",
@@ -114,22 +100,24 @@ COMPILERS: dict[str, str | None] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("how", "ranks"), [*((how, 1) for how in COMPILERS), ("is not there", 2)])
 def test_a_compiler_that(how: str, ranks: int, tmp_path: Path) -> None:
     compiler, text, cache = tmp_path / "cc", COMPILERS[how], str(tmp_path / "cache")
     if text is not None:
         compiler.write_text(f"#!/bin/sh\n{text}\n")
         compiler.chmod(0o755 if text else 0o644)
-    command = [*arguments(tmp_path / "out"), "-n", str(ranks)]
-    done = support.python(*command, code=69, CC=str(compiler), XDG_CACHE_HOME=cache)
+    words = arguments(tmp_path / "out", "-n", str(ranks))
+    done = support.python(*words, code=69, CC=str(compiler), XDG_CACHE_HOME=cache)
     assert done.stderr.count("a form cannot be compiled: ") == 1
     assert "Traceback" not in done.stderr
     if text is None:
         assert str(compiler) in done.stderr
         assert "mantle doctor tells whether there is a C compiler" in done.stderr
-    support.python(*command, XDG_CACHE_HOME=cache)
+    support.python(*words, XDG_CACHE_HOME=cache)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", DAMAGES)
 def test_damaged_forms_are_compiled_again(how: str, warmed: Path, tmp_path: Path) -> None:
     shutil.copytree(warmed, tmp_path / "cache")
@@ -140,17 +128,15 @@ def test_damaged_forms_are_compiled_again(how: str, warmed: Path, tmp_path: Path
     support.python(*arguments(tmp_path / "out"), XDG_CACHE_HOME=str(tmp_path / "cache"))
 
 
-def waiting(folder: Path, name: str) -> subprocess.Popen[str]:
-    """A process that compiles a module for ever."""
-    script = (
-        "import sys, time\nfrom pathlib import Path\nfrom app.system import form_cache\n"
-        "def get(name, objects, folder, timeout): (folder / f'{name}.c').touch()\n"
-        "form_cache._find(get, sys.argv[2], [], Path(sys.argv[1]), 10)\n"
-        "print('compiling', flush=True)\ntime.sleep(60)\n"
-    )
-    child = support.started("-c", script, folder, name)
-    assert child.stdout is not None and child.stdout.readline() == "compiling\n"
-    return child
+WAITING = """\
+import sys, time
+from pathlib import Path
+from app.system import form_cache
+form, folder = sys.argv[1], Path(sys.argv[2])
+form_cache._find(lambda *_: (folder / f"{form}.c").touch(), form, [], folder, 10)
+print("compiling", flush=True)
+time.sleep(60)
+"""
 
 
 def test_a_compilation_is_waited_for_as_long_as_it_goes_on(tmp_path: Path) -> None:
@@ -164,7 +150,8 @@ def test_a_compilation_is_waited_for_as_long_as_it_goes_on(tmp_path: Path) -> No
     def find(name: str) -> None:
         form_cache._compile(lambda: form_cache._find(get, name, [], tmp_path, 10))
 
-    child = waiting(tmp_path, form)
+    child = support.started("-c", WAITING, form, tmp_path)
+    assert child.stdout is not None and child.stdout.readline() == "compiling\n"
     waiter = threading.Thread(target=find, args=(form,))
     waiter.start()
     time.sleep(0.5)
@@ -176,6 +163,7 @@ def test_a_compilation_is_waited_for_as_long_as_it_goes_on(tmp_path: Path) -> No
     assert found == {form: False, other: False} and not form_cache._compiling
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(3))
 def test_two_cold_runs_at_once(number: int, tmp_path: Path) -> None:
     """A compiler that takes longer than anybody would wait without asking."""

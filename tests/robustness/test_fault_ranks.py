@@ -14,36 +14,28 @@ import pytest
 from tests import support
 from tests.robustness.faulty import arguments, numbers, start
 
-pytestmark = pytest.mark.parallel
+pytestmark = [pytest.mark.parallel, pytest.mark.slow]
 HANGS = 300.0  # s; what takes so long waits for ever, on any machine
 CODES = {"internal": 70, "memory": 69, "stop": 5, "divergence": 4, "interrupt": 5}
 TWO = ("-n", "2")
 
 
-def processes(output: Path) -> dict[int, list[str]]:
-    """Whatever runs with this folder on its command line."""
-    found = {}
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
+def processes(output: Path, environ: bytes = b"") -> list[int]:
+    """Whatever runs with this folder on its command line, and with this in its environment."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
         try:
-            words = path.read_bytes().decode(errors="replace").split("\0")
-            state = (path.parent / "stat").read_text().rpartition(")")[2].split()[0]
+            words = (path / "cmdline").read_text(errors="replace").split("\0")
+            state = (path / "stat").read_text().rpartition(")")[2].split()[0]
+            if str(output) in words and state != "Z" and environ in (path / "environ").read_bytes():
+                found.append(int(path.name))
         except OSError:
             continue
-        if str(output) in words and state != "Z":
-            found[int(path.parent.name)] = words
-    return found
+    return sorted(found)
 
 
 def ranks(output: Path) -> list[int]:
-    found = []
-    for pid in processes(output):
-        try:
-            environ = Path(f"/proc/{pid}/environ").read_bytes()
-        except OSError:
-            continue
-        if b"OMPI_COMM_WORLD_RANK=" in environ:
-            found.append(pid)
-    return sorted(found)
+    return processes(output, b"OMPI_COMM_WORLD_RANK=")
 
 
 @pytest.fixture(scope="module")

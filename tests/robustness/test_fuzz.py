@@ -9,6 +9,8 @@ import pytest
 
 from tests import support
 
+pytestmark = pytest.mark.slow
+
 
 def fuzz(module: str, seed: str, first: int, last: int, folder: Path) -> None:
     done = support.python(

@@ -21,6 +21,7 @@ import pytest
 from tests import support
 from tests.misleading import mislead
 
+pytestmark = pytest.mark.slow
 SPACE = 15e9  # bytes: the layers of the image, each a whole tree
 # What a user gives to `docker run -v "$PWD:/work" mantle`.
 STANCE = (

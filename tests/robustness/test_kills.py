@@ -15,6 +15,7 @@ import pytest
 from tests.robustness import faulty
 from tests.robustness.faulty import numbers
 
+pytestmark = pytest.mark.slow
 # Every fifth begins with an empty cache: it is killed while it meshes and compiles.
 COLD = 5
 FILES = {"case.yaml", "fields.vtkhdf", "history.csv", "provenance.json", "summary.json", "DONE"}

@@ -16,7 +16,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -26,6 +25,7 @@ from app.campaigns.runs import Job, Result
 from app.errors import EnvironmentProblem
 from tests import support
 
+pytestmark = pytest.mark.slow
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scontrol", "unshare")
 NAMESPACES = ("unshare", "-m", "-p", "-f", "--kill-child", "--propagation", "unchanged")
 RANKS, CASES = 2, 6
@@ -90,28 +90,19 @@ batch_of(pathlib.Path(sys.argv[1]), int(sys.argv[2]))
 """
 
 
-@dataclass(frozen=True)
-class Cluster:
-    """A Slurm of one node with four processors.
-
-    Attributes:
-        environ: What its commands need.
-    """
-
-    environ: dict[str, str]
-
-    def ask(self, *command: str) -> str:
-        done = subprocess.run(command, env=self.environ, capture_output=True, text=True, check=True)
-        return done.stdout
-
-    def queue(self) -> dict[str, str]:
-        """The states of the jobs that wait or run."""
-        lines = self.ask("squeue", "--noheader", "--format=%i %T").splitlines()
-        return {number: state for number, state in (line.split() for line in lines)}
+def ask(*command: str) -> str:
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+def queue() -> dict[str, str]:
+    """The states of the jobs that wait or run."""
+    lines = ask("squeue", "--noheader", "--format=%i %T").splitlines()
+    return {number: state for number, state in (line.split() for line in lines)}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A Slurm of one node with four processors, which the environment leads to."""
     missing = [program for program in PROGRAMS if shutil.which(program) is None]
     if missing:
         pytest.skip(
@@ -132,35 +123,34 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     (folder / "key").chmod(0o400)
     for name in ("state", "spool"):
         (folder / name).mkdir()
-    environ = support.environment() | {
-        "SLURM_CONF": str(folder / "slurm.conf"),
-        "CI": "true",  # has Snakemake look every second instead of every ten
-    }
     libc = ctypes.CDLL(None)
-    with (folder / "daemons.log").open("w") as said:
-        daemons = subprocess.Popen(
-            [*NAMESPACES, "sh", "-c", DAEMONS],
-            cwd=folder,
-            env=environ,
-            stdin=subprocess.DEVNULL,
-            stdout=said,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            preexec_fn=lambda: libc.prctl(1, signal.SIGKILL),  # whatever ends the tests
-        )
-    made = Cluster(environ)
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        # CI has Snakemake look every second instead of every ten.
+        own = {"SLURM_CONF": str(folder / "slurm.conf"), "CI": "true"}
+        for name, value in (support.environment() | own).items():
+            patch.setenv(name, value)
+        with (folder / "daemons.log").open("w") as said:
+            daemons = subprocess.Popen(
+                [*NAMESPACES, "sh", "-c", DAEMONS],
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                preexec_fn=lambda: libc.prctl(1, signal.SIGKILL),  # whatever ends the tests
+            )
 
         def ready() -> bool:
             assert daemons.poll() is None, (folder / "daemons.log").read_text()
             up = (folder / "munge.socket").exists()
-            return up and "idle" in made.ask("sinfo", "--noheader", "--format=%T")
+            return up and "idle" in ask("sinfo", "--noheader", "--format=%T")
 
-        wait(ready, 60)
-        yield made
-    finally:
-        daemons.kill()
-        daemons.wait()
+        try:
+            wait(ready, 60)
+            yield
+        finally:
+            daemons.kill()
+            daemons.wait()
 
 
 def wait(condition: Callable[[], bool], seconds: float = PATIENCE) -> None:
@@ -186,15 +176,12 @@ def batch_of(folder: Path, cases: int, *options: str) -> list[Result]:
     return batch.run(jobs, folder / "out put", 1, slurm=options)
 
 
-def start(cluster: Cluster, folder: Path, cases: int = CASES) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-c", CONTROLLER, folder, str(cases)],
-        env=cluster.environ,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+def start(folder: Path, cases: int = CASES) -> subprocess.Popen[str]:
+    return support.started("-c", CONTROLLER, folder, str(cases))
+
+
+def told(process: subprocess.Popen[str], seconds: float = PATIENCE) -> str:
+    return "".join(process.communicate(timeout=seconds))
 
 
 def calls(folder: Path) -> list[str]:
@@ -203,18 +190,18 @@ def calls(folder: Path) -> list[str]:
     return path.read_text().splitlines() if path.exists() else []
 
 
-def test_a_killed_batch_is_resumed_and_runs_nothing_twice(cluster: Cluster, tmp_path: Path) -> None:
-    first = start(cluster, tmp_path)
+def test_a_killed_batch_is_resumed_and_runs_nothing_twice(tmp_path: Path) -> None:
+    first = start(tmp_path)
     wait(lambda: len(calls(tmp_path)) > 0)
     first.kill()
     first.communicate()
-    left = cluster.queue()
+    left = queue()
     assert set(left.values()) >= {"RUNNING", "PENDING"}  # two at a time: it was midway
-    second = start(cluster, tmp_path)
-    told, _ = second.communicate(timeout=PATIENCE)
-    assert second.returncode == 0, told
-    assert f"[{CASES}/{CASES}]" in told and "failed" not in told
-    assert cluster.queue() == {}
+    second = start(tmp_path)
+    said = told(second)
+    assert second.returncode == 0, said
+    assert f"[{CASES}/{CASES}]" in said and "failed" not in said
+    assert queue() == {}
     solved = [line.split()[0] for line in calls(tmp_path) if line.endswith(" 0 solved")]
     assert len(solved) == CASES == len(set(solved))
     # Those that were left in the queue were submitted again, and found finished.
@@ -228,65 +215,54 @@ def test_a_killed_batch_is_resumed_and_runs_nothing_twice(cluster: Cluster, tmp_
         assert "converged: " in folder.with_name(f"{run}.log").read_text()
 
 
-def test_a_case_that_still_runs_is_waited_for(cluster: Cluster, tmp_path: Path) -> None:
+def test_a_case_that_still_runs_is_waited_for(tmp_path: Path) -> None:
     """Though there is room for another job beside it."""
     (tmp_path / "hold").write_text("")
-    first = start(cluster, tmp_path, 1)
+    first = start(tmp_path, 1)
     wait(lambda: any((tmp_path / "out put" / "runs").glob("*.log")))
     first.kill()
     first.communicate()
-    second = start(cluster, tmp_path, 1)
-    wait(lambda: len(cluster.queue()) == 2)
+    second = start(tmp_path, 1)
+    wait(lambda: len(queue()) == 2)
     time.sleep(3)
-    assert sorted(cluster.queue().values()) == ["PENDING", "RUNNING"]
+    assert sorted(queue().values()) == ["PENDING", "RUNNING"]
     (tmp_path / "hold").unlink()
-    told, _ = second.communicate(timeout=PATIENCE)
-    assert "[1/1] blocks 0 done" in told, told
+    said = told(second)
+    assert "[1/1] blocks 0 done" in said, said
     assert [line.partition(" ")[2] for line in calls(tmp_path)] == ["0 solved", "0 finished"]
 
 
-def test_an_interrupted_batch_leaves_no_job_behind(cluster: Cluster, tmp_path: Path) -> None:
-    process = start(cluster, tmp_path)
-    wait(lambda: set(cluster.queue().values()) >= {"RUNNING", "PENDING"})
+def test_an_interrupted_batch_leaves_no_job_behind(tmp_path: Path) -> None:
+    process = start(tmp_path)
+    wait(lambda: set(queue().values()) >= {"RUNNING", "PENDING"})
     process.send_signal(signal.SIGINT)
-    told, _ = process.communicate(timeout=60)
-    assert "StoppedError: stopped after" in told, told
-    wait(lambda: cluster.queue() == {}, 30)
+    said = told(process, 60)
+    assert "StoppedError: stopped after" in said, said
+    wait(lambda: queue() == {}, 30)
     done = len(list((tmp_path / "out put" / "runs").glob("*/DONE")))
     assert done < CASES
     time.sleep(3)
-    assert cluster.queue() == {} and len(calls(tmp_path)) == done
+    assert queue() == {} and len(calls(tmp_path)) == done
 
 
-@pytest.fixture
-def here(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have this process use the cluster."""
-    for name, value in cluster.environ.items():
-        monkeypatch.setenv(name, value)
-
-
-@pytest.mark.usefixtures("here")
-def test_a_job_that_slurm_ends_is_a_failed_run(cluster: Cluster, tmp_path: Path) -> None:
+def test_a_job_that_slurm_ends_is_a_failed_run(tmp_path: Path) -> None:
     """With options for sbatch that are not easily quoted."""
-    process = start(cluster, tmp_path, 1)
-    wait(lambda: "RUNNING" in cluster.queue().values())
-    (number,) = cluster.queue()
+    process = start(tmp_path, 1)
+    wait(lambda: "RUNNING" in queue().values())
+    (number,) = queue()
     wait(lambda: any((tmp_path / "out put" / "runs").glob("*.log")))
-    cluster.ask("scancel", number)
-    told, _ = process.communicate(timeout=60)
-    assert "failed with exit code 70" in told, told
-    (said,) = (tmp_path / "out put" / "runs").glob("*.slurm")
-    assert "CANCELLED" in said.read_text()
+    ask("scancel", number)
+    said = told(process, 60)
+    assert "failed with exit code 70" in said, said
+    logs = [p.read_text() for p in (tmp_path / "out put" / "runs").glob("*.slurm")]
+    assert len(logs) == 1 and "CANCELLED" in logs[0]
     comment = '{it\'s} a "test"'
     (result,) = batch_of(tmp_path, 1, f"--comment={comment}")
     assert result.exit_code == 0 and result.summary["solver"]["ranks"] == RANKS
-    newest = max(
-        cluster.ask("squeue", "--noheader", "--states=all", "--format=%i").split(), key=int
-    )
-    assert f"Comment={comment} " in cluster.ask("scontrol", "show", "job", "-o", newest)
+    newest = max(ask("squeue", "--noheader", "--states=all", "--format=%i").split(), key=int)
+    assert f"Comment={comment} " in ask("scontrol", "show", "job", "-o", newest)
 
 
-@pytest.mark.usefixtures("here")
 def test_what_slurm_refuses_is_told(tmp_path: Path) -> None:
     with pytest.raises(EnvironmentProblem, match="invalid partition specified: nowhere"):
         batch_of(tmp_path, 1, "--partition", "nowhere")

@@ -131,6 +131,17 @@ def test_a_block_that_is_pushed_shut(kind: str) -> None:
     assert u[top] == pytest.approx(np.tile([0.0, 0.0, -down], (top.sum(), 1)), abs=1e-9)
 
 
+def test_contact_on_a_bed_of_springs() -> None:
+    """The bed gives way by p/k, the blocks shorten by p h/E each, and p is what they bear."""
+    bed = "{kind: foundation, boundary: bottom, stiffness: [10 MPa/mm, 10 MPa/mm, 20 MPa/mm]}"
+    solved = support.solve(APART, "interfaces.base_lid.gap=0 mm", f"supports={{bed: {bed}}}")
+    assert solved.last.pressure == pytest.approx(5.0)
+    for region, at, down in (("base", 0, 5 / 20), ("lid", 10, 5 / 20 + 25 / 10e3 + 25 / 2e3)):
+        x, u = solved.displacement(region)
+        level = np.isclose(x[:, 2], at)
+        assert u[level] == pytest.approx(np.tile([0.0, 0.0, -down], (level.sum(), 1)), abs=1e-9)
+
+
 def test_a_block_that_is_pulled_away_is_free() -> None:
     with pytest.raises(ConvergenceError, match="nothing holds body 'lid'"):
         support.solve(APART, "loads.push.pressure=-5 MPa")

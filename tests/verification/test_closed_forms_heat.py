@@ -20,6 +20,7 @@ from app.schema.expressions import evaluate
 from app.verification import closed_forms_coupled as coupled
 from app.verification import closed_forms_heat as exact
 from app.verification.closed_forms import lame, lame_pressure
+from tests.verification.test_closed_forms import slope
 
 CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
 
@@ -27,7 +28,7 @@ CEMENT, CORTICAL = (0.2, 1.74), (0.58, 2.331)
 PMMA = exact.ExactKinetics(2.6397e8, 62866.0, 0.98, 1.064)
 RISE = 89.0805
 
-Function = Callable[[float], float]
+Scalar = Callable[[Any], float]
 
 
 def logistic_degree(t: float, rate: float, initial: float) -> float:
@@ -46,11 +47,6 @@ def zero_order_time(kinetics: exact.ExactKinetics, T: float, rise: float, total:
         return float(T * math.exp(B / T) - B * expi(B / T))
 
     return (F(T + rise) - F(T)) / (kinetics.rate_constant * total)
-
-
-def slope(f: Function, x: float, h: float = 1e-3) -> float:
-    """Central difference of fourth order."""
-    return (8 * (f(x + h) - f(x - h)) - f(x + 2 * h) + f(x - 2 * h)) / (12 * h)
 
 
 def test_bars_and_rings_with_a_resistance() -> None:
@@ -265,9 +261,19 @@ def test_heated_walls_have_one_or_three_states() -> None:
         assert state.first == pytest.approx(hot)
 
 
-WAVY = coupled.WavyContact(
-    2.0, 1.0, (2.0, 1.0), (0.1, 0.1), 10.0, 50.0, 37.0, (0.2, 0.58), (MANTLE, BONE), (8e-5, 2.75e-5)
-)
+WAVY = coupled.WavyContact()
+
+
+def wavy(upper: bool) -> tuple[Scalar, Scalar]:
+    """Temperature and vertical displacement at a point (3,) of one block of a wavy contact."""
+
+    def T(x: Any) -> float:
+        return float(WAVY.temperature(np.array([x]), upper)[0])
+
+    def w(x: Any) -> float:
+        return float(WAVY.displacement(np.array([x]), upper)[0, 2])
+
+    return T, w
 
 
 @pytest.mark.parametrize("upper", [False, True])
@@ -275,14 +281,14 @@ WAVY = coupled.WavyContact(
 def test_wavy_contact_balances_at_its_interface(upper: bool, x: float) -> None:
     """Traction and heat flux at z = H are those of the pressure."""
     λ, μ = lame(WAVY.materials[upper])
-    p = float(WAVY.pressures(at(x, 1.0))[0])
-    T = float(WAVY.temperature(at(x, 1.0), upper)[0])
-    strain = slope(lambda z: float(WAVY.displacement(at(x, z), upper)[0, 2]), 1.0)
-    thermal = (3 * λ + 2 * μ) * WAVY.expansions[upper] * (T - 37)
+    T, w = wavy(upper)
+    p = float(WAVY.pressures(np.array([[x, 0, 1]]))[0])
+    strain = slope(lambda z: w([x, 0, z]), 1.0)
+    thermal = (3 * λ + 2 * μ) * WAVY.expansions[upper] * (T([x, 0, 1]) - 37)
     assert (λ + 2 * μ) * strain - thermal == pytest.approx(-p)
-    down = slope(lambda z: float(WAVY.temperature(at(x, z), upper)[0]), 1.0)
+    down = slope(lambda z: T([x, 0, z]), 1.0)
     assert -WAVY.conductivities[upper] * down == pytest.approx((0.1 + 0.1 * p) * 10.0)
-    assert np.abs(WAVY.displacement(at(x, 1.0), upper)).max() == 0
+    assert np.abs(WAVY.displacement(np.array([[x, 0, 1]]), upper)).max() == 0
 
 
 @pytest.mark.parametrize("upper", [False, True])
@@ -290,13 +296,8 @@ def test_wavy_contact_balances_at_its_interface(upper: bool, x: float) -> None:
 def test_sides_of_a_wavy_contact_slide_without_shear_and_are_insulated(
     upper: bool, x: float
 ) -> None:
-    shear = slope(lambda s: float(WAVY.displacement(at(s, 0.4), upper)[0, 2]), x)
-    flow = slope(lambda s: float(WAVY.temperature(at(s, 0.4), upper)[0]), x)
-    assert (shear, flow) == pytest.approx((0, 0), abs=1e-8)
-
-
-def at(x: float, z: float) -> np.ndarray:
-    return np.array([[x, 0.0, z]])
+    for f in wavy(upper):
+        assert slope(lambda s, f=f: f([s, 0, 0.4]), x) == pytest.approx(0, abs=1e-8)
 
 
 def second(f: Callable[[np.ndarray], float], x: np.ndarray, d: np.ndarray, e: np.ndarray) -> float:
@@ -313,11 +314,7 @@ def test_what_the_wavy_case_prescribes_is_what_its_fields_need(upper: bool) -> N
     λ, μ = lame(WAVY.materials[upper])
     β = (3 * λ + 2 * μ) * WAVY.expansions[upper]
 
-    def T(y: np.ndarray) -> float:
-        return float(WAVY.temperature(y[None], upper)[0])
-
-    def w(y: np.ndarray) -> float:
-        return float(WAVY.displacement(y[None], upper)[0, 2])
+    T, w = wavy(upper)
 
     def given(text: str, at: np.ndarray) -> float:
         return float(evaluate(text, at[None])[0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,15 @@ LOOSE = "no convergence: it is loose [loose-body]"
 KEYS = {"name", "group", "outcome", "error", "tolerance", "order", "seconds", "message", "runs"}
 
 
-def check(error: float | None, refusal: Reason | None = None, runs: int = 1) -> Check:
-    """A check whose judge has made up its mind."""
-    judge = None if error is None else lambda runs: Sample(error, note="as it is")
+def check(error: Any, refusal: Reason | None = None, runs: int = 1) -> Check:
+    """A check whose judge has made up its mind; without one, or one that breaks."""
+
+    def decided(runs: object) -> Sample:
+        if isinstance(error, Exception):
+            raise error
+        return Sample(error, note="as it is")
+
+    judge = None if error is None else decided
     wanted = tuple(CheckRun("blocks.yaml", (f"mesh.size={k + 1} mm",)) for k in range(runs))
     return Check("row_3_mm", "a number", wanted, judge, 1e-6, refusal=refusal)
 
@@ -37,56 +44,46 @@ def done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Result:
     return Result(Job("one", tmp_path), tmp_path, 0, 1.5, {"status": "converged"}, "")
 
 
-def ended(code: int, message: str) -> Result:
-    return Result(Job("one", Path()), Path(), code, 2.0, {}, message)
-
-
-def test_an_answer_passes_or_misses(done: Result) -> None:
-    """By its judge, and never because it converged."""
-    right = engine.judge(check(9e-7), [done])
-    assert right.sample and right.sample.note == "as it is"
-    assert (right.outcome, right.sample.error, right.seconds) == ("passed", 9e-7, 1.5)
-    for error in (2e-6, np.nan, np.inf):
-        assert engine.judge(check(error), [done]).outcome == "missed"
-
-
-def test_convergence_without_an_answer_misses(done: Result) -> None:
-    result = engine.judge(check(None, Reason.LOOSE_BODY), [done])
-    assert result.outcome == "missed" and "there is no answer" in result.message
+OK = (0, "")
+MAY = Reason.LOOSE_BODY
 
 
 @pytest.mark.parametrize(
-    ("code", "message", "outcome"),
+    ("error", "refusal", "ends", "outcome", "words"),
     [
-        (4, "whatever words\n  [loose-body] in any line\n  what to change: all", "refused"),
-        (2, "supports: other words [loose-body]", "refused"),
-        (4, "nothing holds body 'stem'", "failed"),
-        (4, "solutions may not be unique there [not-unique]", "failed"),
-        (70, "nothing holds body 'stem' [loose-body]", "failed"),
-        (5, "stopped: nothing holds [loose-body]", "failed"),
+        (9e-7, None, [OK], "passed", ""),
+        # Never because it converged.
+        *((error, None, [OK], "missed", "") for error in (2e-6, np.nan, np.inf)),
+        (None, MAY, [OK], "missed", "there is no answer"),
+        # By its reason, not by words, which may change; and with the exit code of a refusal.
+        (None, MAY, [(4, "any\n  [loose-body] words\n  what to change: all")], "refused", "any"),
+        (None, MAY, [(2, "supports: other words [loose-body]")], "refused", "other words"),
+        (None, MAY, [(4, "nothing holds body 'stem'")], "failed", "nothing holds"),
+        (None, MAY, [(4, "solutions may not be unique there [not-unique]")], "failed", "unique"),
+        (None, MAY, [(70, LOOSE)], "failed", LOOSE),
+        (None, MAY, [(5, "stopped: nothing holds [loose-body]")], "failed", "stopped"),
+        # Not where there is an answer: of the run, or of what it is compared with.
+        (0.0, None, [(4, LOOSE)], "failed", LOOSE),
+        (0.0, MAY, [OK, (4, LOOSE)], "failed", LOOSE),
+        (0.0, MAY, [(4, LOOSE), OK], "refused", LOOSE),
+        (ValueError("no such field"), None, [OK], "failed", "no such field"),
     ],
 )
-def test_a_refusal_names_the_cause(code: int, message: str, outcome: str) -> None:
-    """By its reason, not by words, which may change; and comes with the exit code of one."""
-    result = engine.judge(check(None, Reason.LOOSE_BODY), [ended(code, message)])
-    assert result.outcome == outcome and message in result.message
-    assert result.sample is None
-
-
-def test_no_refusal_where_there_is_an_answer(done: Result) -> None:
-    """Of the run, or of what it is compared with."""
-    assert engine.judge(check(0.0), [ended(4, LOOSE)]).outcome == "failed"
-    both = check(0.0, Reason.LOOSE_BODY, runs=2)
-    assert engine.judge(both, [done, ended(4, LOOSE)]).outcome == "failed"
-    assert engine.judge(both, [ended(4, LOOSE), done]).outcome == "refused"
-
-
-def test_a_judge_that_breaks_is_a_failure(done: Result) -> None:
-    def breaks(runs: object) -> Sample:
-        raise ValueError("no such field")
-
-    result = engine.judge(Check("row", "", (CheckRun("blocks.yaml"),), breaks), [done])
-    assert result.outcome == "failed" and "no such field" in result.message
+def test_outcomes(
+    done: Result,
+    error: Any,
+    refusal: Reason | None,
+    ends: list[tuple[int, str]],
+    outcome: str,
+    words: str,
+) -> None:
+    """Of a judge with this error, on runs that ended so."""
+    results = [replace(done, exit_code=code, message=message) for code, message in ends]
+    found = engine.judge(check(error, refusal, len(ends)), results)
+    assert found.outcome == outcome and words in found.message
+    judged = outcome in ("passed", "missed") and error is not None
+    assert (found.sample is not None and found.sample.note == "as it is") == judged
+    assert found.seconds == 1.5
 
 
 def test_a_wrong_order_misses(done: Result) -> None:
@@ -108,28 +105,21 @@ def test_a_wrong_order_misses(done: Result) -> None:
     assert result(0.01, float("nan"), 0.03, ladder=False).outcome == "missed"
 
 
-def test_table_and_verdict(done: Result) -> None:
+def test_table_verdict_picture_and_json(done: Result, tmp_path: Path) -> None:
+    refused, broken = (replace(done, exit_code=code, message=LOOSE) for code in (4, 70))
     outcomes = [
-        engine.judge(check(9e-7), [done]),
-        engine.judge(check(2e-6), [done]),
-        engine.judge(check(None, Reason.LOOSE_BODY), [ended(4, LOOSE)]),
-        engine.judge(check(0.0), [ended(70, "internal error")]),
+        *(engine.judge(check(e), [done]) for e in (9e-7, 0.0, 1e-12, 2e-6, np.inf, np.nan)),
+        engine.judge(check(None, MAY), [refused]),
+        engine.judge(check(None, MAY), [broken]),
     ]
     text = engine.table(outcomes)
-    assert text.splitlines()[2].split()[:3] == ["row_3_mm", "2.00e-06", "1.0e-06"]
-    assert "row_3_mm failed: one: exit code 70: internal error" in text
-    said = "4 checks: 1 passed, 1 refused, 1 missed, 1 failed: row_3_mm, row_3_mm"
+    assert text.splitlines()[1].split()[:3] == ["row_3_mm", "9.00e-07", "1.0e-06"]
+    assert f"row_3_mm failed: one: exit code 70: {LOOSE}" in text
+    names = ", ".join(["row_3_mm"] * 4)
+    said = f"8 checks: 3 passed, 1 refused, 3 missed, 1 failed: {names}"
     assert engine.verdict(outcomes) == said
     other = engine.judge(Check("b", "", (), lambda runs: Sample(0.0)), [])
-    assert engine.table([*outcomes, other]).splitlines()[-4].split()[:2] == ["row", "4"]
-
-
-def test_picture_and_json(done: Result, tmp_path: Path) -> None:
-    refused = check(None, Reason.LOOSE_BODY)
-    outcomes = [
-        *(engine.judge(check(e), [done]) for e in (0.0, 1e-12, 9e-7, 2e-6, np.inf, np.nan)),
-        *(engine.judge(refused, [ended(code, LOOSE)]) for code in (4, 70)),
-    ]
+    assert engine.table([*outcomes, other]).splitlines()[-4].split()[:2] == ["row", "8"]
     picture.draw(outcomes, tmp_path / "a.png")
     entries = [o.as_json() for o in outcomes]
     assert all(e.keys() >= KEYS for e in entries)
@@ -137,34 +127,27 @@ def test_picture_and_json(done: Result, tmp_path: Path) -> None:
     assert (tmp_path / "a.png").stat().st_size > 5_000
 
 
-@pytest.fixture
-def suite(monkeypatch: pytest.MonkeyPatch) -> list[Check]:
-    """A suite without runs: a quick check, a default one, a long one."""
+def test_a_selection_leaves_the_results_of_the_whole_suite(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And where no picture can be drawn, that of other numbers does not stay."""
     own = [
         Check(name, "a number", (), lambda runs: Sample(0.01), 0.1, tier=tier)
         for name, tier in (("a", "quick"), ("b", "default"), ("c", "long"))
     ]
     monkeypatch.setitem(SUITES, "verify", lambda: own)
-    return own
 
+    def written(name: str) -> list[str]:
+        return [entry["name"] for entry in json.loads((tmp_path / f"{name}.json").read_text())]
 
-def written(folder: Path, name: str) -> list[str]:
-    entries: list[dict[str, Any]] = json.loads((folder / f"{name}.json").read_text())
-    return [e["name"] for e in entries]
-
-
-def test_a_selection_leaves_the_results_of_the_whole_suite(
-    tmp_path: Path, suite: list[Check], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """And where no picture can be drawn, that of other numbers does not stay."""
     assert engine.run("verify", Options(tmp_path, 1))
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     assert engine.run("verify", Options(tmp_path, 1, "a"))
     assert engine.run("verify", Options(tmp_path, 1, tier="quick"))
     assert engine.run("verify", Options(tmp_path, 1, tier="long"))
-    assert written(tmp_path, "verify-a") == written(tmp_path, "verify-quick") == ["a"]
-    assert written(tmp_path, "verify") == ["a", "b"]
-    assert written(tmp_path, "verify-long") == ["a", "b", "c"]
+    assert written("verify-a") == written("verify-quick") == ["a"]
+    assert written("verify") == ["a", "b"]
+    assert written("verify-long") == ["a", "b", "c"]
     assert {name: (tmp_path / name).read_bytes() for name in before} == before
 
     def broken(entries: object, path: Path) -> None:
@@ -181,11 +164,6 @@ def test_a_pattern_without_match_is_an_input_error(name: str, tmp_path: Path) ->
     with pytest.raises(InputError, match=r"no check of this tier has this in its name; allowed: "):
         engine.run(name, Options(tmp_path, 1, "agumentation"))
     assert not list(tmp_path.iterdir())
-
-
-def test_finest_rungs_are_of_the_long_tier() -> None:
-    (sine,) = [c for c in SUITES["verify"]() if c.name == "sine_p1"]
-    assert [len(sine.up_to(tier).runs) for tier in ("quick", "default", "long")] == [4, 4, 5]
 
 
 def test_options_reach_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,5 +207,5 @@ def test_timed_checks_run_in_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_run_that_cannot_begin_is_judged_too(tmp_path: Path) -> None:
     """As one that ended with that error."""
     run = CheckRun("blocks.yaml", ("mesh.size=-1 mm",))
-    job, why = next(engine._planned(Check("a", "", (run,), None), tmp_path))
+    job, _, why = next(engine._planned(Check("a", "", (run,), None), tmp_path))
     assert job.name == "a" and "must be positive" in why

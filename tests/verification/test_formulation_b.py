@@ -6,32 +6,22 @@ displacement of each body, gap, slip of each step, interface force.
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
-import meshes
 from app.arrays import Floats, Ints
-from app.case.case import Case, load
-from app.laws.interface_laws import Coulomb
+from app.case.case import Case
 from app.mechanics.contact import ContactInterfaces, TrialState
-from app.mechanics.problem import Problem
-from app.mechanics.systems import mechanical
-from app.numerics.newton import Solver
-from app.scene.build import build_scene
 from app.stepping.load_steps import LoadStep, LoadStepper
 from app.stepping.stages import run_stages
-from app.system.timing import Timing
-from meshes.distribute import TaggedMesh, distribute
+from meshes.distribute import TaggedMesh
+from tests import support
 from tests.reference import formulation_b
 from tests.reference.formulation_b import InterfaceState, State
 
 TOLERANCE = 1e-6
 # Ten times the rounding errors of the residual on these meshes, for either solver.
-SOLVER_TOLERANCE = 1e-11
+SOLVER = "solver.tolerance=1e-11"
 
 # Two materials that want to spread differently under pressure, pushed sideways and back: part of
 # each interface slips, part sticks, one corner opens. Nothing holds the two upper blocks but
@@ -95,58 +85,25 @@ stages:
 """
 
 # The stem is pushed in and sideways, then partly unloaded and pushed to the other side.
-STEM = """
-geometry:
-  kind: cylinders
-  stem_radius: 7 mm
-  cement_thickness: 4 mm
-  bone_thickness: 5 mm
-  length: 34 mm
-  taper: 1.5 deg
-mesh: {order: 1, size: 2.2 mm}
-regions:
-  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
-  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.35}
-  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+STEM = f"""{support.stem("34 mm", "size: 2.2 mm")}
 interfaces:
-  stem_cement: {kind: contact, friction_coefficient: 0.3}
-  cement_bone: {kind: contact, friction_coefficient: 0.5}
-supports:
-  outer: {kind: fixed, boundary: bone_surface}
+  stem_cement: {{kind: contact, friction_coefficient: 0.3}}
+  cement_bone: {{kind: contact, friction_coefficient: 0.5}}
 loads:
-  push: {kind: force, boundary: stem_top, force: [0 N, 0 N, -1800 N], history: [1, 0.6]}
-  lateral: {kind: force, boundary: stem_top, force: [300 N, 100 N, 0 N], history: [1, -0.5]}
-stages:
-  - {name: load}
-  - {name: back}
+  push: {{kind: force, boundary: stem_top, force: [0 N, 0 N, -1800 N], history: [1, 0.6]}}
+  lateral: {{kind: force, boundary: stem_top, force: [300 N, 100 N, 0 N], history: [1, -0.5]}}
+stages: [{{name: load}}, {{name: back}}]
 """
 
 # Half of it on a plane of symmetry (both sides of both interfaces held in y), pressed in.
-HALF_STEM = """
-geometry:
-  kind: cylinders
-  stem_radius: 7 mm
-  cement_thickness: 4 mm
-  bone_thickness: 5 mm
-  length: 20 mm
-  taper: 2 deg
-  sector: half
-mesh: {order: 1, size: 2.6 mm}
-regions:
-  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
-  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.35}
-  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+HALF_STEM = f"""{support.stem("20 mm, sector: half", "size: 2.6 mm", "2 deg")}
+  symmetry: {{kind: roller, boundary: symmetry_y, axis: y}}
 interfaces:
-  stem_cement: {kind: contact, friction_coefficient: 0.3, gap: -0.004 mm, gap_history: [1, 1]}
-  cement_bone: {kind: contact, friction_coefficient: 0.6}
-supports:
-  outer: {kind: fixed, boundary: bone_surface}
-  symmetry: {kind: roller, boundary: symmetry_y, axis: y}
+  stem_cement: {{kind: contact, friction_coefficient: 0.3, gap: -0.004 mm, gap_history: [1, 1]}}
+  cement_bone: {{kind: contact, friction_coefficient: 0.6}}
 loads:
-  push: {kind: force, boundary: stem_top, force: [400 N, 0 N, -1500 N], history: [0, 1]}
-stages:
-  - {name: fit}
-  - {name: load}
+  push: {{kind: force, boundary: stem_top, force: [400 N, 0 N, -1500 N], history: [0, 1]}}
+stages: [{{name: fit}}, {{name: load}}]
 """
 
 # Its cement clamped and its stem driven at the lower end, where supports give the whole jump of the
@@ -162,17 +119,7 @@ CLAMPED_STEM = HALF_STEM.replace(
 
 def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], ContactInterfaces]:
     """The application's steps: times, states in the form of the reference's, and its jumps."""
-    terms = build_scene(case)
-    options, timing = case.solver, Timing()
-    problem = Problem(terms, tagged, options.augmentation_factor, timing)
-    solver = Solver(
-        mechanical(problem),
-        SOLVER_TOLERANCE,
-        options.max_iterations,
-        options.linear,
-        options.petsc,
-        timing,
-    )
+    problem, solver = support.assemble(case, tagged)
     jumps = problem.contact
     assert (jumps.own.faces <= 1).all(), "the reference has one normal per node"
     assert jumps.points.unenforced == 0
@@ -195,7 +142,7 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], C
             c.name: InterfaceState(
                 *(v[own] for v in (vertex, normal, jumps.own.weight, trial.jump, slip, force))
             )
-            for k, c in enumerate(terms.contacts)
+            for k, c in enumerate(problem.scene.contacts)
             for own in [jumps.own.interface == k]
         }
         displacement: dict[str, tuple[Ints, Floats]] = {
@@ -205,13 +152,8 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], C
         times.append(step.time)
         states.append(State(interfaces, displacement, step.outcome.iterations))
 
-    run_stages(terms.stages, LoadStepper(problem, solver, on_step, print), None)
+    run_stages(problem.scene.stages, LoadStepper(problem, solver, on_step, print), None)
     return times, states, jumps
-
-
-def difference(a: Floats, b: Floats, floor: float = 0.0) -> float:
-    """Largest difference over the largest value, or over a floor where that is larger."""
-    return float(np.abs(a - b).max() / max(np.abs(b).max(), floor))
 
 
 def compare(a: State, b: State) -> dict[str, float]:
@@ -221,22 +163,19 @@ def compare(a: State, b: State) -> dict[str, float]:
         numbers, others = a.displacement[body]
         row = np.argsort(numbers)[np.searchsorted(np.sort(numbers), vertex)]
         assert np.array_equal(numbers[row], vertex)
-        result[f"displacement {body}"] = difference(others[row], values)
+        result[f"displacement {body}"] = support.difference(others[row], values)
     floor = smallest(b)
     for name, i in b.interfaces.items():
         j = a.interfaces[name]
         one, two = np.argsort(j.vertex), np.argsort(i.vertex)
         assert np.array_equal(j.vertex[one], i.vertex[two])
         assert np.abs(j.normal[one] - i.normal[two]).max() < 1e-12
-        result[f"area {name}"] = difference(j.area[one], i.area[two])
-        for what in ("jump", "slip"):
+        for what, least in (("area", 0.0), ("jump", floor), ("slip", floor), ("force", 0.0)):
             x, y = getattr(j, what)[one], getattr(i, what)[two]
-            result[f"{what} {name}"] = difference(x, y, floor)
-        result[f"force {name}"] = difference(j.force[one], i.force[two])
-        n = i.normal[two]
-        for what, least in (("jump", floor), ("force", 0.0)):
-            x, y = (np.sum(getattr(s, what)[k] * n, axis=1) for s, k in ((j, one), (i, two)))
-            result[f"normal {what} {name}"] = difference(x, y, least)
+            result[f"{what} {name}"] = support.difference(x, y, least)
+            if what in ("jump", "force"):
+                along = [np.sum(v * i.normal[two], axis=1) for v in (x, y)]
+                result[f"normal {what} {name}"] = support.difference(*along, least)
     return result
 
 
@@ -257,23 +196,15 @@ def smallest(state: State) -> float:
     return 1e-6 * max(float(np.abs(values).max()) for _, values in state.displacement.values())
 
 
-def meshed(text: str, folder: Path) -> tuple[Case, TaggedMesh]:
-    """Case and mesh of a YAML text."""
-    path = folder / "case.yaml"
-    path.write_text(text)
-    case = load(path).config
-    return case, distribute(meshes.build(case.geometry, case.mesh, None), MPI.COMM_WORLD)
-
-
-def shares(state: State, friction: dict[str, float]) -> dict[str, tuple[float, float, float]]:
-    """Fraction of the nodes of each interface that are open, stick, slip."""
-    result = {}
+def shares(state: State, friction: dict[str, float]) -> Floats:
+    """Fractions of the nodes that are open, stick, slip (3,), summed over interfaces."""
+    result = np.zeros(3)
     for name, i in state.interfaces.items():
         p = -np.sum(i.force * i.normal, axis=1)
         touches = p > 1e-9 * p.max()
         slips = touches & (np.linalg.norm(i.slip, axis=1) > smallest(state))
         open_, slip = 1 - touches.mean(), slips.mean()
-        result[name] = (float(open_), float(1 - open_ - slip), float(slip))
+        result += (open_, 1 - open_ - slip, slip)
         # Coulomb, on the reference itself.
         shear = np.linalg.norm(i.force + p[:, None] * i.normal, axis=1)
         assert (shear <= friction[name] * p + 1e-8 * p.max()).all()
@@ -290,13 +221,10 @@ def shares(state: State, friction: dict[str, float]) -> dict[str, tuple[float, f
         pytest.param(CLAMPED_STEM, 2, id="clamped_stem", marks=pytest.mark.slow),
     ],
 )
-def test_a_and_b_agree(text: str, steps: int, tmp_path: Path) -> None:
-    case, tagged = meshed(text, tmp_path)
-    friction = {
-        name: i.friction_coefficient
-        for name, i in case.interfaces.items()
-        if isinstance(i, Coulomb)
-    }
+def test_a_and_b_agree(text: str, steps: int) -> None:
+    case = support.case(text, SOLVER)
+    tagged = support.mesh(case)
+    friction = {name: i.friction for name, i in case.interfaces.items()}
     times, a, jumps = solve_a(case, tagged)
     assert len(times) == steps
     b = formulation_b.solve(case, tagged, times)
@@ -305,13 +233,13 @@ def test_a_and_b_agree(text: str, steps: int, tmp_path: Path) -> None:
         differences = compare(one, two)
         print(f"time {time}: {one.iterations} and {two.iterations} iterations", differences)
         assert max(differences.values()) < TOLERANCE, (time, differences)
-        seen += sum(np.array(s) for s in shares(two, friction).values())
+        seen += shares(two, friction)
     for k, name in enumerate(friction):
         own = jumps.own.interface == k
         slip, work = sums([s.interfaces[name] for s in b])
         order = np.argsort(jumps.points.vertex[jumps.own.rows][own])
-        assert difference(jumps.state.path[own][order], slip) < TOLERANCE
+        assert support.difference(jumps.state.path[own][order], slip) < TOLERANCE
         if friction[name]:
-            assert difference(jumps.state.dissipation[own][order], work) < TOLERANCE
+            assert support.difference(jumps.state.dissipation[own][order], work) < TOLERANCE
     # The case says something about history only if points of all kinds occur.
     assert (seen > 0.02).all(), seen

@@ -1,10 +1,9 @@
-"""The femur against its definition, and distributed meshes against the serial one."""
+"""The femur against its definition."""
 
 from __future__ import annotations
 
 import json
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from meshes.data import (
     facet_areas,
     region_volumes,
 )
-from tests import support
 
 SIZE = 3.0
 
@@ -153,62 +151,3 @@ def test_fine_meshes_of_thin_and_thick_mantles(thickness: float) -> None:
     data = femur(thickness, 1.5)
     assert len(data.cells) == 64 * len(femur(thickness, 6.0).cells)
     assert data.notes["quality"]["sicn_min"] > 0.12
-
-
-PROGRAM = """
-import json, sys
-sys.path.insert(0, {root!r})
-from pathlib import Path
-from mpi4py import MPI
-import dolfinx, numpy as np, ufl
-from meshes import cache
-from meshes.distribute import distribute
-
-comm = MPI.COMM_WORLD
-data = cache.load(Path({mesh!r})) if comm.rank == 0 else None
-tagged = distribute(data, comm)
-mesh = tagged.mesh
-one = dolfinx.fem.Constant(mesh, 1.0)
-dx = ufl.Measure("dx", mesh, subdomain_data=tagged.cell_tags, metadata={{"quadrature_degree": 3}})
-ds = ufl.Measure("ds", mesh, subdomain_data=tagged.facet_tags, metadata={{"quadrature_degree": 5}})
-
-def total(measure):
-    local = dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * measure))
-    return comm.allreduce(local, MPI.SUM)
-
-volumes = {{name: total(dx(tag)) for name, tag in tagged.regions.items()}}
-areas = {{name: total(ds(tags)) for name, tags in tagged.boundaries.items()}}
-cells = mesh.topology.index_map(3)
-assert len(tagged.cell_tags.indices) == cells.size_local + cells.num_ghosts
-assert len(np.unique(tagged.facet_tags.indices)) == len(tagged.facet_tags.indices)
-if comm.size > 1:
-    assert comm.allreduce(cells.num_ghosts) > 0
-points = comm.bcast(data.points if comm.rank == 0 else None)
-assert np.array_equal(mesh.geometry.x, points[mesh.geometry.input_global_indices])
-if comm.rank == 0:
-    Path({out!r}).write_text(json.dumps([volumes, areas]))
-"""
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("kind", ["straight", "curved", "femur"])
-def test_distributed_volumes_and_areas_are_the_serial_ones(tmp_path: Path, kind: str) -> None:
-    from app.case.geometries import Cylinders
-    from meshes import cache as stored
-
-    if kind == "femur":
-        data = femur(4.0)
-    else:
-        rod = Cylinders(
-            stem_radius="7 mm", cement_thickness="4 mm", bone_thickness="6 mm", length="20 mm"
-        )
-        data = meshes.build(rod, MeshOptions(size="3 mm", curved=kind == "curved"))
-    mesh, program = tmp_path / "mesh.npz", tmp_path / "program.py"
-    stored.store(data, mesh)
-    for ranks in (1, 2, 3):
-        out = tmp_path / f"{ranks}.json"
-        program.write_text(PROGRAM.format(root=str(support.ROOT), mesh=str(mesh), out=str(out)))
-        support.on_ranks(ranks, program)
-        volumes, areas = json.loads(out.read_text())
-        assert volumes == pytest.approx(region_volumes(data), rel=1e-10)
-        assert areas == pytest.approx(boundary_areas(data), rel=1e-6)

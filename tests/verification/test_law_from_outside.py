@@ -1,13 +1,16 @@
-"""A law of an interface, a load and a number that another package adds, without touching a file."""
+"""A law, a load and quantities that another package adds, without touching a file."""
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import mantle
+from app.case import quantities
 from tests import support
 
 # All that it takes: its keys in YAML and its formula.
@@ -46,11 +49,16 @@ loads: {pull: {kind: pressure, boundary: top, pressure: -3 MPa}}
 """
 
 
+def run(folder: Path, program: str, text: str, *more: str) -> tuple[dict[str, Any], str]:
+    """Run a case with a package of the user's: its summary, and what was said."""
+    done = support.extended(folder, program, text, "run", "case.yaml", "-o", "out", *more)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads((folder / "out" / "summary.json").read_text()), done.stdout
+
+
 def test_a_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
     """A layer in tension: the gap is σ/k, whatever the blocks do; from YAML to the fields."""
-    done = support.extended(tmp_path, LAYER, CASE, "run", "case.yaml", "-o", "out")
-    assert done.returncode == 0, done.stdout + done.stderr
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    summary, _ = run(tmp_path, LAYER, CASE)
     found = summary["interfaces"]["lower_upper"]
     assert found["gap_mean"] == pytest.approx(3 / 50, rel=1e-9)
     assert found["gap_max"] == pytest.approx(3 / 50, rel=1e-9)
@@ -59,28 +67,24 @@ def test_a_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
     assert summary["balance"]["energy"] < 1e-9
     # The equations are linear, and a layer holds what it joins.
     assert summary["solver"]["newton_iterations"] <= 2
-    import h5py
-
-    with h5py.File(tmp_path / "out" / "fields.vtkhdf") as file:
-        names: list[str] = []
-        file.visit(names.append)
-        gap = next(name for name in names if name.endswith("gap"))
-        assert file[gap][...].max() == pytest.approx(3 / 50, rel=1e-6)
+    fields = mantle.read(tmp_path / "out").fields
+    assert fields.at_interface("lower_upper", "gap").max() == pytest.approx(3 / 50, rel=1e-6)
 
 
-def test_a_law_from_outside_is_checked_as_the_others(tmp_path: Path) -> None:
-    done = support.extended(
-        tmp_path, LAYER, CASE.replace("50 MPa/mm", "50 MPa"), "check", "case.yaml"
-    )
-    assert done.returncode == 2
-    assert "interfaces.lower_upper.stiffness" in done.stderr
-    done = support.extended(
-        tmp_path, LAYER, CASE.replace("elastic_layer", "elastic_layers"), "check", "case.yaml"
-    )
-    assert done.returncode == 2
-    assert "bonded, contact, penalty, elastic_layer" in done.stderr
-    done = support.extended(tmp_path, LAYER, CASE, "check", "case.yaml")
-    assert done.returncode == 0 and "elastic_layer" in done.stdout
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        (("50 MPa/mm", "50 MPa"), 2, "interfaces.lower_upper.stiffness"),
+        (("elastic_layer", "elastic_layers"), 2, "bonded, contact, penalty, elastic_layer"),
+        (("", ""), 0, "elastic_layer"),
+    ],
+)
+def test_a_law_from_outside_is_checked_as_the_others(
+    tmp_path: Path, change: tuple[str, str], code: int, words: str
+) -> None:
+    done = support.extended(tmp_path, LAYER, CASE.replace(*change), "check", "case.yaml")
+    assert done.returncode == code
+    assert words in done.stdout + done.stderr
 
 
 # A layer that the largest opening so far softens: history at each point.
@@ -122,9 +126,7 @@ def test_a_law_remembers(tmp_path: Path) -> None:
     case = CASE.replace("elastic_layer, stiffness", "worn_layer, length: 0.2 mm, stiffness")
     case = case.replace("-3 MPa}", "-3 MPa, history: [1, 0.3333333333333333]}")
     case += "stages: [{name: load, increments: 2}, {name: unload, increments: 2}]\n"
-    done = support.extended(tmp_path, WORN, case, "run", "case.yaml", "-o", "out")
-    assert done.returncode == 0, done.stdout + done.stderr
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    summary, _ = run(tmp_path, WORN, case)
     most = high / (k - high / length)
     found = summary["interfaces"]["lower_upper"]["gap_mean"]
     assert found == pytest.approx(low * (1 + most / length) / k, rel=1e-8)
@@ -157,12 +159,93 @@ class Wind(Load):
 
 def test_a_load_from_outside_does_work(tmp_path: Path) -> None:
     """The shear of the layer is that of the load, and the balances have its work."""
-    program = LAYER + WIND
     case = CASE.replace("kind: pressure", "kind: wind").replace("pressure: -3", "shear: 3")
-    done = support.extended(tmp_path, program, case, "run", "case.yaml", "-o", "out")
-    assert done.returncode == 0, done.stdout + done.stderr
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    summary, _ = run(tmp_path, LAYER + WIND, case)
     found = summary["interfaces"]["lower_upper"]
     assert found["shear_mean"] == pytest.approx(3, rel=0.05)
     assert abs(found["force"][0]) == pytest.approx(3 * 16, rel=1e-9)
     assert all(summary["balance"][name] < 1e-9 for name in ("force", "moment", "energy"))
+
+
+# Quantities: what each is, and how it is computed.
+OWN = '''
+import numpy as np
+from mpi4py import MPI
+from app.case.quantities import STRESS, Quantity, add_quantity
+
+
+def area_over(level):
+    """Area of an interface where the pressure exceeds a level [mm^2]."""
+    return lambda points, at: points.weight[at & (points.pressure > level)].sum()
+
+
+def strain_energy(stresses, region):
+    """Energy of the elastic strain of a region [N mm]."""
+    _, volumes = stresses.places(region)
+    return MPI.COMM_WORLD.allreduce(np.sum(stresses.energy_density(region) * volumes))
+
+
+add_quantity(
+    Quantity(
+        "interfaces", "area_over_1MPa", "mm^2", digits=1, label="over 1 MPa",
+        order=STRESS, history=True, compute=area_over(1.0),
+    ),
+    Quantity("interfaces", "area_over_5MPa", "mm^2", compute=area_over(5.0)),
+    Quantity("regions", "strain_energy", "N mm", digits=4, compute=strain_energy),
+)
+'''
+
+# The same blocks, pressed onto each other by 3 MPa.
+PRESSED = CASE.replace(
+    "kind: elastic_layer, stiffness: 50 MPa/mm", "kind: contact, friction_coefficient: 0.3"
+).replace("-3 MPa", "3 MPa")
+STUDY = """\
+base: case.yaml
+study:
+  quantities: [lower_upper.area_over_1MPa, upper.strain_energy]
+  lines: {size: {mesh.size: [4 mm, 2 mm]}}
+  reference:
+    values: {lower_upper.area_over_1MPa: 16 mm^2, upper.strain_energy: 0.144 N*mm}
+"""
+
+
+def test_a_quantity_from_outside_is_published(tmp_path: Path) -> None:
+    """3 MPa over 16 mm²; the energy is σ²/(2E) times 32 mm³."""
+    summary, told = run(tmp_path, OWN, PRESSED, "--error")
+    found = summary["interfaces"]["lower_upper"]
+    assert found["area_over_1MPa"] == pytest.approx(16, rel=1e-9)
+    assert found["area_over_1MPa_error"] == pytest.approx(0, abs=1e-9)
+    assert found["area_over_5MPa"] == 0
+    energies = [summary["regions"][name]["strain_energy"] for name in ("lower", "upper")]
+    assert energies == pytest.approx([0.072, 0.144], rel=1e-9)
+    assert "area_over_5MPa_error" not in found
+    with (tmp_path / "out" / "history.csv").open(newline="") as file:
+        *_, last = csv.DictReader(file)
+    assert float(last["lower_upper area_over_1MPa [mm^2]"]) == pytest.approx(16, rel=1e-9)
+    assert not any("5MPa" in name for name in last)
+    lines = told.splitlines()
+    title = next(k for k, line in enumerate(lines) if line.startswith("interface"))
+    assert lines[title].endswith(" over 1 MPa  area over 5MPa")
+    assert lines[title + 1].split()[-2:] == ["mm^2", "mm^2"]
+    assert lines[title + 2].split()[-4:] == ["16.0", "±", "0.0", "0.00"]
+    assert any(line.startswith("upper") and line.endswith("0.1440") for line in lines)
+
+
+@pytest.mark.slow
+def test_a_study_measures_a_quantity_from_outside(tmp_path: Path) -> None:
+    (tmp_path / "study.yaml").write_text(STUDY)
+    done = support.extended(
+        tmp_path, OWN, PRESSED, "study", "study.yaml", "-o", "out", "--cores", "1"
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    record = json.loads((tmp_path / "out" / "study.json").read_text())["quantities"]
+    for name, unit in (("lower_upper.area_over_1MPa", "mm^2"), ("upper.strain_energy", "N mm")):
+        assert record[name]["unit"] == unit
+        assert [p["error"] < 1e-9 for p in record[name]["points"]] == [True, True]
+
+
+def test_a_quantity_is_added_once_and_has_a_unit() -> None:
+    with pytest.raises(ValueError, match="already"):
+        quantities.add_quantity(quantities.TABLE["interfaces"]["gap_max"])
+    with pytest.raises(ValueError, match="unit"):
+        quantities.add_quantity(quantities.Quantity("interfaces", "length", "furlong"))

@@ -129,34 +129,26 @@ def test_rigid_region_is_the_limit_of_a_stiff_one() -> None:
     np.testing.assert_allclose(np.array(errors[0]) / np.array(errors[1]), 10, rtol=0.1)
 
 
-def test_rigid_region_takes_given_motion() -> None:
-    """A rigid stem pushed by its top moves by just that, and pushes with what holds it."""
-    solved = support.solve(
-        CYLINDERS,
-        "regions.stem={rigid: true}",
-        "loads={}",
-        "supports.push={kind: displacement, boundary: stem_top, x: 0 mm, y: 0 mm, z: -0.05 mm}",
-        balances=True,
-    )
-    _, u = solved.displacement("stem")
-    np.testing.assert_allclose(u, np.broadcast_to([0, 0, -0.05], u.shape), atol=1e-12)
-    assert solved.balances.max() < 1e-8
+PUSHED = "x: 0 mm, y: 0 mm, z: -0.05 mm"
+TURNED = "x: 0 mm, y: '-1e-3 * z', z: '0.02 + 1e-3 * y'"
 
 
-def test_rigid_region_takes_a_given_rotation() -> None:
-    """Both ends of a stem turned about x by one angle, and lifted, by two supports."""
-    angle = 1e-3
-    turn = f"x: 0 mm, y: '{-angle} * z', z: '0.02 + {angle} * y'"
-    solved = support.solve(
-        CYLINDERS,
-        "regions.stem={rigid: true}",
-        "loads={}",
-        f"supports.top={{kind: displacement, boundary: stem_top, {turn}}}",
-        f"supports.bottom={{kind: displacement, boundary: stem_bottom, {turn}}}",
-        balances=True,
-    )
+@pytest.mark.parametrize(
+    ("ends", "given", "turn", "shift"),
+    [(["top"], PUSHED, 0.0, -0.05), (["top", "bottom"], TURNED, 1e-3, 0.02)],
+    ids=["pushed by its top", "turned about x and lifted by both ends"],
+)
+def test_rigid_region_takes_given_motion(
+    ends: list[str], given: str, turn: float, shift: float
+) -> None:
+    """It moves by just that, and pushes with what holds it."""
+    holds = [
+        f"supports.{end}={{kind: displacement, boundary: stem_{end}, {given}}}" for end in ends
+    ]
+    stem = ("regions.stem={rigid: true}", "loads={}")
+    solved = support.solve(CYLINDERS, *stem, *holds, balances=True)
     x, u = solved.displacement("stem")
-    exact = np.stack([0 * x[:, 0], -angle * x[:, 2], 0.02 + angle * x[:, 1]], axis=1)
+    exact = np.stack([0 * x[:, 0], -turn * x[:, 2], shift + turn * x[:, 1]], axis=1)
     np.testing.assert_allclose(u, exact, atol=1e-12)
     assert solved.balances.max() < 1e-8
 

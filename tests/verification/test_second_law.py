@@ -18,76 +18,66 @@ from app.campaigns.work_precision import fitted_order
 from forms.contact import SLIP
 from tests import support
 from tests.support import Solved
-from tests.verification.test_full_slip import BAR
 
 # Of the largest increment.
 NEGATIVE = -1e-12
 
-AUGMENTED = "kind: contact"
-PENALTY = "kind: penalty, penalty: 600 MPa/mm"
+LAWS = pytest.mark.parametrize("law", ["contact", "penalty"])
 
-STEM = """
-geometry: {{kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
-            length: 16 mm, taper: 1.5 deg}}
-mesh: {{order: 1, size: 4 mm, far_size: 5 mm}}
-regions:
-  stem: {{youngs_modulus: 110 GPa, poisson_ratio: 0.3}}
-  cement: {{youngs_modulus: 2200 MPa, poisson_ratio: 0.35}}
-  bone: {{youngs_modulus: 17 GPa, poisson_ratio: 0.3}}
+STEM = f"""{support.stem("16 mm", "size: 4 mm, far_size: 5 mm")}
 interfaces:
-  stem_cement: {{{law}, friction_coefficient: 0.4, gap: -2e-3 mm, gap_history: {gap}}}
-  cement_bone: {{{law}, friction_coefficient: 1.0}}
-supports:
-  outer: {{kind: fixed, boundary: bone_surface}}
+  stem_cement: {{kind: contact, friction_coefficient: 0.4, gap: -2e-3 mm}}
+  cement_bone: {{kind: contact, friction_coefficient: 1.0}}
 loads:
-  push: {{kind: force, boundary: stem_top, force: [0 N, 0 N, -900 N], history: {push}}}
-  x: {{kind: force, boundary: stem_top, force: [300 N, 0 N, 0 N], history: {x}}}
-  y: {{kind: force, boundary: stem_top, force: [0 N, 300 N, 0 N], history: {y}}}
-stages: {stages}
+  push: {{kind: force, boundary: stem_top, force: [0 N, 0 N, -900 N]}}
+  x: {{kind: force, boundary: stem_top, force: [300 N, 0 N, 0 N]}}
+  y: {{kind: force, boundary: stem_top, force: [0 N, 300 N, 0 N]}}
 """
-
-TWO_BLOCKS = """
+BLOCKS = """
 geometry:
   kind: blocks
   blocks:
-    - {{name: lower, size: [8 mm, 6 mm, 3 mm]}}
-    - {{name: upper, size: [8 mm, 6 mm, 3 mm]}}
-mesh: {{order: 1, size: 1.5 mm, far_size: 2 mm}}
+    - {name: lower, size: [8 mm, 6 mm, 3 mm]}
+    - {name: upper, size: [8 mm, 6 mm, 3 mm]}
+mesh: {order: 1, size: 1.5 mm, far_size: 2 mm}
 regions:
-  lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
-  upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.4}}
-"""
-BLOCKS = (
-    TWO_BLOCKS
-    + """
+  lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 500 MPa, poisson_ratio: 0.4}
 interfaces:
-  lower_upper: {{{law}, friction_coefficient: 0.3, gap: 2e-3 * x, gap_history: {gap}}}
+  lower_upper: {kind: contact, friction_coefficient: 0.3}
 supports:
-  floor: {{kind: fixed, boundary: bottom}}
-  down: {{kind: displacement, boundary: top, z: -0.03 mm, history: {push}}}
-  x: {{kind: displacement, boundary: top, x: 0.03 mm, history: {x}}}
-  y: {{kind: displacement, boundary: top, y: 0.03 mm, history: {y}}}
-stages: {stages}
+  floor: {kind: fixed, boundary: bottom}
 """
-)
+DRAGGED = f"""{BLOCKS}
+  push: {{kind: displacement, boundary: top, z: -0.03 mm}}
+  x: {{kind: displacement, boundary: top, x: 0.03 mm}}
+  y: {{kind: displacement, boundary: top, y: 0.03 mm}}
+"""
 
 
-def random_path(text: str, law: str, seed: int, stages: int = 4) -> str:
-    """A case with random amplitudes at the ends of its stages, each in two or three increments."""
+def by(law: str, *interfaces: str) -> list[str]:
+    """Overrides that give interfaces a law."""
+    keys = ("kind=penalty", "penalty=600 MPa/mm") if law == "penalty" else ()
+    return [f"interfaces.{name}.{key}" for name in interfaces for key in keys]
+
+
+def random_path(moved: str, interface: str, seed: int, stages: int = 4) -> list[str]:
+    """Random amplitudes at the ends of stages, each in two or three increments, as overrides.
+
+    They are those of three loads or supports, ``moved``, and of the gap of an interface.
+    """
     rng = np.random.default_rng(seed)
 
-    def amplitudes(low: float, high: float) -> str:
-        return str([round(float(a), 3) for a in rng.uniform(low, high, stages)])
+    def amplitudes(low: float) -> list[float]:
+        return [round(float(a), 3) for a in rng.uniform(low, 1, stages)]
 
     listed = [f"{{name: s{k}, increments: {rng.integers(2, 4)}}}" for k in range(stages)]
-    return text.format(
-        law=law,
-        push=amplitudes(0.2, 1),
-        x=amplitudes(-1, 1),
-        y=amplitudes(-1, 1),
-        gap=amplitudes(0.5, 1),
-        stages=f"[{', '.join(listed)}]",
-    )
+    lowest = {"push": 0.2, "x": -1.0, "y": -1.0}
+    return [
+        f"stages=[{', '.join(listed)}]",
+        *(f"{moved}.{name}.history={amplitudes(low)}" for name, low in lowest.items()),
+        f"interfaces.{interface}.gap_history={amplitudes(0.5)}",
+    ]
 
 
 def increments(solved: Solved, what: str) -> Floats:
@@ -107,14 +97,25 @@ def assert_never_negative(solved: Solved) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("law", [AUGMENTED, PENALTY], ids=["augmented", "penalty"])
-@pytest.mark.parametrize("text", [STEM, BLOCKS], ids=["stem", "blocks"])
-def test_friction_dissipates_at_every_point_in_every_step(text: str, law: str, seed: int) -> None:
+@LAWS
+@pytest.mark.parametrize(
+    ("text", "moved", "interfaces"),
+    [
+        pytest.param(STEM, "loads", ["stem_cement", "cement_bone"], id="stem"),
+        pytest.param(DRAGGED, "supports", ["lower_upper"], id="blocks"),
+    ],
+)
+def test_friction_dissipates_at_every_point_in_every_step(
+    text: str, moved: str, interfaces: list[str], law: str, seed: int
+) -> None:
     """Random loads that turn round, with gaps that change on the way."""
-    solved = support.solve(random_path(text, law, seed), balances=True)
+    path = [*by(law, *interfaces), *random_path(moved, interfaces[0], seed)]
+    if text is DRAGGED:
+        path.append("interfaces.lower_upper.gap=2e-3 * x")
+    solved = support.solve(text, *path, balances=True)
     assert_never_negative(solved)
     assert solved.balances.max() < 1e-8
-    if law == PENALTY:
+    if law == "penalty":
         return
     # Friction times slip, from forces and jumps alone: the points have one face each.
     j = solved.problem.contact
@@ -132,23 +133,18 @@ def test_friction_dissipates_at_every_point_in_every_step(text: str, law: str, s
 
 # A square peg in a square socket: points with one, two and three faces.
 PEG = """
-geometry:
-  kind: file
-  path: {path}
-  interfaces: {{peg_socket: [socket, peg]}}
-mesh: {{order: 1, size: 1.5 mm}}
+mesh: {order: 1, size: 1.5 mm}
 regions:
-  socket: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3, tissue: other}}
-  peg: {{youngs_modulus: 300 MPa, poisson_ratio: 0.3, tissue: other}}
+  socket: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3, tissue: other}
+  peg: {youngs_modulus: 300 MPa, poisson_ratio: 0.3, tissue: other}
 interfaces:
-  peg_socket: {{{law}, friction_coefficient: 0.4, gap: -2e-3 mm, gap_history: {gap}}}
+  peg_socket: {kind: contact, friction_coefficient: 0.4, gap: -2e-3 mm}
 supports:
-  floor: {{kind: fixed, boundary: floor}}
+  floor: {kind: fixed, boundary: floor}
 loads:
-  push: {{kind: force, boundary: head, force: [0 N, 0 N, -30 N], history: {push}}}
-  x: {{kind: force, boundary: head, force: [12 N, 0 N, 0 N], history: {x}}}
-  y: {{kind: force, boundary: head, force: [0 N, 12 N, 0 N], history: {y}}}
-stages: {stages}
+  push: {kind: force, boundary: head, force: [0 N, 0 N, -30 N]}
+  x: {kind: force, boundary: head, force: [12 N, 0 N, 0 N]}
+  y: {kind: force, boundary: head, force: [0 N, 12 N, 0 N]}
 """
 
 
@@ -177,49 +173,48 @@ def peg(path: Path) -> None:
         gmsh.finalize()
 
 
-@pytest.mark.parametrize("law", [AUGMENTED, PENALTY], ids=["augmented", "penalty"])
+@LAWS
 def test_edges_and_corners_dissipate_too(law: str, tmp_path: Path) -> None:
     peg(tmp_path / "peg.msh")
-    text = random_path(PEG.replace("{path}", str(tmp_path / "peg.msh")), law, seed=3)
-    solved = support.solve(text, balances=True)
+    sides = "interfaces: {peg_socket: [socket, peg]}"
+    geometry = f"geometry={{kind: file, path: {tmp_path / 'peg.msh'}, {sides}}}"
+    path = [geometry, *by(law, "peg_socket"), *random_path("loads", "peg_socket", seed=3)]
+    solved = support.solve(PEG, *path, balances=True)
     assert (np.bincount(solved.problem.contact.points.faces)[1:] > 3).all()
     assert_never_negative(solved)
     assert solved.balances.max() < 1e-8
 
 
 # A block pressed on another and slid along it and back, further than the two can shear.
-SLIDE = (
-    TWO_BLOCKS
-    + """
-interfaces:
-  lower_upper: {{{law}, friction_coefficient: 0.3}}
-supports:
-  floor: {{kind: fixed, boundary: bottom}}
-  behind: {{kind: displacement, boundary: upper_x_min, x: 1 mm, history: {slide}}}
-  before: {{kind: displacement, boundary: upper_x_max, x: 1 mm, history: {slide}}}
+SLIDE = f"""{BLOCKS}
+  behind: {{kind: displacement, boundary: upper_x_min, x: 1 mm}}
+  before: {{kind: displacement, boundary: upper_x_max, x: 1 mm}}
 loads:
-  press: {{kind: pressure, boundary: top, pressure: 2 MPa, history: {press}}}
-stages: {stages}
+  press: {{kind: pressure, boundary: top, pressure: 2 MPa}}
 """
-)
 
 
-@pytest.mark.parametrize("law", [AUGMENTED, PENALTY], ids=["augmented", "penalty"])
+def slid(law: str, way: list[float], increments: list[int], *overrides: str) -> Solved:
+    """The block slid to some places, one in each stage."""
+    stages = ", ".join(f"{{name: s{k}, increments: {n}}}" for k, n in enumerate(increments))
+    return support.solve(
+        SLIDE,
+        *by(law, "lower_upper"),
+        *(f"supports.{name}.history={way}" for name in ("behind", "before")),
+        f"loads.press.history={[1] * len(way)}",
+        f"stages=[{stages}]",
+        *overrides,
+    )
+
+
+@LAWS
 def test_full_slip_dissipates_friction_times_way(law: str) -> None:
     """Steady sliding over a way s, there and back: each time μ p A s with p A the press.
 
     Friction turns along the way, exponentially, only once the block slides.
     """
     slide = [0, 0.1, 0.16, 0.06, -0.01]
-    solved = support.solve(
-        SLIDE.format(
-            law=law,
-            slide=slide,
-            press=[1, 1, 1, 1, 1],
-            stages="[{name: a}, {name: b, increments: 3}, {name: c, increments: 3}, "
-            "{name: d, increments: 3}, {name: e, increments: 3}]",
-        )
-    )
+    solved = slid(law, slide, [1, 3, 3, 3, 3])
     total = dict(zip([s.time for s in solved.steps], solved.samples, strict=True))
     for start, end in ((2, 3), (4, 5)):
         assert (total[end].status == SLIP).all()
@@ -230,36 +225,21 @@ def test_full_slip_dissipates_friction_times_way(law: str) -> None:
 
 def test_penalty_springs_dissipate_nothing_while_they_hold() -> None:
     """Pushed sideways within the friction cone and back: tangential springs give all back."""
-    solved = support.solve(
-        SLIDE.format(
-            law=PENALTY,
-            slide=[0, 4e-4, -4e-4],
-            press=[1, 1, 1],
-            stages="[{name: a}, {name: b, increments: 2}, {name: c, increments: 3}]",
-        ),
-        "interfaces.lower_upper.friction_coefficient=5",
-    )
+    friction = "interfaces.lower_upper.friction_coefficient=5"
+    solved = slid("penalty", [0, 4e-4, -4e-4], [1, 2, 3], friction)
     moved = float(solved.last.path.max() * solved.last.shear.max()) * 48
     assert moved > 1e-4
     assert abs(solved.interfaces["lower_upper"]["dissipation"]) < 1e-12 * moved
 
 
 # A block pressed on another, then tilted to one side and to the other: contact opens and closes.
-TILT = (
-    TWO_BLOCKS
-    + """
-interfaces:
-  lower_upper: {{kind: contact, friction_coefficient: 0.3}}
-supports:
-  floor: {{kind: fixed, boundary: bottom}}
+TILT = f"""{BLOCKS}
 loads:
   press: {{kind: force, boundary: top, force: [0 N, 0 N, -150 N], history: [1, 1, 1]}}
   tilt:
     {{kind: force, boundary: top, force: [30 N, 0 N, 0 N], at: [4 mm, 3 mm, 18 mm],
      history: [0, 1, -1]}}
-stages: [{{name: press}}, {{name: right}}, {{name: left}}]
 """
-)
 
 
 def test_contact_without_tension_does_no_work_in_the_limit_of_small_steps() -> None:
@@ -272,7 +252,7 @@ def test_contact_without_tension_does_no_work_in_the_limit_of_small_steps() -> N
     sums, tagged = [], None
     for n in numbers:
         stages = f"[{{name: a}}, {{name: b, increments: {n}}}, {{name: c, increments: {n}}}]"
-        solved = support.solve(TILT.format(), f"stages={stages}", tagged=tagged)
+        solved = support.solve(TILT, f"stages={stages}", tagged=tagged)
         tagged = solved.tagged
         work = increments(solved, "contact_work")
         # Of either sign: closing takes work, opening gives it.
@@ -286,15 +266,13 @@ def test_contact_without_tension_does_no_work_in_the_limit_of_small_steps() -> N
 
 def test_work_of_a_growing_interference_is_not_contact_work() -> None:
     """A press fit stores energy through the jump: all of it work against the changing gap."""
-    text = STEM.format(
-        law=AUGMENTED,
-        gap=[0.5, 1],
-        push=[0, 0],
-        x=[0, 0],
-        y=[0, 0],
-        stages="[{name: a}, {name: b}]",
+    solved = support.solve(
+        STEM,
+        "loads={}",
+        "interfaces.stem_cement.gap_history=[0.5, 1]",
+        "stages=[{name: a}, {name: b}]",
+        balances=True,
     )
-    solved = support.solve(text, balances=True)
     j = solved.problem.contact
     assert solved.balances.max() < 1e-8
     work = abs(float(j.state.work.sum()))
@@ -302,12 +280,32 @@ def test_work_of_a_growing_interference_is_not_contact_work() -> None:
     assert np.abs(j.state.contact_work).sum() < 1e-10 * work
 
 
+# A bar pressed against a rigid wall.
+BAR = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: wall, size: [2 mm, 2 mm, 2 mm]}
+    - {name: bar, size: [2 mm, 2 mm, 10 mm]}
+mesh: {order: 1, size: 1 mm, far_size: 2 mm}
+regions:
+  wall: {rigid: true}
+  bar: {youngs_modulus: 2200 MPa, poisson_ratio: 0}
+interfaces:
+  wall_bar: {kind: penalty, penalty: 1000 MPa/mm, friction_coefficient: 0.3}
+supports:
+  wall: {kind: fixed, boundary: bottom}
+  end: {kind: displacement, boundary: top, x: 0 mm, y: 0 mm, z: -0.01 mm}
+solver: {tolerance: 1.0e-13}
+"""
+
+
 def test_contact_work_of_a_penalty_is_the_energy_of_its_springs() -> None:
     """Bar against a wall by a penalty: r/2 g^2 A with g = K u / (K + r), and nothing once back."""
     K, u, r, A = 220.0, 0.01, 1e3, 4.0
     energies = [
         support.solve(
-            BAR.format(law=f"kind: penalty, penalty: {r} MPa/mm", friction=0.3),
+            BAR,
             f"supports.end.history={history}",
             f"stages={[{'name': f's{k}', 'increments': 2} for k in range(len(history))]}",
         ).interfaces["wall_bar"]["contact_work"]

@@ -45,7 +45,7 @@ def test_the_plan() -> None:
         assert f"run configs/stress/{name}.yaml" in text
     # Every override is one: what is refused at once is meant to be.
     some = [c for c in small if not any(run.mesh for run in c.runs)]
-    refused = {c.name for c in some for _, why in engine._planned(c, Path()) if why}
+    refused = {c.name for c in some for *_, why in engine._planned(c, Path()) if why}
     assert len(some) > 150 and len(refused) == 3
     assert refused <= {c.name for c in some if c.group == "floating" and c.judge is None}
 
@@ -66,9 +66,9 @@ def test_turned_and_scaled_meshes() -> None:
         1 + 2 * np.cos(np.radians(40))
     )
     whole = cell_volumes(data.points, data.cells).sum()
-    turned = changed_meshes.turned(data)
+    turned = changed_meshes.CHANGES["turned"](data)
     assert cell_volumes(turned.points, turned.cells).sum() == pytest.approx(whole)
-    small = changed_meshes.scaled(data, 1e-3)
+    small = changed_meshes.CHANGES["metres"](data)
     assert cell_volumes(small.points, small.cells).sum() == pytest.approx(1e-9 * whole)
 
 

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import mantle
 from app.campaigns.batch import Options
+from app.campaigns.runs import Job, Result
 from app.case.case import load
 from app.verification import closed_forms, engine
 from app.verification.check import CONFIGS, Check, CheckRun, Sample, each
 from app.verification.engine import SUITES
-from app.verification.problems import problems
+from app.verification.problems import QUICK, problems
 
 KEYS = {"name", "error", "tolerance", "order", "expected_order", "seconds", "outcome"}
 
@@ -31,28 +34,6 @@ def written(folder: Path, pattern: str) -> list[dict[str, Any]]:
     return entries
 
 
-@pytest.mark.slow
-def test_a_ladder_of_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Error, order, run time, table, picture; nothing is run twice."""
-    caplog.set_level(logging.INFO, "mantle")
-    assert verify("lame_plane_strain_3", tmp_path)
-    (entry,) = written(tmp_path, "lame_plane_strain_3")
-    assert entry["name"] == "lame_plane_strain_3"
-    assert entry["outcome"] == "passed"
-    assert 0 < entry["error"] < entry["tolerance"] == 0.005
-    assert entry["expected_order"] == 2
-    assert abs(entry["order"] - 2) < 0.2
-    assert entry["seconds"] > 1
-    assert entry["reference"] == pytest.approx(1.02740, abs=6e-6)
-    assert entry["error"] == pytest.approx(abs(entry["value"] / entry["reference"] - 1))
-    assert entry["sizes"] == sorted(entry["sizes"], reverse=True)
-    assert entry["errors"] == sorted(entry["errors"], reverse=True)
-    assert "lame_plane_strain_3" in caplog.text and "1 check: 1 passed" in caplog.text
-    begin = len(caplog.text)
-    assert verify("lame_plane_strain_3", tmp_path)
-    assert "3 runs: 3 done already" in caplog.text[begin:]
-
-
 def test_what_fails_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -64,8 +45,7 @@ def test_what_fails_is_told(
     )
     run = CheckRun("verification/incline.yaml", loose)
     broken = Check("incline_loose", "nothing holds it", (run,), each(_never), 0.1)
-    everything = problems()
-    monkeypatch.setitem(SUITES, "verify", lambda: [broken, *everything])
+    monkeypatch.setitem(SUITES, "verify", lambda: [broken, *problems()])
     monkeypatch.setattr(closed_forms, "push_up", lambda slope, friction: 0.5)
     assert not verify("incline", tmp_path)
     loose, wrong = written(tmp_path, "incline")
@@ -104,10 +84,40 @@ def test_problems_are_well_posed() -> None:
 
 
 @pytest.mark.slow
-def test_all_pass(tmp_path: Path) -> None:
-    """The default suite, some minutes on two cores."""
-    assert verify("", tmp_path), [
+def test_all_pass(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The default suite, some minutes on two cores; nothing is run twice."""
+    caplog.set_level(logging.INFO, "mantle")
+    passed, entries = verify("", tmp_path), written(tmp_path, "")
+    assert passed, [
         (e["name"], e["error"], e["order"], e["message"])
-        for e in written(tmp_path, "")
+        for e in entries
         if e["outcome"] != "passed"
     ]
+    assert verify("", tmp_path) and "92 checks: 92 passed" in caplog.text
+    assert re.search(r"(\d+) runs: \1 done already", caplog.text)
+    entry = next(e for e in entries if e["name"] == "lame_plane_strain_3")
+    assert 0 < entry["error"] < entry["tolerance"] == 0.005
+    assert entry["expected_order"] == 2 and abs(entry["order"] - 2) < 0.2
+    assert entry["reference"] == pytest.approx(1.02740, abs=6e-6) and entry["seconds"] > 1
+    assert entry["error"] == pytest.approx(abs(entry["value"] / entry["reference"] - 1))
+    for name in ("sizes", "errors"):
+        assert entry[name] == sorted(entry[name], reverse=True)
+    notes = [e["note"] for e in entries if e["group"] == "stiff"]
+    assert len(notes) > 15
+    assert all(re.match(r"steps \d+, rejected \d+, balance \d", note) for note in notes)
+    assert all(note in caplog.text for note in notes)
+
+
+QUICK_PROBLEMS = {p.name: p.up_to("quick") for p in problems() if p.tier == "quick"}
+
+
+@pytest.mark.parametrize("name", sorted(QUICK))
+def test_the_answer_is_the_known_one(name: str, tmp_path: Path) -> None:
+    """The quick tier; all of them, with their finest rungs: ``mantle verify``, the mutations."""
+    problem, results = QUICK_PROBLEMS[name], []
+    for k, run in enumerate(problem.runs):
+        path, folder = CONFIGS / run.case, tmp_path / str(k)
+        mantle.run(load(path, run.overrides), folder)
+        results.append(Result(Job(name, path), folder, 0, 0.0, {}, ""))
+    result = engine.judge(problem, results)
+    assert result.outcome == "passed", result.as_json()
