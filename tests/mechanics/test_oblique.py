@@ -15,7 +15,7 @@ from app.errors import InputError
 from app.laws.supports import Roller
 from app.results.balance import Balance
 from app.soundness.well_posedness import judge, look
-from app.verification.changed_meshes import ROTATION, turned
+from app.verification.changed_meshes import CHANGES, ROTATION
 from meshes.distribute import TaggedMesh, distribute
 from tests import support
 
@@ -62,7 +62,7 @@ def vector(values: Any, unit: str = "") -> str:
 def turn(text: str, *overrides: str, face: bool = False) -> tuple[Case, TaggedMesh]:
     """A case and its mesh, both turned: rollers along axes become oblique ones."""
     straight = support.case(text, *overrides)
-    data = turned(meshes.build(straight.geometry, straight.mesh, None))
+    data = CHANGES["turned"](meshes.build(straight.geometry, straight.mesh, None))
     changes = [*overrides]
     for name, s in straight.supports.items():
         if isinstance(s, Roller) and s.axis:
