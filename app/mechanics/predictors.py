@@ -126,26 +126,24 @@ def same(a: PETSc.Vec, b: PETSc.Vec) -> bool:
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A converged state with its loads, gaps and friction, on this rank.
+    """A converged state and its causes, on this rank.
 
     Attributes:
         x: Unknowns.
-        forces: Nodal forces of loads, supports and free strains [N].
-        gaps: Initial gaps at the contact points [mm].
-        friction: Logarithm of the friction coefficient of each interface, on rank 0 alone.
+        causes: Nodal forces of loads, supports and free strains [N], initial gaps at the contact
+            points [mm], and the logarithm of the friction coefficient of each interface (on rank 0
+            alone).
     """
 
     x: PETSc.Vec
-    forces: Floats
-    gaps: Floats
-    friction: Floats
+    causes: tuple[Floats, Floats, Floats]
 
 
 class WarmStart:
     """Initial guesses from states of other runs with the same unknowns.
 
-    Scaled states are ordered by their distance in forces, gaps and the logarithm of friction; the
-    span of the nearest holds one that is nearer.
+    Scaled states are ordered by the distance of their causes; the span of the nearest holds one
+    that is nearer.
     """
 
     def __init__(self, problem: Problem, solver: Solver) -> None:
@@ -166,14 +164,15 @@ class WarmStart:
         """Start from the nearest state of another run, or a combination of several, if better."""
         self._start = None
         here = self._state()
-        sizes = [self._product(p, p) or 1.0 for p in (here.forces, here.gaps)] + [1.0]
+        forces, gaps, _ = self._products(here.causes, here.causes)
+        sizes = np.array([forces or 1.0, gaps or 1.0, 1.0])
         # Runs in other load steps have states at other times.
         known = [
             state
             for states in self._past
             for state in ([states[time]] if time in states else states.values())
         ]
-        scaled = [_scaled(state, self._factor(state, here, sizes)) for state in known]
+        scaled = [self._scaled(state, here, sizes) for state in known]
         if not scaled:
             return
         scaled.sort(key=lambda state: self._distance(state, here, sizes))
@@ -184,40 +183,31 @@ class WarmStart:
 
     def commit(self, time: float) -> None:
         """Store the state."""
-        state = self._state()
-        self._now[time] = state
+        state = self._now[time] = self._state()
         self._new = self._new or self._start is None or not same(self._start, state.x)
 
     def _state(self) -> Neighbour:
         problem = self._problem
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
-        friction = [math.log(max(c.law.friction, LITTLE)) for c in contacts]
-        return Neighbour(
-            self._solver.x.copy(),
-            problem.f.array.copy(),
-            problem.contact.gap.ravel() if problem.contact else np.zeros(0),
-            np.array(friction),
-        )
+        friction = np.log([max(c.law.friction, LITTLE) for c in contacts])
+        gaps = problem.contact.gap.ravel() if problem.contact else np.zeros(0)
+        return Neighbour(self._solver.x.copy(), (problem.f.array.copy(), gaps, friction))
 
-    def _factor(self, state: Neighbour, here: Neighbour, sizes: list[float]) -> float:
-        """Factor that brings loads and gaps of a state nearest to those here."""
+    def _scaled(self, state: Neighbour, here: Neighbour, sizes: Floats) -> Neighbour:
+        """A state times the factor that brings its loads and gaps nearest to those here."""
         own, towards = (
-            self._product(state.forces, other.forces) / sizes[0]
-            + self._product(state.gaps, other.gaps) / sizes[1]
-            for other in (state, here)
+            float((self._products(state.causes, causes) / sizes)[:2].sum())
+            for causes in (state.causes, here.causes)
         )
-        return towards / own if own > 0 and towards > 0 else 1.0
+        factor = towards / own if own > 0 and towards > 0 else 1.0
+        forces, gaps, friction = state.causes
+        return Neighbour(state.x * factor, (factor * forces, factor * gaps, friction))
 
-    def _distance(self, a: Neighbour, b: Neighbour, sizes: list[float]) -> float:
-        pairs = ((a.forces, b.forces), (a.gaps, b.gaps), (a.friction, b.friction))
-        parts = [self._product(p - q, p - q) / s for (p, q), s in zip(pairs, sizes, strict=True)]
-        return float(np.sqrt(sum(parts)))
+    def _distance(self, a: Neighbour, b: Neighbour, sizes: Floats) -> float:
+        apart = [p - q for p, q in zip(a.causes, b.causes, strict=True)]
+        return float(np.sqrt((self._products(apart, apart) / sizes).sum()))
 
-    def _product(self, a: Floats, b: Floats) -> float:
-        return float(self._problem.comm.allreduce(float(a @ b), MPI.SUM))
-
-
-def _scaled(state: Neighbour, factor: float) -> Neighbour:
-    x = state.x.copy()
-    x.scale(factor)
-    return Neighbour(x, factor * state.forces, factor * state.gaps, state.friction)
+    def _products(self, a: Sequence[Floats], b: Sequence[Floats]) -> Floats:
+        """Products of the causes of two states, one by one; collective."""
+        local = np.array([float(p @ q) for p, q in zip(a, b, strict=True)])
+        return np.asarray(self._problem.comm.allreduce(local, MPI.SUM))

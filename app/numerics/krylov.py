@@ -52,6 +52,7 @@ class Linear:
     Attributes:
         matrix: The Jacobian: one matrix, or one of blocks (MATNEST).
         options: PETSc options that the solver needs.
+        factored: Whether contact blocks are factorized instead of swept.
     """
 
     def __init__(self, system: System, linear: str, timing: Timing) -> None:
@@ -77,8 +78,9 @@ class Linear:
             self.options |= SYMMETRIC
         self._inverses: list[Inverse] = []
         self._own: list[PETSc.PC] = []
-        self._swept: list[PETSc.PC] = []
-        self._factored: list[PETSc.PC] = []
+        # Preconditioners of contact blocks, by SOR unless they are factored.
+        self._interfaces: list[PETSc.PC] = []
+        self.factored = False
         self._sizes = [v.getSize() for v in blocks.values()]
         self._version = system.version
         self._pending = False
@@ -110,7 +112,7 @@ class Linear:
             pc.setOperators(self.matrix)
             pc.setUp()
             pc.setUpOnBlocks()
-        self._swept = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
+        self._interfaces = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
         for part in own:
             part.setReusePreconditioner(True)
         self._own = own
@@ -182,19 +184,19 @@ class Linear:
 
     def factor_interfaces(self) -> bool:
         """Factorize contact blocks preconditioned by SOR so far; return whether there are any."""
-        swept, self._swept = self._swept, []
-        for pc in swept:
+        if self.factored or not self._interfaces:
+            return False
+        self.factored = True
+        for pc in self._interfaces:
             pc.setType(str(INTERFACE["pc_type"]))
             pc.setFactorSolverType(str(INTERFACE["pc_factor_mat_solver_type"]))
-        self._factored += swept
-        return bool(swept)
+        return True
 
     def sweep_interfaces(self) -> None:
         """Use SOR again for the contact blocks that `factor_interfaces` has factorized."""
-        factored, self._factored = self._factored, []
-        for pc in factored:
+        for pc in self._interfaces if self.factored else ():
             pc.setType(str(SWEEP["pc_type"]))
-        self._swept += factored
+        self.factored = False
 
     def _fall_back(self) -> str:
         """Factorize the contact block, then the stiffness; return which, or ""."""

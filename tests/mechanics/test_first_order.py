@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.numerics.p_multigrid import CoarseOrder
-from app.numerics.preconditioners import Inverse, stiffness_options
+from app.numerics.preconditioners import CoarseOrder, Inverse, stiffness_options
 from tests import support
 
 BLOCK = """
