@@ -68,6 +68,7 @@ class Coupled:
         model: The model, in its last state.
         total: What it took.
         steps: Its heat steps.
+        rows: Reported temperatures at the start and after each of them.
         before: Dissipated by friction before the first of them, over all interfaces [N mm].
         dissipated: Up to the end of each of them.
     """
@@ -75,6 +76,7 @@ class Coupled:
     model: Model
     total: Summary
     steps: tuple[HeatStep, ...]
+    rows: tuple[dict[str, float], ...]
     before: float
     dissipated: tuple[float, ...]
 
@@ -111,6 +113,7 @@ def solve(
         case = support.case(text, *overrides)
         made = Model(case, support.MPI.COMM_WORLD, {}, Timing(), str)
     steps: list[HeatStep] = []
+    rows = [made.thermal.record.row]
     dissipated: list[float] = []
     before = [0.0]
 
@@ -120,6 +123,7 @@ def solve(
 
     def on_heat(step: LoadStep, accepted: HeatStep) -> None:
         steps.append(accepted)
+        rows.append(made.thermal.record.row)
         dissipated.append(so_far())
 
     def on_step(step: LoadStep, trial: TrialState | None) -> None:
@@ -127,4 +131,4 @@ def solve(
             before[0] = so_far()
 
     total = made.go(Observer(on_step, on_heat, print))
-    return Coupled(made, total, tuple(steps), before[0], tuple(dissipated))
+    return Coupled(made, total, tuple(steps), tuple(rows), before[0], tuple(dissipated))

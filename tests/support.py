@@ -27,7 +27,6 @@ from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
-from app.results import interface_numbers
 from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
@@ -192,10 +191,6 @@ def solve(
             sums.append((balance.force, balance.moment, balance.energy))
 
     run_stages(problem.scene.stages, LoadStepper(problem, solver, on_step, print), None)
-    interfaces = {
-        c.name: interface_numbers.interface(problem, samples[-1], i)
-        for i, c in enumerate(problem.scene.contacts)
-    }
     return Solved(
         case=this,
         tagged=problem.tagged,
@@ -203,7 +198,7 @@ def solve(
         solver=solver,
         steps=tuple(steps),
         samples=tuple(samples),
-        interfaces=interfaces,
+        interfaces=samples[-1].numbers if samples else {},
         balances=np.array(sums),
     )
 

@@ -30,9 +30,8 @@ def cross_check(case: Any) -> list[Fault]:
 def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str) -> Fault:
     known = tuple(known)
     allowed = f"it has {', '.join(known)}" if known else "it has none"
-    return Fault(
-        path, f"the geometry ({owner}) has no {what} '{name}'; {allowed}{did_you_mean(name, known)}"
-    )
+    text = f"the geometry ({owner}) has no {what} '{name}'; {allowed}"
+    return Fault(path, text + did_you_mean(name, known))
 
 
 def _entries(case: Any, *sections: str) -> Iterable[tuple[str, str, Any]]:

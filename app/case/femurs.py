@@ -108,19 +108,15 @@ class _Femur(Shape):
             radius = getattr(self, f"{end}_corner_radius")
             half = min(getattr(self, f"{end}_half_width"), getattr(self, f"{end}_half_depth"))
             if radius >= half:
-                fail(
-                    f"is not below the half-width and half-depth, {half:g} mm",
-                    at=(f"{end}_corner_radius",),
-                )
+                text = f"is not below the half-width and half-depth, {half:g} mm"
+                fail(text, at=(f"{end}_corner_radius",))
         shoulder = self.stem_tip_z + self.stem_length
         inside = (self._cut - self.stem_tip_z) / INSIDE
         if self.stem_length > min(inside, longest := self.head_height - self.stem_tip_z):
             where = "out of the bone" if inside < longest else "above the head's centre"
-            fail(
-                f"{self.stem_length:g} mm puts the shoulder at z = {shoulder:g} mm, too far "
-                f"{where}; expected at most {min(inside, longest):.3g} mm",
-                at=("stem_length",),
-            )
+            text = f"{self.stem_length:g} mm puts the shoulder at z = {shoulder:g} mm, too far"
+            text += f" {where}; expected at most {min(inside, longest):.3g} mm"
+            fail(text, at=("stem_length",))
         if not self.stem_tip_z < self.stem_section_z < shoulder:
             fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
         width = 2.0 * self._check_section(shoulder, "the shoulder", 0.0)

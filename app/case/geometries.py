@@ -11,13 +11,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, is_script, physical_names
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, fail, one_of, show
 from app.schema.units import Angle, PositiveLength, SizeVector
+from app.schema.vectors import Pair
 
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
 __all__ += ["MeshOptions", "Sides"]
@@ -180,6 +181,10 @@ class Cylinders(Shape):
         return graded_cells(self.interface_area, volume, mesh)
 
 
+_Side = Annotated[tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v)]
+_TwoSides = Annotated[tuple[_Side, _Side], Pair("[cement, [cortical, cancellous]]")]
+
+
 class MeshFile(Shape):
     """A gmsh file; its named physical volumes are regions, its surfaces boundaries.
 
@@ -193,9 +198,7 @@ class MeshFile(Shape):
     """The file; relative to the case file."""
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm"
     """Unit of the file's coordinates."""
-    interfaces: Annotated[dict[Name, tuple[tuple[str, ...], tuple[str, ...]]], MAPPING] = Field(
-        default_factory=dict
-    )
+    interfaces: Annotated[dict[Name, _TwoSides], MAPPING] = Field(default_factory=dict)
     """For each interface, the regions on its two sides (a name or a list of names each)."""
 
     @field_validator("path", mode="before")
@@ -216,13 +219,6 @@ class MeshFile(Shape):
         if not regions:
             fail(f"{path} names no region: it has no physical volume with a name")
         return path.resolve()
-
-    @field_validator("interfaces", mode="before")
-    @classmethod
-    def _listed(cls, value: object) -> object:
-        if not isinstance(value, dict):
-            return value
-        return {k: _sides(v, k) for k, v in value.items()}
 
     @model_validator(mode="after")
     def _known(self) -> MeshFile:
@@ -281,16 +277,6 @@ class MeshFile(Shape):
     def copy_files(self, folder: Path) -> str:
         """Copy the file, and files that a script names, to a folder; return their hash."""
         return content(self.path, folder)
-
-
-def _sides(value: object, name: object) -> object:
-    """``[stem, [a, b]]`` as ``(("stem",), ("a", "b"))``."""
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        fail(
-            "expected two sides, e.g. [stem, cement] or [cement, [cortical, cancellous]]",
-            at=(str(name),),
-        )
-    return tuple((side,) if isinstance(side, str) else side for side in value)
 
 
 Geometry = Annotated[Blocks | Cylinders | Femur | IntactFemur | MeshFile, Kinds()]

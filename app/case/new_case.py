@@ -19,29 +19,6 @@ MISSING = """\
   # It is not there yet. Name its physical volumes under `regions`, two physical surfaces as
   # `boundary` below; once it is there `mantle check` tells those it has.
 """
-OWN = """\
-# A mesh of gmsh with materials, a support and a load. `mantle explain KEY` tells what a key means,
-# `mantle explain materials` lists those with names.
-
-title: {title}
-
-geometry:
-  kind: file
-  path: {path} # relative to this file
-{about}  # unit: mm # of its coordinates
-  # interfaces: {{a_b: [a, b]}} # regions that may part; give each a law under `interfaces` below
-
-mesh:
-  size: 3 mm # that of a .geo script; a .msh file is taken as it is
-
-regions: # say what each is made of; tissue: bone, cement, implant or other
-{regions}
-supports:
-  hold: {{kind: fixed, boundary: {first}}}
-
-loads:
-  push: {{kind: force, boundary: {last}, force: "[0, 0, -100] N"}}
-"""
 
 
 def write(path: Path, kind: str, stem: str = "") -> Path:
@@ -92,15 +69,19 @@ def _own(case: Path, mesh: Path) -> str:
         near = mesh.resolve().relative_to(case.resolve().parent)
     except ValueError:
         near = mesh.resolve()
-    return OWN.format(
-        title=_word(case.stem),
-        path=_word(str(near)),
-        about=about,
-        regions="".join(
-            f"  {_word(name)}: {{material: cortical_bone, tissue: bone}}\n" for name in regions
-        ),
-        first=_word(boundaries[0]),
-        last=_word(boundaries[-1]),
+    return (
+        (FOLDER / "file.template")
+        .read_text(encoding="utf-8")
+        .format(
+            title=_word(case.stem),
+            path=_word(str(near)),
+            about=about,
+            regions="".join(
+                f"  {_word(name)}: {{material: cortical_bone, tissue: bone}}\n" for name in regions
+            ),
+            first=_word(boundaries[0]),
+            last=_word(boundaries[-1]),
+        )
     )
 
 

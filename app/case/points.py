@@ -201,10 +201,7 @@ class SweepPart(Section):
                 for name, changes in self.table.items()
             ]
         for key, values in (self.grid or {}).items():
-            yield [
-                AxisValue(f"{short[key]}={name}", {key: value}, {key: (*path, "grid", key, i)})
-                for i, (name, value) in enumerate(zip(_labels(values), values, strict=True))
-            ]
+            yield along({key: values}, (*path, "grid"), short)
         if self.lists is not None:
             yield along(self.lists, (*path, "lists"), short)
         if (hypercube := self.latin_hypercube) is not None:

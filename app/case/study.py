@@ -66,11 +66,8 @@ class Reference(Section):
         if (self.values is None) == (self.run is None):
             fail("expected either values or run")
         if any(isinstance(value, list) and len(value) < 2 for value in (self.run or {}).values()):
-            fail(
-                "has a single run; expected at least two, or its error is unknown; "
-                "without a list the run is the reference as it is",
-                at=("run",),
-            )
+            text = "has a single run; expected at least two, or its error is unknown; "
+            fail(f"{text}without a list the run is the reference as it is", at=("run",))
         return self
 
 

@@ -47,14 +47,11 @@ class Sweep(SweepPart):
 
     def points(self) -> list[Point]:
         """Every case, in the order of the file."""
-        common = points.fixed(self.set, ())
-        if not self.parts:
-            return list(points.combine((), str(self.base), [common], self.axes(())))
         found: list[Point] = []
-        for name, part in self.parts.items():
-            path = ("parts", name)
-            both = [common, points.fixed(part.set, path)]
-            found += points.combine(path, str(part.base or self.base), both, part.axes(path))
+        for name, part in (self.parts or {"": self}).items():
+            path = ("parts", name) if name else ()
+            common = [points.fixed(self.set, ()), points.fixed(part.set, path)]
+            found += points.combine(path, str(part.base or self.base), common, part.axes(path))
         return found
 
     def uncertain(self) -> dict[str, list[str]]:

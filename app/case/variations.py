@@ -44,16 +44,11 @@ def _section(value: dict[str, Any]) -> dict[str, Any]:
             fail(f"{show(changes)} is not a mapping of keys to values", at=(name,))
         for key in changes:
             if not MAY_VARY.fullmatch(key):
-                fail(_refusal(key), at=(name, key))
+                path = key.split(".")
+                known = {"loads": OF_LOADS, "solver": OF_SOLVER}.get(path[0], ())
+                text = "may not vary in one run (it may change mesh or stiffness)"
+                fail(f"{text}; {ALLOWED}{did_you_mean(path[-1], known)}", at=(name, key))
     return value
-
-
-def _refusal(key: str) -> str:
-    """Message for a key that may not vary."""
-    path = key.split(".")
-    known = {"loads": OF_LOADS, "solver": OF_SOLVER}.get(path[0], ())
-    hint = did_you_mean(path[-1], known) if known else ""
-    return f"may not vary in one run (it may change mesh or stiffness); {ALLOWED}{hint}"
 
 
 # The last annotation is checked first.

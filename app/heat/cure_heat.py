@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.heat.curing import Curing, Degrees
+from app.heat.curing import Degrees, Kinetics, admissible, kinetics_of
 from app.heat.heat_forms import HeatForms
 from app.scene.bodies import Bodies
 from app.scene.scene import Scene
@@ -29,6 +31,7 @@ class CuringNodes:
         dof: Own nodes, rising (n,).
         heat: Heat that each releases from degree 0 to 1 (n,) [N mm].
         adiabatic_rise: Adiabatic temperature rise of the region by that heat [K].
+        kinetics: How they cure.
     """
 
     region: str
@@ -36,6 +39,7 @@ class CuringNodes:
     dof: Ints
     heat: Floats
     adiabatic_rise: float
+    kinetics: Kinetics
 
 
 class CureHeat:
@@ -43,7 +47,7 @@ class CureHeat:
 
     Attributes:
         nodes: Nodes of each curing region.
-        curing: Their kinetics.
+        events: Times [s] that no time step should cross.
     """
 
     def __init__(self, scene: Scene, bodies: Bodies, forms: HeatForms) -> None:
@@ -53,18 +57,14 @@ class CureHeat:
         for c in scene.cures:
             volume = forms.volumes(c.region)
             dof = np.flatnonzero(volume > 0)
-            self.nodes.append(
-                CuringNodes(
-                    c.region,
-                    bodies.of_region[c.region],
-                    dof,
-                    c.heat * volume[dof],
-                    c.heat / capacity[c.region],
-                )
-            )
-        with forms.compiling():
-            self.curing = Curing(forms.comm, scene.cures, [len(n.dof) for n in self.nodes])
-        self._start = self.curing.initial()
+            with forms.compiling():
+                kinetics = kinetics_of(forms.comm, c, len(dof))
+            body, rise = bodies.of_region[c.region], c.heat / capacity[c.region]
+            heat = c.heat * volume[dof]
+            self.nodes.append(CuringNodes(c.region, body, dof, heat, rise, kinetics))
+        self.events = {t for n in self.nodes for t in n.kinetics.events}
+        initial = {c.region: c.initial for c in scene.cures}
+        self._start: list[Floats] = [np.full(len(n.dof), initial[n.region]) for n in self.nodes]
         self._h: float = np.inf
         self._seconds = 0.0
         self._last: tuple[list[Floats], list[Degrees]] | None = None
@@ -73,23 +73,26 @@ class CureHeat:
         """Prepare a step; False if it starts from inadmissible degrees; collective."""
         self._start = [a.copy() for a in start]
         self._h, self._seconds, self._last = h, seconds, None
-        return self.curing.admissible(start)
+        return bool(self._forms.comm.allreduce(all(map(admissible, start)), op=MPI.LAND))
 
-    def at(self, T: Sequence[Floats]) -> list[Degrees]:
-        """Degrees of cure for temperatures of own nodes of each body [K].
+    def at(self, T: Floats) -> list[Degrees]:
+        """Degrees of cure for temperatures of own nodes of each body (b, n) [K].
 
         A steady state keeps its initial degrees: all heat of cure is already released.
         """
-        here = [T[n.body][n.dof] for n in self.nodes]
+        here = [T[n.body, n.dof] for n in self.nodes]
         if self._last is None or not all(map(np.array_equal, here, self._last[0])):
             if np.isinf(self._h):
                 found = [Degrees(a, np.zeros_like(a)) for a in self._start]
             else:
-                found = self.curing.update(self._start, here, self._h, self._seconds)
+                found = [
+                    n.kinetics.update(a, own, self._h, self._seconds)
+                    for n, a, own in zip(self.nodes, self._start, here, strict=True)
+                ]
             self._last = here, found
         return self._last[1]
 
-    def released(self, T: Sequence[Floats]) -> list[Floats]:
+    def released(self, T: Floats) -> list[Floats]:
         """Heat that nodes of each region release (n,) [N mm/s]."""
         rate = 1 / self._h
         return [
@@ -97,21 +100,16 @@ class CureHeat:
             for n, d, a in zip(self.nodes, self.at(T), self._start, strict=True)
         ]
 
-    def heats(self, T: Sequence[Floats]) -> list[Floats]:
-        """Heat released at own nodes of each body [N mm/s]."""
-        return self._spread(self.released(T))
-
-    def growth(self, T: Sequence[Floats]) -> dict[int, Floats]:
-        """Derivative of released heat by temperature at own nodes of curing bodies [N mm/(s K)]."""
-        rate = 1 / self._h
-        slopes = [
-            rate * n.heat * d.by_temperature for n, d in zip(self.nodes, self.at(T), strict=True)
-        ]
-        every = self._spread(slopes)
-        return {b: every[b] for b in sorted({n.body for n in self.nodes})}
-
-    def _spread(self, values: Sequence[Floats]) -> list[Floats]:
+    def heats(self, T: Floats) -> Floats:
+        """Heat released at own nodes of each body (b, n) [N mm/s]."""
         total = self._forms.zeros()
-        for n, v in zip(self.nodes, values, strict=True):
-            total[n.body][n.dof] += v
+        for n, heat in zip(self.nodes, self.released(T), strict=True):
+            total[n.body, n.dof] += heat
         return total
+
+    def growth(self, T: Floats) -> dict[int, Floats]:
+        """Derivative of released heat by temperature at own nodes of curing bodies [N mm/(s K)]."""
+        total = self._forms.zeros()
+        for n, d in zip(self.nodes, self.at(T), strict=True):
+            total[n.body, n.dof] += 1 / self._h * n.heat * d.by_temperature
+        return {b: total[b] for b in sorted({n.body for n in self.nodes})}

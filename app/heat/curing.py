@@ -7,7 +7,7 @@ with its derivative by the temperature there; the heat released is that of a - a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -51,78 +51,26 @@ class Degrees:
     by_temperature: Floats
 
 
-class Curing:
-    """The degrees of cure of all curing regions, on the nodes of this rank.
+def admissible(degrees: Floats) -> bool:
+    """Whether every degree lies in [0, 1] up to rounding.
 
-    Args:
-        comm: Communicator of the mesh.
-        cures: Curing regions.
-        nodes: Number of nodes of each on this rank.
+    A stage of too long a time step may start from one that does not.
     """
-
-    def __init__(self, comm: MPI.Comm, cures: Sequence[Cure], nodes: Sequence[int]) -> None:
-        self._comm = comm
-        self._cures = tuple(cures)
-        self._nodes = tuple(nodes)
-        self._kinetics = [_kinetics(comm, c, n) for c, n in zip(cures, nodes, strict=True)]
-
-    @property
-    def events(self) -> tuple[float, ...]:
-        """Times [s] that no time step should cross."""
-        return tuple(sorted({t for k in self._kinetics for t in k.events}))
-
-    def initial(self) -> list[Floats]:
-        """Degrees of cure at the start."""
-        return [np.full(n, c.initial) for c, n in zip(self._cures, self._nodes, strict=True)]
-
-    def admissible(self, start: Sequence[Floats]) -> bool:
-        """Whether every degree lies in [0, 1] up to rounding; collective.
-
-        A stage of too long a time step may start from one that does not.
-        """
-        inside = all(bool((np.abs(a - 0.5) <= 0.5 + ROUNDING).all()) for a in start)
-        return bool(self._comm.allreduce(inside, op=MPI.LAND))
-
-    def update(
-        self, start: Sequence[Floats], temperatures: Sequence[Floats], h: float, seconds: float
-    ) -> list[Degrees]:
-        """Degrees a = a* + h f(a, T), always in [a*, 1], for admissible a*.
-
-        Args:
-            start: Degrees a* (n,) per region.
-            temperatures: Temperatures at the end of the step (n,) per region [K].
-            h: Length of the implicit step [s].
-            seconds: Time at its end [s].
-
-        Raises:
-            ValueError: The step is infinite: curing has no steady state but the cured one.
-        """
-        if not np.isfinite(h):
-            raise ValueError("Cure needs a time step of finite length.")
-        return [
-            k.update(np.clip(a, 0.0, 1.0), T, h, seconds)
-            for k, a, T in zip(self._kinetics, start, temperatures, strict=True)
-        ]
-
-
-def _kinetics(comm: MPI.Comm, cure: Cure, nodes: int) -> AutocatalyticKinetics | PrescribedKinetics:
-    if isinstance(cure.kinetics, Prescribed):
-        return PrescribedKinetics(cure.kinetics, cure.initial)
-    return AutocatalyticKinetics(comm, cure.kinetics, nodes)
+    return bool((np.abs(degrees - 0.5) <= 0.5 + ROUNDING).all())
 
 
 class PrescribedKinetics:
     """Cure as a function of time, whatever the temperature."""
 
     def __init__(self, terms: Prescribed, initial: float) -> None:
-        self._course = terms.rate
-        self._initial = initial
+        self._course, self._initial = terms.rate, initial
         times, rates = np.array(terms.rate).T
         self._total = float(np.trapezoid(rates, times))
         self.events = tuple(map(float, times))
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """Advance all nodes alike."""
+        start = np.clip(start, 0.0, 1.0)
         # Before and after its course the reaction rests. Where it begins or ends abruptly, a step
         # that ends there has the rate before; times are rounded.
         near = SAME * seconds
@@ -138,51 +86,43 @@ class AutocatalyticKinetics:
     events: tuple[float, ...] = ()
 
     def __init__(self, comm: MPI.Comm, terms: Autocatalytic, nodes: int) -> None:
-        pairs = range(len(terms.limit or ()))
-        names = ["k0", "Ea", "m", "n"]
-        values = [terms.rate_constant, terms.activation_energy, terms.m, terms.n]
-        knots = [f"T_{k}" for k in pairs] + [f"limit_{k}" for k in pairs]
-        levels = [*(T for T, _ in terms.limit or ()), *(a for _, a in terms.limit or ())]
+        pairs = terms.limit or ()
+        orders = {"k0": terms.rate_constant, "Ea": terms.activation_energy}
+        orders |= {"m": terms.m, "n": terms.n}
+        knots = {f"T_{k}": T for k, (T, _) in enumerate(pairs)}
+        levels = {f"limit_{k}": a for k, (_, a) in enumerate(pairs)}
 
-        def limit(x: dict[str, Expr], T: Expr) -> Expr:
-            if not terms.limit:
-                return as_ufl(1.0)
-            return forms.conversion_limit(
-                T, [x[f"T_{k}"] for k in pairs], [x[f"limit_{k}"] for k in pairs]
-            )
-
-        def limits(x: dict[str, Expr]) -> list[Expr]:
-            T = variable(x["T"])
-            value = limit(x, T)
-            return _plain(value, diff(value, T))
-
-        def rates(x: dict[str, Expr]) -> list[Expr]:
+        def laws(x: dict[str, Expr]) -> list[Expr]:
+            """Rate, its derivatives by degree and temperature, and the limit with its own."""
             a, T = variable(x["a"]), variable(x["T"])
-            rate = forms.autocatalytic_rate(a, T, limit(x, T), *(x[k] for k in names))
-            return _plain(rate, diff(rate, a), diff(rate, T))
+            limit = as_ufl(1.0)
+            if pairs:
+                limit = forms.conversion_limit(T, [x[k] for k in knots], [x[k] for k in levels])
+            rate = forms.autocatalytic_rate(a, T, limit, *(x[k] for k in orders))
+            found = [rate, diff(rate, a), diff(rate, T)]
+            found += [limit, diff(limit, T)] if pairs else []
+            # Labels of variables differ from run to run: without them compiled code is found again.
+            return [strip_variables(expand_derivatives(e)) for e in found]
 
-        sizes = dict.fromkeys(["T", *knots], 1)
-        constants = dict(zip([*names, *knots], [*values, *levels], strict=True))
-        self._rates = Pointwise(comm, nodes, sizes | dict.fromkeys(["a", *names], 1), rates)
-        self._rates.set(**{k: np.full(nodes, v) for k, v in constants.items()})
-        self._limits: tuple[Pointwise, ...] = ()
-        if terms.limit:
-            self._limits = (Pointwise(comm, nodes, sizes, limits),)
-            self._limits[0].set(**{k: np.full(nodes, constants[k]) for k in knots})
+        constants = orders | knots | levels
+        self._limited = bool(pairs)
+        self._laws = Pointwise(comm, nodes, dict.fromkeys(["a", "T", *constants], 1), laws)
+        self._laws.set(**{k: np.full(nodes, v) for k, v in constants.items()})
         # Mean rates of the last step, with their temperatures and derivatives: close to the next.
         self._mean, self._temperature, self._growth = np.zeros((3, nodes))
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """Advance the nodes that still react."""
+        start = np.clip(start, 0.0, 1.0)
         # Solver iterates may be unphysically cold, or NaN: nothing reacts there.
         T = np.minimum(np.fmax(temperature, _COLDEST), _HOTTEST)
         limit, limit_by_T = np.ones_like(T), np.zeros_like(T)
-        for law in self._limits:
-            limit, limit_by_T = law(T=T)
+        if self._limited:
+            limit, limit_by_T = self._laws(a=start, T=T)[3:]
         degree, by_T = start.copy(), np.zeros_like(start)
 
         def rates(rows: Ints, reacted: Floats) -> list[Floats]:
-            return self._rates(rows, a=start[rows] + reacted, T=T[rows])
+            return self._laws(rows, a=start[rows] + reacted, T=T[rows])[:3]
 
         rows = np.flatnonzero(limit - start > UNREACTED)
         room = limit[rows] - start[rows]
@@ -257,6 +197,16 @@ class AutocatalyticKinetics:
         return room * _logistic(np.clip(s, low, high)), *found
 
 
+Kinetics = AutocatalyticKinetics | PrescribedKinetics
+
+
+def kinetics_of(comm: MPI.Comm, cure: Cure, nodes: int) -> Kinetics:
+    """Kinetics of a curing region with a number of nodes on this rank; collective."""
+    if isinstance(cure.kinetics, Prescribed):
+        return PrescribedKinetics(cure.kinetics, cure.initial)
+    return AutocatalyticKinetics(comm, cure.kinetics, nodes)
+
+
 def as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:
     """Errors of degrees of cure as temperatures (n,) [K], by the heat that they release.
 
@@ -317,11 +267,3 @@ def _logistic(s: Floats) -> Floats:
     """1 / (1 + exp(-s)) without overflow."""
     small = np.exp(-np.abs(s))
     return np.where(s < 0, small, 1.0) / (1 + small)
-
-
-def _plain(*expressions: Expr) -> list[Expr]:
-    """Expressions with derivatives taken and without the labels of their variables.
-
-    The labels differ from run to run: without them compiled code is found again.
-    """
-    return [strip_variables(expand_derivatives(e)) for e in expressions]

@@ -22,27 +22,19 @@ def flows(step: ImplicitStep, x: Sequence[PETSc.Vec]) -> dict[str, float]:
     here, operators = step.at(x), step.operators
     found: dict[str, float] = {}
     for h in operators.loads.heating:
-        total = sum(float(nodal.sum()) for nodal in h.nodal.values())
-        found[h.name] = multiplier(h.course, step.seconds) * total
+        found[h.name] = multiplier(h.course, step.seconds) * float(h.nodal.sum())
     for e in operators.loads.exchange:
-        found[e.name] = sum(
-            float((nodal * (e.outside - here.T[b])).sum()) for b, nodal in e.per_kelvin.items()
-        )
+        found[e.name] = float((e.per_kelvin * (e.outside - here.T)).sum())
     if cure := operators.cure:
         for n, heat in zip(cure.nodes, cure.released(here.T), strict=True):
             found[f"cure {n.region}"] = float(heat.sum())
-    lacking = [r.copy() for r in here.lacking]
+    lacking = here.lacking.copy()
     if (j := operators.jumps) and here.flux:
         q = j.weight * here.flux[0]
-        for side, sign in ((0, 1.0), (1, -1.0)):
-            for b, nodal in enumerate(lacking):
-                at = j.bodies[:, side] == b
-                np.add.at(nodal, j.dof[at], sign * q[at])
+        np.add.at(lacking, (j.bodies[:, 0], j.dof), q)
+        np.add.at(lacking, (j.bodies[:, 1], j.dof), -q)
     for s, c in enumerate(operators.fixed.conditions):
-        found[c.name] = sum(
-            float(lacking[b][condition == s].sum())
-            for b, condition in operators.fixed.of_body.items()
-        )
+        found[c.name] = float(lacking[operators.fixed.of_body == s].sum())
     sums = step.comm.allreduce(np.array(list(found.values())))
     every = dict(zip(found, map(float, sums), strict=True))
     return every | (operators.friction.flows if operators.friction else {})
@@ -62,8 +54,5 @@ def through(step: ImplicitStep, x: Sequence[PETSc.Vec]) -> dict[str, float]:
 
 def stored(operators: HeatOperators, x: Sequence[PETSc.Vec]) -> float:
     """Stored heat above an arbitrary but fixed temperature [N mm]; collective."""
-    local = sum(
-        float((m * (t - operators.reference)).sum())
-        for m, t in zip(operators.capacity, operators.nodal(x), strict=True)
-    )
-    return float(operators.comm.allreduce(local))
+    local = (operators.capacity * (operators.nodal(x) - operators.reference)).sum()
+    return float(operators.comm.allreduce(float(local)))

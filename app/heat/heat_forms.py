@@ -8,7 +8,7 @@ overshoot in short steps; densities and fluxes that vary in space are evaluated 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -21,15 +21,17 @@ from dolfinx.fem import IntegralType, compute_integration_domains
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from numpy.typing import NDArray
 
-from app.arrays import Field, Floats, Ints
+from app.arrays import Bools, Field, Floats, Ints
 from app.errors import everywhere
-from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
+from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
 from app.laws.thermal import Thermal
 from app.numerics.sparse import from_rows, matrix_sum
 from app.scene.bodies import Bodies, boundary_facets, cell_tags
 from app.system.timing import Timing
 from forms import heat
 from meshes.distribute import TaggedMesh
+
+Condition = HeatFlux | HeatSource | Convection | Perfusion
 
 # Degree of quadrature where fibres turn: UFL would choose 20, with the same fluxes to 0.01 %.
 TURNING_DEGREE = 2
@@ -54,11 +56,10 @@ class HeatForms:
         self.owned: int = self.space.dofmap.index_map.size_local
         self._tags = cell_tags(tagged)
         self._volumes: dict[str, Floats] = {}
-        self._areas: dict[str, dict[int, Floats]] = {}
 
-    def zeros(self) -> list[Floats]:
-        """Zeros at own nodes of each body."""
-        return [np.zeros(self.owned) for _ in self._bodies.names]
+    def zeros(self) -> Floats:
+        """Zeros at own nodes of each body (b, n)."""
+        return np.zeros((len(self._bodies.names), self.owned))
 
     # Where
 
@@ -68,24 +69,23 @@ class HeatForms:
         here = self._tags[:owned] == self._tagged.regions[region]
         return np.flatnonzero(here).astype(np.int32)
 
-    def facets(self, boundary: str) -> dict[int, NDArray[np.int32]]:
+    def _facets(self, boundary: str) -> dict[int, NDArray[np.int32]]:
         """Own facets of a boundary by body, the same bodies on all ranks; collective."""
         f = boundary_facets(self._tagged, boundary)
         body = self._bodies.of_tag[self._tags[f.cells]]
         present = set().union(*self.comm.allgather({int(b) for b in np.unique(body)}))
         return {b: f.facets[body == b].astype(np.int32) for b in sorted(present)}
 
-    def held_nodes(self, condition: FixedTemperature) -> dict[int, Ints]:
-        """Own nodes with a given temperature, by body; collective."""
-        found: dict[int, list[NDArray[np.int32]]] = {}
+    def held_nodes(self, condition: FixedTemperature) -> Bools:
+        """Own nodes of each body that have a given temperature (b, n); collective."""
+        held = self.zeros() > 0
         if condition.boundary:
-            for b, facets in self.facets(condition.boundary).items():
-                found.setdefault(b, []).append(fem.locate_dofs_topological(self.space, 2, facets))
+            for b, facets in self._facets(condition.boundary).items():
+                nodes = fem.locate_dofs_topological(self.space, 2, facets)
+                held[b, nodes[nodes < self.owned]] = True
         for region in condition.regions or ():
-            nodes = np.flatnonzero(self.volumes(region) > 0).astype(np.int32)
-            found.setdefault(self._bodies.of_region[region], []).append(nodes)
-        joined = {b: np.unique(np.concatenate(nodes)) for b, nodes in found.items()}
-        return {b: nodes[nodes < self.owned].astype(np.int64) for b, nodes in joined.items()}
+            held[self._bodies.of_region[region]] |= self.volumes(region) > 0
+        return held
 
     def values(self, field: Field, nodes: Ints) -> Floats:
         """A field at some own nodes, zero at the others (owned,); collective.
@@ -98,75 +98,68 @@ class HeatForms:
         values[nodes] = everywhere(self.comm, lambda: np.asarray(field(x), dtype=float).reshape(-1))
         return values
 
-    # Lumped volumes and areas
+    # Lumped, by body
 
     def volumes(self, region: str) -> Floats:
         """Volume of a region at each own node [mm3]."""
         if region not in self._volumes:
-            v = ufl.TestFunction(self.space)
-            power = heat.heating_power(self._constant(1.0), v) * self._dx(region)
-            self._volumes[region] = self._nodal(power)
+            self._volumes[region] = self._nodal(self._power() * self._dx(region))
         return self._volumes[region]
 
-    def areas(self, boundary: str) -> dict[int, Floats]:
-        """Area of a boundary at each own node, by body [mm2]."""
-        if boundary not in self._areas:
-            v = ufl.TestFunction(self.space)
-            self._areas[boundary] = {
-                b: self._nodal(heat.heating_power(self._constant(1.0), v) * ds)
-                for b, ds in self._ds(boundary).items()
-            }
-        return self._areas[boundary]
+    def sizes(self, condition: HeatFlux | HeatSource) -> Floats:
+        """Area [mm2] or volume [mm3] of a condition at own nodes of each body (b, n)."""
+        power = self._power()
+        return self._lumped(condition, lambda measure: power * measure)
 
-    def capacities(self, conductors: Sequence[Thermal]) -> list[Floats]:
-        """Heat capacity of own nodes in each body [N mm/K]."""
+    def exchange(self, condition: Convection | Perfusion) -> Floats:
+        """Heat per kelvin exchanged with surroundings at own nodes (b, n) [N mm/(s K)]."""
+        # The derivative of the potential at a temperature of 1 K: the sums of rows.
+        θ = fem.Function(self.space)
+        θ.x.array[:] = 1
+        potential = heat.exchange(θ, self._constant(condition.coefficient), self._constant(0.0))
+        return self._lumped(condition, lambda measure: ufl.derivative(potential * measure, θ))
+
+    def capacities(self, conductors: Sequence[Thermal]) -> Floats:
+        """Heat capacity of own nodes in each body (b, n) [N mm/K]."""
         total = self.zeros()
         for c in conductors:
             total[self._bodies.of_region[c.region]] += c.capacity * self.volumes(c.region)
         return total
 
-    # Forms
+    def _power(self) -> Any:
+        return heat.heating_power(self._constant(1.0), ufl.TestFunction(self.space))
+
+    def _lumped(self, condition: Condition, form: Callable[[ufl.Measure], Any]) -> Floats:
+        total = self.zeros()
+        if isinstance(condition, HeatFlux | Convection):
+            places = list(self._ds(condition.boundary).items())
+        else:
+            places = [(self._bodies.of_region[r], self._dx(r)) for r in condition.regions]
+        for b, measure in places:
+            total[b] += self._nodal(form(measure))
+        return total
+
+    # Conduction
 
     def conduction_by_body(self, conductors: Sequence[Thermal]) -> list[PETSc.Mat]:
         """Conduction matrix of each body, its whole diagonal in the pattern [N mm/(s K)]."""
         parts: dict[int, list[PETSc.Mat]] = {}
         for c in conductors:
-            parts.setdefault(self._bodies.of_region[c.region], []).append(self.conduction(c))
+            parts.setdefault(self._bodies.of_region[c.region], []).append(self._conduction(c))
         return [_with_diagonal(matrix_sum(parts[b])) for b in range(len(self._bodies.names))]
 
-    def conduction(self, conductor: Thermal) -> PETSc.Mat:
-        """Conduction matrix of a region [N mm/(s K)]."""
-        θ = fem.Function(self.space)
+    def _conduction(self, conductor: Thermal) -> PETSc.Mat:
+        θ, v = fem.Function(self.space), ufl.TestFunction(self.space)
         k = [self._constant(value) for value in conductor.conductivities]
         m = conductor.fibre.direction(self._mesh, self._constant) if conductor.fibre else None
-        potential = conductor.potential(ufl.grad(θ), k, m)
         dx = self._dx(conductor.region)
         if conductor.fibre and conductor.fibre.turns:
             dx = dx(degree=TURNING_DEGREE)
-        matrix = assemble_matrix(self._form(self._hessian(potential * dx, θ)))
+        potential = conductor.potential(ufl.grad(θ), k, m) * dx
+        hessian = ufl.derivative(ufl.derivative(potential, θ, v), θ, ufl.TrialFunction(self.space))
+        matrix = assemble_matrix(self._form(hessian))
         matrix.assemble()
         return matrix
-
-    def exchange(self, condition: Convection | Perfusion) -> dict[int, Floats]:
-        """Heat per kelvin that own nodes exchange with surroundings, by body [N mm/(s K)]."""
-        θ, one = fem.Function(self.space), fem.Function(self.space)
-        one.x.array[:] = 1
-        potential = heat.exchange(θ, self._constant(condition.coefficient), self._constant(0.0))
-        parts: dict[int, Floats] = {}
-        for b, measure in self._places(condition):
-            # Lumped: the sums of the rows.
-            rows = self._nodal(ufl.action(self._hessian(potential * measure, θ), one))
-            parts[b] = parts.get(b, 0.0) + rows
-        return parts
-
-    def _places(self, condition: Convection | Perfusion) -> list[tuple[int, ufl.Measure]]:
-        if isinstance(condition, Convection):
-            return list(self._ds(condition.boundary).items())
-        return [(self._bodies.of_region[r], self._dx(r)) for r in condition.regions]
-
-    def _hessian(self, potential: Any, θ: fem.Function) -> Any:
-        v, w = ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
-        return ufl.derivative(ufl.derivative(potential, θ, v), θ, w)
 
     # One subdomain number for all measures: forms on different subdomains are compiled once.
 
@@ -181,7 +174,7 @@ class HeatForms:
                 domain=self._mesh,
                 subdomain_data=[(1, compute_integration_domains(exterior, topology, facets, 2))],
             )(1)
-            for b, facets in self.facets(boundary).items()
+            for b, facets in self._facets(boundary).items()
         }
 
     def _constant(self, value: Any) -> fem.Constant:

@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from app.arrays import Bools, Field, Floats, Ints
+from app.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.temperature_jumps import TemperatureJumps
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
 from app.laws.values import Course, multiplier
-from app.scene.bodies import Bodies
 from app.scene.scene import Scene
 
 
 @dataclass(frozen=True)
 class HeatInput:
-    """Heat input whatever the temperature: into own nodes of bodies [N mm/s]."""
+    """Heat input whatever the temperature: into own nodes of bodies (b, n) [N mm/s]."""
 
     name: str
     course: Course | None
-    nodal: dict[int, Floats]
+    nodal: Floats
 
 
 @dataclass(frozen=True)
 class SurfaceExchange:
-    """Exchange with surroundings at a temperature [K]: of own nodes of bodies [N mm/(s K)]."""
+    """Exchange with surroundings at a temperature [K]: of own nodes (b, n) [N mm/(s K)]."""
 
     name: str
     outside: float
-    per_kelvin: dict[int, Floats]
+    per_kelvin: Floats
 
 
 @dataclass
@@ -39,11 +37,11 @@ class FrictionHeating:
     """Heat of friction, set from outside.
 
     Attributes:
-        nodal: Heat into own nodes of each body [N mm/s].
+        nodal: Heat into own nodes of each body (b, n) [N mm/s].
         flows: Heat of each interface, by its name in the balance, over all ranks [N mm/s].
     """
 
-    nodal: list[Floats]
+    nodal: Floats
     flows: dict[str, float]
 
 
@@ -53,59 +51,35 @@ class HeatLoads:
     Attributes:
         heating: Fluxes and sources.
         exchange: Convection and perfusion.
+        per_kelvin: Heat exchanged with all surroundings at own nodes (b, n) [N mm/(s K)].
 
     Raises:
         InputError: A boundary does not exist, or a field cannot be evaluated.
     """
 
-    def __init__(self, scene: Scene, bodies: Bodies, forms: HeatForms) -> None:
-        self._forms = forms
+    def __init__(self, scene: Scene, forms: HeatForms) -> None:
+        self._none = forms.zeros()
         self.heating: list[HeatInput] = []
         self.exchange: list[SurfaceExchange] = []
         for c in scene.heat:
             match c:
-                case HeatFlux():
-                    self._heat(c.name, c.course, c.values, list(forms.areas(c.boundary).items()))
-                case HeatSource():
-                    parts = [(bodies.of_region[r], forms.volumes(r)) for r in c.regions]
-                    self._heat(c.name, c.course, c.values, parts)
+                case HeatFlux() | HeatSource():
+                    size = forms.sizes(c)
+                    density = forms.values(c.values, np.flatnonzero((size > 0).any(axis=0)))
+                    self.heating.append(HeatInput(c.name, c.course, size * density))
                 case Convection():
                     self.exchange.append(SurfaceExchange(c.name, c.ambient, forms.exchange(c)))
                 case Perfusion():
                     self.exchange.append(SurfaceExchange(c.name, c.temperature, forms.exchange(c)))
+        self.per_kelvin = sum((e.per_kelvin for e in self.exchange), self._none)
 
-    def _heat(
-        self, name: str, course: Course | None, density: Field, shares: list[tuple[int, Floats]]
-    ) -> None:
-        nodal: dict[int, Floats] = {}
-        for b, share in shares:
-            heat = share * self._forms.values(density, np.flatnonzero(share > 0))
-            nodal[b] = nodal.get(b, 0.0) + heat
-        self.heating.append(HeatInput(name, course, nodal))
+    def heats(self, seconds: float) -> Floats:
+        """Heat into own nodes of each body at a time (b, n) [N mm/s]."""
+        return sum((multiplier(h.course, seconds) * h.nodal for h in self.heating), self._none)
 
-    def heats(self, seconds: float) -> list[Floats]:
-        """Heat into own nodes of each body at a time [N mm/s]."""
-        total = self._forms.zeros()
-        for h in self.heating:
-            for b, nodal in h.nodal.items():
-                total[b] += multiplier(h.course, seconds) * nodal
-        return total
-
-    def per_kelvin(self) -> list[Floats]:
-        """Heat per kelvin that own nodes of each body exchange with surroundings [N mm/(s K)]."""
-        total = self._forms.zeros()
-        for e in self.exchange:
-            for b, nodal in e.per_kelvin.items():
-                total[b] += nodal
-        return total
-
-    def exchanged(self, T: Sequence[Floats]) -> list[Floats]:
-        """Heat that own nodes of each body, at temperatures [K], give to surroundings [N mm/s]."""
-        total = self._forms.zeros()
-        for e in self.exchange:
-            for b, nodal in e.per_kelvin.items():
-                total[b] += nodal * (T[b] - e.outside)
-        return total
+    def exchanged(self, T: Floats) -> Floats:
+        """Heat that own nodes at temperatures [K] give to surroundings (b, n) [N mm/s]."""
+        return sum((e.per_kelvin * (T - e.outside) for e in self.exchange), self._none)
 
 
 class FixedTemperatures:
@@ -117,9 +91,8 @@ class FixedTemperatures:
 
     Attributes:
         conditions: The conditions.
-        of_body: Number of the condition at each own node or -1, by body with any.
-        base: The same for the continuous temperature.
-        held: Own nodes whose continuous temperature is given.
+        of_body: Number of the condition at own nodes of each body, or -1 (b, n).
+        base: The same for the continuous temperature (n,).
 
     Raises:
         InputError: A boundary does not exist, or a field cannot be evaluated.
@@ -127,60 +100,36 @@ class FixedTemperatures:
 
     def __init__(self, scene: Scene, forms: HeatForms) -> None:
         self.conditions = [c for c in scene.heat if isinstance(c, FixedTemperature)]
-        self.of_body: dict[int, Ints] = {}
-        self._values: list[Floats] = []
+        self._nodes = np.arange(forms.owned)
+        self.of_body: Ints = np.full(forms.zeros().shape, -1, dtype=np.int64)
+        # The last row is for nodes without a condition, whose number is -1.
+        self._values = np.zeros((len(self.conditions) + 1, forms.owned))
         for s, c in enumerate(self.conditions):
-            held = np.zeros(forms.owned, dtype=bool)
-            for b, nodes in forms.held_nodes(c).items():
-                condition = self.of_body.setdefault(b, np.full(forms.owned, -1, dtype=np.int64))
-                condition[nodes] = s
-                held[nodes] = True
-            self._values.append(forms.values(c.values, np.flatnonzero(held)))
-        self.base: Ints = np.full(forms.owned, -1, dtype=np.int64)
-        for b in sorted(self.of_body, reverse=True):
-            self.base = np.where(self.of_body[b] >= 0, self.of_body[b], self.base)
-        self.held: Bools = self.base >= 0
+            held = forms.held_nodes(c)
+            self.of_body[held] = s
+            self._values[s] = forms.values(c.values, np.flatnonzero(held.any(axis=0)))
+        self.base: Ints = self.of_body[(self.of_body >= 0).argmax(axis=0), self._nodes]
 
     def join(self, jumps: TemperatureJumps) -> None:
         """Add bodies without conditions whose jumps to bodies with given temperatures are given."""
         for p in np.flatnonzero(jumps.held):
-            for k in (0, 1):
-                none = np.full(len(self.base), -1, dtype=np.int64)
-                condition = self.of_body.setdefault(int(jumps.bodies[p, k]), none)
-                if condition[jumps.dof[p]] < 0:
-                    condition[jumps.dof[p]] = jumps.given[p, k]
+            for b, condition in zip(jumps.bodies[p], jumps.given[p], strict=True):
+                if self.of_body[b, jumps.dof[p]] < 0:
+                    self.of_body[b, jumps.dof[p]] = condition
 
-    def values(self, seconds: float) -> list[Floats]:
-        """Given temperature of each condition at own nodes at a time [K], zero elsewhere."""
-        return [
-            multiplier(c.course, seconds) * v
-            for c, v in zip(self.conditions, self._values, strict=True)
-        ]
+    def values(self, seconds: float) -> Floats:
+        """Given temperature of each condition at own nodes (s + 1, n) [K]; the last row is zero."""
+        factors = [multiplier(c.course, seconds) for c in self.conditions]
+        return np.array([*factors, 0.0])[:, None] * self._values
 
-    def extremes(self, values: list[Floats]) -> tuple[float, float]:
-        """Least and largest given temperature at own nodes [K]."""
-        given = [
-            values[s][condition == s]
-            for condition in self.of_body.values()
-            for s in range(len(values))
-        ]
-        every = np.concatenate([np.zeros(0), *given])
-        return float(every.min(initial=np.inf)), float(every.max(initial=-np.inf))
+    def by_body(self, values: Floats) -> Floats:
+        """Given temperatures of each body (b, n) [K], zero elsewhere, from those of conditions."""
+        return np.asarray(values[self.of_body, self._nodes])
 
-    def continuous(self, values: list[Floats]) -> Floats:
-        """The continuous temperature where it is given (owned,) [K], else zero."""
-        return _pick(self.base, values)
-
-    @staticmethod
-    def jumps(values: list[Floats], jumps: TemperatureJumps) -> Floats:
-        """Jumps that are given (n,) [K], else zero."""
-        at = [value[jumps.dof] for value in values]
-        return _pick(jumps.given[:, 1], at) - _pick(jumps.given[:, 0], at)
-
-
-def _pick(condition: Ints, values: list[Floats]) -> Floats:
-    """Value of each row's condition (n,); 0 where it has none."""
-    found: Floats = np.zeros(len(condition))
-    for s, value in enumerate(values):
-        found = np.where(condition == s, value, found)
-    return found
+    def blocks(self, values: Floats, jumps: TemperatureJumps | None) -> list[Floats]:
+        """Given continuous temperature (n,) and jumps [K], zero elsewhere."""
+        found = [values[self.base, self._nodes]]
+        if jumps is not None:
+            master, slave = (values[jumps.given[:, k], jumps.dof] for k in (0, 1))
+            found.append(slave - master)
+        return found

@@ -19,7 +19,6 @@ import numpy as np
 from app.arrays import Floats
 from app.errors import InputError
 from app.heat.matrices import HeatMatrices
-from app.heat.maximum_principle import Bounds
 from app.heat.operators import HeatOperators
 from app.heat.temperature_jumps import cut_off
 from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
@@ -42,15 +41,15 @@ class HeatEvaluation:
 
     Attributes:
         given: The state, and pressures and heat of friction, which are set from outside.
-        T: Temperature of own nodes of each body [K].
-        lacking: Residual heat, without interfaces [N mm/s].
-        parts: Terms of that residual but conduction [N mm/s].
+        T: Temperature of own nodes of each body (b, n) [K].
+        lacking: Residual heat, without interfaces (b, n) [N mm/s].
+        parts: Terms of that residual but conduction, by body [N mm/s].
         flux: Heat flux at own points, and its derivatives (`TemperatureJumps.flux`).
     """
 
     given: list[Floats]
-    T: list[Floats]
-    lacking: list[Floats]
+    T: Floats
+    lacking: Floats
     parts: list[Floats]
     flux: tuple[Floats, Floats, Floats] | None
 
@@ -71,18 +70,13 @@ class ImplicitStep(System):
     def __init__(self, operators: HeatOperators) -> None:
         self.operators, self.comm = operators, operators.comm
         self.seconds = 0.0
-        self._held = operators.fixed.held
+        self._held = operators.fixed.base >= 0
         self._blocks = HeatMatrices(operators.principle.matrices, operators.jumps, self._held)
-        self._per_kelvin = operators.loads.per_kelvin()
         self._rate = 1.0
         self._start, self._heats = operators.forms.zeros(), operators.forms.zeros()
         self._given: list[Floats] = []
         self._last: HeatEvaluation | None = None
         self._work = self._blocks.matrix[0][0].createVecs()
-        self._fill()
-
-    def restored(self) -> None:
-        """Fill the matrices with restored conduction; collective."""
         self._fill()
 
     @property
@@ -116,11 +110,10 @@ class ImplicitStep(System):
         operators, x = self.operators, self.vectors()
         T = operators.initial()
         if (j := operators.jumps) is not None:
-            table = np.array(T)
-            x[1].array[:] = table[j.bodies[:, 1], j.dof] - table[j.bodies[:, 0], j.dof]
+            x[1].array[:] = T[j.bodies[:, 1], j.dof] - T[j.bodies[:, 0], j.dof]
         capacity = operators.capacity
-        parts = zip(capacity, T, operators.added(x[-1]), strict=True)
-        x[0].array[:] = sum(c * (t - a) for c, t, a in parts) / sum(capacity)
+        continuous = capacity * (T - operators.added(x[-1]))
+        x[0].array[:] = continuous.sum(axis=0) / capacity.sum(axis=0)
         self._set_given(0.0)
         self.impose(x)
         return x
@@ -148,18 +141,15 @@ class ImplicitStep(System):
         self._set_given(seconds)
         if math.isinf(h):
             self._refuse_cut_off()
-        rate = 0.0 if math.isinf(h) else 1 / h
-        if rate != self._rate:
-            self._rate = rate
+        self._rate = 1 / h
+        if self._filled != (self._rate, operators.principle.version):
             self._fill()
         return operators.cure is None or operators.cure.begin(degrees, h, seconds)
 
     def _refuse_cut_off(self) -> None:
         operators = self.operators
-        here = [bool((e > 0).any()) for e in self._per_kelvin]
-        for b, condition in operators.fixed.of_body.items():
-            here[b] = here[b] or bool((condition >= 0).any())
-        reached = np.any(self.comm.allgather(here), axis=0)
+        here = (operators.loads.per_kelvin > 0) | (operators.fixed.of_body >= 0)
+        reached = np.any(self.comm.allgather(here.any(axis=1)), axis=0)
         lost = cut_off(operators.scene.thermal_contacts, operators.jumps, list(reached))
         if lost:
             raise InputError(
@@ -169,21 +159,16 @@ class ImplicitStep(System):
             )
 
     def _fill(self) -> None:
-        self._last = None
-        pairs = zip(self.operators.capacity, self._per_kelvin, strict=True)
-        self._blocks.fill(self.operators.principle.matrices, [m * self._rate + r for m, r in pairs])
+        self._last, o = None, self.operators
+        self._filled = self._rate, o.principle.version
+        self._blocks.fill(o.principle.matrices, o.capacity * self._rate + o.loads.per_kelvin)
 
     def _set_given(self, seconds: float) -> None:
-        fixed, jumps = self.operators.fixed, self.operators.jumps
+        fixed = self.operators.fixed
         values = fixed.values(seconds)
-        self._given = [fixed.continuous(values)]
-        if jumps is not None:
-            self._given.append(fixed.jumps(values, jumps))
-        self.operators.extremes.see(
-            *fixed.extremes(values),
-            min(float(h.min(initial=0.0)) for h in self._heats),
-            max(float(h.max(initial=0.0)) for h in self._heats),
-        )
+        self._given = fixed.blocks(values, self.operators.jumps)
+        given = fixed.by_body(values)[fixed.of_body >= 0]
+        self.operators.principle.see(given, self._heats)
 
     def impose(self, x: Sequence[PETSc.Vec]) -> None:
         """Set given temperatures and jumps in a state."""
@@ -196,27 +181,26 @@ class ImplicitStep(System):
         o = self.operators
         given = [v.array_r for v in x]
         given += [o.jumps.pressure] if o.jumps else []
-        given += o.friction.nodal if o.friction else []
+        given += [o.friction.nodal] if o.friction else []
         if self._last is not None:
             # Compared on all ranks, as the rest is collective: one may see a change, another none.
             same = all(map(np.array_equal, given, self._last.given))
             if self.comm.allreduce(same, MPI.LAND):
                 return self._last
         T = o.nodal(x)
-        exchanged = o.loads.exchanged(T)
-        lacking, parts = [], list[Floats]()
+        stored = self._rate * o.capacity * (T - self._start)
+        terms = [o.loads.exchanged(T), stored, -self._heats]
+        terms += [-o.cure.heats(T)] if o.cure else []
+        terms += [-o.friction.nodal] if o.friction else []
+        lacking = np.empty_like(T)
         above, flow = self._work
         for b, K in enumerate(o.principle.matrices):
             above.array[:] = T[b] - o.reference
             K.mult(above, flow)
-            stored = self._rate * o.capacity[b] * (T[b] - self._start[b])
-            lacking.append(flow.array_r + exchanged[b] + stored - self._heats[b])
-            parts += [exchanged[b], stored, self._heats[b]]
-        sources = [o.cure.heats(T)] if o.cure else []
-        sources += [o.friction.nodal] if o.friction else []
-        for source in sources:
-            lacking = [r - s for r, s in zip(lacking, source, strict=True)]
-            parts += source
+            lacking[b] = flow.array_r
+        for term in terms:
+            lacking += term
+        parts = [of_body for term in terms for of_body in term]
         flux = o.jumps.flux(given[1]) if o.jumps else None
         if o.jumps and flux:
             parts.append(o.jumps.weight * flux[0])
@@ -226,7 +210,7 @@ class ImplicitStep(System):
     def residual(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> None:
         """Residual heat, zero where temperatures are given [N mm/s]."""
         here, j = self.at(x), self.operators.jumps
-        f[0].array[:] = np.where(self._held, 0.0, sum(here.lacking))
+        f[0].array[:] = np.where(self._held, 0.0, here.lacking.sum(axis=0))
         if j is not None and here.flux:
             total = -j.weight * here.flux[0]
             for b, B in j.moves.items():
@@ -247,26 +231,6 @@ class ImplicitStep(System):
         cure = self.operators.cure
         return [d.degree for d in cure.at(self.operators.nodal(x))] if cure else []
 
-    def bounds(self, x: Sequence[PETSc.Vec]) -> Bounds:
-        """Bounds of the temperatures of a state; collective."""
-        return self.operators.extremes.bounds(x[0].array_r)
-
-    def outside(self, x: Sequence[PETSc.Vec]) -> bool:
-        """Whether a state leaves its bounds; collective."""
-        return self.operators.principle.outside(self.operators.nodal(x), self.bounds(x))
-
-    def correct(self, x: Sequence[PETSc.Vec]) -> bool:
-        """Correct conduction out of bounds; return whether to repeat the step; collective."""
-        changed = self.operators.principle.correct(self.operators.nodal(x), self.bounds(x))
-        if changed:
-            self._fill()
-        return changed
-
-    def take_back(self, x: Sequence[PETSc.Vec]) -> None:
-        """Withdraw corrections that an accepted state no longer needs; collective."""
-        if self.operators.principle.take_back(self.operators.nodal(x), self.bounds(x)):
-            self._fill()
-
     def measure(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> list[Measure]:
         """Size of a residual f of a state x [N mm/s]; collective.
 
@@ -274,7 +238,7 @@ class ImplicitStep(System):
         alone, which is large and cancels in a state that hardly changes.
         """
         here = self.at(x)
-        parts = [np.where(self._held, sum(here.lacking), 0.0), *here.parts]
+        parts = [np.where(self._held, here.lacking.sum(axis=0), 0.0), *here.parts]
         noise = [d * v.array_r for d, v in zip(self._blocks.diagonal(), x, strict=True)]
         local = np.array([float(a @ a) for a in (*parts, *noise)])
         norms = np.sqrt(np.array(self.comm.allreduce(local, MPI.SUM)))

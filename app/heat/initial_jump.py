@@ -27,38 +27,27 @@ class InitialJump:
     """Nodes at which regions of different initial temperature meet."""
 
     def __init__(self, operators: HeatOperators) -> None:
-        scene, forms, of = operators.scene, operators.forms, operators.bodies.of_region
-        sums = [forms.zeros() for _ in range(2)]
-        low = [part + np.inf for part in forms.zeros()]
-        high = [part - np.inf for part in forms.zeros()]
-        for c in scene.conductors:
-            b, here = of[c.region], forms.volumes(c.region) > 0
-            sums[0][b] += np.where(here, c.effusivity, 0.0)
-            sums[1][b] += np.where(here, c.effusivity * c.initial_temperature, 0.0)
-            low[b] = np.where(here, np.minimum(low[b], c.initial_temperature), low[b])
-            high[b] = np.where(here, np.maximum(high[b], c.initial_temperature), high[b])
-        meet = [a < b for a, b in zip(low, high, strict=True)]
-        for b, condition in operators.fixed.of_body.items():
-            meet[b] &= condition < 0
-        self._nodes = [np.flatnonzero(m) for m in meet]
-        self._contact = [t[m] / e[m] for m, e, t in zip(meet, *sums, strict=True)]
-        self._until = [np.zeros(0) for _ in meet]
-        if forms.comm.allreduce(any(map(len, self._nodes)), MPI.LOR):
-            K = forms.conduction_by_body(scene.conductors)
-            self._until = [
-                TIMES * c[m] / k.getDiagonal().array_r[m]
-                for m, c, k in zip(meet, operators.capacity, K, strict=True)
-            ]
-        local = max((float(u.max(initial=0.0)) for u in self._until), default=0.0)
-        self._last = float(forms.comm.allreduce(local, MPI.MAX))
+        forms, principle = operators.forms, operators.principle
+        effusivity, sums = forms.zeros(), forms.zeros()
+        low, high = forms.zeros() + np.inf, forms.zeros() - np.inf
+        for c in operators.scene.conductors:
+            at = operators.bodies.of_region[c.region], forms.volumes(c.region) > 0
+            effusivity[at] += c.effusivity
+            sums[at] += c.effusivity * c.initial_temperature
+            low[at] = np.minimum(low[at], c.initial_temperature)
+            high[at] = np.maximum(high[at], c.initial_temperature)
+        meet = (low < high) & (operators.fixed.of_body < 0)
+        diagonal = np.array([k.getDiagonal().array for k in principle.matrices])
+        self._contact = np.divide(sums, effusivity, out=forms.zeros(), where=meet)
+        # Zero at all other nodes.
+        self._until = np.divide(TIMES * operators.capacity, diagonal, out=forms.zeros(), where=meet)
+        self._last = forms.comm.allreduce(float(self._until.max(initial=0.0)), MPI.MAX)
 
     def put(self, temperatures: Sequence[fem.Function], seconds: float) -> None:
         """Set the reported values in the temperatures of the bodies at a time; collective."""
         if seconds >= self._last:
             return
-        for T, nodes, contact, until in zip(
-            temperatures, self._nodes, self._contact, self._until, strict=True
-        ):
-            now = seconds < until
-            T.x.array[nodes[now]] = contact[now]
+        for T, contact, until in zip(temperatures, self._contact, self._until, strict=True):
+            now = np.flatnonzero(seconds < until)
+            T.x.array[now] = contact[now]
             T.x.scatter_forward()

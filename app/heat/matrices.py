@@ -63,12 +63,12 @@ class HeatMatrices:
             v.set(0.0)
         return vectors
 
-    def fill(self, K: Sequence[PETSc.Mat], added: Sequence[Floats]) -> None:
+    def fill(self, K: Sequence[PETSc.Mat], added: Floats) -> None:
         """Set the linear parts; collective.
 
         Args:
             K: Conduction matrix of each body.
-            added: Capacity and exchange, added to the diagonals [N mm/(s K)].
+            added: Capacity and exchange, added to the diagonals (b, n) [N mm/(s K)].
         """
         self.version += 1
         self._A.zeroEntries()

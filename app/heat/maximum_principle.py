@@ -15,7 +15,6 @@ Euler value lies between those around and before it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -35,127 +34,96 @@ LEAST = 1.0
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 
-@dataclass(frozen=True)
-class Bounds:
-    """Bounds of temperatures [K].
-
-    Attributes:
-        low: Least temperature of the data, or minus infinity if something may cool below it.
-        high: Largest, or infinity if something may heat above it.
-        span: Range of the current temperatures.
-    """
-
-    low: float
-    high: float
-    span: float
-
-
-class Extremes:
-    """Extremes of all data so far: initial, given and surrounding temperatures.
-
-    After any heating (a source, a flux, cure, friction) there is no upper bound, after any cooling
-    no lower one.
-    """
-
-    saved = ("_low", "_high", "_heated", "_cooled")
-
-    def __init__(self, comm: MPI.Comm, low: float, high: float, heated: bool) -> None:
-        self._comm = comm
-        self._low, self._high = low, high
-        self._heated, self._cooled = heated, False
-
-    def see(self, low: float, high: float, least: float, most: float) -> None:
-        """Include given temperatures [K] and heat into nodes [N mm/s] of this rank; collective."""
-        every = np.array(self._comm.allgather((low, high, least, most)))
-        self._low = min(self._low, float(every[:, 0].min()))
-        self._high = max(self._high, float(every[:, 1].max()))
-        least, most = float(every[:, 2].min()), float(every[:, 3].max())
-        self._cooled = self._cooled or least < -ZERO * most
-        self._heated = self._heated or most > -ZERO * least
-
-    def bounds(self, temperatures: Floats) -> Bounds:
-        """Bounds of temperatures, given some of this rank [K]; collective."""
-        local = temperatures.min(initial=np.inf), temperatures.max(initial=-np.inf)
-        every = np.array(self._comm.allgather(local))
-        span = max(self._high, float(every[:, 1].max())) - min(self._low, float(every[:, 0].min()))
-        return Bounds(
-            -np.inf if self._cooled else self._low, np.inf if self._heated else self._high, span
-        )
-
-
 class MaximumPrinciple:
-    """Conduction matrices of bodies, corrected where necessary.
+    """Conduction matrices of bodies, corrected where temperatures leave the extremes of the data.
+
+    The data are all initial, given and surrounding temperatures so far. After any heating (a
+    source, a flux, cure, friction) they have no upper bound, after any cooling no lower one.
 
     Attributes:
         matrices: The corrected matrices.
+        version: Number of changes of them.
 
     Args:
         K: Conduction matrix of each body, with its whole diagonal in the pattern.
-        capacity: Capacity of own nodes in each body, zero where it has none.
+        capacity: Capacity of own nodes in each body, zero where it has none (b, n).
+        data: Initial and surrounding temperatures [K].
+        heated: Whether cure or friction heat.
     """
 
-    saved = ("_flagged",)
+    saved = ("_flagged", "_low", "_high", "_heated", "_cooled")
 
-    def __init__(self, comm: MPI.Comm, K: Sequence[PETSc.Mat], capacity: Sequence[Floats]) -> None:
-        self._comm, self._K = comm, list(K)
-        self._present = [c > 0 for c in capacity]
-        self._edges = [_positive(comm, k) for k in K]
-        self._degree = [_row_sums(p) for p in self._edges]
-        self._flagged: list[Bools] = [np.zeros(len(c), dtype=bool) for c in capacity]
-        self.matrices = list(K)
+    def __init__(
+        self, K: Sequence[PETSc.Mat], capacity: Floats, data: Sequence[float], heated: bool
+    ) -> None:
+        self._comm, self._K, self._present = K[0].comm.tompi4py(), list(K), capacity > 0
+        self._edges = [_positive(self._comm, k) for k in K]
+        self._degree = np.array([_row_sums(p) for p in self._edges])
+        self._flagged = list(np.zeros(capacity.shape, dtype=bool))
+        self._low, self._high = min(data), max(data)
+        self._heated, self._cooled = heated, False
+        self.matrices, self.version = list(K), 0
 
-    def outside(self, T: Sequence[Floats], bounds: Bounds) -> bool:
-        """Whether any temperature of a body is out of bounds; collective."""
-        here = any(bool(o.any()) for o in self._offending(T, bounds))
-        return bool(self._comm.allreduce(here, MPI.LOR))
+    @property
+    def low(self) -> float:
+        """Least temperature of the data [K], or minus infinity if something may cool below it."""
+        return -np.inf if self._cooled else self._low
 
-    def correct(self, T: Sequence[Floats], bounds: Bounds) -> bool:
+    @property
+    def high(self) -> float:
+        """Largest temperature of the data [K], or infinity if something may heat above it."""
+        return np.inf if self._heated else self._high
+
+    def see(self, given: Floats, heats: Floats) -> None:
+        """Include given temperatures [K] and heat into own nodes [N mm/s]; collective."""
+        ends = [-given.min(initial=np.inf), given.max(initial=-np.inf)]
+        ends += [-heats.min(initial=0.0), heats.max(initial=0.0)]
+        over_all = np.array(ends)
+        self._comm.Allreduce(MPI.IN_PLACE, over_all, MPI.MAX)
+        below, above, cooling, heating = map(float, over_all)
+        self._low, self._high = min(self._low, -below), max(self._high, above)
+        self._cooled = self._cooled or cooling > ZERO * heating
+        self._heated = self._heated or heating > ZERO * cooling
+
+    def outside(self, T: Floats) -> bool:
+        """Whether any temperature of a body (b, n) [K] is out of bounds; collective."""
+        return bool(self._comm.allreduce(bool(self._offending(T).any()), MPI.LOR))
+
+    def correct(self, T: Floats) -> bool:
         """Remove edges of nodes at T [K] out of bounds; False if none are left; collective."""
-        offending = self._offending(T, bounds)
-        return self._flag(
-            [
-                f | (o & (d > 0))
-                for f, o, d in zip(self._flagged, offending, self._degree, strict=True)
-            ]
-        )
+        return self._flag(np.array(self._flagged) | (self._offending(T) & (self._degree > 0)))
 
-    def take_back(self, T: Sequence[Floats], bounds: Bounds) -> bool:
-        """Restore the edges of nodes no longer near their bounds; whether any; collective."""
-        near = NEAR * max(bounds.span, LEAST)
-        return self._flag(
-            [
-                f & (np.minimum(t - bounds.low, bounds.high - t) <= near)
-                for f, t in zip(self._flagged, T, strict=True)
-            ]
-        )
+    def take_back(self, T: Floats) -> None:
+        """Restore the edges of nodes no longer near their bounds; collective."""
+        near = np.minimum(T - self.low, self.high - T) <= NEAR * self._span(T)
+        self._flag(np.array(self._flagged) & near)
 
     def restored(self) -> None:
         """Remove the edges of restored flagged nodes; collective."""
-        flagged, self._flagged = self._flagged, [np.zeros_like(f) for f in self._flagged]
+        flagged = np.array(self._flagged)
+        self._flagged = list(np.zeros_like(flagged))
         self._flag(flagged)
 
-    @property
-    def flagged(self) -> int:
-        """Number of nodes whose edges are removed; collective."""
-        return int(self._comm.allreduce(sum(int(f.sum()) for f in self._flagged), MPI.SUM))
+    def _span(self, T: Floats) -> float:
+        """Range of data and current temperatures [K]; collective."""
+        here = T[self._present]
+        ends = np.array([-here.min(initial=self._low), here.max(initial=self._high)])
+        self._comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
+        return max(float(ends.sum()), LEAST)
 
-    def _offending(self, T: Sequence[Floats], bounds: Bounds) -> list[Bools]:
-        slack = OUTSIDE * max(bounds.span, LEAST)
-        return [
-            here & ((t < bounds.low - slack) | (t > bounds.high + slack))
-            for t, here in zip(T, self._present, strict=True)
-        ]
+    def _offending(self, T: Floats) -> Bools:
+        slack = OUTSIDE * self._span(T)
+        return self._present & ((T < self.low - slack) | (T > self.high + slack))
 
-    def _flag(self, flagged: list[Bools]) -> bool:
-        """Set the flags; return whether any matrix changed."""
-        changed = self._comm.allreduce(
-            np.array([int((a != b).any()) for a, b in zip(flagged, self._flagged, strict=True)]),
-            MPI.SUM,
-        )
-        self._flagged = flagged
-        for b in np.flatnonzero(changed):
-            self.matrices[b] = self._corrected(int(b))
-        return bool(np.any(changed))
+    def _flag(self, flagged: Bools) -> bool:
+        """Set the flags (b, n); return whether any matrix changed."""
+        here = (flagged != np.array(self._flagged)).any(axis=1)
+        changed = np.flatnonzero(self._comm.allreduce(here.astype(int), MPI.SUM))
+        self._flagged = list(flagged)
+        for b in map(int, changed):
+            self.matrices[b] = self._corrected(b)
+        self.version += len(changed) > 0
+        return len(changed) > 0
 
     def _corrected(self, b: int) -> PETSc.Mat:
         """The matrix of a body without the positive edges of its flagged nodes."""

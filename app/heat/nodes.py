@@ -45,32 +45,6 @@ class ThermalNodes:
         return np.asarray(temperatures[self.body].x.array[self.dof], dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class Side:
-    """One side of an interface: rows of nodes by region."""
-
-    rows: dict[str, Ints]
-
-    def gather(self, values: Mapping[str, Floats]) -> Floats:
-        """Values of the nodes of this side (n, ...), from those of the regions."""
-        return np.concatenate([values[r][rows] for r, rows in self.rows.items()])
-
-
-@dataclass(frozen=True)
-class NodePairs:
-    """Nodes of an interface with the body on either side (n,)."""
-
-    dof: Ints
-    first: Ints
-    second: Ints
-
-    def jump(self, temperatures: Sequence[fem.Function]) -> Floats:
-        """Temperature of the second side minus that of the first (n,) [K]."""
-        table = np.stack([t.x.array[self.dof] for t in temperatures])
-        column = np.arange(len(self.dof))
-        return np.asarray(table[self.second, column] - table[self.first, column])
-
-
 def region_nodes(
     forms: HeatForms, regions: Sequence[str], of_region: Mapping[str, int]
 ) -> dict[str, ThermalNodes]:
@@ -84,28 +58,39 @@ def region_nodes(
     return found
 
 
-def sides_of(
-    nodes: Mapping[str, ThermalNodes], interface: tuple[Sequence[str], Sequence[str]]
-) -> tuple[Side, Side]:
-    """Nodes shared by the regions of the two sides of an interface, as rows of either side."""
-    on = [np.unique(np.concatenate([nodes[r].dof for r in side])) for side in interface]
-    shared = np.intersect1d(*on)
-    first, second = (
-        Side({r: np.flatnonzero(np.isin(nodes[r].dof, shared)) for r in side}) for side in interface
-    )
-    return first, second
+# One side of an interface: rows of nodes by region.
+Side = Mapping[str, Ints]
 
 
-def pairs_of(
-    nodes: Mapping[str, ThermalNodes], interface: tuple[Sequence[str], Sequence[str]]
-) -> NodePairs:
-    """The same nodes, once, with the bodies on either side."""
-    bodies: list[dict[int, int]] = [
-        {int(d): nodes[r].body for r in side for d in nodes[r].dof} for side in interface
-    ]
-    dof = sorted(bodies[0].keys() & bodies[1].keys())
-    first, second = (np.array([b[d] for d in dof], dtype=np.int64) for b in bodies)
-    return NodePairs(np.array(dof, dtype=np.int64), first, second)
+class InterfaceNodes:
+    """Nodes that the regions on the two sides of an interface share.
+
+    Attributes:
+        sides: The first and the second side.
+    """
+
+    def __init__(
+        self,
+        nodes: Mapping[str, ThermalNodes],
+        interface: tuple[Sequence[str], Sequence[str]],
+    ) -> None:
+        first, second = (np.concatenate([nodes[r].dof for r in side]) for side in interface)
+        self._dof = np.intersect1d(first, second)
+        self.sides: list[Side] = [
+            {r: np.flatnonzero(np.isin(nodes[r].dof, self._dof)) for r in side}
+            for side in interface
+        ]
+        self._bodies = np.zeros((2, len(self._dof)), dtype=np.int64)
+        for bodies, side in zip(self._bodies, self.sides, strict=True):
+            for region, rows in side.items():
+                n = nodes[region]
+                bodies[np.searchsorted(self._dof, n.dof[rows])] = n.body
+
+    def jump(self, temperatures: Sequence[fem.Function]) -> Floats:
+        """Temperature of the second side minus that of the first (n,) [K]."""
+        table = np.stack([t.x.array[self._dof] for t in temperatures])
+        first, second = table[self._bodies, np.arange(len(self._dof))]
+        return np.asarray(second - first)
 
 
 @dataclass(frozen=True)
@@ -118,7 +103,7 @@ class ProbedPoint:
 
 
 class Probes:
-    """Temperatures at named points, linear in the cells that hold them.
+    """Temperatures or displacements at named points, by the shape functions of their cells.
 
     Raises:
         InputError: A point is not in its region.
@@ -135,20 +120,22 @@ class Probes:
         self._comm = tagged.mesh.comm
         self._mine: list[tuple[int, int, Ints, Floats]] = []
         for k, probe in enumerate(probes):
-            if (found := locate(tagged, probe)) is not None:
+            if (found := _locate(tagged, probe)) is not None:
                 cell, region, share = found
                 dofs = space.dofmap.list[cell].astype(np.int64)
-                self._mine.append((k, of_region[region], dofs, share))
+                table = space.element.basix_element.tabulate(0, share[None, 1:])
+                self._mine.append((k, of_region[region], dofs, table.ravel()[: len(dofs)]))
+        self._components = space.dofmap.bs
 
-    def values(self, temperatures: Sequence[fem.Function]) -> Floats:
-        """Temperatures of the probes (p,) [K]; collective."""
-        local = np.zeros(len(self.names))
-        for k, body, dofs, share in self._mine:
-            local[k] = share @ temperatures[body].x.array[dofs]
+    def values(self, functions: Sequence[fem.Function]) -> Floats:
+        """Values of the bodies' functions at the probes (p, components); collective."""
+        local = np.zeros((len(self.names), self._components))
+        for k, body, dofs, shape in self._mine:
+            local[k] = shape @ functions[body].x.array.reshape(-1, self._components)[dofs]
         return np.asarray(self._comm.allreduce(local, MPI.SUM))
 
 
-def locate(tagged: TaggedMesh, probe: ProbedPoint) -> tuple[int, str, Floats] | None:
+def _locate(tagged: TaggedMesh, probe: ProbedPoint) -> tuple[int, str, Floats] | None:
     """Cell that holds a point, its region, and the barycentric coordinates there (4,).
 
     Collective; one rank has it, the others None.

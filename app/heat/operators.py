@@ -24,7 +24,7 @@ from app.arrays import Floats, Ints
 from app.heat.cure_heat import CureHeat
 from app.heat.heat_forms import HeatForms
 from app.heat.heat_loads import FixedTemperatures, FrictionHeating, HeatLoads
-from app.heat.maximum_principle import Extremes, MaximumPrinciple
+from app.heat.maximum_principle import MaximumPrinciple
 from app.heat.temperature_jumps import TemperatureJumps
 from app.numerics.saved_state import node_keys
 from app.scene.bodies import Bodies, bodies_of
@@ -41,25 +41,24 @@ class HeatOperators:
         loads: Heat sources and exchange with surroundings.
         fixed: Given temperatures.
         jumps: The temperature jumps, if an interface has a finite conductance.
-        capacity: Heat capacity of own nodes in each body [N mm/K].
+        capacity: Heat capacity of own nodes in each body (b, n) [N mm/K].
         reference: Temperature at which heat is zero [K].
         cure: Heat of cure, if anything cures.
         friction: Heat of friction, if an interface has any.
         principle: The conduction matrices, corrected where necessary.
-        extremes: Extremes of the data.
 
     Raises:
         InputError: The scene does not fit the mesh.
     """
 
-    saved = ("extremes", "principle")
+    saved = ("principle",)
 
     def __init__(self, scene: Scene, tagged: TaggedMesh, timing: Timing) -> None:
         self.scene, self.tagged = scene, tagged
         self.comm: MPI.Comm = tagged.mesh.comm
         self.bodies: Bodies = bodies_of(tagged, scene.thermal_contacts, ())
         forms = self.forms = HeatForms(tagged, self.bodies, timing)
-        self.loads = HeatLoads(scene, self.bodies, forms)
+        self.loads = HeatLoads(scene, forms)
         self.fixed = FixedTemperatures(scene, forms)
         self.jumps: TemperatureJumps | None = None
         if scene.thermal_contacts:
@@ -72,11 +71,10 @@ class HeatOperators:
         rubbing = {f"friction {f.name}": 0.0 for f in scene.friction_heat}
         self.friction = FrictionHeating(forms.zeros(), rubbing) if rubbing else None
         K = forms.conduction_by_body(scene.conductors)
-        self.principle = MaximumPrinciple(self.comm, K, self.capacity)
         data = [c.initial_temperature for c in scene.conductors]
         data += [e.outside for e in self.loads.exchange]
         heated = bool(scene.cures or scene.friction_heat)
-        self.extremes = Extremes(self.comm, min(data), max(data), heated)
+        self.principle = MaximumPrinciple(K, self.capacity, data, heated)
         self._work: PETSc.Vec = K[0].createVecLeft()
         self._θ = fem.Function(forms.space, name="temperature")
         self._by_body = {
@@ -95,8 +93,8 @@ class HeatOperators:
         curing = [self.row_keys[n.dof] for n in self.cure.nodes] if self.cure else []
         return [self.row_keys, *jumps, *curing]
 
-    def initial(self) -> list[Floats]:
-        """Temperature of own nodes of each body at the start [K].
+    def initial(self) -> Floats:
+        """Temperature of own nodes of each body at the start (b, n) [K].
 
         Regions of different temperature in perfect contact get the mean by capacity at shared
         nodes, which conserves heat. Given temperatures apply from the start.
@@ -106,29 +104,26 @@ class HeatOperators:
             nodal = c.capacity * self.forms.volumes(c.region)
             above = c.initial_temperature - self.reference
             heat[self.bodies.of_region[c.region]] += nodal * above
-        T = [h / np.where(c > 0, c, 1.0) for h, c in zip(heat, self.capacity, strict=True)]
-        T = [self.reference + above for above in T]
-        for b, condition in self.fixed.of_body.items():
-            for s, value in enumerate(self.fixed.values(0.0)):
-                T[b] = np.where(condition == s, value, T[b])
-        return T
+        T = self.reference + heat / np.where(self.capacity > 0, self.capacity, 1.0)
+        fixed = self.fixed
+        return np.where(fixed.of_body >= 0, fixed.by_body(fixed.values(0.0)), T)
 
-    def added(self, τ: PETSc.Vec | None) -> list[Floats]:
-        """Temperature of own nodes of each body due to jumps [K]."""
+    def added(self, τ: PETSc.Vec | None) -> Floats:
+        """Temperature of own nodes of each body due to jumps (b, n) [K]."""
         added = self.forms.zeros()
         if self.jumps is not None:
             for b, B in self.jumps.moves.items():
                 B.mult(τ, self._work)
-                added[b] = self._work.array.copy()
+                added[b] = self._work.array
         return added
 
-    def nodal(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
-        """Temperature of own nodes of each body [K], meaningless at nodes outside the body.
+    def nodal(self, x: Sequence[PETSc.Vec]) -> Floats:
+        """Temperature of own nodes of each body (b, n) [K], meaningless outside the body.
 
         Args:
             x: Temperature of own nodes, and with jumps those of own points.
         """
-        return [x[0].array_r + added for added in self.added(x[-1])]
+        return x[0].array_r + self.added(x[-1])
 
     def temperatures(self, x: Sequence[PETSc.Vec]) -> list[fem.Function]:
         """Temperature of each body as a function, overwritten by the next call."""

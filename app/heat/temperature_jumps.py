@@ -49,7 +49,7 @@ class TemperatureJumps:
         share: Share of it that enters the slave (n,).
 
     Args:
-        held: Condition at each own node or -1, by body with any given temperature.
+        held: Condition with a given temperature at own nodes of each body, or -1 (b, n).
 
     Raises:
         InputError: An interface has no facets on this mesh.
@@ -61,7 +61,7 @@ class TemperatureJumps:
         tagged: TaggedMesh,
         bodies: Bodies,
         forms: HeatForms,
-        held: dict[int, Ints],
+        held: Ints,
     ) -> None:
         contacts = scene.thermal_contacts
         comm, index_map = forms.comm, forms.space.dofmap.index_map
@@ -136,16 +136,12 @@ def cut_off(
     return [b for b, g in enumerate(group) if g not in warm]
 
 
-def _holds(forms: HeatForms, facets: InterfaceFacets, held: dict[int, Ints]) -> Holds:
+def _holds(forms: HeatForms, facets: InterfaceFacets, held: Ints) -> Holds:
     """Given temperatures at the vertices of interfaces, as supports hold displacement."""
     start = forms.space.dofmap.index_map.local_range[0]
     dof, first = np.unique(facets.vertex_dofs, return_index=True)
     own = (dof >= start) & (dof < start + forms.owned)
     node, vertex = dof[own] - start, facets.vertices.ravel()[first[own]]
-    none = np.zeros(0, dtype=np.int64)
-    pieces = [(none, none, none)]
-    for b, condition in held.items():
-        here = condition[node] >= 0
-        pieces.append((vertex[here], np.full(int(here.sum()), b), condition[node[here]]))
-    columns = gather(forms.comm, *(np.concatenate([p[k] for p in pieces]) for k in range(3)))
+    body, row = np.nonzero(held[:, node] >= 0)
+    columns = gather(forms.comm, vertex[row], body, held[body, node[row]])
     return Holds(columns[0], columns[1], np.repeat(columns[2][:, None], 3, axis=1))

@@ -9,7 +9,7 @@ from typing import Any
 from app.case import quantities
 from app.errors import InputError, StoppedError
 from app.report import page, run_report, sweep_figures, viewer
-from app.report.page import Blocks, bullets, paragraph, table
+from app.report.page import Blocks, bullets, table
 from app.report.sweep_results import Number, SweptCase
 from app.results.closing_lines import UNUSABLE, reasons_not_to_use
 from app.system.folders import write_text
@@ -53,25 +53,24 @@ def write(folders: Sequence[Path], path: Path) -> Path:
 def _page(folders: Sequence[Path]) -> str:
     names = viewer.distinct(folders)
     cases = [run_report.opened(folder) for folder in folders]
-    view = viewer.viewer(*folders) or ""
-    differences = view.count('class="one"') - sum(
-        (folder / "fields.vtkhdf").exists() for folder in folders
-    )
-    note = ""
-    if view and differences < len(folders) - 1:
-        note = "Differences of fields are drawn where meshes are the same; here they are not all."
-    sections = [
-        ("numbers", "Numbers", _numbers(names, cases)),
-        ("input", "Input that differs", _input(names, cases)),
+    view = viewer.viewer(*folders)
+    drawn = sum((folder / "fields.vtkhdf").exists() for folder in folders)
+    all_differences = view.count('class="one"') - drawn >= len(folders) - 1
+    note = "Differences of fields are drawn where meshes are the same; here they are not all."
+    keys = [
+        n for n in sweep_figures.headlines(cases) if sum(c.number(n) is not None for c in cases) > 1
     ]
     return page.page(
         "Comparison of runs",
-        sections,
+        [
+            ("differences", "Numbers", _numbers(names, cases, keys)),
+            ("input", "Input that differs", _input(names, cases)),
+        ],
         facts=" · ".join(names),
-        lead=_lead(names, cases),
+        lead=_lead(names, cases, keys),
         summary=[_status(name, case.summary) for name, case in zip(names, cases, strict=True)],
         view=view,
-        note=note,
+        note=note if view and not all_differences else "",
     )
 
 
@@ -81,14 +80,16 @@ def _status(name: str, summary: dict[str, Any]) -> str:
     return "; ".join([f"{status}: {name}", *wrong, *summary.get("notes", [])])
 
 
-def _lead(names: Sequence[str], cases: Sequence[SweptCase]) -> str:
+def _lead(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str]) -> str:
     """Sentence on the main numbers that differ by more than their errors, largest first."""
-    first, count, known = names[0], 0, 0
+    count, known = 0, 0
     beyond: list[tuple[float, str]] = []
-    for key in _keys(cases):
+    for key in keys:
+        if (q := quantities.get(key)) and q.exact:
+            continue
         a, *others = (case.number(key) for case in cases)
         for name, b in zip(names[1:], others, strict=True):
-            if a is None or b is None or _exact(key):
+            if a is None or b is None:
                 continue
             count += 1
             known += a.error is not None and b.error is not None
@@ -100,10 +101,10 @@ def _lead(names: Sequence[str], cases: Sequence[SweptCase]) -> str:
         return "These runs have no numbers in common."
     errors = "" if known == count else f"; the errors of {count - known} are not known"
     if not beyond:
-        return f"No main number differs from that of {first} by more than the errors{errors}."
+        return f"No main number differs from that of {names[0]} by more than the errors{errors}."
     most = [text for _, text in sorted(beyond, reverse=True)[:NAMED]]
     return (
-        f"{len(beyond)} of {count} main numbers differ from those of {first} by more than their "
+        f"{len(beyond)} of {count} main numbers differ from those of {names[0]} by more than their "
         f"errors, most of all {'; '.join(most)}{errors}."
     )
 
@@ -115,35 +116,15 @@ def differs(a: Number, b: Number, key: str) -> bool:
     return abs(b.value - a.value) > max((a.error or 0.0) + (b.error or 0.0), rounding)
 
 
-def _exact(key: str) -> bool:
-    q = quantities.get(key)
-    return bool(q and q.exact)
-
-
-def _keys(cases: Sequence[SweptCase]) -> list[str]:
-    names = sweep_figures.headlines(cases)
-    return [n for n in names if sum(c.number(n) is not None for c in cases) > 1]
-
-
-def _numbers(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:
+def _numbers(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str]) -> Blocks:
     """Main numbers with errors, and differences of the other runs from the first."""
     head = ["", *names, *(f"{name} less {names[0]}" for name in names[1:])]
     rows = []
-    for key in _keys(cases):
-        words, unit = sweep_figures.label(key)
+    for key in keys:
         a, *others = (case.number(key) for case in cases)
-        rows.append(
-            [
-                f"{words} ({unit})" if unit else words,
-                *(sweep_figures.cell(case, key) for case in cases),
-                *(_difference(a, b, key) for b in others),
-            ]
-        )
-    how = (
-        "A difference is given with the sum of both errors. Errors of runs on the same mesh are "
-        "alike, so that their difference is known better than that."
-    )
-    return paragraph(how, "quiet") + table(head, rows) if rows else []
+        own = [sweep_figures.cell(case, key) for case in cases]
+        rows.append([sweep_figures.titled(key), *own, *(_difference(a, b, key) for b in others)])
+    return table(head, rows)
 
 
 def _difference(a: Number | None, b: Number | None, key: str) -> str:
@@ -151,35 +132,28 @@ def _difference(a: Number | None, b: Number | None, key: str) -> str:
     if a is None or b is None:
         return "-"
     change = b.value - a.value
-    if not differs(a, b, key) and a.error is None and b.error is None:
-        return "0"
     error = None if a.error is None or b.error is None else a.error + b.error
     part = f" ({100 * change / abs(a.value):+.1f} %)" if a.value else ""
-    if not differs(a, b, key):
-        part += ", within the errors"
-    return f"{Number(change, error)}{part}"
+    if differs(a, b, key):
+        return f"{Number(change, error)}{part}"
+    if a.error is None and b.error is None:
+        return "0"
+    return f"{Number(change, error)}{part}, within the errors"
 
 
 def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:
-    flat = [dict(_flat(case.data)) for case in cases]
+    data = [{k: v for k, v in case.data.items() if k not in NOT_COMPARED} for case in cases]
+    flat = [dict(_flat(own)) for own in data]
     keys = dict.fromkeys(key for own in flat for key in own)
-    rows = [
-        [key, *(own.get(key, "-") for own in flat)]
-        for key in keys
-        if len({own.get(key) for own in flat}) > 1
-    ]
-    if not rows:
-        return bullets(["nothing: these are runs of the same case"])
-    return table(["key", *names], rows)
+    rows = [[key, *(own.get(key, "-") for own in flat)] for key in keys]
+    rows = [row for row in rows if len(set(row[1:])) > 1]
+    return table(["key", *names], rows) or bullets(["nothing: these are runs of the same case"])
 
 
 def _flat(values: dict[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
     """Every value of a case by its key, as ``interfaces.stem_cement.clearance``."""
     for key, value in values.items():
-        if not path and key in NOT_COMPARED:
-            continue
-        here = f"{path}{key}"
         if isinstance(value, dict):
-            yield from _flat(value, f"{here}.")
+            yield from _flat(value, f"{path}{key}.")
         else:
-            yield here, plain(value)
+            yield f"{path}{key}", plain(value)

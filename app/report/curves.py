@@ -1,28 +1,51 @@
-"""Curves of a report: panels of numbers with errors, peaks and published values."""
+"""Curves of a report: panels of numbers with errors, peaks and published values.
+
+Of sweeps they are pictures; of the history of a run drawings inside its page, and pictures.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from app.arrays import Floats
+from app.case.quantities import FACTORS, TABLE, printed
+from app.report import page
+from app.report.page import Blocks
 from app.report.sweep_results import Number
 from app.system import style
+from app.system.layout import plain
+from app.system.style import COLOURS, MARKERS
 
 # Largest over smallest value from which an axis is logarithmic.
 DECADE = 12.0
+PEAKS = {"alpha": 0.45, "mfc": "white", "ms": 4.5, "lw": 1, "ls": (0, (3, 2)), "zorder": 2}
+CURVE = {"ms": 5.5, "lw": 1.6, "capsize": 3, "zorder": 3}
+STARS = {"marker": "*", "mec": "0.15", "mew": 0.7, "ms": 12, "ls": "", "zorder": 4}
 ROUNDED = {"µm": 1e-6, "MPa": 1e-8}  # below which a contact quantity is zero
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure of the report: file, title, caption and alternative text."""
-
-    name: str
-    title: str
-    caption: str
-    text: str
+# Quantities drawn, by key in history.csv: title, unit for people.
+_INTERFACE = {
+    key: (q.label, q.shown)
+    for key, q in TABLE["interfaces"].items()
+    if q.history and ((q.headline and not q.exact) or key == "dissipation")
+}
+SHOWN = {
+    "temperature_max": ("highest temperature", "degC"),
+    "temperature_max_second": ("highest temperature, second side", "degC"),
+    "degree_min": ("least degree of cure", "%"),
+    "": ("temperature at probes", "degC"),
+    **_INTERFACE,
+    **{f"displacement.{axis}": (f"displacement in {axis} at probes", "um") for axis in "xyz"},
+}
+SECONDS, TIME = "seconds [s]", "time [-]"
+SOLVER = (SECONDS, TIME, "step", "newton", "krylov", "residual", "augmentation", "wall")
+ROUNDING = 1e-9
+History = Mapping[str, Floats]
 
 
 @dataclass(frozen=True)
@@ -30,6 +53,7 @@ class Line:
     """A curve.
 
     Attributes:
+        style: Number of its colour and marker.
         numbers: With errors, over x.
         peaks: Largest values over x, without errors.
         stars: Published values: x and value.
@@ -37,10 +61,9 @@ class Line:
     """
 
     label: str
-    colour: str
-    marker: str
+    style: int
     numbers: dict[float, Number]
-    peaks: dict[float, Number]
+    peaks: dict[float, Number] = field(default_factory=dict)
     stars: Sequence[tuple[float, float]] = ()
     own_stars: bool = False
 
@@ -61,14 +84,12 @@ def too_few(panels: Sequence[Panel]) -> bool:
 
 def in_words(panels: Sequence[Panel]) -> str:
     """Alternative text of a figure: its values."""
-    texts = []
-    for p in panels:
-        for line in p.lines:
-            values = line.numbers or line.peaks
-            if values:
-                each = "; ".join(f"{x:g}: {n}" for x, n in values.items())
-                texts.append(f"{p.title}, {p.y}, {line.label}: {each}")
-    return ". ".join(texts)
+    return ". ".join(
+        f"{p.title}, {p.y}, {line.label}: {'; '.join(f'{x:g}: {n}' for x, n in values.items())}"
+        for p in panels
+        for line in p.lines
+        if (values := line.numbers or line.peaks)
+    )
 
 
 def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
@@ -81,16 +102,16 @@ def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
     handles = style.handles(every)
     # A legend is filled column by column: curves, then peaks, then published values.
     kinds = zip(*(_labels(line) for p in panels for line in p.lines), strict=True)
-    kinds_shown = [[n for n in dict.fromkeys(kind) if n in handles] for kind in kinds]
-    shown = [label for kind in kinds_shown for label in kind]
-    same = len({len(kind) for kind in kinds_shown}) == 1
-    room = 95 * columns // 2 // (max(map(len, shown), default=1) + 8)  # labels in a row
-    if len(shown) > 1:
+    shown = [[n for n in dict.fromkeys(kind) if n in handles] for kind in kinds]
+    names = [name for kind in shown for name in kind]
+    if len(names) > 1:
+        room = 95 * columns // 2 // (max(map(len, names)) + 8)  # names in a row
+        same = len(set(map(len, shown))) == 1
         figure.legend(
-            [handles[label] for label in shown],
-            shown,
+            [handles[name] for name in names],
+            names,
             loc="outside lower center",
-            ncols=len(kinds_shown) if same else max(1, min(len(shown), room)),
+            ncols=len(shown) if same else max(1, min(len(names), room)),
             frameon=False,
             fontsize=9,
         )
@@ -102,14 +123,12 @@ def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
 def _draw(axes: Any, panel: Panel) -> None:
     axes.set_title(panel.title, fontsize=11, loc="left")
     axes.set_ylabel(panel.y)
-    axes.grid(True, which="major", color="0.9")
-    axes.set_axisbelow(True)
+    style.grid(axes)
     xs = sorted({x for line in panel.lines for x in (*line.numbers, *line.peaks)})
     apart = 0.012 * (xs[-1] - xs[0]) if len(xs) > 1 else 0.0
     for k, line in enumerate(panel.lines):
         # Side by side, so that bars of equal numbers can both be seen.
-        shift = apart * (k - 0.5 * (len(panel.lines) - 1))
-        _line(axes, line, shift)
+        _line(axes, line, apart * (k - 0.5 * (len(panel.lines) - 1)))
     values = [v for line in panel.lines for v in _values(line)]
     if values and panel.y in ROUNDED and max(map(abs, values)) < ROUNDED[panel.y]:
         axes.set_ylim(-0.05, 1)
@@ -144,44 +163,115 @@ def _values(line: Line) -> list[float]:
 
 
 def _line(axes: Any, line: Line, shift: float) -> None:
-    label, peak_label, star_label = _labels(line)
+    curve, peak, star = _labels(line)
+    colour = COLOURS[line.style % len(COLOURS)]
+    own: dict[str, Any] = {"color": colour, "marker": MARKERS[line.style % len(MARKERS)]}
     if line.peaks:
-        axes.plot(
-            [x + shift for x in line.peaks],
-            [n.value for n in line.peaks.values()],
-            color=line.colour,
-            alpha=0.45,
-            marker=line.marker,
-            mfc="white",
-            ms=4.5,
-            lw=1,
-            ls=(0, (3, 2)),
-            label=peak_label,
-            zorder=2,
-        )
+        x, y = [x + shift for x in line.peaks], [n.value for n in line.peaks.values()]
+        axes.plot(x, y, label=peak, **own, **PEAKS)
     if line.numbers:
-        axes.errorbar(
-            [x + shift for x in line.numbers],
-            [n.value for n in line.numbers.values()],
-            yerr=[n.error or 0.0 for n in line.numbers.values()],
-            color=line.colour,
-            marker=line.marker,
-            ms=5.5,
-            lw=1.6,
-            capsize=3,
-            label=label,
-            zorder=3,
-        )
+        x, y = [x + shift for x in line.numbers], [n.value for n in line.numbers.values()]
+        errors = [n.error or 0.0 for n in line.numbers.values()]
+        axes.errorbar(x, y, yerr=errors, label=curve, **own, **CURVE)
     if line.stars:
-        axes.plot(
-            [x + shift for x, _ in line.stars],
-            [v for _, v in line.stars],
-            "*",
-            color=line.colour if line.own_stars else "#f2c14e",
-            mec="0.15",
-            mew=0.7,
-            ms=12,
-            ls="",
-            label=star_label,
-            zorder=4,
+        x, y = [x + shift for x, _ in line.stars], [v for _, v in line.stars]
+        axes.plot(x, y, color=colour if line.own_stars else "#f2c14e", label=star, **STARS)
+
+
+# Of history.csv
+
+
+def of_history(history: History) -> tuple[list[Panel], str]:
+    """Panels of the quantities that change, and the label of their x axis."""
+    x = SECONDS if SECONDS in history else TIME
+    times = history.get(x, np.empty(0))
+    if len(times) < 2:
+        return [], ""
+    lines: dict[str, dict[str, dict[float, Number]]] = {}
+    for column, values in history.items():
+        place, key, unit = _parts(column)
+        if key not in SHOWN or not place or (not key and unit != "degC"):
+            continue
+        shown = SHOWN[key][1]
+        factor = FACTORS[shown] if shown in FACTORS else 1.0
+        known = np.isfinite(values)
+        if np.abs(factor * values[known]).max(initial=0.0) > ROUNDING:
+            points = zip(times[known].tolist(), (factor * values[known]).tolist(), strict=True)
+            lines.setdefault(key, {})[place] = {t: Number(v) for t, v in points}
+    places = list(dict.fromkeys(p for own in lines.values() for p in own))
+    found = [
+        Panel(
+            SHOWN[key][0],
+            printed(SHOWN[key][1]),
+            [Line(p.replace("_", " "), places.index(p), own) for p, own in lines[key].items()],
         )
+        for key in SHOWN
+        if key in lines
+    ]
+    return found, "time (s)" if x == SECONDS else "time (each stage takes 1)"
+
+
+def _parts(column: str) -> tuple[str, str, str]:
+    """Place, key and unit of a column; no place for numbers of the whole run."""
+    head, _, unit = column.removesuffix("]").partition(" [")
+    place, _, key = head.partition(" ")
+    whole = column.startswith(SOLVER) or key in ("balance",)
+    return ("" if whole else place), key, unit
+
+
+def of_solver(history: History) -> Blocks:
+    """A table of the columns on the solver, by step."""
+    own = {c: v for c, v in history.items() if not _parts(c)[0] and np.isfinite(v).any()}
+    rows = page.sparse([*zip(*own.values(), strict=True)])
+    return page.table([*own], [[plain(float(f"{v:.3g}")) for v in row] for row in rows])
+
+
+def draw_history(folder: Path, of: Sequence[Panel], x: str) -> list[Path]:
+    """Draw the panels as files, for publications."""
+    if not of:
+        return []
+    folder.mkdir(exist_ok=True)
+    draw(folder / "curves.png", of, x, 3)
+    return [folder / f"curves.{kind}" for kind in ("png", "svg", "pdf")]
+
+
+def drawings(of: Sequence[Panel], x: str) -> Blocks:
+    """The panels as drawings inside a page."""
+    return [("drawings", {"drawings": [_drawing(panel, x) for panel in of]})] if of else []
+
+
+def _drawing(panel: Panel, x: str) -> dict[str, Any]:
+    """A panel as `page.html` draws it: ticks and points as fractions of the axes."""
+    xs = [t for line in panel.lines for t in line.numbers]
+    ys = [n.value for line in panel.lines for n in line.numbers.values()]
+    zero = [0.0] if panel.y != "°C" and (min(ys) < 0 or max(ys) > 2 * min(ys)) else []
+    across, up = ticks(min(xs), max(xs)), ticks(min(ys + zero), max(ys + zero))
+
+    def part(v: float, of: Sequence[float]) -> float:
+        return (v - of[0]) / (of[-1] - of[0])
+
+    lines = [
+        (
+            line.label,
+            COLOURS[line.style % len(COLOURS)],
+            [(part(t, across), part(n.value, up)) for t, n in page.sparse([*line.numbers.items()])],
+        )
+        for line in panel.lines
+    ]
+    title = f"{panel.title} ({panel.y})" if panel.y else panel.title
+    ends = ([(part(v, of), f"{v:g}") for v in of] for of in (across, up))
+    return {
+        "title": title,
+        "x": x,
+        "lines": lines,
+        **dict(zip(("across", "up"), ends, strict=True)),
+    }
+
+
+def ticks(low: float, high: float) -> list[float]:
+    """Four to eight round numbers that enclose an interval."""
+    span = high - low if high - low > 1e-9 * max(abs(low), abs(high)) else max(abs(high), 1.0)
+    size = 10.0 ** math.floor(math.log10(span / 4))
+    step = next(size * k for k in (1, 2, 5, 10) if span / (size * k) <= 6)
+    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+    return [float(f"{step * k:.12g}") for k in range(first, max(last, first + 1) + 1)]

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from app import figures
 from app.case.quantities import TABLE
-from app.report.curves import Figure
+from app.report import page
+from app.report.page import Blocks, Figure
 from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase, magnitude
 from app.system import style
 from app.system.style import COLOURS
 
-ZONES = tuple(str(z) for z in range(1, 15))
 FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
 BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
 KJ = 1e3  # kJ/m3 of a MPa
@@ -23,8 +23,15 @@ Table = tuple[list[str], list[list[str]]]
 
 def zones(case: SweptCase) -> dict[str, dict[str, Any]]:
     """The Gruen zones of a case; empty if it has none."""
-    found = case.summary.get("gruen")
-    return {z: found[z] for z in ZONES if z in found} if isinstance(found, dict) else {}
+    return case.summary.get("gruen") or {}
+
+
+def blocks(cases: Iterable[tuple[str, SweptCase]]) -> Blocks:
+    """A table below its title for each case that has zones."""
+    tables = (page.titled(title, page.table(*table(case))) for title, case in cases)
+    found = [block for own in tables for block in own]
+    note = "Of each interface: largest / mean value in the zone."
+    return page.paragraph(note, "quiet") + found if found else []
 
 
 def table(case: SweptCase) -> Table:
@@ -34,8 +41,8 @@ def table(case: SweptCase) -> Table:
         Titles of the columns, and the rows; no rows if the case has no zones.
     """
     own = zones(case)
-    places = [p for p in INTERFACES if any(p in z.get("interfaces", {}) for z in own.values())]
-    bones = [b for b in BONES if any(b in z.get("strain_energy_density", {}) for z in own.values())]
+    places = [p for p in INTERFACES if any(p in z["interfaces"] for z in own.values())]
+    bones = [b for b in BONES if any(b in z["strain_energy_density"] for z in own.values())]
     head = ["zone"]
     head += [f"{WORDS[p]} {WORDS[q]} ({u})" for p in places for q, (u, _) in QUANTITIES.items()]
     head += [f"strain energy, {BONES[b]} (kJ/m³)" for b in bones]
@@ -43,36 +50,28 @@ def table(case: SweptCase) -> Table:
     for z, zone in own.items():
         row = [f"{z} ({'frontal' if int(z) <= FRONTAL else 'lateral'})"]
         for place in places:
-            numbers = zone.get("interfaces", {}).get(place, {})
+            numbers = zone["interfaces"].get(place, {})
             for name in QUANTITIES:
                 most, mean = (TABLE["interfaces"][f"{name}_{how}"] for how in ("max", "mean"))
                 row.append(f"{most.text(numbers)} / {mean.text(numbers)}")
-        density, error = (zone.get(f"strain_energy_density{end}", {}) for end in ("", "_error"))
-        row += [_with_error(density.get(b), error.get(b), KJ) for b in bones]
+        density, errors = zone["strain_energy_density"], zone.get("strain_energy_density_error", {})
+        row += [
+            str(Number(KJ * density[b], KJ * errors[b]))
+            if b in errors
+            else _shown(density.get(b), KJ)
+            for b in bones
+        ]
         rows.append(row)
     return head, rows
 
 
-def _with_error(value: Any, error: Any, factor: float) -> str:
-    if not isinstance(value, int | float) or not isinstance(error, int | float):
-        return _shown(value, factor)
-    return str(Number(factor * value, factor * error))
-
-
-def _shown(value: Any, factor: float) -> str:
-    if not isinstance(value, int | float):
-        return "-"
-    return f"{factor * value:.3g}"
+def _shown(value: float | None, factor: float = 1.0) -> str:
+    return "-" if value is None else f"{factor * value:.3g}"
 
 
 def intact(cases: Sequence[SweptCase]) -> SweptCase | None:
     """The case with zones and without a stem, if a sweep has one."""
-    for case in cases:
-        own = zones(case)
-        places = {name for z in own.values() for name in z.get("interfaces", {})}
-        if own and "stem" not in case.data.get("regions", {}) and "stem_cement" not in places:
-            return case
-    return None
+    return next((c for c in cases if zones(c) and "stem" not in c.data.get("regions", {})), None)
 
 
 def shielding(case: SweptCase, without: SweptCase) -> dict[str, dict[str, float]]:
@@ -84,12 +83,9 @@ def shielding(case: SweptCase, without: SweptCase) -> dict[str, dict[str, float]
     found: dict[str, dict[str, float]] = {}
     before = zones(without)
     for name, zone in zones(case).items():
-        for bone in BONES:
-            a, b = (
-                z.get(name, {}).get("strain_energy_density", {}).get(bone)
-                for z in (before, {name: zone})
-            )
-            if isinstance(a, int | float) and isinstance(b, int | float) and a > 0:
+        for bone, b in zone["strain_energy_density"].items():
+            a = before.get(name, {}).get("strain_energy_density", {}).get(bone)
+            if bone in BONES and a:
                 found.setdefault(bone, {})[name] = b / a - 1
     return found
 
@@ -100,8 +96,8 @@ def shielding_picture(
     """Draw the stress shielding of each case; nothing without an intact femur."""
     if without is None:
         return []
-    changes = {stem: shielding(c, without) for stem, c in cases.items() if c is not without}
-    changes = {stem: by_bone for stem, by_bone in changes.items() if by_bone}
+    every = {stem: shielding(c, without) for stem, c in cases.items() if c is not without}
+    changes = {stem: by_bone for stem, by_bone in every.items() if by_bone}
     if not changes:
         return []
     bones = [b for b in BONES if any(b in c for c in changes.values())]
@@ -126,7 +122,7 @@ def shielding_picture(
     figure.savefig(folder / "shielding.png", dpi=120)
     caption = (
         f"Strain energy per volume of bone against the intact femur ({without.name}); below zero "
-        f"the stem takes load from the bone."
+        "the stem takes load from the bone."
     )
     text = ". ".join(
         f"{stem}, {BONES[bone]}: " + ", ".join(f"zone {z} {100 * v:.0f} %" for z, v in own.items())
@@ -151,15 +147,15 @@ def mantles(cases: Sequence[SweptCase]) -> Table:
         thickness = own.get("thickness", {})
         if "nominal" not in thickness:
             continue
-        clipped = thickness.get("clipped_fraction")
+        clipped = thickness["clipped_fraction"]
         size = magnitude(case.data.get("mesh", {}).get("size"))
         row = (
             str(case.data.get("geometry", {}).get("kind", "")),
             "-" if size is None else f"{size:g}",
             f"{thickness['nominal']:g}",
-            *(_shown(thickness.get(k), 1.0) for k in keys),
-            "-" if clipped is None else f"{100 * clipped:.0f} %",
+            *(_shown(thickness.get(k)) for k in keys),
+            f"{100 * clipped:.0f} %",
             _shown(own.get("volume"), 1e-3),
         )
-        found[row] = float(thickness["nominal"])
+        found[row] = thickness["nominal"]
     return head, [list(row) for row in sorted(found, key=lambda r: (*r[:2], found[r]))]

@@ -9,10 +9,9 @@ import base64
 import io
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
-
-from app.report.curves import Figure
 
 # Parts of a section: kind, as the template names it, and content.
 Blocks = list[tuple[str, dict[str, Any]]]
@@ -26,6 +25,16 @@ CLASSES = {
 }
 
 
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the report: file, title, caption and alternative text."""
+
+    name: str
+    title: str
+    caption: str
+    text: str
+
+
 def page(title: str, sections: Sequence[tuple[str, str, Blocks]], **head: Any) -> str:
     """The page.
 
@@ -34,14 +43,24 @@ def page(title: str, sections: Sequence[tuple[str, str, Blocks]], **head: Any) -
         sections: Anchor, title and content of each; empty ones are left out.
         head: Below the title: facts, a leading sentence, summary, a note and a view (markup).
     """
+    shown = [s for s in sections if s[2]]
+    return render("page.html", title=title, sections=shown, classes=CLASSES, **head)
+
+
+def render(name: str, **values: Any) -> str:
+    """A template of this folder with values, whose text it escapes."""
     from jinja2 import Environment, FileSystemLoader
 
     folder = FileSystemLoader(Path(__file__).parent)
     environment = Environment(loader=folder, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.tests["number_text"] = re.compile(r"[-−]?\d").match
-    shown = [s for s in sections if s[2]]
-    template = environment.get_template("page.html")
-    return template.render(title=title, sections=shown, classes=CLASSES, **head)
+    environment.filters["inert"] = _inert
+    return environment.get_template(name).render(values)
+
+
+def _inert(text: str) -> str:
+    """Text that cannot end the script around it."""
+    return text.replace("</", "<\\/").replace("<!--", "<\\!--")
 
 
 def paragraph(text: str, kind: str = "") -> Blocks:
@@ -50,8 +69,8 @@ def paragraph(text: str, kind: str = "") -> Blocks:
 
 
 def titled(title: str, content: Blocks) -> Blocks:
-    """Blocks below a heading; nothing if there are none."""
-    return [("heading", {"text": title}), *content] if content else []
+    """Blocks below a heading, if it has words; nothing if there are none."""
+    return [("heading", {"text": title}), *content] if title and content else content
 
 
 def bullets(texts: Sequence[str]) -> Blocks:
@@ -64,42 +83,25 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Blocks:
     return [("table", {"head": head, "rows": rows})] if rows else []
 
 
-def figure(f: Figure, folder: Path) -> Blocks:
-    """A picture with its caption, inside the page."""
-    data = base64.b64encode(_smaller((folder / f.name).read_bytes())).decode("ascii")
-    return [("figure", {"figure": f, "data": data})]
+def figures(found: Sequence[Figure], folder: Path) -> Blocks:
+    """Pictures of a folder with their captions, inside the page."""
+    return [("figure", {"figure": f, "data": _smaller(folder / f.name)}) for f in found]
 
 
-def _smaller(png: bytes) -> bytes:
+def _smaller(path: Path) -> str:
     """Reduce a picture to 256 colours: a third of the bytes, hardly a visible change."""
     from PIL import Image  # comes with matplotlib
 
     into = io.BytesIO()
-    with Image.open(io.BytesIO(png)) as picture:
-        picture.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(
-            into, "PNG", optimize=True
-        )
-    return into.getvalue()
-
-
-def drawings(svgs: Sequence[str]) -> Blocks:
-    """Drawings beside each other, as markup."""
-    return [("drawings", {"drawings": svgs})] if svgs else []
-
-
-def verbatim(text: str) -> Blocks:
-    """Preformatted text."""
-    return [("verbatim", {"text": text})] if text else []
+    with Image.open(path) as picture:
+        few = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+        few.save(into, "PNG", optimize=True)
+    return base64.b64encode(into.getvalue()).decode("ascii")
 
 
 def folded(title: str, content: Blocks) -> Blocks:
     """Blocks that open on a click; nothing if there are none."""
     return [("folded", {"title": title, "blocks": content})] if content else []
-
-
-def link(text: str, to: str) -> dict[str, str]:
-    """A table cell that links to another page, if there is one."""
-    return {"text": text, "to": to}
 
 
 def sparse(items: Sequence[T]) -> Sequence[T]:

@@ -7,24 +7,24 @@ so that percentiles decide and peaks are given beside them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 from app.report import paper
-from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase
+from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named
 from app.system.layout import plain
 
 VERDICTS = CONFIRMED, NOT_CONFIRMED, UNDECIDED = "confirmed", "not confirmed", "undecided"
 FLAT = 0.20  # relative spread up to which a number counts as constant
 MUCH = 2.0  # factor that "drastically" is taken to mean at least
 ROUNDING = 1e-6  # relative difference that is none
-STEM, THICKNESS, FRICTION = "{} stem", "{} mm", "friction {}"  # what varies
+AT = {"stem": "{} stem", "thickness": "{} mm", "friction": "friction {}"}  # by parameter
 NAMED = 3  # cases named of those in which a statement does not hold
 
 
-@dataclass(frozen=True)
-class Statement:
+class Statement(NamedTuple):
     """One statement of a trend: its verdict, and the numbers that decide it."""
 
     verdict: str
@@ -50,36 +50,30 @@ class Trend:
     @property
     def verdict(self) -> str:
         """Confirmed if all parts are; not confirmed if any is not."""
-        return _all(self.parts)
+        return _all(verdict for verdict, _ in self.parts)
 
 
-def _all(parts: Iterable[Statement]) -> str:
-    found = {p.verdict for p in parts}
-    worst = (v for v in (NOT_CONFIRMED, UNDECIDED) if v in found)
-    return next(worst, CONFIRMED if found else UNDECIDED)
+def _all(verdicts: Iterable[str]) -> str:
+    found = {*verdicts} or {UNDECIDED}
+    return next(v for v in (NOT_CONFIRMED, UNDECIDED, CONFIRMED) if v in found)
 
 
 def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
     """Verdict on a > factor b."""
     difference = a.value - factor * b.value
     errors = (a.error or 0.0) + factor * (b.error or 0.0)
-    if abs(difference) <= ROUNDING * abs(b.value):
-        return UNDECIDED if errors > abs(difference) else NOT_CONFIRMED
-    if abs(difference) <= errors:
+    if errors and abs(difference) <= errors:
         return UNDECIDED
-    return CONFIRMED if difference > 0 else NOT_CONFIRMED
+    return CONFIRMED if difference > ROUNDING * abs(b.value) else NOT_CONFIRMED
 
 
 def alike(a: Number, b: Number, tolerance: float) -> str:
     """Verdict on whether two numbers agree, up to a part of their mean."""
-    mean = 0.5 * (abs(a.value) + abs(b.value))
-    if mean == 0.0:
+    allowed = tolerance * 0.5 * (abs(a.value) + abs(b.value))
+    difference, errors = abs(a.value - b.value), (a.error or 0.0) + (b.error or 0.0)
+    if difference + errors <= allowed or not allowed:
         return CONFIRMED
-    difference = abs(a.value - b.value) / mean
-    errors = ((a.error or 0.0) + (b.error or 0.0)) / mean
-    if difference + errors <= tolerance:
-        return CONFIRMED
-    return NOT_CONFIRMED if difference - errors > tolerance else UNDECIDED
+    return NOT_CONFIRMED if difference - errors > allowed else UNDECIDED
 
 
 # Relations over a series of numbers: label, numbers by parameter, unit, name of the parameter.
@@ -87,43 +81,31 @@ Series = Mapping[Any, Number]
 Relation = Callable[[str, Series, str, str], Statement]
 
 
-def _goes(rise: bool) -> Relation:
-    """Relation: the number is larger, or smaller, at the largest value of the parameter."""
-
-    def relation(label: str, values: Series, unit: str, over: str) -> Statement:
-        if len(values) < 2:
-            return _missing(f"{label} at two values or more")
-        low, high = min(values), max(values)
-        a, b = values[low], values[high]
-        should = "rise" if rise else "fall"
-        ends = (over.format(plain(x)) for x in (low, high))
-        text = f"{label} should {should}: {a} {unit} at {next(ends)}, {b} at {next(ends)}"
-        return Statement(exceeds(b, a) if rise else exceeds(a, b), text)
-
-    return relation
+def rises(label: str, values: Series, unit: str, over: str, up: bool = True) -> Statement:
+    """Whether a number is larger, or else smaller, at the largest value of the parameter."""
+    if len(values) < 2:
+        return _missing(f"{label} at two values or more")
+    low, high = min(values), max(values)
+    a, b = values[low], values[high]
+    text = f"{label} should {'rise' if up else 'fall'}: {a} {unit} at {_at(over, low)}, "
+    return Statement(exceeds(*((b, a) if up else (a, b))), f"{text}{b} at {_at(over, high)}")
 
 
-def constant(tolerance: float, beyond: float = 0.0) -> Relation:
-    """Relation: numbers beyond a value of the parameter agree, up to a part of their mean."""
-
-    def relation(label: str, values: Series, unit: str, over: str) -> Statement:
-        values = {x: n for x, n in values.items() if isinstance(x, str) or x > beyond}
-        if len(values) < 2:
-            return _missing(f"{label} at two values or more")
-        low, high = (pick(values, key=lambda x: values[x].value) for pick in (min, max))
-        a, b = values[low], values[high]
-        spread = 2 * abs(b.value - a.value) / (abs(a.value) + abs(b.value) or 1.0)
-        text = (
-            f"{label}: {a} to {b} {unit} (at {over.format(plain(low))} and "
-            f"{over.format(plain(high))}), spread {100 * spread:.2g} % "
-            f"(allowed {100 * tolerance:g} %)"
-        )
-        return Statement(alike(a, b, tolerance), text)
-
-    return relation
-
-
-rises, falls = _goes(True), _goes(False)
+def constant(
+    label: str, values: Series, unit: str, over: str, tolerance: float, beyond: float = 0.0
+) -> Statement:
+    """Whether numbers beyond a value of the parameter agree, up to a part of their mean."""
+    values = {x: n for x, n in values.items() if not beyond or x > beyond}
+    if len(values) < 2:
+        return _missing(f"{label} at two values or more")
+    low, high = (pick(values, key=lambda x: values[x].value) for pick in (min, max))
+    a, b = values[low], values[high]
+    spread = 2 * abs(b.value - a.value) / (abs(a.value) + abs(b.value) or 1.0)
+    text = (
+        f"{label}: {a} to {b} {unit} (at {_at(over, low)} and {_at(over, high)}), "
+        f"spread {100 * spread:.2g} % (allowed {100 * tolerance:g} %)"
+    )
+    return Statement(alike(a, b, tolerance), text)
 
 
 def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Statement:
@@ -139,136 +121,114 @@ def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Stat
     return Statement(exceeds(values[2.0], thicker[t], MUCH), text)
 
 
-def above(label: str, pairs: dict[str, tuple[Number | None, Number | None]]) -> Statement:
+def above(label: str, pairs: Iterable[tuple[str, Number | None, Number | None]]) -> Statement:
     """Whether the first number exceeds the second in every case that has both."""
-    found = {name: exceeds(a, b) for name, (a, b) in pairs.items() if a and b}
+    found = {name: exceeds(a, b) for name, a, b in pairs if a and b}
     if not found:
         return _missing(label)
     text = f"{label}: in {sum(v == CONFIRMED for v in found.values())} of {len(found)} cases"
     if others := [name for name, v in found.items() if v != CONFIRMED]:
         more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
         text += f"; not in {', '.join(others[:NAMED])}{more}"
-    return Statement(_all(Statement(v, "") for v in found.values()), text)
+    return Statement(_all(found.values()), text)
+
+
+def _at(over: str, value: object) -> str:
+    return AT[over].format(plain(value))
 
 
 def _missing(what: str) -> Statement:
     return Statement(UNDECIDED, f"no results of {what}")
 
 
-# Claims over families of cases: name, the paper's words, parameter, and relations of quantities.
-Row = tuple[Relation, str, str]
-BONE = "cement_bone"
-CLAIMS: tuple[tuple[str, str, str, list[Row]], ...] = (
-    (
-        "T-a",
-        "At the cement-bone interface the stem's material does not matter",
-        STEM,
-        [(constant(0.02), BONE, "slip"), (constant(0.05), BONE, "shear")],
-    ),
-    (
-        "T-b",
-        "A mantle of 2 mm slips and opens far more than one of 3 to 5 mm",
-        THICKNESS,
-        [(far_more_when_thin, BONE, "slip"), (far_more_when_thin, BONE, "gap")],
-    ),
-    (
-        "T-c",
-        "Stresses do not depend on the thickness beyond 3 mm",
-        THICKNESS,
-        [(constant(FLAT, 3.0), place, q) for place in INTERFACES for q in ("pressure", "shear")],
-    ),
-    (
-        "T-d",
-        "The rougher the cement-bone interface, the less it slips, the more it opens and the "
-        "higher its pressure; shear stays",
-        FRICTION,
-        [
-            (falls, BONE, "slip"),
-            (rises, BONE, "gap"),
-            (rises, BONE, "pressure"),
-            (constant(FLAT), BONE, "shear"),
-        ],
-    ),
-    (
-        "T-e",
-        "The rougher the cement-bone interface, the more the stem slips in the cement and the "
-        "less it opens",
-        FRICTION,
-        [(rises, "stem_cement", "slip"), (falls, "stem_cement", "gap")],
-    ),
+CLAIMS = {
+    "T-a": "At the cement-bone interface the stem's material does not matter",
+    "T-b": "A mantle of 2 mm slips and opens far more than one of 3 to 5 mm",
+    "T-c": "Stresses do not depend on the thickness beyond 3 mm",
+    "T-d": "The rougher the cement-bone interface, the less it slips, the more it opens and the "
+    "higher its pressure; shear stays",
+    "T-e": "The rougher the cement-bone interface, the more the stem slips in the cement and the "
+    "less it opens",
+    "T-f": "Stem-cement stresses exceed cement-bone stresses; pressure exceeds shear",
+    "T-g": "Cement and cement-bone interface get hotter the thicker the mantle; cement is hottest",
+    "T-h": "Tension remains near the interfaces as the cement cools; where the interface is "
+    "unilateral it can only be compression",
+}
+BONE, STEM = INTERFACES
+falls, flat = partial(rises, up=False), partial(constant, tolerance=FLAT)
+# T-a to T-e: a relation of a quantity of an interface over a parameter.
+FAMILIES: tuple[tuple[str, str, Relation, str, str], ...] = (
+    ("T-a", "stem", partial(constant, tolerance=0.02), BONE, "slip"),
+    ("T-a", "stem", partial(constant, tolerance=0.05), BONE, "shear"),
+    ("T-b", "thickness", far_more_when_thin, BONE, "slip"),
+    ("T-b", "thickness", far_more_when_thin, BONE, "gap"),
+    ("T-c", "thickness", partial(flat, beyond=3.0), BONE, "pressure"),
+    ("T-c", "thickness", partial(flat, beyond=3.0), BONE, "shear"),
+    ("T-c", "thickness", partial(flat, beyond=3.0), STEM, "pressure"),
+    ("T-c", "thickness", partial(flat, beyond=3.0), STEM, "shear"),
+    ("T-d", "friction", falls, BONE, "slip"),
+    ("T-d", "friction", rises, BONE, "gap"),
+    ("T-d", "friction", rises, BONE, "pressure"),
+    ("T-d", "friction", flat, BONE, "shear"),
+    ("T-e", "friction", rises, STEM, "slip"),
+    ("T-e", "friction", falls, STEM, "gap"),
+)
+# T-f: the first exceeds the second.
+ORDER = (
+    ((STEM, "pressure"), (BONE, "pressure")),
+    ((STEM, "shear"), (BONE, "shear")),
+    ((BONE, "pressure"), (BONE, "shear")),
+    ((STEM, "pressure"), (STEM, "shear")),
 )
 
 
 def judge(cases: paper.Cases) -> list[Trend]:
     """All trends."""
-    found = []
-    for name, claim, over, rows in CLAIMS:
-        parts, by_peaks = ([*_statements(cases, over, rows, how)] for how in ("percentile", "max"))
-        found.append(Trend(name, claim, parts, _all(by_peaks)))
-    parts, by_peaks = (_order(cases, how) for how in ("percentile", "max"))
-    claim = "Stem-cement stresses exceed cement-bone stresses; pressure exceeds shear"
-    found.append(Trend("T-f", claim, parts, _all(by_peaks)))
-    claim = (
-        "Tension remains near the interfaces as the cement cools; where the interface is "
-        "unilateral it can only be compression"
-    )
-    return [*found, *_heat(cases), Trend("T-h", claim, _residual(cases))]
+    by_percentiles, by_maxima = (_contact(cases, how) for how in ("percentile", "max"))
+    contact = [
+        Trend(name, CLAIMS[name], parts, _all(v for v, _ in by_maxima[name]))
+        for name, parts in by_percentiles.items()
+    ]
+    return [*contact, *_heat(cases), Trend("T-h", CLAIMS["T-h"], _residual(cases))]
+
+
+def _contact(cases: paper.Cases, how: str) -> dict[str, list[Statement]]:
+    """T-a to T-f, by percentiles or by maxima."""
+    found: dict[str, list[Statement]] = {}
+    for name, over, relation, place, quantity in FAMILIES:
+        for stem in [""] if over == "stem" else paper.STEMS:
+            label = f"{stem}, {_name(place, quantity)}".removeprefix(", ")
+            numbers = paper.series(cases.over(over, stem=stem), paper.contact(place, quantity, how))
+            statement = relation(label, numbers, QUANTITIES[quantity][0], over)
+            found.setdefault(name, []).append(statement)
+    for more, less in ORDER:
+        a, b = (paper.contact(*of, how) for of in (more, less))
+        pairs = ((c.name, a(c), b(c)) for c in cases.stances)
+        statement = above(f"{_name(*more)} above {_name(*less)}", pairs)
+        found.setdefault("T-f", []).append(statement)
+    return found
 
 
 def _name(place: str, quantity: str) -> str:
-    return f"{WORDS[place]} {WORDS[quantity]}"
-
-
-def _statements(
-    cases: paper.Cases, over: str, rows: Sequence[Row], how: str
-) -> Iterator[Statement]:
-    families: dict[str, Mapping[Any, SweptCase]] = {"": cases.of_stems()}
-    if over != STEM:
-        family = cases.frictions if over == FRICTION else cases.thicknesses
-        families = {f"{stem}, ": family(stem) for stem in paper.STEMS.values()}
-    for relation, place, quantity in rows:
-        for label, own in families.items():
-            values = paper.series(own, paper.contact(place, quantity, how))
-            yield relation(label + _name(place, quantity), values, QUANTITIES[quantity][0], over)
-
-
-def _order(cases: paper.Cases, how: str) -> list[Statement]:
-    """T-f."""
-    pairs = [
-        *((("stem_cement", q), (BONE, q)) for q in ("pressure", "shear")),
-        *(((place, "pressure"), (place, "shear")) for place in INTERFACES),
-    ]
-    return [
-        above(
-            f"{_name(*more)} above {_name(*less)}",
-            {
-                c.name: (paper.contact(*more, how)(c), paper.contact(*less, how)(c))
-                for c in cases.stances
-            },
-        )
-        for more, less in pairs
-    ]
+    return f"{named(place)} {named(quantity)}"
 
 
 def _heat(cases: paper.Cases) -> list[Trend]:
     """T-g, for each reading of "100 degrees"."""
-    claim = "Cement and cement-bone interface get hotter the thicker the mantle; cement is hottest"
     trends = []
     for (model, reading), family in cases.heats().items():
-        cement = rises("cement", paper.series(family, paper.cement_peak), "°C", THICKNESS)
-        hottest = above(
-            "cement above all else after 10 s",
-            {c.name: (paper.cement_peak(c), _hottest_beside(c)) for c in family.values()},
-        )
-        by_peak = rises(
-            "bone at the interface", paper.series(family, paper.bone_peak), "°C", THICKNESS
-        )
-        known = paper.series(family, paper.bone_p99)  # where fields were written
-        p99 = rises("bone at the interface, p99", known, "°C", THICKNESS)
-        parts = [cement, p99 if len(known) > 1 else by_peak, hottest]
-        peaks = _all([cement, by_peak, hottest])
-        trends.append(Trend(f"T-g ({model}, {reading})", claim, parts, peaks))
-    return trends or [Trend("T-g", claim, [_missing("cement of 100 °C")])]
+        of = paper.cement_peak, paper.bone_peak, paper.bone_p99
+        cement, bone, p99 = (paper.series(family, number) for number in of)
+        hotter = rises("cement", cement, "°C", "thickness")
+        by_peak = rises("bone at the interface", bone, "°C", "thickness")
+        by_p99 = rises("bone at the interface, p99", p99, "°C", "thickness")
+        pairs = ((c.name, cement.get(t), _hottest_beside(c)) for t, c in family.items())
+        hottest = above("cement above all else after 10 s", pairs)
+        # The percentile is known where fields were written.
+        parts = [hotter, by_p99 if len(p99) > 1 else by_peak, hottest]
+        peaks = _all(v for v, _ in (hotter, by_peak, hottest))
+        trends.append(Trend(f"T-g ({model}, {reading})", CLAIMS["T-g"], parts, peaks))
+    return trends or [Trend("T-g", CLAIMS["T-g"], [_missing("cement of 100 °C")])]
 
 
 def _hottest_beside(case: SweptCase) -> Number | None:
@@ -290,9 +250,9 @@ def _residual(cases: paper.Cases) -> list[Statement]:
             found = [n.value for c in cases.hot if (n := c.number(f"{place}.{key}"))]
             if found:
                 low, high = min(found), max(found)
-                text = f"{WORDS[place]} {kind}: {what} of {low:.3g} to {high:.3g} MPa at most in "
-                verdict = CONFIRMED if low > 0 else NOT_CONFIRMED
-                parts.append(Statement(verdict, f"{text}{len(found)} case{'s' * (len(found) > 1)}"))
+                text = f"{named(place)} {kind}: {what} of {low:.3g} to {high:.3g} MPa at most in "
+                text += f"{len(found)} case{'s' * (len(found) > 1)}"
+                parts.append(Statement(CONFIRMED if low > 0 else NOT_CONFIRMED, text))
         if len(parts) == known:
             parts.append(_missing(f"a case that cools with a {kind} interface and mechanics"))
     return parts

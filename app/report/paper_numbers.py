@@ -14,18 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from app.report import paper
-from app.report.curves import Figure, Line, Panel, draw, in_words, too_few
-from app.report.paper import READINGS, STEMS, Cases, Family
-from app.report.sweep_results import (
-    INTERFACES,
-    QUANTITIES,
-    WORDS,
-    Number,
-    SweptCase,
-    magnitude,
-    named,
-)
-from app.system.style import COLOURS, MARKERS
+from app.report.curves import Line, Panel, draw, in_words, too_few
+from app.report.page import Figure
+from app.report.paper import READINGS, REFERENCE, STEMS, Cases, labels
+from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named
 
 # The paper's sliding may be slip in contact, or all relative motion of the sides.
 READINGS_OF = {"slip": ("slip", "motion")}
@@ -38,9 +30,9 @@ class Fact:
 
     Attributes:
         model: ``stance`` or ``heat``.
-        stem: Material of the stem, ``both`` or empty.
+        stem: Material of the stem.
         thickness: Of the mantle in mm: ``4``, ``2-3``, ``>7`` or empty.
-        cement_bone_friction: Friction coefficient there; None if it does not matter.
+        friction: Coefficient of the cement-bone interface; 0 if it does not matter.
         place: Interface or region; may be empty.
         unit: ``um``, ``MPa``, ``degC``.
         kind: peak, exceeded, not exceeded, extreme.
@@ -50,7 +42,7 @@ class Fact:
     model: str
     stem: str
     thickness: str
-    cement_bone_friction: float | None
+    friction: float
     place: str
     quantity: str
     unit: str
@@ -67,13 +59,15 @@ class Fact:
 
 @cache
 def facts() -> list[Fact]:
-    """Numbers that the paper reports."""
+    """Numbers that the paper reports; of both stems once for each."""
     with Path(__file__).with_name("paper_numbers.csv").open(encoding="utf-8", newline="") as file:
         rows: list[dict[str, Any]] = list(csv.DictReader(file))
+    found = []
     for row in rows:
-        row["cement_bone_friction"] = magnitude(row["cement_bone_friction"])
-        row["value"] = float(row["value"])
-    return [Fact(**row) for row in rows]
+        numbers = {key: float(row[key] or 0.0) for key in ("friction", "value")}
+        stems = STEMS if row["stem"] == "both" else [row["stem"]]
+        found += [Fact(**row | numbers | {"stem": stem}) for stem in stems]
+    return found
 
 
 @dataclass(frozen=True)
@@ -81,8 +75,7 @@ class ComparedNumber:
     """A number of the paper beside mantle's.
 
     Attributes:
-        stem: The stem of mantle's case.
-        thickness: Thickness of its mantle [mm].
+        thickness: Thickness of the mantle of mantle's case [mm].
         case: Its name; empty if there is none.
         peak: Mantle's largest value, in the paper's unit.
         number: The percentile; of temperatures the largest value, if its error is known.
@@ -91,7 +84,6 @@ class ComparedNumber:
     """
 
     fact: Fact
-    stem: str
     thickness: float | None = None
     case: str = ""
     peak: float | None = None
@@ -115,40 +107,36 @@ class ComparedNumber:
 
 def compare(cases: Cases) -> list[ComparedNumber]:
     """Every number of the paper beside mantle's, or with the reason for its absence."""
-    rows: list[ComparedNumber] = []
-    for fact in facts():
-        match fact.model, fact.quantity:
-            case "stance", _:
-                rows += _stance_rows(fact, cases)
-            case "heat", "temperature":
-                rows += _heat_rows(fact, cases)
-            case _:
-                rows += _extreme_rows(fact, cases)
-    return rows
+    return [row for fact in facts() for row in _rows(fact, cases)]
 
 
-def _stance_rows(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
-    friction = fact.cement_bone_friction or 0.0
-    for stem in STEMS.values() if fact.stem == "both" else (fact.stem,):
-        family = cases.thicknesses(stem, friction, done=False)
-        found = {t: c for t, c in family.items() if fact.matches(t)}
-        for t, case in found.items():
-            if not case.done:
-                yield ComparedNumber(fact, stem, t, remark=_why(case))
-                continue
-            for reading in READINGS_OF.get(fact.quantity, (fact.quantity,)):
-                yield _stance_row(fact, stem, t, case, reading)
-        if not found:
-            why = f"no case of this sweep has a mantle of {fact.thickness} mm, a {stem} stem and "
-            yield ComparedNumber(fact, stem, remark=f"{why}friction {friction:g}")
+def _rows(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
+    if fact.kind == "extreme":
+        yield from _extremes(fact, cases)
+        return
+    if fact.model == "stance":
+        families = [cases.over("thickness", False, stem=fact.stem, friction=fact.friction)]
+        why = f"no case of this sweep has a mantle of {fact.thickness} mm, a {fact.stem} stem and "
+        why += f"friction {fact.friction:g}"
+    else:
+        families = [*cases.heats(done=False).values()]
+        why = f"no case with cement of 100 °C and {fact.thickness} mm"
+    found = [(t, c) for family in families for t, c in family.items() if fact.matches(t)]
+    for t, case in found:
+        if not case.done:
+            status = "did not converge" if "not" in case.status else case.status
+            yield ComparedNumber(fact, t, remark=f"the case {case.name} {status}")
+        elif fact.model == "heat":
+            yield _heat(fact, t, case)
+        else:
+            readings = READINGS_OF.get(fact.quantity, (fact.quantity,))
+            yield from (_stance(fact, t, case, reading) for reading in readings)
+    if not found:
+        yield ComparedNumber(fact, remark=why)
 
 
-def _stance_row(
-    fact: Fact, stem: str, thickness: float, case: SweptCase, quantity: str
-) -> ComparedNumber:
-    peak, settled = (
-        paper.contact(fact.place, quantity, how)(case) for how in ("max", "percentile")
-    )
+def _stance(fact: Fact, thickness: float, case: SweptCase, quantity: str) -> ComparedNumber:
+    most, settled = (paper.contact(fact.place, quantity, h)(case) for h in ("max", "percentile"))
     remark = ""
     if fact.kind in ("exceeded", "not exceeded"):
         over = case.number(f"{fact.place}.area_{quantity}_over_30um")
@@ -158,61 +146,49 @@ def _stance_row(
             share = f"{100 * part:.2g} %" if part < 0.995 else "100 %"
             remark = f"mantle: more than 30 µm on {share} of the area"
     other = quantity if quantity != fact.quantity else ""
-    value = None if peak is None else peak.value
-    return ComparedNumber(fact, stem, thickness, case.name, value, settled, remark, other)
+    peak = most.value if most else None
+    return ComparedNumber(fact, thickness, case.name, peak, settled, remark, other)
 
 
-def _why(case: SweptCase) -> str:
-    return f"the case {case.name} {'did not converge' if 'not' in case.status else case.status}"
+def _heat(fact: Fact, thickness: float, case: SweptCase) -> ComparedNumber:
+    number = paper.cement_peak(case) if fact.place == "cement" else paper.bone_peak(case)
+    label = _heat_label(case)
+    if fact.place == "cement" and labels(case)["reading"] == "initial":
+        label += f", after {paper.AT:g} s"
+    sure = number if number and number.error is not None else None
+    peak = number.value if number else None
+    return ComparedNumber(fact, thickness, case.name, peak, sure, label)
 
 
-def _heat_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
-    rows: list[ComparedNumber] = []
-    for (model, reading), family in cases.heats(done=False).items():
-        for t, case in family.items():
-            if not fact.matches(t):
-                continue
-            if not case.done:
-                rows.append(ComparedNumber(fact, fact.stem, t, remark=_why(case)))
-                continue
-            number = paper.cement_peak(case) if fact.place == "cement" else paper.bone_peak(case)
-            label = f"{model}, {READINGS[reading]}, {paper.conductance(case)}"
-            if fact.place == "cement" and reading == "initial":
-                label += f", after {paper.AT:g} s"
-            peak = None if number is None else number.value
-            sure = number if number and number.error is not None else None
-            rows.append(ComparedNumber(fact, fact.stem, t, case.name, peak, sure, label))
-    why = f"no case with cement of 100 °C and {fact.thickness} mm"
-    return rows or [ComparedNumber(fact, fact.stem, remark=why)]
+def _heat_label(case: SweptCase) -> str:
+    own = labels(case)
+    return f"{own['model']}, {READINGS[own['reading']]}, {paper.conductance(case)}"
 
 
-def _extreme_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
+def _extremes(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
     """Mean stress of the regions of the heated femur, for each reading."""
     largest = max if fact.value > 0 else min
-    rows = []
+    every = [
+        (n.value, region, case, labels(case))
+        for case in cases.hot
+        if case.done and case.part != "slice"
+        for region in case.summary.get("regions", {})
+        if (n := case.number(f"{region}.{fact.quantity}")) is not None
+    ]
     for reading, words in READINGS.items():
-        found = [
-            (n.value, region, case)
-            for case in cases.hot
-            if case.done and case.part != "slice" and paper.reading_of(case) == reading
-            for region in case.summary.get("regions", {})
-            if (n := case.number(f"{region}.{fact.quantity}")) is not None
-        ]
-        if not found:
-            continue
-        value, region, case = largest(found, key=lambda f: f[0])
-        by_region = {r: largest(v for v, own, _ in found if own == r) for _, r, _ in found}
-        each = ", ".join(f"{named(r)} {v:.3g}" for r, v in by_region.items())
-        remark = f"{words}, in {named(region)}; by region: {each}"
-        rows.append(
-            ComparedNumber(fact, fact.stem, paper.thickness(case), case.name, value, remark=remark)
-        )
-    why = "no case of this sweep computes stress in the heated femur"
-    return rows or [ComparedNumber(fact, fact.stem, remark=why)]
+        found = [f for f in every if f[3]["reading"] == reading]
+        if found:
+            value, region, case, own = largest(found, key=lambda f: f[0])
+            by_region = {r: largest(v for v, o, *_ in found if o == r) for _, r, *_ in found}
+            each = ", ".join(f"{named(r)} {v:.3g}" for r, v in by_region.items())
+            remark = f"{words}, in {named(region)}; by region: {each}"
+            yield ComparedNumber(fact, own["thickness"], case.name, value, remark=remark)
+    if not every:
+        why = "no case of this sweep computes stress in the heated femur"
+        yield ComparedNumber(fact, remark=why)
 
 
 # Figures
-
 
 HOT = (
     "The paper's “100 degrees” read as the cement's initial temperature (cement: after 10 s, "
@@ -224,23 +200,24 @@ NOTE = (
     "Filled, with bars: mantle's 99th percentile and its estimated error. Light, hollow: mantle's "
     "largest value, which depends on the mesh. Stars: the paper."
 )
-# Number, title, quantities, and whether over friction or thickness.
-FIGURES: tuple[tuple[int, str, tuple[str, ...], bool], ...] = (
-    (3, "Largest debonding over the thickness of the mantle", ("gap",), False),
-    (4, "Largest interfacial shear stress over the thickness of the mantle", ("shear",), False),
-    (5, "Largest sliding and motion over the thickness of the mantle", ("slip", "motion"), False),
-    (
-        6,
-        "Debonding, sliding, motion over the cement-bone friction",
-        ("gap", "slip", "motion"),
-        True,
+# By number: title, parameter, quantities.
+FIGURES: dict[int, tuple[str, str, tuple[str, ...]]] = {
+    3: ("Largest debonding", "thickness", ("gap",)),
+    4: ("Largest interfacial shear stress", "thickness", ("shear",)),
+    5: ("Largest sliding and motion", "thickness", ("slip", "motion")),
+    6: ("Debonding, sliding, motion", "friction", ("gap", "slip", "motion")),
+    7: ("Pressure and shear", "friction", ("pressure", "shear")),
+    8: ("Highest temperatures", "thickness", ("temperature",)),
+}
+# By parameter: in titles, on axes, and several of them.
+OVER = {
+    "thickness": ("the thickness of the mantle", "thickness of the mantle (mm)", "thicknesses"),
+    "friction": (
+        "the cement-bone friction",
+        "friction coefficient of the cement-bone interface",
+        "frictions",
     ),
-    (7, "Pressure and shear over the cement-bone friction", ("pressure", "shear"), True),
-)
-THICKNESS, FRICTION = (
-    "thickness of the mantle (mm)",
-    "friction coefficient of the cement-bone interface",
-)
+}
 
 
 def figures(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
@@ -249,67 +226,61 @@ def figures(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
     Returns:
         The figures, and reasons for those missing.
     """
-    planned = []
-    for number, title, quantities, friction in FIGURES:
-        panels = [_panel(cases, p, q, friction) for q in quantities for p in INTERFACES]
-        lacking = f"no stem at two {'frictions' if friction else 'thicknesses'}"
-        planned.append((number, title, panels, FRICTION if friction else THICKNESS, NOTE, lacking))
-    title, lacking = (
-        "Highest temperatures over the thickness of the mantle",
-        "no case of hot cement",
-    )
-    panels = [_temperatures(cases, "cement", "cement")]
-    panels += [_temperatures(cases, "cement_bone", "bone at the cement-bone interface")]
-    planned.append((8, title, panels, THICKNESS, HOT, f"{lacking} at two thicknesses"))
     drawn, missing = [], []
-    for number, title, panels, x, note, lacking in planned:
+    for number, (title, over, quantities) in FIGURES.items():
+        words, axis, several = OVER[over]
+        hot = quantities == ("temperature",)
+        if hot:
+            panels = [_temperatures(cases, place) for place in ("cement", "cement_bone")]
+        else:
+            panels = [_panel(cases, p, q, over) for q in quantities for p in INTERFACES]
         if too_few(panels):
-            missing.append(f"figure {number}: {lacking}")
+            of = "case of hot cement" if hot else "stem"
+            missing.append(f"figure {number}: no {of} at two {several}")
             continue
-        name = f"figure{number}.png"
-        draw(folder / name, panels, x, 2)
-        drawn.append(Figure(name, f"Figure {number}. {title}", note, in_words(panels)))
+        name, caption = f"figure{number}.png", HOT if hot else NOTE
+        draw(folder / name, panels, axis, 2)
+        drawn.append(
+            Figure(name, f"Figure {number}. {title} over {words}", caption, in_words(panels))
+        )
     return drawn, missing
 
 
-def published(
-    stem: str, place: str, quantity: str, friction: bool = False
-) -> list[tuple[float, float]]:
+def published(stem: str, place: str, quantity: str, over: str) -> list[tuple[float, float]]:
     """The paper's peaks for figures: thickness [mm], or friction of a mantle of 4 mm, and value."""
-    found = set()
-    for f in facts():
-        if (f.place, f.quantity, f.kind) != (place, quantity, "peak"):
-            continue
-        if f.stem in (stem, "both") and not f.thickness.startswith(">"):
-            for t in map(float, f.thickness.split("-")):
-                if not friction:
-                    found.add((t, f.value))
-                elif t == paper.THICKNESS:
-                    found.add((f.cement_bone_friction or 0.0, f.value))
+    found = {
+        (t if over == "thickness" else f.friction, f.value)
+        for f in facts()
+        if (f.stem, f.place, f.quantity, f.kind) == (stem, place, quantity, "peak")
+        and not f.thickness.startswith(">")
+        for t in map(float, f.thickness.split("-"))
+        if over == "thickness" or t == REFERENCE["thickness"]
+    }
     return sorted(found)
 
 
-def _panel(cases: Cases, place: str, quantity: str, friction: bool) -> Panel:
+def _panel(cases: Cases, place: str, quantity: str, over: str) -> Panel:
     lines = []
-    for k, stem in enumerate(STEMS.values()):
-        family: Family = cases.frictions(stem) if friction else cases.thicknesses(stem)
-        percentile, most = (
+    for k, stem in enumerate(STEMS):
+        family = cases.over(over, stem=stem)
+        values, most = (
             paper.series(family, paper.contact(place, quantity, how))
             for how in ("percentile", "max")
         )
-        stars = published(stem, place, "slip" if quantity == "motion" else quantity, friction)
-        lines.append(Line(stem, COLOURS[k], MARKERS[k], percentile, most, stars, own_stars=True))
-    return Panel(WORDS[place], f"{WORDS[quantity]} ({QUANTITIES[quantity][0]})", lines)
+        stars = published(stem, place, "slip" if quantity == "motion" else quantity, over)
+        lines.append(Line(stem, k, values, most, stars, own_stars=True))
+    return Panel(named(place), f"{named(quantity)} ({QUANTITIES[quantity][0]})", lines)
 
 
-def _temperatures(cases: Cases, place: str, title: str) -> Panel:
+def _temperatures(cases: Cases, place: str) -> Panel:
     lines = []
-    stars = published("CoCr", place, "temperature")
-    for k, ((model, reading), family) in enumerate(cases.heats().items()):
-        label = f"{model}, {READINGS[reading]}, {paper.conductance(next(iter(family.values())))}"
-        cement = place == "cement"
+    stars = published("CoCr", place, "temperature", "thickness")
+    cement = place == "cement"
+    for k, family in enumerate(cases.heats().values()):
+        label = _heat_label(next(iter(family.values())))
         values = paper.series(family, paper.cement_peak if cement else paper.bone_p99)
         peaks = {} if cement else paper.series(family, paper.bone_peak)
-        lines.append(Line(label, COLOURS[k], MARKERS[k], values, peaks, stars))
+        lines.append(Line(label, k, values, peaks, stars))
         stars = []
+    title = "cement" if cement else "bone at the cement-bone interface"
     return Panel(title, "temperature (°C)", lines)

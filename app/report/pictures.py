@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,9 @@ from app import figures
 from app.arrays import Floats, Ints
 from app.case.case import read_geometry
 from app.errors import MantleError
-from app.report.curves import Figure
+from app.report.page import Figure
 from app.report.sweep_results import QUANTITIES, WORDS, SweepResults, SweptCase, named
-from app.report.viewer import INTERFACE, outsides
+from app.report.viewer import INTERFACE, lengths, outsides
 from app.results import unrolled
 from app.results.reading import Run
 from app.results.unrolled import MapRow, Sheet
@@ -78,33 +79,22 @@ def maps(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str
 
 
 def _rows(name: str, columns: Sequence[Column]) -> list[MapRow]:
+    sheets = {id(run): own for _, run, own in columns}
+
+    def contact(quantity: str, factor: float, run: Run) -> Floats | None:
+        return factor * lengths(run, f"{name}_{quantity}") if name in run.contacts else None
+
+    def hottest(run: Run) -> Floats | None:
+        steps = [run.temperature(k) for k in range(len(run.times))] if run.hot else []
+        nodes = sheets[id(run)].nodes
+        return max(steps, key=lambda T: float(np.max(T[nodes]))) if steps else None
+
     rows = []
     for quantity, colours in SHOWN.items():
         unit, factor = QUANTITIES[quantity]
-        values = _contact(name, quantity, factor)
+        values = partial(contact, quantity, factor)
         rows.append(MapRow(f"{WORDS[quantity]} ({unit})", colours, values))
-    sheets = {id(run): own for _, run, own in columns}
-
-    def hottest(run: Run) -> Floats | None:
-        if not run.hot:
-            return None
-        steps = [run.temperature(k) for k in range(len(run.times))]
-        return max(steps, key=lambda T: float(np.max(T[sheets[id(run)].nodes])))
-
     return [*rows, MapRow("temperature (°C)", "inferno", hottest, False)]
-
-
-def _contact(name: str, quantity: str, factor: float) -> Callable[[Run], Floats | None]:
-    def values(run: Run) -> Floats | None:
-        return factor * _sizes(run, name, quantity) if name in run.contacts else None
-
-    return values
-
-
-def _sizes(run: Run, name: str, quantity: str) -> Floats:
-    """A quantity of an interface at all nodes (n,); of vectors the length."""
-    values = run.at_interface(name, quantity)
-    return np.asarray(np.linalg.norm(values, axis=1)) if values.ndim == 2 else values
 
 
 def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[str]) -> Figure:
@@ -123,32 +113,31 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
     return Figure(file, place + to, caption, f"{', '.join(labels)} on the {place}{of}")
 
 
-def sides(run: Run, folder: Path) -> Figure | None:
+def sides(run: Run, folder: Path) -> list[Figure]:
     """Draw slip, gap and pressure of every interface on its inner body; nothing without contact."""
     bodies = outsides(run, curved=True)
     found = {name: _side(run, name, bodies) for name in sorted(run.contacts, reverse=True)}
     shown = {name: side for name, side in found.items() if side is not None}
     if not shown:
-        return None
+        return []
     figure = figures.new(10.0, 4.2 * len(shown))
     axes = figure.subplots(len(shown), len(ON_SIDES), squeeze=False)
     for row, (name, (body, triangles)) in zip(axes, shown.items(), strict=True):
-        for ax, quantity in zip(row, ON_SIDES, strict=True):
+        for ax, (quantity, colours) in zip(row, ON_SIDES.items(), strict=True):
             label, unit, factor = INTERFACE[quantity]
-            values = factor * _sizes(run, name, quantity)
-            scale = _three(ax, run.points, triangles, values, ON_SIDES[quantity])
+            values = factor * lengths(run, f"{name}_{quantity}")
+            scale = _three(ax, run.points, triangles, values, colours)
             bar = figure.colorbar(scale, ax=ax, orientation="horizontal", pad=0.02)
             bar.set_label(f"{label} on the {body.replace('_', ' ')} ({unit})")
     for suffix in ("png", "pdf"):
         figure.savefig(folder / f"{SIDES}.{suffix}", dpi=130)
     names = " and ".join(name.replace("_", "-") for name in shown)
-    return Figure(
-        f"{SIDES}.png",
-        "The interfaces from three sides",
+    caption = (
         "Net slip in contact, opening and contact pressure at the end, on the inner body of each "
-        "interface.",
-        f"Slip, gap and pressure of {names}, drawn on the surface from three sides.",
+        "interface."
     )
+    text = f"Slip, gap and pressure of {names}, drawn on the surface from three sides."
+    return [Figure(f"{SIDES}.png", "The interfaces from three sides", caption, text)]
 
 
 def _side(run: Run, contact: str, bodies: Mapping[str, Ints]) -> tuple[str, Ints] | None:

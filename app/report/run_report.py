@@ -9,17 +9,15 @@ import json
 import logging
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from app.case import quantities
-from app.case.quantities import NECROSIS, TABLE, Quantity, in_print, printed
+from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
-from app.report import gruen, history_curves, page, pictures, sentence, sweep_figures, viewer
-from app.report.curves import Figure
-from app.report.page import Blocks, bullets, paragraph, table
+from app.report import curves, gruen, page, pictures, sentence, sweep_figures, viewer
+from app.report.page import Blocks, Figure, bullets, paragraph, table
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
 from app.results import tables
@@ -96,43 +94,28 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     """Write the page of a run; of one among many, as its share of time allows."""
     case, summary = opened(folder), _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
-    panels, x = history_curves.panels(case.history)
+    panels, x = curves.of_history(case.history)
     spent = share * summary["timing"]["total"]
     view, lacking = _view(folder) if alone or spent >= VIEW else ("", [])
-    files: list[Path] = []
-    sides: Blocks = []
-    drawings = folder / PICTURES
+    sides, maps, files = _pictures(case, spent)
     if share == math.inf:
-        drawings.mkdir(exist_ok=True)
-        files += history_curves.draw(drawings, panels, x)
-        if (folder / "fields.vtkhdf").exists() and (f := pictures.sides(Run(folder), drawings)):
-            sides = page.figure(f, drawings)
-            files += [drawings / f"{pictures.SIDES}.{kind}" for kind in ("png", "pdf")]
-        maps, drawn = _maps(case, drawings)
-        files += drawn
-    elif spent >= MAPS:
-        with tempfile.TemporaryDirectory() as scratch:
-            maps, _ = _maps(case, Path(scratch))
-    else:
-        maps = bullets([f"mantle report {folder} draws them: after a short run they take too long"])
+        files = curves.draw_history(folder / PICTURES, panels, x) + files
+    case_file = _text(folder / "case.yaml")
+    verbatim: Blocks = [("verbatim", {"text": case_file})] if case_file else []
     sections = [
         ("numbers", "Numbers", _numbers(summary)),
         ("sides", "From three sides", sides),
-        ("curves", "Over time", history_curves.blocks(panels, x)),
-        ("maps", "Maps of the interfaces", maps if (folder / "fields.vtkhdf").exists() else []),
-        ("gruen", "Gruen zones", _gruen(case)),
+        ("curves", "Over time", curves.drawings(panels, x)),
+        ("maps", "Maps of the interfaces", maps),
+        ("gruen", "Gruen zones", gruen.blocks([("", case)])),
         ("mantle", "Cement mantle", table(*gruen.mantles([case]))),
         (
             "all",
             "All numbers",
-            page.folded("every quantity, with its error where known", _all(summary)),
+            page.folded("every quantity, with its error where known", _tables(summary, every=True)),
         ),
         ("solver", "Convergence of the solver", _solver(case, summary)),
-        (
-            "case",
-            "Input",
-            page.folded("the case with all defaults", page.verbatim(_text(folder / "case.yaml"))),
-        ),
+        ("case", "Input", page.folded("the case with all defaults", verbatim)),
         ("provenance", "Provenance", page.folded("program, machine, digests", _pairs(record))),
     ]
     html = page.page(
@@ -147,10 +130,31 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     return [folder / PAGE, *files]
 
 
+def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]]:
+    """Interfaces from three sides, and their maps; the files, if time is not limited."""
+    if not (case.folder / "fields.vtkhdf").exists():
+        return [], [], []
+    if spent < MAPS:
+        later = f"mantle report {case.folder} draws them: after a short run they take too long"
+        return [], bullets([later]), []
+    whole = spent == math.inf
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = case.folder / PICTURES if whole else Path(scratch)
+        folder.mkdir(exist_ok=True)
+        try:
+            maps, missing = pictures.maps([[("", case)]], folder)
+        except (KeyError, OSError) as error:
+            maps, missing = [], [f"fields that cannot be read: {error}"]
+        sides = pictures.sides(Run(case.folder), folder) if whole else []
+        files = [f.name for f in (*sides, *maps)] + [f"{pictures.SIDES}.pdf"] * len(sides)
+        blocks = [page.figures(found, folder) for found in (sides, maps)]
+    return blocks[0], blocks[1] + bullets(missing), [folder / name for name in files] * whole
+
+
 def _view(folder: Path) -> tuple[str, list[str]]:
     """The view in three dimensions, or why there is none: its failure must not cost the page."""
     try:
-        return viewer.viewer(folder) or "", []
+        return viewer.viewer(folder), []
     except Exception as error:  # whatever is wrong with the fields
         return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
@@ -168,60 +172,48 @@ def _verdict(summary: dict[str, Any]) -> list[str]:
     if status in (CONVERGED, text.UNUSABLE):
         lines += [clause.text for clause in text.verdict(summary)]
     else:
-        lines.insert(
-            0,
-            f"{status}: the numbers are those of the last converged state, at time "
-            f"{summary['time']:.4g}",
-        )
-    error = summary.get("error", {})
-    if failed := error.get("failed"):
-        lines.append(
-            f"note: the error is estimated without companions that failed: {', '.join(failed)}"
-        )
+        time = f"at time {summary['time']:.4g}"
+        lines = [f"{status}: the numbers are those of the last converged state, {time}", *lines]
+    if failed := ", ".join(summary.get("error", {}).get("failed", [])):
+        lines.append(f"note: the error is estimated without companions that failed: {failed}")
     lines += [clause.text for clause in text.peaks(summary)]
-    return [in_print(line) for line in [*lines, *(f"note: {n}" for n in summary.get("notes", []))]]
-
-
-def _label(q: Quantity) -> str:
-    unit = printed(q.shown)
-    return f"{q.label} ({unit})" if unit else q.label
-
-
-def _sections(summary: dict[str, Any]) -> Iterator[tuple[str, dict[str, dict[str, Any]]]]:
-    """Numbers by section of the table of quantities, without those of the run itself."""
-    found: dict[str, dict[str, dict[str, Any]]] = {}
-    for section, name, numbers in quantities.numbers_of(summary):
-        found.setdefault(section, {})[name] = numbers
-    return ((section, found[section]) for section in TITLES if section in found)
-
-
-def _rows(named: dict[str, dict[str, Any]], chosen: Sequence[Quantity]) -> list[list[str]]:
-    rows = [[_label(q), *(q.text(numbers) for numbers in named.values())] for q in chosen]
-    return [row for row in rows if set(row[1:]) != {"-"}]
+    lines += [f"note: {note}" for note in summary.get("notes", [])]
+    return [in_print(line) for line in lines]
 
 
 def _numbers(summary: dict[str, Any]) -> Blocks:
     """The numbers of the closing table, a column for each interface, region and so on."""
-    found: Blocks = []
-    for section, named in _sections(summary):
-        own = TABLE[section]
-        keys = [
-            *tables.keys(section),
-            *MORE.get(section, ()),
-            *(k for k, q in own.items() if q.compute),
-        ]
-        chosen = [own[k] for k in keys or own if not own[k].vector]
-        found += page.titled(TITLES[section], table(["", *named], _rows(named, chosen)))
-        if section == "thermal.regions":
-            found += page.titled("Dead bone", _necrosis(named))
+    found = _tables(summary, every=False)
     found += page.titled("Peaks that still change with the mesh", _unsettled(summary))
     if note := summary.get("thermal", {}).get("note"):
         found += paragraph(note, "quiet")
-    how = (
-        "p99 and p95 are percentiles by area or volume: 1 or 5 % of it exceeds them. A maximum may "
-        "stand at an edge and grow with the mesh."
-    )
-    return paragraph(how, "quiet") + found if found else []
+    return found
+
+
+def _tables(summary: dict[str, Any], every: bool) -> Blocks:
+    """Tables of the numbers by section, of all of them or of the main ones."""
+    sections: dict[str, dict[str, dict[str, Any]]] = {}
+    for section, name, numbers in quantities.numbers_of(summary):
+        sections.setdefault(section, {})[name] = numbers
+    found: Blocks = []
+    for section in (s for s in TITLES if s in sections):
+        own, named = TABLE[section], sections[section]
+        added = [k for k, q in own.items() if q.compute]
+        keys = [] if every else [*tables.keys(section), *MORE.get(section, ()), *added]
+        rows = [
+            [_label(own[k]), *(own[k].text(numbers) for numbers in named.values())]
+            for k in keys or own
+            if not own[k].vector
+        ]
+        rows = [row for row in rows if set(row[1:]) != {"-"}]
+        found += page.titled(TITLES[section], table(["", *named], rows))
+        if section == "thermal.regions" and not every:
+            found += page.titled("Dead bone", _necrosis(named))
+    return found
+
+
+def _label(q: Quantity) -> str:
+    return f"{q.label} ({unit})" if (unit := printed(q.shown)) else q.label
 
 
 def _unsettled(summary: dict[str, Any]) -> Blocks:
@@ -237,52 +229,14 @@ def _unsettled(summary: dict[str, Any]) -> Blocks:
 
 
 def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
-    own = TABLE["thermal.regions"]
-    bone = {name: q for name, q in regions.items() if sentence.is_bone(q)}
-    head = ["", *(f"{name}, {what}" for name in bone for what in ("volume (mm³)", "depth (mm)"))]
-    rows = [
-        [
-            in_print(words),
-            *(
-                own[f"necrosis_{rule}_{k}"].text(q)
-                for q in bone.values()
-                for k in ("volume", "depth")
-            ),
-        ]
-        for rule, words in NECROSIS.items()
-    ]
-    return table(head, rows if bone else [])
-
-
-def _all(summary: dict[str, Any]) -> Blocks:
-    found: Blocks = []
-    for section, named in _sections(summary):
-        chosen = [q for q in TABLE[section].values() if not q.vector]
-        found += page.titled(TITLES[section], table(["", *named], _rows(named, chosen)))
-    return found
-
-
-def _gruen(case: SweptCase) -> Blocks:
-    note = "Of each interface: largest / mean value in the zone."
-    found = table(*gruen.table(case))
-    return paragraph(note, "quiet") + found if found else []
-
-
-def _maps(case: SweptCase, folder: Path) -> tuple[Blocks, list[Path]]:
-    """Pictures of the interfaces with reasons for missing ones, and the files."""
-    try:
-        drawn, missing = pictures.maps([[("", case)]], folder)
-    except (KeyError, OSError) as error:
-        return bullets([f"fields that cannot be read: {error}"]), []
-    blocks = [block for f in drawn for block in page.figure(f, folder)]
-    return blocks + bullets(missing), [folder / f.name for f in drawn]
+    bones, rows = tables.necrosis(regions)
+    head = ["", *(f"{name}, {what}" for name in bones for what in ("volume (mm³)", "depth (mm)"))]
+    return table(head, [[in_print(words), *texts] for words, *texts in rows] if bones else [])
 
 
 def _solver(case: SweptCase, summary: dict[str, Any]) -> Blocks:
     """Iterations and balances of each step, and seconds by phase."""
-    own = page.sparse(history_curves.of_solver(case.history))
-    rows = [[plain(v) for v in row.values()] for row in own]
-    parts = table(list(own[0]), rows) if own else []
+    parts = curves.of_solver(case.history)
     parts += page.titled("Sizes", _pairs(summary.get("solver", {})))
     parts += page.titled("Seconds", _pairs(summary.get("timing", {})))
     return page.folded("each step, sizes, times", parts)
@@ -308,10 +262,9 @@ def _variations(folder: Path, share: float) -> list[Path]:
     if share == math.inf:
         drawings.mkdir(exist_ok=True)
         figures = sweep_figures.multiples(cases, drawings)
-    drawn = [b for f in figures for b in page.figure(f, drawings)]
     sections = [
         ("cases", "All variations", sweep_figures.cases_table(cases, names, links)),
-        ("curves", "What varies", drawn),
+        ("curves", "What varies", page.figures(figures, drawings)),
         ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
     done = sum(c.done for c in cases)
@@ -323,11 +276,8 @@ def _variations(folder: Path, share: float) -> list[Path]:
         summary=[f"{done} of {len(cases)} variations converged", *bad],
     )
     write_text(folder / PAGE, html)
-    return [
-        folder / PAGE,
-        *(folder / link for link in links.values()),
-        *(drawings / f.name for f in figures),
-    ]
+    pages = [folder / PAGE, *(folder / link for link in links.values())]
+    return pages + [drawings / f.name for f in figures]
 
 
 def _text(path: Path) -> str:

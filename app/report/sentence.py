@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from app.case import quantities
-from app.case.quantities import TABLE, in_print, numbers_of, printed
+from app.case.quantities import NECROSIS, TABLE, in_print, numbers_of, printed
 from app.report.sweep_figures import label
 from app.report.sweep_results import SweptCase, magnitude
 from app.results.closing_lines import BOTH
@@ -36,21 +35,16 @@ def sentence(summary: Numbers, case: SweptCase) -> str:
     return f"{said[0].upper()}{said[1:]}."
 
 
-def is_bone(region: Numbers) -> bool:
-    """Whether numbers belong to a region that heat can kill."""
-    return "necrosis_47C_1min_volume" in region
-
-
 def _load(case: SweptCase) -> str:
     sizes = {}
     for name, load in case.data.get("loads", {}).items():
-        parts = [magnitude(x) for x in load.get("force") or ()]
-        history = load.get("history") or [1.0]
-        if parts and None not in parts and isinstance(history[-1], int | float):
-            sizes[name] = abs(history[-1]) * math.hypot(*(p for p in parts if p is not None))
+        parts = [x for v in load.get("force") or () if (x := magnitude(v)) is not None]
+        last = (load.get("history") or [1.0])[-1]
+        if len(parts) == 3 and isinstance(last, int | float):
+            sizes[name] = abs(last) * math.hypot(*parts)
     if not sizes:
         return ""
-    largest = max(sizes, key=lambda name: sizes[name])
+    largest = max(sizes, key=sizes.__getitem__)
     which = f" ({largest.replace('_', ' ')})" if len(sizes) > 1 else ""
     sector = SECTORS.get(case.data.get("geometry", {}).get("sector", ""), "")
     return f"under {sizes[largest]:,.0f} N{which}{sector}"
@@ -67,23 +61,22 @@ def _contacts(summary: Numbers) -> Iterator[str]:
         if "slip_p99" not in q:
             continue
         first, second = PAIRS.get(name, (f"one side of {name.replace('_', ' ')}", "the other"))
-        slides = 1e3 * q["slip_p99"] > NOTHING
-        most = _with_error("interfaces", "slip_p99", q)
-        slip = f"slides by up to {most} over 99 % of its surface" if slides else ""
-        where = "in" if second == "its cement" else "on"
+        gap = _with_error("interfaces", "gap_p99", q)
         if q.get("open_fraction", 0.0) > APART:
-            far = _with_error("interfaces", "gap_p99", q)
-            yield f"{first} touches {second} nowhere and is up to {far} away from it"
+            yield f"{first} touches {second} nowhere and is up to {gap} away from it"
             continue
-        moves = f"{first} {slip or 'does not slide'} {where} {second}"
+        slides = "does not slide"
+        if 1e3 * q["slip_p99"] > NOTHING:
+            slip = _with_error("interfaces", "slip_p99", q)
+            slides = f"slides by up to {slip} over 99 % of its surface"
         area = q.get("area_gap_over_30um", 0.0)
         if area > 0.5:
-            moves += f" and leaves it by more than 30 µm over {area:,.0f} of {q['area']:,.0f} mm²"
+            left = f"leaves it by more than 30 µm over {area:,.0f} of {q['area']:,.0f} mm²"
         elif 1e3 * q.get("gap_p99", 0.0) > NOTHING:
-            moves += f" and leaves it by up to {_with_error('interfaces', 'gap_p99', q)}"
+            left = f"leaves it by up to {gap}"
         else:
-            moves += " and nowhere leaves it"
-        yield moves
+            left = "nowhere leaves it"
+        yield f"{first} {slides} {'in' if second == 'its cement' else 'on'} {second} and {left}"
 
 
 def _stem(summary: Numbers) -> Iterator[str]:
@@ -94,7 +87,7 @@ def _stem(summary: Numbers) -> Iterator[str]:
 def _heat(summary: Numbers) -> Iterator[str]:
     """Peak temperature of the bone, how long it lasts, and how much bone dies."""
     regions = summary.get("thermal", {}).get("regions", {})
-    bone = [q for q in regions.values() if is_bone(q)]
+    bone = [q for q in regions.values() if "necrosis_47C_1min_volume" in q]  # heat can kill it
     if not regions:
         return
     if not bone:
@@ -107,18 +100,14 @@ def _heat(summary: Numbers) -> Iterator[str]:
     spans = {level: max(q[f"seconds_over_{level}"] for q in bone) for level in (47, 50, 56)}
     over = [f"{s:,.0f} s above {level} °C" for level, s in spans.items() if s > 0]
     yield said + (f", for up to {', '.join(over)}" if over else " and is never above 47 °C")
-    dead = {
-        rule: sum(q.get(f"necrosis_{rule}_volume") or 0.0 for q in bone)
-        for rule in quantities.NECROSIS
-    }
+    rule = "47C_1min"
+    dead = {r: sum(q.get(f"necrosis_{r}_volume") or 0.0 for q in bone) for r in NECROSIS}
     if max(dead.values()) < 0.5:
         yield "no bone dies"
         return
-    rule = "47C_1min"
     others = [v for k, v in dead.items() if k != rule]
     yield (
-        f"{dead[rule]:,.0f} mm³ of bone dies by the rule of "
-        f"{in_print(quantities.NECROSIS[rule])}, "
+        f"{dead[rule]:,.0f} mm³ of bone dies by the rule of {in_print(NECROSIS[rule])}, "
         f"{min(others):,.0f} to {max(others):,.0f} mm³ by others"
     )
 
@@ -171,13 +160,12 @@ def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> str:
     """Ranges of some numbers over several runs."""
     found = []
     for name in names:
-        values = {c.name: n for c in cases if (n := c.number(name)) is not None}
+        values = {c.name: n.value for c in cases if (n := c.number(name)) is not None}
         if len(values) > 1 and name.endswith((".slip_p99", ".gap_p99", ".temperature_max")):
-            low, high = (f(values, key=lambda k: values[k].value) for f in (min, max))
-            if values[high].value <= NOTHING:
-                continue
-            words, unit = label(name)
-            ends = ((k, values[k].value) for k in (low, high))
-            least, most = (f"{v if abs(v) > NOTHING else 0:.3g} {unit} ({k})" for k, v in ends)
-            found.append(f"{words} from {least} to {most}")
+            low, high = min(values, key=values.__getitem__), max(values, key=values.__getitem__)
+            if values[high] > NOTHING:
+                words, unit = label(name)
+                ends = ((k, values[k] if abs(values[k]) > NOTHING else 0) for k in (low, high))
+                least, most = (f"{v:.3g} {unit} ({k})" for k, v in ends)
+                found.append(f"{words} from {least} to {most}")
     return f"Over all variations: {'; '.join(found)}." if found else ""

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from app.campaigns.uncertainty import correlation
 from app.case import keys, quantities
 from app.report import page
-from app.report.curves import ROUNDED, Figure, Line, Panel, draw, in_words, too_few
-from app.report.page import Blocks
-from app.report.sweep_results import PERCENTILES, SweptCase, magnitude, named
+from app.report.curves import ROUNDED, Line, Panel, draw, in_words, too_few
+from app.report.page import Blocks, Figure
+from app.report.sweep_results import PERCENTILES, SweptCase, by_part, magnitude, named
 from app.schema.unit_conversion import conversion
 from app.schema.units import NUMBER
 from app.system import layout
-from app.system.style import COLOURS, MARKERS
 
 MOST_PANELS = 12
 MOST_NUMBERS = 11  # in the table of cases
 MOST_SERIES = 8
 MOST_LEVELS = 8
+FEWEST = 6  # cases, below which rank correlations say little
 
 
 def headlines(cases: Sequence[SweptCase]) -> list[str]:
@@ -48,6 +49,12 @@ def label(name: str) -> tuple[str, str]:
     return f"{named(place)} {key.replace(q.key, q.label)}", quantities.printed(q.shown)
 
 
+def titled(name: str) -> str:
+    """A number's label with its unit in brackets, if it has one."""
+    words, unit = label(name)
+    return f"{words} ({unit})" if unit else words
+
+
 def title(key: str) -> str:
     """A swept key in words: ``interfaces.cement_bone.friction_coefficient``."""
     *path, last = key.replace("_", " ").split(".")
@@ -67,23 +74,21 @@ def value(level: Any) -> str:
 
 def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
     """Varied keys with all their levels, a sentence for each part."""
-    parts: dict[str, list[SweptCase]] = {}
-    for c in cases:
-        parts.setdefault(c.part, []).append(c)
     found = []
-    for part, own in parts.items():
+    for part, own in by_part(cases).items():
         varied = []
         for key in dict.fromkeys(key for c in own for key in c.overrides):
-            unit, number = scale(own, key)
+            unit, numbers = levels(own, key)
             written = [c.overrides[key] for c in own if key in c.overrides]
-            known = [x for level in written if (x := number(level)) is not None]
+            known = [f"{x:g}" for x in numbers if x is not None]
             numeric = len(known) == len(written)
-            levels = list(
-                dict.fromkeys([f"{x:g}" for x in known] if numeric else map(value, written))
-            )
-            if len(levels) > 1:
-                words = f"{title(key)} ({unit})" if numeric and unit else title(key)
-                varied.append(f"{words}: {_levels(levels)}")
+            words = [*dict.fromkeys(known if numeric else map(value, written))]
+            if len(words) > MOST_LEVELS:
+                words = [f"{len(words)} levels from {words[0]} to {words[-1]}"]
+            elif len(words) < 2:
+                continue
+            heading = f"{title(key)} ({unit})" if numeric and unit else title(key)
+            varied.append(f"{heading}: {', '.join(words)}")
         if varied:
             found.append(f"{f'{part}: ' * bool(part)}{'; '.join(varied)}.")
     return found
@@ -94,11 +99,11 @@ def cases_table(
 ) -> Blocks:
     """Cases with their outcome, the first of their numbers, and links to pages."""
     names = names[:MOST_NUMBERS]
-    labels = [f"{words} ({unit})" if unit else words for words, unit in map(label, names)]
-    head = ["case", "status", "changes", *labels, "unknowns", "ranks", "time", "message"]
+    head = ["case", "status", "changes", *map(titled, names)]
+    head += ["unknowns", "ranks", "time", "message"]
     rows = [
         [
-            page.link(c.name, links.get(c.name, "")) if links else c.name,
+            {"text": c.name, "to": links.get(c.name)} if links else c.name,
             c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}",
             [f"{key} = {layout.plain(level)}" for key, level in c.overrides.items()],
             *(cell(c, name) for name in names),
@@ -121,41 +126,32 @@ def cell(case: SweptCase, name: str) -> str:
     return str(n) if abs(n.value) > 0.01 * 10.0**-q.digits else "0"
 
 
-def _levels(values: Sequence[str]) -> str:
-    if len(values) <= MOST_LEVELS:
-        return ", ".join(values)
-    return f"{len(values)} levels from {values[0]} to {values[-1]}"
-
-
 def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
     """Draw each headline number over each numeric key that varies."""
     done = [c for c in cases if c.done]
-    keys = dict.fromkeys(key for c in done for key in c.overrides)
-    figures = []
-    for key in keys:
+    drawn = []
+    for key in dict.fromkeys(key for c in done for key in c.overrides):
         groups = _groups(done, key)
-        if not groups:
-            continue
         panels = []
         for name in headlines([c for _, own in groups for c in own.values()]):
             text, unit = label(name)
             lines = []
             for k, (common, own) in enumerate(groups[:MOST_SERIES]):
                 values = {x: n for x, c in own.items() if (n := c.number(name))}
-                lines.append(Line(common or "mantle", COLOURS[k], MARKERS[k], values, {}))
+                lines.append(Line(common or "mantle", k, values))
             if any(map(_varies, lines)):
                 panels.append(Panel(text, unit or "value", lines))
         panels = panels[:MOST_PANELS]
         if too_few(panels):
             continue
+        words, unit = title(key), levels(done, key)[0]
         file = f"over_{''.join(c if c.isalnum() else '_' for c in key)}.png"
-        words = title(key)
-        draw(folder / file, panels, f"{words} ({scale(done, key)[0]})".replace(" ()", ""), 3)
+        draw(folder / file, panels, f"{words} ({unit})" if unit else words, 3)
         left = len(groups) - MOST_SERIES
         more = f" {left} further curves are left out." if left > 0 else ""
         caption = f"Bars: estimated errors, where they are known.{more}"
-        figures.append(Figure(file, f"Numbers over {words}", caption, in_words(panels)))
-    return figures
+        drawn.append(Figure(file, f"Numbers over {words}", caption, in_words(panels)))
+    return drawn
 
 
 def _varies(line: Line) -> bool:
@@ -164,37 +160,55 @@ def _varies(line: Line) -> bool:
     return max(values, default=0.0) - min(values, default=0.0) > max(ROUNDED.values())
 
 
-def scale(cases: Sequence[SweptCase], key: str) -> tuple[str, Callable[[Any], float | None]]:
-    """Printed unit of a key's values, and conversion of a value to a number in it.
+def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None]]:
+    """Printed unit of a key's values, and its number in each case; None where it has none.
 
     The unit is that of the file; that of the schema where there are several, or none.
     """
-    texts = [str(c.overrides[key]) for c in cases if key in c.overrides]
-    written = {match[2] for t in texts if (match := NUMBER.fullmatch(t))}
+    values = [c.overrides.get(key) for c in cases]
+    numbers = [magnitude(v) for v in values]
+    matches = [NUMBER.fullmatch(str(v)) if v is not None else None for v in values]
+    written = {match[2] for match in matches if match}
     if len(written) == 1 and (unit := written.pop()):
-        return quantities.printed(unit), magnitude
+        return quantities.printed(unit), numbers
     kept = keys.unit(key)
-
-    def converted(level: Any) -> float | None:
-        match = NUMBER.fullmatch(level) if isinstance(level, str) else None
-        if not match or not match[2]:
-            return magnitude(level)
-        with suppress(LookupError, ValueError):  # an expression, or a key that has no unit
-            slope, offset = conversion(match[2], kept)
-            return float(Fraction(match[1]) * slope + offset)
-        return None
-
-    return quantities.printed(kept), converted
+    for k, match in enumerate(matches):
+        if match and match[2]:
+            numbers[k] = None
+            with suppress(LookupError, ValueError):  # the key has no unit
+                slope, offset = conversion(match[2], kept)
+                numbers[k] = float(Fraction(match[1]) * slope + offset)
+    return quantities.printed(kept), numbers
 
 
 def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float, SweptCase]]]:
     """Cases that differ in a numeric key alone, by what they have in common."""
     found: dict[str, dict[float, SweptCase]] = {}
-    _, number = scale(cases, key)
-    for c in cases:
-        x = number(c.overrides.get(key))
+    for c, x in zip(cases, levels(cases, key)[1], strict=True):
         if x is not None:
-            rest = {k: v for k, v in c.overrides.items() if k != key}
-            common = ", ".join(f"{title(k)} {value(v)}" for k, v in rest.items())
-            found.setdefault(": ".join(filter(None, (c.part, common))), {})[x] = c
+            rest = [f"{title(k)} {value(v)}" for k, v in c.overrides.items() if k != key]
+            found.setdefault(": ".join(filter(None, (c.part, ", ".join(rest)))), {})[x] = c
     return [(t, dict(sorted(own.items()))) for t, own in found.items() if len(own) > 1]
+
+
+def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str | Sequence[str]]]]:
+    """Spearman's coefficients of each headline number with each key: head and rows.
+
+    Parts with fewer than two varied numeric keys have none, as a curve shows more.
+    """
+    rows: list[list[str | Sequence[str]]] = []
+    for part, own in by_part([c for c in cases if c.done]).items():
+        numbers = {
+            key: [x for x in levels(own, key)[1] if x is not None] for key in own[0].overrides
+        }
+        varied = {k: x for k, x in numbers.items() if len(x) == len(own) and len(set(x)) > 1}
+        if len(varied) < 2 or len(own) < FEWEST:
+            continue
+        for name in headlines(own)[:MOST_NUMBERS]:
+            y = [found.value for c in own if (found := c.number(name)) is not None]
+            ranks = {k: correlation(x, y) for k, x in varied.items() if len(y) == len(own)}
+            known = [(r, title(key)) for key, r in ranks.items() if r is not None]
+            known.sort(key=lambda pair: -abs(pair[0]))
+            if known:
+                rows.append([part or "all", label(name)[0], [f"{r:+.2f} {k}" for r, k in known]])
+    return ["part", "number", "rank correlation with"], rows

@@ -11,21 +11,11 @@ from pathlib import Path
 from app.campaigns import uncertainty
 from app.case.quantities import printed
 from app.errors import StoppedError
-from app.report import (
-    gruen,
-    page,
-    paper,
-    paper_claims,
-    paper_numbers,
-    pictures,
-    sensitivity,
-    sweep_figures,
-)
-from app.report.curves import Figure
+from app.report import gruen, page, paper, paper_claims, paper_numbers, pictures, sweep_figures
 from app.report.page import Blocks, bullets, paragraph, table
 from app.report.paper_claims import Trend
 from app.report.paper_numbers import ComparedNumber
-from app.report.sweep_results import STATUSES, SweepResults, SweptCase, named, read
+from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, named, read
 from app.system.folders import remove, write_text
 from app.system.layout import duration, noted
 
@@ -59,22 +49,23 @@ def run(folder: Path) -> Written:
     sweep = read(folder)
     cases = paper.Cases(sweep)
     groups = cases.representative() or pictures.ends(sweep)
+    chosen = [pair for group in groups for pair in group]
     drawings = folder / PICTURES
     try:
         drawings.mkdir(exist_ok=True)
         remove(old for pattern in OURS for old in drawings.glob(pattern))
         multiples = sweep_figures.multiples([c for c in sweep.cases if c.done], drawings)
         mapped, unmapped = pictures.maps(groups, drawings)
-        shown = cases.of_stems() or dict(c for group in groups for c in group)
+        shown = cases.over("stem") or dict(chosen)
         shields = gruen.shielding_picture(shown, gruen.intact(sweep.cases), drawings)
         sections = [
-            ("varied", "What varies", _drawn(multiples, drawings)),
-            ("sensitive", "What matters most", table(*sensitivity.table(sweep.cases))),
+            ("varied", "What varies", page.figures(multiples, drawings)),
+            ("sensitive", "What matters most", table(*sweep_figures.sensitivity(sweep.cases))),
             ("uncertain", "What is not known well", _uncertain(sweep)),
             ("cases", "All cases", _parts(sweep.cases)),
             ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in sweep.cases))),
-            ("maps", "Maps of the interfaces", _drawn(mapped, drawings) + bullets(unmapped)),
-            ("gruen", "Gruen zones", _drawn(shields, drawings) + _zones(groups)),
+            ("maps", "Maps of the interfaces", page.figures(mapped, drawings) + bullets(unmapped)),
+            ("gruen", "Gruen zones", page.figures(shields, drawings) + gruen.blocks(chosen)),
             ("mantle", "Mantles", table(*gruen.mantles(sweep.cases))),
         ]
         papers, trends = _paper(cases, sweep, drawings) if cases else ([], [])
@@ -83,16 +74,11 @@ def run(folder: Path) -> Written:
             summary.append(f"The paper's figures, numbers and trends are beside it, in {PAPER}.")
         text = page.page(sweep.title, sections, facts=_facts(sweep), summary=summary)
         write_text(folder / PAGE, text)
-        every = (drawings / f.name for f in (*mapped, *shields, *multiples))
-        files = [folder / PAGE, *papers, *every]
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
+    figures = (drawings / f.name for f in (*mapped, *shields, *multiples))
     done = sum(c.done for c in sweep.cases)
-    return Written(files, trends, done, len(sweep.cases))
-
-
-def _drawn(figures: Sequence[Figure], folder: Path) -> Blocks:
-    return [block for f in figures for block in page.figure(f, folder)]
+    return Written([folder / PAGE, *papers, *figures], trends, done, len(sweep.cases))
 
 
 def _paper(
@@ -104,7 +90,7 @@ def _paper(
     trends = paper_claims.judge(cases)
     sections = [
         ("trends", "Trends", _trends(trends)),
-        ("paper", "The paper's figures", _drawn(figures, folder) + bullets(missing)),
+        ("paper", "The paper's figures", page.figures(figures, folder) + bullets(missing)),
         ("comparison", "Number by number", _comparison(rows)),
     ]
     names = {v: [t.name for t in trends if t.verdict == v] for v in paper_claims.VERDICTS}
@@ -127,12 +113,9 @@ def _uncertain(sweep: SweepResults) -> Blocks:
 
 
 def _facts(sweep: SweepResults) -> str:
-    took = (
-        [duration(sweep.seconds), "on", f"{sweep.cores} core{'s' * (sweep.cores > 1)}"]
-        if sweep.seconds
-        else []
-    )
-    return " · ".join(filter(None, (sweep.file, " ".join(took), f"mantle {sweep.program}")))
+    took = f"{duration(sweep.seconds)} on {sweep.cores} core{'s' * (sweep.cores > 1)}"
+    facts = (sweep.file, took if sweep.seconds else "", f"mantle {sweep.program}")
+    return " · ".join(filter(None, facts))
 
 
 def _summary(sweep: SweepResults) -> list[str]:
@@ -166,68 +149,39 @@ def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
 
 
 def _trends(trends: Sequence[Trend]) -> Blocks:
-    text = (
-        "By percentiles, of motions the 99th, of tractions the 95th: undecided where the "
-        "difference is smaller than the estimated errors in sum; numbers without ± have no "
-        "estimate and were taken as they are. Beside it the verdict by the largest values, as the "
-        "paper gives them, whose errors are not known."
-    )
     rows = [
         [t.name, t.claim, t.verdict, t.peaks or "-", [f"{p.verdict}: {p.text}" for p in t.parts]]
         for t in trends
     ]
     head = ["", "the paper says", "verdict", "by maxima", "because"]
-    return paragraph(text) + table(head, rows)
+    return table(head, rows)
 
 
 def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
-    if not rows:
-        return []
     head = ["", "stem", "mm", "where", "what", "paper", "mantle, max", "mantle, percentile ± error"]
     head += ["max / paper", "percentile / paper", "case, remarks"]
-    lines = []
-    for r in rows:
-        f = r.fact
-        relation = {"exceeded": "> ", "not exceeded": "< "}.get(f.kind, "")
-        remarks = "; ".join(filter(None, (r.case, r.remark, f"paper: {f.remark}" * bool(f.remark))))
-        lines.append(
-            [
-                f.id,
-                r.stem or f.stem,
-                f"{r.thickness:g}" if r.thickness is not None else f.thickness,
-                named(f.place),
-                named(f.quantity) + f" (as {r.quantity})" * bool(r.quantity),
-                f"{relation}{f.value:g} {printed(f.unit)}",
-                "-" if r.peak is None else f"{r.peak:.3g}",
-                "-" if r.number is None else str(r.number),
-                *("-" if x is None else f"{x:.2g}" for x in r.ratios),
-                remarks,
-            ]
-        )
-    text = (
-        "The paper gives peaks. mantle's largest values sit at edges and still change with the "
-        "mesh; its percentiles by area, the 99th of motions and the 95th of tractions, settle and "
-        "have an error (for temperatures that of the largest value, where it is known). The "
-        "paper's slip may be sliding in contact or all motion: both stand beside it. Ratios of "
-        "temperatures are of their rise above 37 °C."
-    )
-    return paragraph(text) + table(head, lines)
-
-
-def _zones(groups: Sequence[pictures.Chosen]) -> Blocks:
-    """A table for each representative case that has zones."""
-    tables = (page.titled(title, table(*gruen.table(case))) for g in groups for title, case in g)
-    found = [block for own in tables for block in own]
-    note = "Of each interface: largest / mean value in the zone."
-    return paragraph(note, "quiet") + found if found else []
+    relations = {"exceeded": "> ", "not exceeded": "< "}
+    lines = [
+        [
+            f.id,
+            f.stem,
+            f.thickness if r.thickness is None else f"{r.thickness:g}",
+            named(f.place),
+            named(f.quantity) + f" (as {r.quantity})" * bool(r.quantity),
+            f"{relations.get(f.kind, '')}{f.value:g} {printed(f.unit)}",
+            "-" if r.peak is None else f"{r.peak:.3g}",
+            "-" if r.number is None else str(r.number),
+            *("-" if x is None else f"{x:.2g}" for x in r.ratios),
+            "; ".join(filter(None, (r.case, r.remark, f"paper: {f.remark}" * bool(f.remark)))),
+        ]
+        for r in rows
+        for f in [r.fact]
+    ]
+    return table(head, lines)
 
 
 def _parts(cases: Sequence[SweptCase]) -> Blocks:
-    parts: dict[str, list[SweptCase]] = {}
-    for case in cases:
-        parts.setdefault(case.part, []).append(case)
     found: Blocks = []
-    for part, own in parts.items():
-        listed = sweep_figures.cases_table(own, sweep_figures.headlines(own))
-        found += page.titled(part, listed) if part else listed
+    for part, own in by_part(cases).items():
+        found += page.titled(part, sweep_figures.cases_table(own, sweep_figures.headlines(own)))
     return found

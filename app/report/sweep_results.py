@@ -1,23 +1,21 @@
-"""A sweep's directory read back: its cases, their configurations and their numbers.
-
-It needs neither dolfinx nor MPI; `app/results/reading.py` reads fields where a picture needs them.
-"""
+"""A sweep's directory read back: its cases, their configurations and their numbers."""
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from app.arrays import Floats
 from app.case import quantities
 from app.errors import InputError
 from app.results.closing_lines import UNUSABLE
-from app.schema import yaml_file
+from app.results.reading import Results
 from app.schema.units import NUMBER
 
 INTERFACES = ("cement_bone", "stem_cement")
@@ -96,10 +94,9 @@ class SweptCase:
     @cached_property
     def data(self) -> dict[str, Any]:
         """The resolved configuration as plain data; empty if it cannot be read."""
-        try:
-            return yaml_file.read(self.folder / "case.yaml").data
-        except InputError:
-            return {}
+        with suppress(InputError):
+            return Results(self.folder).case
+        return {}
 
     @property
     def bones(self) -> list[str]:
@@ -110,21 +107,16 @@ class SweptCase:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Content of summary.json; empty if the case is not done or it cannot be read."""
-        try:
-            text = (self.folder / "summary.json").read_text(encoding="utf-8")
-            found = json.loads(text) if self.done else {}
-        except (OSError, ValueError):
-            return {}
-        return found if isinstance(found, dict) else {}
+        with suppress(OSError, ValueError, TypeError):
+            return Results(self.folder).summary if self.done else {}
+        return {}
 
     @cached_property
-    def history(self) -> list[dict[str, str]]:
-        """Rows of history.csv; empty if there are none."""
-        try:
-            with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
-                return list(csv.DictReader(file))
-        except OSError:
-            return []
+    def history(self) -> dict[str, Floats]:
+        """Columns of history.csv by their titles; nan where there is no value; may be empty."""
+        with suppress(OSError, IndexError):
+            return Results(self.folder).history
+        return {}
 
     def number(self, name: str) -> Number | None:
         """A number by ``<interface or region>.<key>`` in its unit for people, or None."""
@@ -192,6 +184,13 @@ def _case(entry: dict[str, Any], folder: Path) -> SweptCase:
         own[key] = {k: v for k, v in own.get(key, {}).items() if v is not None}
     own["notes"] = tuple(own.get("notes", ()))
     return SweptCase(**own | {"folder": folder / own["folder"]})
+
+
+def by_part(cases: Sequence[SweptCase]) -> dict[str, list[SweptCase]]:
+    """Cases by the parts of the sweep."""
+    return {
+        part: [c for c in cases if c.part == part] for part in dict.fromkeys(c.part for c in cases)
+    }
 
 
 def named(name: str) -> str:

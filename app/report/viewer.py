@@ -7,7 +7,6 @@ Surfaces of all regions and their fields at the end of every stage are packed in
 from __future__ import annotations
 
 import base64
-import html
 import json
 import zlib
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.arrays import Bools, Floats, Ints
+from app.report import page
 from app.results.reading import EDGES, FACES, Run
 
 THREE = Path("/usr/share/javascript/three")
@@ -42,7 +42,7 @@ NODAL = {
 }
 
 
-def viewer(*folders: Path) -> str | None:
+def viewer(*folders: Path) -> str:
     """The view as HTML; nothing without fields or without three.js.
 
     Several runs are shown side by side under one camera, followed by the differences of the others
@@ -51,33 +51,20 @@ def viewer(*folders: Path) -> str | None:
     scripts = [THREE / name for name in SCRIPTS]
     runs = [Run(folder) for folder in folders if (folder / "fields.vtkhdf").exists()]
     if not runs or not all(s.exists() for s in scripts):
-        return None
+        return ""
     names = distinct([run.folder for run in runs])
-    pairs: list[tuple[str, Run, Run | None]] = [
-        (name if len(folders) > 1 else "", run, None) for name, run in zip(names, runs, strict=True)
-    ]
-    pairs += [
-        (f"{name} less {names[0]}", run, runs[0])
-        for name, run in zip(names[1:], runs[1:], strict=True)
-        if same_mesh(run, runs[0])
-    ]
-    here = Path(__file__)
-    parts = [
-        f"<style>{here.with_name('viewer.css').read_text(encoding='utf-8')}</style>",
-        '<div id="view"><div class="views">',
-    ]
+    pairs: list[tuple[str, Run, Run | None]]
+    pairs = [(n if len(folders) > 1 else "", run, None) for n, run in zip(names, runs, strict=True)]
+    for name, run in zip(names[1:], runs[1:], strict=True):
+        if same_mesh(run, runs[0]):
+            pairs.append((f"{name} less {names[0]}", run, runs[0]))
+    views = []
     for name, run, minus in pairs:
         head, values = packed(run, minus, MOST // len(pairs))
         data = base64.b64encode(zlib.compress(values, 9)).decode("ascii")
-        parts += [
-            f'<div class="one"><h3>{html.escape(name)}</h3>' if name else '<div class="one">',
-            f'<script type="application/json" class="head">{_safe(json.dumps(head))}</script>',
-            f'<script type="text/plain" class="data">{data}</script></div>',
-        ]
-    parts.append("</div></div>")
-    own = [*scripts, here.with_name("viewer.js")]
-    parts += [f"<script>{_safe(s.read_text(encoding='utf-8'))}</script>" for s in own]
-    return "\n".join(parts)
+        views.append((name, json.dumps(head), data))
+    texts = [s.read_text("utf-8") for s in (*scripts, Path(__file__).with_name("viewer.js"))]
+    return page.render("viewer.html", runs=views, scripts=texts)
 
 
 def distinct(folders: Sequence[Path]) -> list[str]:
@@ -99,11 +86,6 @@ def same_mesh(a: Run, b: Run) -> bool:
     )
 
 
-def _safe(text: str) -> str:
-    """Escape text so that it cannot end the script around it."""
-    return text.replace("</", "<\\/").replace("<!--", "<\\!--")
-
-
 def packed(
     run: Run, minus: Run | None = None, most_bytes: int = MOST
 ) -> tuple[dict[str, Any], bytes]:
@@ -122,8 +104,12 @@ def packed(
     if minus is not None:
         ends = [s for s in ends if s == ends[-1] or s in minus.written_stages]
         kinds = [kind for kind in kinds if kind[0] in minus.point_fields]
-    fine, nodes, room = _fitting(run, len(ends), len(kinds), most_bytes)
-    ends = ends[-room:]
+    fine = outsides(run, curved=True)
+    # Three for the places, three for the displacement that deforms.
+    if 2 * len(_used(fine)) * (3 + len(ends) * (3 + len(kinds))) > most_bytes:
+        fine = outsides(run, curved=False)
+    nodes = _used(fine)
+    ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
     numbers = bytearray()
 
     def add(array: NDArray[Any]) -> int:
@@ -156,26 +142,14 @@ def packed(
         on = run.at_interface(where, "status", -1)[nodes] >= 0 if where else True
         steps = []
         for stage in ends:
-            v = factor * _sizes(run, name, stage)[nodes]
+            v = factor * lengths(run, name, stage)[nodes]
             if minus is not None:
-                v -= factor * _sizes(minus, name, -1 if stage == ends[-1] else stage)[nodes]
+                v -= factor * lengths(minus, name, -1 if stage == ends[-1] else stage)[nodes]
             parts, least, most = _scaled(v, np.isfinite(v) & on)
             steps.append({"at": add(parts), "min": least, "max": most})
         title = f"{where.replace('_', '-')}: {label}" if where else label
         head["fields"].append({"name": name, "label": title, "unit": unit, "steps": steps})
     return head, bytes(numbers)
-
-
-def _fitting(
-    run: Run, stages: int, kinds: int, most_bytes: int
-) -> tuple[dict[str, Ints], Ints, int]:
-    """Surfaces of regions, curved if there is room, their nodes, and how many stages fit."""
-    fine = outsides(run, curved=True)
-    # Three for the places, three for the displacement that deforms.
-    if 2 * len(_used(fine)) * (3 + stages * (3 + kinds)) > most_bytes:
-        fine = outsides(run, curved=False)
-    nodes = _used(fine)
-    return fine, nodes, max(1, most_bytes // (2 * len(nodes) * (3 + kinds)))
 
 
 def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, float]:
@@ -186,7 +160,7 @@ def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, fl
     return parts, least, most
 
 
-def _sizes(run: Run, name: str, step: int | str) -> Floats:
+def lengths(run: Run, name: str, step: int | str = -1) -> Floats:
     """A field on the nodes (n,); of vectors the length."""
     v = run.on_points(name, step)
     return np.asarray(np.linalg.norm(v, axis=1)) if v.ndim == 2 else v

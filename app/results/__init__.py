@@ -1,4 +1,4 @@
 """Numbers, fields, errors and files of a run.
 
-It imports everything from `stepping` down. Begin with `quantities` and `output`.
+It imports everything from `stepping` down. Begin with `interface_numbers` and `run_folder`.
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -19,6 +20,28 @@ from app.mechanics.body_forms import assembled_vector
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from forms import elasticity, loads
+
+# Forces and the motions that they do work in.
+Pairs = list[tuple[Floats, Floats]]
+
+
+@dataclass(frozen=True)
+class _State:
+    """Forces and motions of this rank's nodes in a state.
+
+    Attributes:
+        external: Loads, reactions and free strains with their motions.
+        setting: Forces of curing regions with their displacement.
+        energy: Stored energy of all ranks [N mm].
+        outer: Loads, reactions and forces of springs (3 nodes,) [N].
+        reaction: Reactions alone (3 nodes,) [N].
+    """
+
+    external: Pairs
+    setting: Pairs
+    energy: float
+    outer: Floats
+    reaction: Floats
 
 
 class Balance:
@@ -47,19 +70,20 @@ class Balance:
             if (e := mechanics.body_energy(b, U, dx)) != 0
         ]
         # Energy of all bodies and its derivative; a rigid body has none.
-        whole = sum(e for e, _ in energy)
-        forces = sum(ufl.derivative(e, U, v) for e, U in energy)
-        self._elastic = [(mechanics.form(whole), mechanics.form(forces))] if energy else []
+        self._elastic: tuple[fem.Form, fem.Form] | None = None
+        if energy:
+            forces = sum(ufl.derivative(e, U, v) for e, U in energy)
+            self._elastic = mechanics.form(sum(e for e, _ in energy)), mechanics.form(forces)
         self._strain_work = [
             (s.history, mechanics.form(self._work_of(e, elasticity.symmetric(s.strain))))
             for e in scene.elastic
             for s in e.eigenstrains
         ]
         elastic = {e.region: e for e in scene.elastic}
+        swelling = elasticity.swelling(ufl.TestFunction(mechanics.scalars))
         self._swelling = [
-            (free, mechanics.form(self._work_of(elastic[region], elasticity.swelling(test))))
+            (free, mechanics.form(self._work_of(elastic[region], swelling)))
             for region, free in mechanics.swelling.items()
-            for test in [ufl.TestFunction(mechanics.scalars)]
         ]
         self._setting: list[tuple[fem.Function, fem.Form]] = []
         if s := problem.setting:
@@ -67,28 +91,19 @@ class Balance:
             self._setting = [(displacements[b], form) for b, form in forms]
         # The traction k_i U_i of each bed of springs on each body.
         beds = [
-            ([k[i] * U[i] for i in range(3)], ds)
+            sum(k[i] * U[i] * v[i] for i in range(3)) * ds
             for f, k in zip(scene.foundations, mechanics.springs, strict=True)
             for b, U in enumerate(displacements)
             if (ds := mechanics.ds(f.boundary, b)) is not None
         ]
-        self._springs = [mechanics.form(t[i] * ds) for t, ds in beds for i in range(3)]
-        x = ufl.SpatialCoordinate(problem.tagged.mesh)
-        arm = [x[i] - float(about[i]) for i in range(3)]
-        self._spring_moments = [
-            mechanics.form(
-                (arm[(i + 1) % 3] * t[(i + 2) % 3] - arm[(i + 2) % 3] * t[(i + 1) % 3]) * ds
-            )
-            for t, ds in beds
-            for i in range(3)
-        ]
+        self._springs = mechanics.form(sum(beds)) if beds else None
         nodes = problem.space.tabulate_dof_coordinates()[
             : len(problem.stiffness.constraints.reacting) // 3
         ]
         self._arm = nodes - about
-        ends = problem.comm.allgather((nodes.min(0, initial=np.inf), nodes.max(0, initial=-np.inf)))
-        low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
-        self._diagonal = float(np.linalg.norm(high - low))
+        ends = np.concatenate([sign * nodes for sign in (1, -1)], axis=1).max(0, initial=-np.inf)
+        problem.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
+        self._diagonal = float(np.linalg.norm(ends[:3] + ends[3:]))
         self._rest = self._measure(problem.stiffness.K.createVecLeft(), None)
         self.begin()
 
@@ -110,42 +125,32 @@ class Balance:
         )
         return -loads.mechanical_work(σ, strain) * mechanics.over(e, mechanics.cells())
 
-    def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> dict:
-        problem = self._problem
-        internal = np.zeros(len(problem.stiffness.constraints.reacting))
-        for _, form in self._elastic:
-            internal += self._assemble(form)
-        setting = [self._assemble(form) for _, form in self._setting]
-        internal += sum(setting)
-        loads = problem.forces.applied(problem.time)
-        reaction = np.where(problem.stiffness.constraints.reacting, internal - loads.nodal, 0.0)
-
-        def scalar(form: fem.Form) -> float:
-            return float(problem.comm.allreduce(fem.assemble_scalar(form), MPI.SUM))
-
-        jump = held_q = np.zeros_like(loads.jump)
+    def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> _State:
+        problem, constraints = self._problem, self._problem.stiffness.constraints
+        internal, energy = np.zeros(len(constraints.reacting)), 0.0
+        if self._elastic:
+            internal += self._assemble(self._elastic[1])
+            energy = problem.comm.allreduce(fem.assemble_scalar(self._elastic[0]))
+        setting = [
+            (self._assemble(form), U.x.array[: len(internal)].copy()) for U, form in self._setting
+        ]
+        internal += sum(forces for forces, _ in setting)
+        acting = problem.forces.applied(problem.time)
+        reaction = np.where(constraints.reacting, internal - acting.nodal, 0.0)
+        jump = held_q = np.zeros_like(acting.jump)
         if trial is not None:
             jump, e = trial.jump.ravel().copy(), trial.equilibrium
             held_q = (e - trial.contact.own.project_free(e)).ravel()
-        return {
-            "u": problem.stiffness.constraints.expand(u).array.copy(),
-            "q": jump,
-            "loads_u": loads.nodal,
-            "loads_q": loads.jump,
-            "reaction": reaction,
-            "reaction_q": held_q,
-            "energy": sum(scalar(f) for f, _ in self._elastic),
-            "amplitudes": [amplitude(h, problem.time) for h, _ in self._strain_work],
-            "strain_work": [scalar(f) for _, f in self._strain_work],
-            "swelling": [e.x.array[: _owned(e)].copy() for e, _ in self._swelling],
-            "swelling_work": [self._assemble(form) for _, form in self._swelling],
-            "setting": [U.x.array[: len(internal)].copy() for U, _ in self._setting],
-            "setting_forces": setting,
-            "springs": np.array([scalar(f) for f in self._springs]).reshape(-1, 3).sum(axis=0),
-            "spring_moments": np.array([scalar(f) for f in self._spring_moments])
-            .reshape(-1, 3)
-            .sum(axis=0),
-        }
+        outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()
+        external = [(outer, displacement), (acting.jump + held_q, jump)]
+        for free, form in self._swelling:
+            work = self._assemble(form)
+            external.append((work, free.x.array[: len(work)].copy()))
+        for history, form in self._strain_work:
+            strain = np.array([amplitude(history, problem.time)])
+            external.append((np.array([fem.assemble_scalar(form)]), strain))
+        springs = self._assemble(self._springs) if self._springs else 0.0
+        return _State(external, setting, float(energy), outer - springs, reaction)
 
     @staticmethod
     def _assemble(form: fem.Form) -> Floats:
@@ -157,54 +162,37 @@ class Balance:
         old, new = self._last, self._measure(u, trial)
         self._last = new
         problem, comm = self._problem, self._problem.comm
-
-        def work(force: str, motion: str) -> float:
-            return float(np.dot((old[force] + new[force]) / 2, new[motion] - old[motion]))
-
-        def works(forces: str, motions: str) -> float:
-            pairs = zip(old[forces], new[forces], old[motions], new[motions], strict=True)
-            return sum(float(np.dot((f0 + f1) / 2, u1 - u0)) for f0, f1, u0, u1 in pairs)
-
-        external = work("loads_u", "u") + work("reaction", "u")
-        external += work("loads_q", "q") + work("reaction_q", "q")
-        external += works("swelling_work", "swelling")
-        external = float(comm.allreduce(external, MPI.SUM)) + works("strain_work", "amplitudes")
-        self._spent += float(comm.allreduce(works("setting_forces", "setting"), MPI.SUM))
-        self._work += external
-        contact = float(comm.allreduce(trial.contact.state.work.sum(), MPI.SUM)) if trial else 0.0
-        spent = (new["energy"], self._spent, contact)
-        free = problem.forces.free_work(new["u"])
+        contact = trial.contact.state.work.sum() if trial else 0.0
+        local = [_work(old.external, new.external), _work(old.setting, new.setting), contact]
+        work, set_in, contact = comm.allreduce(np.array(local))
+        self._work, self._spent = self._work + float(work), self._spent + float(set_in)
+        spent = (new.energy, self._spent, float(contact))
+        free = problem.forces.free_work(new.external[0][1])
         self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))
         self.energy = _relative(self._work - sum(spent), self._scale)
         self._forces(new)
 
-    def _forces(self, new: dict) -> None:
+    def _forces(self, new: _State) -> None:
         problem, comm = self._problem, self._problem.comm
-        loads_u = new["loads_u"].reshape(-1, 3)
-        reaction = new["reaction"].reshape(-1, 3)
-        sums = [
-            comm.allreduce(values, MPI.SUM)
-            for values in (
-                loads_u.sum(axis=0),
-                reaction.sum(axis=0),
-                np.cross(self._arm, loads_u).sum(axis=0),
-                np.cross(self._arm, reaction).sum(axis=0),
-            )
-        ]
+        outer = new.outer.reshape(-1, 3)
+        force, moment = comm.allreduce(
+            np.array([outer.sum(axis=0), np.cross(self._arm, outer).sum(axis=0)])
+        )
         scale = float(sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.time)))
         if not scale:
             # Free strain alone leaves reactions of rounding.
-            scale = float(comm.allreduce(np.abs(reaction).sum(), MPI.SUM))
+            scale = float(comm.allreduce(np.abs(new.reaction).sum(), MPI.SUM))
             scale = max(scale, problem.load_size)
         # After unloading only forces of rounding are left.
         scale = self._largest = max(self._largest, scale)
-        self.force = _relative(float(np.linalg.norm(sums[0] + sums[1] - new["springs"])), scale)
-        moment = sums[2] + sums[3] - new["spring_moments"]
+        self.force = _relative(float(np.linalg.norm(force)), scale)
         self.moment = _relative(float(np.linalg.norm(moment)), scale * self._diagonal)
 
 
-def _owned(function: fem.Function) -> int:
-    return int(function.function_space.dofmap.index_map.size_local)
+def _work(old: Pairs, new: Pairs) -> float:
+    """Work of forces in the motions between two states, by the trapezoidal rule [N mm]."""
+    pairs = zip(old, new, strict=True)
+    return sum(float(np.dot((f0 + f1) / 2, u1 - u0)) for (f0, u0), (f1, u1) in pairs)
 
 
 def _relative(value: float, scale: float) -> float:

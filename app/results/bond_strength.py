@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mpi4py import MPI
-
 import numpy as np
 
 from app.arrays import Floats
@@ -23,63 +21,21 @@ from meshes.contact_facets import QUADRATURE, surface
 TENSILE_STRENGTH, SHEAR_STRENGTH = 1.35, 2.25
 
 
-class Bond:
-    """A bonded interface, seen from its softer side.
+def bonds(problem: Problem, stresses: Stresses) -> dict[str, dict[str, float]]:
+    """Published numbers of bonded interfaces with facets in the mesh, by name; collective.
 
-    Attributes:
-        facets: Number of its facets that this rank owns.
-
-    Args:
-        soft: Regions whose stress counts.
-        stiff: Regions on the other side.
+    ``strength_fraction`` is the part of the area where
+    (tension / 1.35 MPa)^2 + (shear / 2.25 MPa)^2 exceeds 1.
     """
-
-    def __init__(
-        self,
-        problem: Problem,
-        stresses: Stresses,
-        name: str,
-        soft: Sequence[str],
-        stiff: Sequence[str],
-    ) -> None:
-        self.name, self._comm, self._stresses = name, problem.comm, stresses
-        self._sides = []
-        self.facets = 0
-        vertices = np.vstack([np.zeros(3), np.eye(3)])
-        for region in soft:
-            f = facets_between(problem.tagged, [region], stiff)
-            x, centre = facet_coordinates(problem.tagged, f)
-            n, size = surface(x, QUADRATURE)
-            inward = np.einsum("fqi,fi->fq", n, centre - x[:, :3].mean(axis=1)) > 0
-            # The facets' points in the reference cell (f, q, 3).
-            X = np.einsum("qk,fki->fqi", QUADRATURE, vertices[FACET_NODES[f.local, :3]])
-            rows = np.searchsorted(stresses.cells[region], f.cells)
-            self.facets += len(rows)
-            self._sides.append((region, rows, np.where(inward[..., None], -n, n), size / 6, X))
-
-    def tractions(self) -> tuple[Floats, Floats, Floats]:
-        """Normal traction, positive in tension, shear [MPa] and area [mm2] at own points (p,)."""
-        parts = []
-        for region, rows, n, area, X in self._sides:
-            σ = extrapolated(self._stresses.evaluate(region)[rows], self._stresses.at(region), X)
-            t = np.einsum("fqij,fqj->fqi", σ, n)
-            normal = np.einsum("fqi,fqi->fq", t, n)
-            shear = np.linalg.norm(t - normal[..., None] * n, axis=2)
-            parts.append([a.ravel() for a in (normal, shear, area)])
-        normal, shear, area = (np.concatenate([p[k] for p in parts]) for k in range(3))
-        return normal, shear, area
-
-    def numbers(self) -> dict[str, float]:
-        """Published numbers; collective.
-
-        ``strength_fraction`` is the part of the area where
-        (tension / 1.35 MPa)^2 + (shear / 2.25 MPa)^2 exceeds 1.
-        """
-        pieces = self._comm.allgather(self.tractions())
-        normal, shear, area = (np.concatenate([p[k] for p in pieces]) for k in range(3))
+    found = {}
+    for b in problem.scene.bonds:
+        local = np.concatenate([tractions(problem, stresses, r, b.master) for r in b.slave], axis=1)
+        normal, shear, area = np.concatenate(problem.comm.allgather(local), axis=1)
+        if not len(area):
+            continue
         total = area.sum()
         load = (np.maximum(normal, 0) / TENSILE_STRENGTH) ** 2 + (shear / SHEAR_STRENGTH) ** 2
-        return {
+        found[b.name] = {
             "area": float(total),
             "strength_fraction": float(area[load > 1].sum() / total),
             "normal_mean": float(normal @ area / total),
@@ -87,9 +43,24 @@ class Bond:
             "shear_mean": float(shear @ area / total),
             "shear_max": float(shear.max()),
         }
+    return found
 
 
-def bonds(problem: Problem, stresses: Stresses) -> tuple[Bond, ...]:
-    """Bonded interfaces of a scene with facets in its mesh; collective."""
-    found = [Bond(problem, stresses, b.name, b.slave, b.master) for b in problem.scene.bonds]
-    return tuple(b for b in found if problem.comm.allreduce(b.facets, MPI.SUM) > 0)
+def tractions(problem: Problem, stresses: Stresses, soft: str, stiff: Sequence[str]) -> Floats:
+    """Normal traction, positive in tension, shear [MPa] and area [mm2] at own points (3, p).
+
+    Those of the soft region where it meets the stiff ones.
+    """
+    f = facets_between(problem.tagged, [soft], stiff)
+    x, centre = facet_coordinates(problem.tagged, f)
+    n, size = surface(x, QUADRATURE)
+    inward = np.einsum("fqi,fi->fq", n, centre - x[:, :3].mean(axis=1)) > 0
+    n = np.where(inward[..., None], -n, n)
+    # The facets' points in the reference cell (f, q, 3).
+    vertices = np.vstack([np.zeros(3), np.eye(3)])
+    X = np.einsum("qk,fki->fqi", QUADRATURE, vertices[FACET_NODES[f.local, :3]])
+    σ = stresses.evaluate(soft)[np.searchsorted(stresses.cells[soft], f.cells)]
+    t = np.einsum("fqij,fqj->fqi", extrapolated(σ, stresses.points[soft], X), n)
+    normal = np.einsum("fqi,fqi->fq", t, n)
+    shear = np.linalg.norm(t - normal[..., None] * n, axis=2)
+    return np.stack([normal, shear, size / 6]).reshape(3, -1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,12 +38,16 @@ PERCENTILE = re.compile(r"_p\d+$")
 BALANCES: dict[str, float] = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
 
 
-def step_header() -> str:
-    """Column titles of the step lines."""
-    return (
-        f"{'step':>4} {'time':>7} {'newton':>6} {'krylov':>6} {'residual':>9} "
-        f"{'open':>6} {'slip':>6} {'penetration':>12} {'wall':>8} {'left':>8}"
-    )
+# Columns of the lines of steps and of heat steps, with their widths.
+STEP = {"step": 4, "time": 7, "newton": 6, "krylov": 6, "residual": 9}
+STEP |= {"open": 6, "slip": 6, "penetration": 12, "wall": 8, "left": 8}
+HEAT = {"step": 4, "time": 11, "step of": 10, "newton": 6, "krylov": 6}
+HEAT |= {"hottest": 10, "balance": 9, "wall": 8}
+
+
+def line(columns: Mapping[str, int], texts: Iterable[object]) -> str:
+    """Texts in columns, to the right."""
+    return " ".join(f"{t:>{width}}" for t, width in zip(texts, columns.values(), strict=True))
 
 
 def step_line(
@@ -58,32 +62,20 @@ def step_line(
         wall: Time since the run began [s].
         left: Estimated time to its end [s].
     """
-    outcome = step.outcome
-    apart, slipping = (f"{100 * part:>5.1f}%" for part in fractions)
-    return (
-        f"{step.number:>4} {step.time:>7.4g} {outcome.iterations:>6} "
-        f"{outcome.linear_iterations:>6} {outcome.residuals[-1]:>9.1e} {apart} {slipping} "
-        f"{penetration:>9.1e} mm {wall:>6.1f} s {left:>6.1f} s"
-    )
-
-
-def heat_header() -> str:
-    """Column titles of the lines of heat steps."""
-    return (
-        f"{'step':>4} {'time':>11} {'step of':>10} {'newton':>6} {'krylov':>6} {'hottest':>10} "
-        f"{'balance':>9} {'wall':>8}"
-    )
+    o = step.outcome
+    effort = (o.iterations, o.linear_iterations, f"{o.residuals[-1]:.1e}")
+    states = (*(f"{100 * part:.1f}%" for part in fractions), f"{penetration:.1e} mm")
+    times = (f"{wall:.1f} s", f"{left:.1f} s")
+    return line(STEP, (step.number, f"{step.time:.4g}", *effort, *states, *times))
 
 
 def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: float) -> str:
     """One line for a heat step."""
     hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
-    outcome = accepted.outcome
-    return (
-        f"{number:>4} {accepted.seconds:>9.4g} s {accepted.dt:>8.3g} s {outcome.iterations:>6} "
-        f"{outcome.linear_iterations:>6} {hottest:>5.1f} degC {row['heat balance [-]']:>9.1e} "
-        f"{wall:>6.1f} s"
-    )
+    o = accepted.outcome
+    times = (f"{accepted.seconds:.4g} s", f"{accepted.dt:.3g} s")
+    found = (f"{hottest:.1f} degC", f"{row['heat balance [-]']:.1e}", f"{wall:.1f} s")
+    return line(HEAT, (number, *times, o.iterations, o.linear_iterations, *found))
 
 
 def closing_table(summary: dict[str, Any]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -15,14 +14,16 @@ from app.arrays import Floats, Ints
 LEVELS = (0.5, 0.9)
 
 
-@dataclass
 class _CuringRegion:
     """Cure recorded at the nodes of one region (n,), and times of reaching the levels (n, k)."""
 
-    degree: Floats
-    rate: Floats
-    reached: Floats
-    fastest: Floats
+    saved = ("degree", "rate", "reached", "fastest")
+
+    def __init__(self, degree: Floats, seconds: float) -> None:
+        self.degree: Floats = degree.copy()
+        self.rate: Floats = np.zeros(len(degree))
+        self.reached = np.where(degree[:, None] >= np.array(LEVELS), seconds, np.inf)
+        self.fastest: Floats = self.rate
 
 
 class CureRecord:
@@ -47,15 +48,7 @@ class CureRecord:
     ) -> None:
         self._comm, self._seconds = comm, seconds
         self.row_keys = {"_regions": keys}
-        self._regions = {
-            name: _CuringRegion(
-                degree.copy(),
-                np.zeros(len(degree)),
-                np.where(degree[:, None] >= np.array(LEVELS), seconds, np.inf),
-                np.zeros(len(degree)),
-            )
-            for name, degree in degrees.items()
-        }
+        self._regions = {name: _CuringRegion(d, seconds) for name, d in degrees.items()}
 
     def update(
         self, seconds: float, degrees: Mapping[str, Floats], rates: Mapping[str, Floats]
@@ -95,11 +88,11 @@ class CureRecord:
             low, high = self._range(r)
             times = r.reached.max(axis=0, initial=-np.inf)
             self._comm.Allreduce(MPI.IN_PLACE, times, MPI.MAX)
+            known = [float(t) if np.isfinite(t) else None for t in times]
             result[name] = {
                 "degree_min": low,
                 "degree_max": high,
-                "time_50": float(times[0]) if np.isfinite(times[0]) else None,
-                "time_90": float(times[1]) if np.isfinite(times[1]) else None,
+                **dict(zip(("time_50", "time_90"), known, strict=True)),
                 "rate_max": self._comm.allreduce(r.fastest.max(initial=0.0), MPI.MAX),
             }
         return result
@@ -123,9 +116,8 @@ def _crossing(level: float, start: Floats, end: Floats, before: Floats, after: F
     change = end - start
     s = np.divide(level - start, change, out=np.ones_like(start), where=change > 0)
     # Slopes of time over degree; three times the chord at most leaves the cubic monotone.
-    slopes = []
-    for rate in (before, after):
-        slope = np.divide(change, rate, out=np.ones_like(start), where=rate > 0)
-        slopes.append(np.minimum(slope, 3.0))
-    a, b = slopes
+    a, b = (
+        np.minimum(np.divide(change, rate, out=np.ones_like(start), where=rate > 0), 3.0)
+        for rate in (before, after)
+    )
     return np.asarray(s**2 * (3 - 2 * s) + s * (1 - s) ** 2 * a - s**2 * (1 - s) * b)

@@ -69,6 +69,10 @@ class Companion:
         return f"mesh {self.case.mesh.size:g} mm{fewer}"
 
 
+# Companions with the same numbers of theirs.
+Others = Sequence[tuple[Companion, Numbers]]
+
+
 def companions(case: Case) -> tuple[Companion, ...]:
     """Companion runs that the error estimate of a case needs; none unless it asks for one.
 
@@ -83,7 +87,9 @@ def companions(case: Case) -> tuple[Companion, ...]:
         half = most // 2 / most if most > 1 else 1.0
     else:
         half = 0.5 if timed else 1.0
-    coarsenings = _coarsenings(case)
+    # Mesh sizes over that of the run, as far as the geometry can be meshed.
+    limit = case.geometry.coarsest_size / case.mesh.size
+    coarsenings = tuple(dict.fromkeys(c for f in COARSER if (c := min(f, limit)) > LEAST))
     meshes = tuple(_companion(case, c, half) for c in coarsenings)
     if not (frictional or timed) or (len(meshes) == 1 and half < 1):
         # On one coarser mesh the difference itself shows half the steps well enough.
@@ -108,12 +114,6 @@ def _companion(case: Case, coarsening: float, steps: float) -> Companion:
     return Companion(case.model_copy(update=changed), coarsening, steps)
 
 
-def _coarsenings(case: Case) -> tuple[float, ...]:
-    """Mesh sizes of the companions over that of the run, as far as the geometry can be meshed."""
-    limit = case.geometry.coarsest_size / case.mesh.size
-    return tuple(dict.fromkeys(c for f in COARSER if (c := min(f, limit)) > LEAST))
-
-
 def error_sources(solved: Sequence[Companion]) -> str:
     """Name the error sources covered: "mesh and step", "time step" or "load step"."""
     if any(c.coarsening > LEAST for c in solved):
@@ -136,9 +136,8 @@ def estimate(
         Peaks that still change with the mesh, as ``interface.pressure_max``, those that change most
         first: mesh size in mm and value on each mesh that was solved, the finest first.
     """
-    order = case.mesh.order
-    unsettled: dict[str, list[list[float]]] = {}
-    changes: dict[str, float] = {}
+    order = case.mesh.order - 1
+    unsettled: list[tuple[float, str, list[list[float]]]] = []
     tables = list(numbers_of(run))
     relatives = [(c, {(s, n): q for s, n, q in numbers_of(o)}) for c, o in solved]
     peaks = [
@@ -150,10 +149,7 @@ def estimate(
     for section, name, numbers in tables:
         others = [(c, o.get((section, name), {})) for c, o in relatives]
         known = [q for k, q in TABLE[section].items() if numbers.get(k) is not None]
-        for q in known:
-            error = q.order and _error(q.key, q.order[order - 1], numbers, others)
-            if error is not None:
-                numbers[f"{q.key}_error"] = error
+        _put(numbers, {q.key: q.order[order] for q in known if q.order}, others)
         if section in CHANCE:
             _raise_small(numbers, [q for q in known if q.order and not q.vector])
         for k in (q.key for q in known if q.peak):
@@ -163,36 +159,34 @@ def estimate(
             # A peak that is negligible beside its like on other interfaces does not count.
             size = max(abs(value), UNSETTLED * max(v for of, v in peaks if of == like))
             if (change := abs(value - coarser)) > UNSETTLED * size:
-                unsettled[f"{name}.{k}"] = values
-                changes[f"{name}.{k}"] = change / max(size, abs(coarser))
+                unsettled.append((change / max(size, abs(coarser)), f"{name}.{k}", values))
     for zone, numbers in run.get("gruen", {}).items():
-        _of_zone(numbers, order, [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved])
-    return {k: unsettled[k] for k in sorted(changes, key=changes.__getitem__, reverse=True)}
+        others = [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved]
+        for name, own in numbers["interfaces"].items():
+            orders = {k: MOTION[order] for k in own if k.endswith("_mean")}
+            _put(own, orders, [(c, o.get("interfaces", {}).get(name, {})) for c, o in others])
+        density = numbers["strain_energy_density"]
+        found = [(c, o.get("strain_energy_density", {})) for c, o in others]
+        errors = {region: _error(region, STRESS[order], density, found) for region in density}
+        if known_errors := {region: e for region, e in errors.items() if e is not None}:
+            numbers["strain_energy_density_error"] = known_errors
+    worst = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
+    return {name: values for _, name, values in worst}
 
 
-def _on_meshes(
-    key: str, run: Numbers, case: Case, others: Sequence[tuple[Companion, Numbers]]
-) -> list[list[float]]:
+def _put(numbers: Numbers, orders: Mapping[str, float], others: Others) -> None:
+    """Put errors beside the numbers with these orders of convergence."""
+    errors = {key: _error(key, p, numbers, others) for key, p in orders.items()}
+    numbers |= {f"{key}_error": error for key, error in errors.items() if error is not None}
+
+
+def _on_meshes(key: str, run: Numbers, case: Case, others: Others) -> list[list[float]]:
     """Size and value on each mesh, finest first; of two on one mesh that with the run's steps."""
     found = {case.mesh.size: run[key]}
     for c, o in sorted(others, key=lambda other: -abs(other[0].steps - 1)):
         if c.coarsening > LEAST and o.get(key) is not None:
             found[c.case.mesh.size] = o[key]
     return [[size, found[size]] for size in sorted(found)]
-
-
-def _of_zone(zone: Numbers, order: int, others: Sequence[tuple[Companion, Numbers]]) -> None:
-    for name, numbers in zone["interfaces"].items():
-        own = [(c, o.get("interfaces", {}).get(name, {})) for c, o in others]
-        for key in [k for k in numbers if k.endswith("_mean")]:
-            error = _error(key, MOTION[order - 1], numbers, own)
-            if error is not None:
-                numbers[f"{key}_error"] = error
-    density = zone["strain_energy_density"]
-    own = [(c, o.get("strain_energy_density", {})) for c, o in others]
-    errors = {region: _error(region, STRESS[order - 1], density, own) for region in density}
-    if known := {region: e for region, e in errors.items() if e is not None}:
-        zone["strain_energy_density_error"] = known
 
 
 def _raise_small(numbers: Numbers, known: Sequence[Quantity]) -> None:
@@ -206,9 +200,7 @@ def _raise_small(numbers: Numbers, known: Sequence[Quantity]) -> None:
         numbers[f"{key}_error"] = max(error, least * abs(numbers[key]))
 
 
-def _error(
-    key: str, p: float, run: Numbers, others: Sequence[tuple[Companion, Mapping[str, Any]]]
-) -> Any:
+def _error(key: str, p: float, run: Numbers, others: Others) -> Any:
     """Error of one number or vector; None if it is unknown."""
     value = np.asarray(run[key])
     known = [

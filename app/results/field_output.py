@@ -7,22 +7,19 @@ and an open one may conduct; the grid separates both.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from mpi4py import MPI
-
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 
 from app.arrays import Floats, Ints
-from app.numerics.saved_state import ENDS
+from app.numerics.saved_state import ENDS, node_keys
 from app.results.interface_heat import W_PER_M2
 from app.results.interface_numbers import ContactSamples
-from app.results.necrosis import CELSIUS
+from app.results.necrosis import CELSIUS, Exposure
 from app.results.thermal_record import Interfaces, ThermalRecord
 from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
 from app.scene.bodies import Bodies, cell_tags
@@ -36,7 +33,7 @@ class OutputNodes:
 
     Attributes:
         body: Body of each node (n,).
-        dof: Its row in the space the grid was made from (n,).
+        dof: Its row in the space the grid was made from, ghosts too (n,).
         cell: A cell that has it (n,).
         ends: Vertices of that cell: the node's own, twice, or those of its edge (n, 2).
     """
@@ -63,86 +60,42 @@ class FieldGroup(Protocol):
 class Fields:
     """The field file."""
 
-    saved = ("steps", "_order")
-
     def __init__(self, tagged: TaggedMesh, groups: Sequence[FieldGroup], path: Path) -> None:
-        self._groups, self._path = tuple(groups), path
+        self._groups, self._path, self._comm = tuple(groups), path, tagged.mesh.comm
         space, owned = groups[0].space, tagged.mesh.topology.index_map(3).size_local
-        tags = cell_tags(tagged)[:owned]
-        dofs = space.dofmap.list[:owned]
-        self._cells = owned
-        bodies, group = np.unique(
-            np.stack([part.bodies.of_tag[tags] for part in groups], axis=1),
-            axis=0,
+        tags, dofs = cell_tags(tagged)[:owned], space.dofmap.list[:owned]
+        # The bodies of all groups in one number.
+        bodies: Ints = np.zeros(owned, dtype=np.int64)
+        for part in groups:
+            bodies = bodies * len(part.bodies.names) + part.bodies.of_tag[tags]
+        stride = tagged.mesh.geometry.index_map().size_global ** 2
+        keys, first, cells = np.unique(
+            bodies[:, None] * stride + node_keys(space)[dofs],
+            return_index=True,
             return_inverse=True,
         )
-        stride = int(dofs.max(initial=0)) + 1
-        node = group.reshape(-1, 1) * stride + dofs
-        pairs, first, cells = np.unique(node, return_index=True, return_inverse=True)
-        group, dof = np.divmod(pairs, stride)
         cell, local = np.divmod(first, dofs.shape[1])
-        # Keys of the points of the file, in the order of the ranks.
-        of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
-        for k, part in enumerate(groups):
-            of_points = of_points * len(part.bodies.names) + bodies[group, k]
-        keys = of_points * tagged.mesh.geometry.index_map().size_global ** 2 + of_mesh
-        comm = self._comm = tagged.mesh.comm
-        mine, number = _owners(comm, keys)
+        dof = dofs.ravel()[first]
         self._nodes = [
-            OutputNodes(body[group[mine]], dof[mine], cell[mine], ENDS[local[mine]])
-            for body in bodies.T
+            OutputNodes(part.bodies.of_tag[tags[cell]], dof, cell, ENDS[local]) for part in groups
         ]
-        place = np.where(mine, np.cumsum(mine), mine.sum() + np.cumsum(~mine)) - 1
-        cells = place[cells.reshape(dofs.shape)]
-        cells = cells[:, QUADRATIC_NODES] if dofs.shape[1] > 4 else cells
-        region = {"region": tags.astype(np.int32)}
-        names = {"region_names": tuple(tagged.regions)}
-        x = space.tabulate_dof_coordinates()[dof[mine]]
-        self._grid = Grid(x, cells, number[~mine], region, names)
-        of_cells = tagged.mesh.topology.original_cell_index[:owned]
-        self._keys = [comm.gather(k) for k in (keys[mine], of_cells)]
-        self._order, self.steps = self._own_order(), 0
+        cells = cells.reshape(dofs.shape)
+        self._grid = Grid(
+            points=space.tabulate_dof_coordinates()[dof],
+            point_keys=keys,
+            cells=cells[:, QUADRATIC_NODES] if dofs.shape[1] > 4 else cells,
+            cell_keys=tagged.mesh.topology.original_cell_index[:owned],
+            cell_data={"region": tags.astype(np.int32)},
+            texts={"region_names": tuple(tagged.regions)},
+        )
 
-    @staticmethod
-    def _vertices(tagged: TaggedMesh, cell: Ints, local: Ints) -> Ints:
-        """Keys of the nodes of cells (n,), from the vertices of the mesh file around them."""
-        geometry = tagged.mesh.geometry
-        corners = geometry.input_global_indices[geometry.dofmap[:, :4]][cell]
-        ends = np.take_along_axis(corners, ENDS[local], axis=1)
-        return np.asarray(ends.min(axis=1) * geometry.index_map().size_global + ends.max(axis=1))
-
-    @property
-    def row_keys(self) -> dict[str, list[Ints]]:
-        """Keys of points and cells in the order of the file, on rank 0."""
-        return {"_order": [np.arange(len(keys)) for keys in self._order]}
-
-    def _own_order(self) -> list[Ints]:
-        """Keys of points and cells in the order of these ranks, on rank 0."""
-        return [np.concatenate(keys) if keys else none() for keys in self._keys]
-
-    def begin(self) -> None:
-        """Write the grid; collective.
+    def open(self, steps: int = 0) -> None:
+        """Begin the file, or continue it after some steps; collective.
 
         Raises:
-            OSError: It cannot be written.
+            OSError: It cannot be written, or does not have these steps.
         """
-        self._file = GridFile(self._comm, self._path, self._grid)
-        self._order, self.steps = self._own_order(), 0
-
-    def go_on(self) -> bool:
-        """Continue the file after the restored number of steps, if it is there; collective."""
-        order: list[Ints] = []
-        if self._comm.rank == 0:
-            for wanted, keys in zip(self._order, self._keys, strict=True):
-                have = np.concatenate(keys)
-                sort = np.argsort(have, kind="stable")
-                place = np.minimum(np.searchsorted(have[sort], wanted), len(have) - 1)
-                order.append(sort[place])
-        try:
-            self._file = GridFile(self._comm, self._path, self._grid, order, self.steps)
-        except OSError:
-            return False
-        return True
+        self._file = GridFile(self._comm, self._path, self._grid, steps)
 
     def close(self) -> None:
         """Write the last step to a file of its own, for readers without time; on rank 0.
@@ -158,35 +111,16 @@ class Fields:
         cell: dict[str, Floats] = {}
         for part, nodes in zip(self._groups, self._nodes, strict=True):
             point |= part.point(nodes, samples)
-            cell |= part.cell(self._cells)
+            cell |= part.cell(len(self._grid.cells))
         self._file.write(time, point, cell)
-        self.steps = self._file.steps
 
 
-def _owners(comm: MPI.Comm, keys: Ints) -> tuple[NDArray[np.bool_], Ints]:
-    """Assign the points of several ranks to the first rank that has them; collective.
-
-    Args:
-        comm: The ranks.
-        keys: Keys of the points of this rank (n,), without duplicates.
-
-    Returns:
-        Which are this rank's own (n,), and the global number of each, counted in the order of the
-        ranks (n,).
-    """
-    parts = comm.allgather(keys)
-    _, first, copies = np.unique(np.concatenate(parts), return_index=True, return_inverse=True)
-    own = np.zeros(len(copies), dtype=bool)
-    own[first] = True
-    number = (np.cumsum(own) - 1)[first[copies]]
-    begin = sum(map(len, parts[: comm.rank]))
-    here = slice(begin, begin + len(keys))
-    return own[here], number[here]
-
-
-def none(n: int = 0) -> Ints:
-    """Keys without content."""
-    return np.zeros(n, dtype=np.int64)
+# Heat doses of bone by the names of their fields.
+DOSES: dict[str, Callable[[Exposure], Floats]] = {
+    "seconds_over_47": lambda e: e.over[:, 0],
+    "cem43": lambda e: e.cem43,
+    "henriques_moritz": lambda e: e.damage,
+}
 
 
 class HeatFields:
@@ -210,13 +144,19 @@ class HeatFields:
         x = self._heating.vectors()
         temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]
         found = {"temperature": self._at(nodes, temperatures)}
-        if self._record.bone:
-            found |= {name: self._at(nodes, dose) for name, dose in self._doses().items()}
-        degrees = [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
-        for region, values in self._heating.degrees().items():
-            own, _ = self._record.exposure(region)
-            degrees[own.body] += self._spread(own.dof, values)
-        if self._heating.degrees():
+        for name, dose in DOSES.items() if self._record.bone else ():
+            doses = self._zeros()
+            for region in self._record.bone:
+                r = self._record.regions[region]
+                # Regions of one body agree on the nodes that they share.
+                here = self._spread(r.nodes.dof, dose(r.exposure))
+                doses[r.nodes.body] = np.maximum(doses[r.nodes.body], here)
+            found[name] = self._at(nodes, doses)
+        if cure := self._heating.degrees():
+            degrees = self._zeros()
+            for region, values in cure.items():
+                own = self._record.regions[region].nodes
+                degrees[own.body] += self._spread(own.dof, values)
             found["degree_of_cure"] = self._at(nodes, degrees)
         if (j := self._operators.jumps) is not None:
             τ = x[1].array
@@ -238,19 +178,8 @@ class HeatFields:
         """Nothing."""
         return {}
 
-    def _doses(self) -> dict[str, list[Floats]]:
-        zero = np.zeros(len(self._work.x.array))
-        names = ("seconds_over_47", "cem43", "henriques_moritz")
-        found: dict[str, list[Floats]] = {
-            name: [zero.copy() for _ in self.bodies.names] for name in names
-        }
-        for region in self._record.bone:
-            own, e = self._record.exposure(region)
-            for name, dose in zip(names, (e.over[:, 0], e.cem43, e.damage), strict=True):
-                # Regions of one body agree on the nodes that they share.
-                of_body = found[name][own.body]
-                np.maximum(of_body, self._spread(own.dof, dose), out=of_body)
-        return found
+    def _zeros(self) -> list[Floats]:
+        return [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
 
     def _spread(self, dof: Ints, values: Floats) -> Floats:
         """Values of own nodes on all nodes of this rank, zero elsewhere; collective."""

@@ -73,7 +73,9 @@ class HeatBalance:
         self._moved += max(sum(map(abs, heats.values())), moved)
         self._now = stored
         if self._moved >= least:
-            self._compare(stored)
+            gained, scale = stored - self._stored, self._moved or 1.0
+            self.heat = max(self.heat, abs(self._stage_sum - gained) / scale)
+            self.quadrature = abs(self._end_sum - gained) / scale
 
     def event(self, flows: Flows) -> None:
         """Replace the flows where they jump, as at the end of a course [N mm/s]."""
@@ -94,12 +96,3 @@ class HeatBalance:
         self._end_sum += stored - self._now
         self._stage_sum += stored - self._now
         self._now, self._last = stored, dict(flows)
-
-    def _compare(self, stored: float) -> None:
-        gained = stored - self._stored
-
-        def part(total: float) -> float:
-            return abs(total - gained) / self._moved if self._moved else abs(total - gained)
-
-        self.heat = max(self.heat, part(self._stage_sum))
-        self.quadrature = part(self._end_sum)

@@ -2,61 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 
 from app.arrays import Floats
-from app.heat.temperature_jumps import TemperatureJumps
+from app.heat.operators import HeatOperators
 from forms import interface_heat
 
 W_PER_M2 = 1e3  # W/m2 in N/(mm s), W/(m2 K) in N/(mm s K)
-
-
-@dataclass(frozen=True)
-class HeatPassed:
-    """Heat flux and entropy production at this rank's points of conducting interfaces (n,).
-
-    Attributes:
-        interface: Index into `names` of each point.
-        flux: Heat from master to slave per area [N/(mm s)].
-        entropy: Entropy production per area [N/(mm s K)].
-    """
-
-    names: tuple[str, ...]
-    interface: NDArray[np.int64]
-    flux: Floats
-    entropy: Floats
+# By interface, at this rank's points: heat flux from master to slave per area (n,) [N/(mm s)], and
+# entropy production per area (n,) [N/(mm s K)].
+Exchanges = Mapping[str, tuple[Floats, Floats]]
 
 
 def exchange(
-    names: Sequence[str],
-    jumps: TemperatureJumps,
-    temperatures: Sequence[fem.Function],
-    τ: Floats,
-    friction: Floats,
-    share: Floats,
-) -> HeatPassed:
-    """Flux and entropy production at the points of finite conductance.
+    operators: HeatOperators, x: Sequence[PETSc.Vec], temperatures: Sequence[fem.Function]
+) -> Exchanges:
+    """Heat through the interfaces of finite conductance, if there are any.
 
     Args:
-        names: Names of the interfaces.
-        jumps: Their points.
+        operators: The heat on the mesh.
+        x: Its unknowns.
         temperatures: Of the bodies [K].
-        τ: Jumps at own points (n,) [K].
-        friction: Friction heat per area there (n,) [N/(mm s)].
-        share: Fraction of it that enters the slave (n,).
     """
-    table = np.stack([t.x.array[jumps.dof] for t in temperatures])
-    master, slave = (table[jumps.bodies[:, k], np.arange(len(jumps.dof))] for k in (0, 1))
-    q = jumps.flux(τ)[0]
-    s = np.asarray(interface_heat.entropy_production(q, friction, share, master, slave))
-    return HeatPassed(tuple(names), jumps.interface, q, s)
+    if (j := operators.jumps) is None:
+        return {}
+    table = np.stack([t.x.array[j.dof] for t in temperatures])
+    master, slave = (table[j.bodies[:, k], np.arange(len(j.dof))] for k in (0, 1))
+    q = j.flux(x[1].array)[0]
+    s = np.asarray(interface_heat.entropy_production(q, j.friction, j.share, master, slave))
+    at = {c.name: j.interface == i for i, c in enumerate(operators.scene.thermal_contacts)}
+    return {name: (q[here], s[here]) for name, here in at.items()}
 
 
 @dataclass
@@ -70,13 +52,12 @@ class InterfaceExtremes:
 
     def take(self, comm: MPI.Comm, flux: Floats, entropy: Floats) -> None:
         """Update from own points: flux (n,) [N/(mm s)], entropy [N/(mm s K)]; collective."""
-        highest = np.array([np.abs(flux).max(initial=0.0), -entropy.min(initial=np.inf)])
-        highest = np.append(highest, entropy.max(initial=-np.inf))
-        comm.Allreduce(MPI.IN_PLACE, highest, MPI.MAX)
-        flux_max, low, high = map(float, highest)
-        self.flux = max(self.flux, flux_max)
-        self.entropy_min = min(self.entropy_min, -low)
-        self.entropy_max = max(self.entropy_max, high)
+        ends = [np.abs(flux).max(initial=0.0), entropy.max(initial=-np.inf)]
+        most = np.array([*ends, -entropy.min(initial=np.inf)])
+        comm.Allreduce(MPI.IN_PLACE, most, MPI.MAX)
+        self.flux = max(self.flux, float(most[0]))
+        self.entropy_max = max(self.entropy_max, float(most[1]))
+        self.entropy_min = min(self.entropy_min, -float(most[2]))
 
     def summary(self) -> dict[str, float]:
         """Their numbers in the summary."""

@@ -18,6 +18,7 @@ from app.mechanics.problem import Problem
 from app.results.penetration import overlap
 from app.results.percentiles import SurfaceField
 from forms.contact import OPEN, SLIP, STICK
+from meshes.contact_points import ContactPoints
 
 MICROMOTION = 0.030  # mm: where biology reacts
 
@@ -49,72 +50,54 @@ class ContactSamples:
         shear: Friction per area (n,) [MPa].
         force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
         status: State (n,).
-        overlap: Penetration between the points of each interface, by name [mm].
         dissipation: Dissipated by friction (n,) [N mm].
         least: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
         own: History variables of the laws, by name: (n, ...).
-        edge_lengths: Mean edge of the facets of each interface [mm].
-        found: What `interface` has found of them, by interface.
+        numbers: Motion, tractions and states of each interface, by its name.
     """
 
     def __init__(self, problem: Problem, trial: TrialState) -> None:
-        self.found: dict[int, dict[str, Any]] = {}
         contact, history = trial.contact, trial.contact.state
-        opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, contact.own.normals)
+        own, points = contact.own, contact.points
+        order = np.argsort(np.concatenate(problem.comm.allgather(own.rows)))
+
+        def whole(values: Floats) -> Any:
+            return np.concatenate(problem.comm.allgather(values))[order]
+
+        self.interface, self.x, self.weight = points.interface, points.x, points.weight
+        opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, own.normals)
+        used = np.arange(3)[None, :] < own.faces[:, None]
+        self.gap = whole(np.where(used, opening, 0.0))
+        self.opening = whole(np.max(opening, axis=1, where=used, initial=-np.inf))
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
-        sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[contact.own.interface][
-            :, None
-        ]
-        used = np.arange(3)[None, :] < contact.own.faces[:, None]
-        local = {
-            "row": contact.own.rows,
-            "gap": np.where(used, opening, 0.0),
-            "opening": np.max(opening, axis=1, where=used, initial=-np.inf),
-            "slip": sign * history.slip,
-            "path": history.path,
-            "motion": sign * trial.jump,
-            "pressure": _pressure(trial.law.pressures, contact.own.normals),
-            "shear": np.linalg.norm(history.friction, axis=1),
-            "force": -sign * history.force,
-            "status": np.where(contact.own.faces > 0, trial.law.status, STICK),
-            "dissipation": history.dissipation,
-            "least": history.least,
-            "contact_work": history.contact_work,
-            **{f"own {name}": values for name, values in history.own.items()},
+        sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[own.interface][:, None]
+        self.slip, self.path = whole(sign * history.slip), whole(history.path)
+        self.motion = whole(sign * trial.jump)
+        self.pressure = whole(_pressure(trial.law.pressures, own.normals))
+        self.shear = whole(np.linalg.norm(history.friction, axis=1))
+        self.force = whole(-sign * history.force)
+        self.status = whole(np.where(own.faces > 0, trial.law.status, STICK))
+        self.dissipation, self.least = whole(history.dissipation), whole(history.least)
+        self.contact_work = whole(history.contact_work)
+        self.own = {name: whole(values) for name, values in history.own.items()}
+        depths = overlap(contact, trial.jump)
+        self.numbers: dict[str, dict[str, Any]] = {
+            c.name: {
+                **_numbers(self, i, _Facets(points, i)),
+                **depths[i],
+                "facet_size": contact.edge_lengths[i],
+                **computed("interfaces", self, points.interface == i),
+            }
+            for i, c in enumerate(contacts)
         }
-        pieces = problem.comm.allgather(local)
-        whole = {key: np.concatenate([p[key] for p in pieces]) for key in local}
-        order = np.argsort(whole.pop("row"))
-        self.points, self.edge_lengths = contact.points, contact.edge_lengths
-        self.interface, self.x = contact.points.interface, contact.points.x
-        self.weight = contact.points.weight
-        self.gap, self.opening, self.slip, self.path, self.motion = (
-            whole[k][order] for k in ("gap", "opening", "slip", "path", "motion")
-        )
-        self.pressure, self.shear, self.force, self.status = (
-            whole[k][order] for k in ("pressure", "shear", "force", "status")
-        )
-        self.dissipation, self.least, self.contact_work = (
-            whole[k][order] for k in ("dissipation", "least", "contact_work")
-        )
-        self.own = {name: whole[f"own {name}"][order] for name in history.own}
-        self.overlap = overlap(contact, trial.jump)
 
 
-def interface(problem: Problem, samples: ContactSamples, i: int) -> dict[str, Any]:
-    """Motion, tractions and states of one interface; computed once for each state."""
-    if i not in samples.found:
-        samples.found[i] = _interface(problem, samples, i)
-    return dict(samples.found[i])
-
-
-def _interface(problem: Problem, s: ContactSamples, i: int) -> dict[str, Any]:
+def _numbers(s: ContactSamples, i: int, facets: _Facets) -> dict[str, Any]:
     at = s.interface == i
     weight, x = s.weight[at], s.x[at]
     total = float(weight.sum())
-    facets = Facets(s, i)
     found: dict[str, Any] = {}
     for name, values in (
         ("gap", np.maximum(s.gap, 0.0)),
@@ -132,54 +115,40 @@ def _interface(problem: Problem, s: ContactSamples, i: int) -> dict[str, Any]:
             f"{name}_p95": field.percentile(0.95),
             f"{name}_p99": field.percentile(0.99),
             f"{name}_mean": field.mean(),
-            f"{name}_max_at": [float(c) for c in x[k]],
+            f"{name}_max_at": x[k].tolist(),
         }
         if name in ("gap", "slip", "motion"):
             found[f"area_{name}_over_30um"] = field.area_above(MICROMOTION)
-
-    def fraction(state: int) -> float:
-        return float(weight[s.status[at] == state].sum()) / total
-
-    return {
-        **found,
+    for name, state in (("open", OPEN), ("stick", STICK), ("slip", SLIP)):
+        found[f"{name}_fraction"] = float(weight[s.status[at] == state].sum()) / total
+    return found | {
         "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
-        **s.overlap[i],
-        "open_fraction": fraction(OPEN),
-        "stick_fraction": fraction(STICK),
-        "slip_fraction": fraction(SLIP),
         "area": total,
-        "facet_size": s.edge_lengths[i],
-        "force": [float(c) for c in (weight[:, None] * s.force[at]).sum(axis=0)],
+        "force": (weight @ s.force[at]).tolist(),
         "dissipation": float(s.dissipation[at].sum()),
         "dissipation_min": float(s.least[at].min()),
         "contact_work": float(s.contact_work[at].sum()),
-        **computed("interfaces", s, at),
     }
 
 
-class Facets:
-    """Facets of an interface: its points are their corners.
+class _Facets:
+    """Facets of an interface: its points are their corners."""
 
-    Attributes:
-        triangles: Contact points at the corners (f, 3).
-        area: Areas (f,) [mm2].
-    """
-
-    def __init__(self, s: ContactSamples, i: int) -> None:
-        self.triangles: Ints = s.points.triangles[i]
-        x = s.x[self.triangles]
+    def __init__(self, points: ContactPoints, i: int) -> None:
+        self._triangles: Ints = points.triangles[i]
+        x = points.x[self._triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
         area = np.linalg.norm(flat, axis=1) / 2
         # Curved facets have a little more than their corners span.
-        whole = s.weight[s.interface == i].sum()
-        self.area = area * (whole / area.sum()) if len(area) else area
+        whole = points.weight[points.interface == i].sum()
+        self._area = area * (whole / area.sum()) if len(area) else area
         # At each corner the face of the point that this facet belongs to.
-        along = np.abs(np.einsum("fi,fcki->fck", flat, s.points.normals[self.triangles]))
+        along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self._triangles]))
         self._face: Ints = np.argmax(along, axis=2)
 
     def field(self, values: Floats) -> SurfaceField:
         """Values at points (n,), or at the faces of points (n, 3), as a field on the facets."""
-        corners = values[self.triangles]
+        corners = values[self._triangles]
         if values.ndim == 2:
             corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
-        return SurfaceField(corners, self.area)
+        return SurfaceField(corners, self._area)

@@ -60,7 +60,7 @@ class MechanicalFields:
             for region in regions.get(body, ()):
                 cells, σ = self._stresses.cells[region], self._stresses.evaluate(region)
                 nodes_of = np.broadcast_to(X, (len(cells), *X.shape))
-                σ = _components(extrapolated(σ, self._stresses.at(region), nodes_of))
+                σ = _components(extrapolated(σ, self._stresses.points[region], nodes_of))
                 volume = self._stresses.places(region)[1].sum(axis=1)
                 np.add.at(sums[:, :-1], dofs[cells], σ * volume[:, None, None])
                 np.add.at(sums[:, -1], dofs[cells], volume[:, None])
@@ -71,32 +71,25 @@ class MechanicalFields:
             found[at] = mean[:, :-1] / np.where(mean[:, -1:] > 0, mean[:, -1:], 1.0)
         return found
 
-    def _contact_rows(self, nodes: OutputNodes) -> dict[int, Ints]:
+    def _contact_rows(self, nodes: OutputNodes) -> list[Ints]:
         """For each interface, the contact points (n, 2) at or around the nodes of the grid.
 
         The point twice at a corner, the ends of an edge of the interface at its middle, -1
         elsewhere.
         """
-        rows: dict[int, Ints] = {}
-        layout = self.space.dofmap.dof_layout
-        corner = np.array([layout.entity_dofs(0, v)[0] for v in range(4)])
-        dofs = self.space.dofmap.list[nodes.cell]
-        ends = np.take_along_axis(dofs, corner[nodes.ends], axis=1)
-        numbers = self.space.dofmap.index_map.local_to_global(ends.ravel().astype(np.int32))
-        body = np.repeat(nodes.body, 2)
-        if self._problem.contact:
-            p = self._problem.contact.points
-            for i in range(len(self._problem.scene.contacts)):
-                found = np.full(len(numbers), -1, dtype=np.int64)
-                here = np.flatnonzero(p.interface == i)
-                order = here[np.argsort(p.dof[here], kind="stable")]
-                at = np.clip(np.searchsorted(p.dof[order], numbers), 0, max(len(order) - 1, 0))
-                if len(order):
-                    k = order[at]
-                    same = (p.bodies[k] == body[:, None]).any(axis=1)
-                    match = (p.dof[k] == numbers) & same
-                    found[match] = k[match]
-                rows[i] = _on_edges(found.reshape(-1, 2), p.triangles[i], len(p.dof))
+        if self._problem.contact is None:
+            return []
+        points, index_map = self._problem.contact.points, self.space.dofmap.index_map
+        count, dofs = len(self.bodies.names), self.space.dofmap.list
+        ends = np.take_along_axis(dofs[nodes.cell], nodes.ends, axis=1)
+        numbers = index_map.local_to_global(ends.ravel().astype(np.int32)).reshape(ends.shape)
+        rows = []
+        for i, triangles in enumerate(points.triangles):
+            here = np.flatnonzero(points.interface == i)
+            # By node and body.
+            point = np.full((index_map.size_global, count), -1, dtype=np.int64)
+            point[points.dof[here, None], points.bodies[here]] = here[:, None]
+            rows.append(_on_edges(point[numbers, nodes.body[:, None]], triangles, len(points.dof)))
         return rows
 
 
@@ -147,14 +140,10 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
     status = np.full(len(rows), -1.0)
     ends = s.status[rows[on]]
     status[on] = np.where((ends == OPEN).any(axis=1), OPEN, ends.max(axis=1))
-    name = contact.name
-    own = {f"{name}_{variable}": spread(s.own[variable]) for variable in contact.law.history}
-    return own | {
-        f"{name}_gap": spread(s.opening),
-        f"{name}_slip": spread(s.slip),
-        f"{name}_slip_path": spread(s.path),
-        f"{name}_motion": spread(s.motion),
-        f"{name}_pressure": spread(s.pressure),
-        f"{name}_shear": spread(s.shear),
-        f"{name}_status": status,
+    fields = {
+        **{variable: s.own[variable] for variable in contact.law.history},
+        **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
+        **{"pressure": s.pressure, "shear": s.shear},
     }
+    found = {f"{contact.name}_{key}": spread(values) for key, values in fields.items()}
+    return found | {f"{contact.name}_status": status}

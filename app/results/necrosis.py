@@ -9,8 +9,6 @@ Within a step the temperature is linear in time, and the doses of that line are 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from app.arrays import Floats
@@ -75,10 +73,8 @@ def henriques_moritz(start: Floats, end: Floats, seconds: float) -> Floats:
     width = np.where(short, 1.0, change)
     exact = (_antiderivative(end) - _antiderivative(start)) / width
     middle, half = (start + end) / 2, change / 2
-    points, weights = _GAUSS
     near = sum(
-        w / 2 * _rate(middle + p * np.where(short, half, 0.0))
-        for p, w in zip(points, weights, strict=True)
+        w / 2 * _rate(middle + p * np.where(short, half, 0.0)) for p, w in zip(*_GAUSS, strict=True)
     )
     return np.asarray(seconds * np.where(short, near, exact))
 
@@ -95,9 +91,8 @@ def _antiderivative(temperature: Floats) -> Floats:
     return np.asarray(FREQUENCY * temperature * expn(2, x))
 
 
-@dataclass(frozen=True)
 class Exposure:
-    """Thermal exposure of n nodes so far; `add` updates it in place.
+    """Thermal exposure of n nodes so far.
 
     Attributes:
         over: Time at or above each of `LEVELS` (n, 3) [s].
@@ -105,21 +100,18 @@ class Exposure:
         damage: Henriques-Moritz (n,).
     """
 
-    over: Floats
-    cem43: Floats
-    damage: Floats
+    saved = ("over", "cem43", "damage")
 
-    @staticmethod
-    def of(n: int) -> Exposure:
-        """No exposure of n nodes."""
-        return Exposure(np.zeros((n, len(LEVELS))), np.zeros(n), np.zeros(n))
+    def __init__(self, n: int) -> None:
+        self.over = np.zeros((n, len(LEVELS)))
+        self.cem43, self.damage = np.zeros(n), np.zeros(n)
 
     def add(self, start: Floats, end: Floats, seconds: float) -> None:
         """Add a step in which the temperature goes linearly from start to end (n,) [K]."""
         for k, level in enumerate(LEVELS):
             self.over[:, k] += seconds_over(start, end, seconds, level)
-        self.cem43[:] += cem43(start, end, seconds)
-        self.damage[:] += henriques_moritz(start, end, seconds)
+        self.cem43 += cem43(start, end, seconds)
+        self.damage += henriques_moritz(start, end, seconds)
 
     def forget(self) -> None:
         """Make all doses unknown from here on."""
@@ -137,11 +129,7 @@ class Exposure:
         It is linear in time for criteria in time, and in temperature where equivalent minutes and
         damage are exponentials of it.
         """
-        minutes = {
-            f"cem43_{m}": np.log(np.maximum(self.cem43 / m, _LEAST)) for m in CEM43_THRESHOLDS
-        }
-        return {
-            "47C_1min": np.asarray(self.over[:, 0] / MINUTE - 1),
-            **minutes,
-            "henriques_moritz": np.log(np.maximum(self.damage, _LEAST)),
-        }
+        doses = {f"cem43_{m}": self.cem43 / m for m in CEM43_THRESHOLDS}
+        doses["henriques_moritz"] = self.damage
+        levels = {name: np.log(np.maximum(dose, _LEAST)) for name, dose in doses.items()}
+        return {"47C_1min": np.asarray(self.over[:, 0] / MINUTE - 1), **levels}

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from app.arrays import Floats, Ints
 from app.case.case import read_geometry
 from app.errors import InputError
+from app.results.vtkhdf import QUADRATIC_NODES
 from app.schema import yaml_file
 
 # Vertices of the edges that carry the middle nodes of a quadratic tetrahedron, in VTK's order.
@@ -127,11 +128,11 @@ class Run(Results):
 
     def on_points(self, name: str, step: int | str = -1) -> Floats:
         """A field on the nodes at a written step (n,) or (n, k), by its name in the file."""
-        return self._field(f"PointData/{name}", "Points", step)
+        return self._field(f"PointData/{name}", len(self.points), step)
 
     def on_cells(self, name: str, step: int | str = -1) -> Floats:
         """A field on the cells at a written step (m,) or (m, k), by its name in the file."""
-        return self._field(f"CellData/{name}", "Cells", step)
+        return self._field(f"CellData/{name}", len(self.cells), step)
 
     def displacement(self, step: int | str = -1) -> Floats:
         """Displacement of the nodes at a written step (n, 3) [mm]."""
@@ -220,8 +221,7 @@ class Run(Results):
 
         return norm(have - should), norm(have), norm(should)
 
-    def _field(self, name: str, kind: str, step: int | str) -> Floats:
-        rows = len(self.points) if kind == "Points" else len(self.cells)
+    def _field(self, name: str, rows: int, step: int | str) -> Floats:
         k = self._last_of(step) if isinstance(step, str) else range(len(self.times))[step]
         with h5py.File(self.folder / "fields.vtkhdf", "r") as file:
             field = file["VTKHDF"][name]
@@ -252,12 +252,9 @@ def shape_functions(points: Floats, nodes: int) -> tuple[Floats, Floats]:
     Returns:
         Values (q, nodes) and derivatives (q, nodes, 3).
     """
-    L = np.column_stack([1 - points.sum(axis=1), points])
-    dL = np.vstack([-np.ones(3), np.eye(3)])
-    if nodes == 4:
-        return L, np.broadcast_to(dL, (len(points), 4, 3))
-    i, j = np.array(EDGES).T
-    N = np.column_stack([L * (2 * L - 1), 4 * L[:, i] * L[:, j]])
-    corner = (4 * L - 1)[:, :, None] * dL
-    middle = 4 * (L[:, i, None] * dL[j] + L[:, j, None] * dL[i])
-    return N, np.concatenate([corner, middle], axis=1)
+    order = 1 if nodes == 4 else 2
+    element = basix.create_element(
+        basix.ElementFamily.P, basix.CellType.tetrahedron, order, basix.LagrangeVariant.gll_warped
+    )
+    table: Floats = np.asarray(element.tabulate(1, points))[..., QUADRATIC_NODES[:nodes], 0]
+    return table[0], np.moveaxis(table[1:], 0, -1)

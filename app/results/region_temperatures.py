@@ -9,9 +9,8 @@ heat source, the parabola that ends with the right slope.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, ClassVar, Self
+from typing import Any
 
 from mpi4py import MPI
 
@@ -26,9 +25,8 @@ from app.results.level_sets import RegionCells
 from app.results.necrosis import CELSIUS, COUNTS_FROM, LEVELS, Exposure
 
 
-@dataclass
 class RegionTemperatures:
-    """Values recorded at this rank's nodes of one region (n,).
+    """Values recorded at this rank's nodes of one region (n,), from an initial state on.
 
     Attributes:
         now: Temperatures of the last state [K].
@@ -39,22 +37,16 @@ class RegionTemperatures:
         before: Up to three states before the last one, newest last.
     """
 
-    saved: ClassVar = ("now", "peak", "peak_time", "lowest", "exposure", "before")
+    saved = ("now", "peak", "peak_time", "lowest", "exposure", "before")
 
-    nodes: ThermalNodes
-    now: Floats
-    peak: Floats
-    peak_time: Floats
-    lowest: Floats
-    exposure: Exposure
-    before: list[curves_in_time.State] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, nodes: ThermalNodes, temperatures: Sequence[fem.Function], seconds: float) -> Self:
-        """The record of an initial state."""
-        T = nodes.values(temperatures)
-        time = np.full(len(T), seconds)
-        return cls(nodes, T, T.copy(), time, T.copy(), Exposure.of(len(T)))
+    def __init__(
+        self, nodes: ThermalNodes, temperatures: Sequence[fem.Function], seconds: float
+    ) -> None:
+        self.nodes = nodes
+        self.now = self.lowest = nodes.values(temperatures)
+        self.peak, self.peak_time = self.now.copy(), np.full(len(self.now), seconds)
+        self.exposure = Exposure(len(self.now))
+        self.before: list[curves_in_time.State] = []
 
     @property
     def begin(self) -> Floats:

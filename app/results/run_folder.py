@@ -39,6 +39,10 @@ SECTION = "temperature_section.png"
 # Files written at the end, and all of a run directory.
 ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", SECTION, "report.html"),)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
+PACKAGES = (
+    *("fenics-dolfinx", "petsc4py", "fenics-ufl", "fenics-basix"),
+    *("mpi4py", "numpy", "h5py"),
+)
 log = logging.getLogger("mantle")
 
 
@@ -81,13 +85,14 @@ class Writer:
         again: Whether a restart follows, so that existing files may stay.
 
     Attributes:
-        grids: The field file, if fields are written.
+        fields: The field file, if fields are written.
+        field_steps: Number of steps in it.
 
     Raises:
         StoppedError: The directory cannot be written.
     """
 
-    saved = ("_rows",)
+    saved = ("_rows", "field_steps")
 
     def __init__(
         self,
@@ -111,16 +116,16 @@ class Writer:
             write_text(folder / "case.yaml", resolved)
 
         _write(self._comm, start, str(folder))
-        self.grids: tuple[Fields, ...] = (
-            (Fields(tagged, groups, folder / "fields.vtkhdf"),) if fields else ()
-        )
+        self.field_steps = 0
+        self.fields = Fields(tagged, groups, folder / "fields.vtkhdf") if fields else None
         if not again:
             self._begin()
 
     def _begin(self) -> None:
-        with _full_disk("fields.vtkhdf"):
-            for grid in self.grids:
-                grid.begin()
+        self.field_steps = 0
+        if self.fields:
+            with _full_disk("fields.vtkhdf"):
+                self.fields.open()
 
     def restored(self) -> None:
         """Continue the files of a restored run; collective.
@@ -129,22 +134,24 @@ class Writer:
             StoppedError: The directory cannot be written.
         """
         self._table()
-        for grid in self.grids:
-            if grid.steps and grid.go_on():
-                continue
-            if grid.steps:
+        if self.fields and self.field_steps:
+            try:
+                self.fields.open(self.field_steps)
+                return
+            except OSError:
                 log.info("fields.vtkhdf is missing or not usable: a new one starts here")
-            self._begin()
+        self._begin()
 
-    def fields(self, time: float, samples: ContactSamples | None) -> None:
+    def write_fields(self, time: float, samples: ContactSamples | None) -> None:
         """Append a step to the field file; collective.
 
         Raises:
             StoppedError: The disk is full; earlier steps stay readable.
         """
-        with _full_disk("fields.vtkhdf"):
-            for grid in self.grids:
-                grid.write(time, samples)
+        if self.fields:
+            with _full_disk("fields.vtkhdf"):
+                self.fields.write(time, samples)
+            self.field_steps += 1
 
     def last_fields(self) -> None:
         """Write the last written step of the fields to a file of its own; collective.
@@ -152,8 +159,8 @@ class Writer:
         Raises:
             StoppedError: The disk is full.
         """
-        for grid in self.grids:
-            _write(self._comm, grid.close, "final.vtkhdf")
+        if self.fields:
+            _write(self._comm, self.fields.close, "final.vtkhdf")
 
     def history(self, row: dict[str, Any]) -> None:
         """Add a row to history.csv; collective."""
@@ -167,15 +174,7 @@ class Writer:
     def section(self, operators: HeatOperators, record: ThermalRecord) -> None:
         """Draw the temperature in a section when the bone was hottest; collective."""
         with _full_disk(SECTION):
-            temperature_section.section(
-                self.folder / SECTION,
-                operators.tagged,
-                operators.forms.space.dofmap.list,
-                operators.bodies.of_region,
-                record.hottest,
-                record.hottest_time,
-                record.hottest_at,
-            )
+            temperature_section.section(self.folder / SECTION, operators, record)
 
     def finish(self, summary: dict[str, Any], done: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""
@@ -226,18 +225,4 @@ def _processor() -> str:
 
 @cache
 def _packages() -> dict[str, str]:
-    packages = {}
-    for name in (
-        "fenics-dolfinx",
-        "petsc4py",
-        "fenics-ufl",
-        "fenics-basix",
-        "mpi4py",
-        "numpy",
-        "h5py",
-    ):
-        try:
-            packages[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return packages
+    return {n: d.version for n in PACKAGES for d in metadata.distributions(name=n)}

@@ -9,9 +9,8 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
+from app.arrays import Floats
 from app.case.case import Case
 from app.mechanics.problem import Problem
 from app.scene import bodies
@@ -39,16 +38,15 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     )
     if not implant or not bone:
         return {}
-    found: dict[str, Any] = {}
+    found = _ends(problem, implant)
     stem = _surface(problem, implant, [*cement, *bone])
     facing = _surface(problem, bone, [*cement, *implant])
     if len(stem.x) and len(facing.x):
         t, ω = _against(stem, facing)
-        medial = 1.0 if case.side == "left" else -1.0
-        ω = medial * np.rad2deg(ω)
-        found = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
-        found = {key: float(value) for key, value in found.items()}
-    return found | _ends(problem, implant)
+        ω = np.rad2deg(ω) * (1 if case.side == "left" else -1)
+        motion = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
+        return {key: float(value) for key, value in motion.items()} | found
+    return found
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ def _surface(problem: Problem, inside: Sequence[str], outside: Sequence[str]) ->
     f: bodies.FacetCells = bodies.facets_between(problem.tagged, inside, outside)
     corners = bodies.facet_coordinates(problem.tagged, f)[0][:, :3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    dofs = _corner_dofs(problem, f.cells)
+    dofs = problem.space.dofmap.list[f.cells][:, :4]
     dofs = np.take_along_axis(dofs, bodies.FACET_NODES[f.local, :3], axis=1)
     body = problem.bodies.of_tag[bodies.cell_tags(problem.tagged)[f.cells]]
     u = _displacements(problem)[body[:, None], dofs].mean(axis=1)
@@ -94,15 +92,13 @@ def _against(stem: _Surface, bone: _Surface) -> tuple[Floats, Floats]:
     return np.average(v, axis=0, weights=stem.area), stem.rotation(v)
 
 
-def _ends(problem: Problem, implant: Sequence[str]) -> dict[str, list[float]]:
+def _ends(problem: Problem, implant: Sequence[str]) -> dict[str, Any]:
     comm, u = problem.comm, _displacements(problem)
-    nodes = [
-        (problem.bodies.of_region[region], np.unique(_corner_dofs(problem, cells)))
-        for region in implant
-        for cells in [problem.mechanics.region_cells(region)]
-    ]
-    dofs = np.concatenate([dofs for _, dofs in nodes])
-    moved = np.concatenate([u[body, dofs] for body, dofs in nodes])
+    cells = {r: problem.mechanics.region_cells(r) for r in implant}
+    dofs_of = {r: np.unique(problem.space.dofmap.list[c][:, :4]) for r, c in cells.items()}
+    dofs = np.concatenate(list(dofs_of.values()))
+    body = problem.bodies.of_region
+    moved = np.concatenate([u[body[r], rows] for r, rows in dofs_of.items()])
     x = problem.space.tabulate_dof_coordinates()[dofs]
     low = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
     high = comm.allreduce(float(x[:, 2].max(initial=-np.inf)), MPI.MAX)
@@ -120,10 +116,3 @@ def _ends(problem: Problem, implant: Sequence[str]) -> dict[str, list[float]]:
 def _displacements(problem: Problem) -> Floats:
     """Of all bodies at all nodes of this rank (bodies, n, 3) [mm]."""
     return np.stack([f.x.array.reshape(-1, 3) for f in problem.displacements()])
-
-
-def _corner_dofs(problem: Problem, cells: NDArray[Any]) -> Ints:
-    """Rows of the displacement at the corners of cells (c, 4)."""
-    layout = problem.space.dofmap.dof_layout
-    corner = [layout.entity_dofs(0, v)[0] for v in range(4)]
-    return np.asarray(problem.space.dofmap.list[cells][:, corner], dtype=np.int64)

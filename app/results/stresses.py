@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import basix
 import numpy as np
 from dolfinx import fem
 from ufl import as_vector
+from ufl.core.expr import Expr
 
 from app.arrays import Floats
 from app.case.quantities import computed
@@ -24,29 +26,17 @@ COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 STRESS_LEVELS = (5.0, 8.0, 10.0)  # MPa: PMMA endurance is 8 to 10
 
 
-@dataclass(frozen=True)
-class _Law:
-    """A compiled stress, and the functions it depends on."""
-
-    expression: fem.Expression
-    displacement: fem.Function
-    coefficients: list[fem.Constant]
-    fibre: list[fem.Constant]
-
-    def of(self, e: Elastic, displacement: fem.Function) -> fem.Expression:
-        """The stress of a region in a displacement."""
-        self.displacement.x.array[:] = displacement.x.array
-        for constant, value in zip(self.coefficients, e.coefficients, strict=True):
-            constant.value = value
-        if e.fibre:
-            # A straight fibre has no point.
-            for constant, vector in zip(self.fibre, (e.fibre.axis, e.fibre.through), strict=False):
-                constant.value = vector
-        return self.expression
+# Gives the stress of a region in a displacement, by an expression that regions share.
+Law = Callable[[Elastic, fem.Function], fem.Expression]
 
 
 class Stresses:
     """Stress at quadrature points of every elastic region, compiled once.
+
+    Attributes:
+        cells: Own cells of each region.
+        points: Points of its cells, in the reference cell (points, 3).
+        shares: Fraction of a cell's volume at each of them (points,).
 
     Args:
         around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
@@ -57,48 +47,66 @@ class Stresses:
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
         degree = 4 * (problem.scene.order - 1)
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
-        self._points, self._weights = (np.asarray(a) for a in quadrature)
-        elastic, setting = problem.scene.elastic, problem.mechanics.growth
-        self.cells = {e.region: problem.mechanics.region_cells(e.region) for e in elastic}
-        plain = [
-            e for e in elastic if not e.eigenstrains and e.region not in problem.mechanics.swelling
-        ]
-        self._plain = {e.region: e for e in plain if e.region not in setting}
-        kinds = {_lay(e): e for e in self._plain.values()}
-        self._laws = {kind: self._law(e) for kind, e in kinds.items()}
-        self._expressions = {
-            e.region: self._expression(e)
-            for e in elastic
-            if e.region not in setting and e.region not in self._plain
-        }
+        self._points, weights = (np.asarray(a) for a in quadrature)
+        elastic, mechanics = problem.scene.elastic, problem.mechanics
+        self.cells = {e.region: mechanics.region_cells(e.region) for e in elastic}
+        self.points: dict[str, Floats] = dict.fromkeys(self.cells, self._points)
+        self.shares: dict[str, Floats] = dict.fromkeys(self.cells, weights / weights.sum())
         # Stress that is history is known at the points where it was summed.
-        self._history = {r: problem.setting for r in setting if problem.setting}
+        self._history = {r: problem.setting for r in mechanics.growth if problem.setting}
+        for region, history in self._history.items():
+            self.points[region] = history.points
+            self.shares[region] = history.weights / history.weights.sum()
+        laws: dict[str, Law] = {}
+        self._own: dict[str, fem.Expression] = {}
+        self._shared: dict[str, Callable[[], fem.Expression]] = {}
+        for e in elastic:
+            if e.region in mechanics.growth:
+                continue
+            displacement = problem.displacements()[problem.bodies.of_region[e.region]]
+            if e.eigenstrains or e.region in mechanics.swelling:
+                ε = mechanics.elastic_strain(e, displacement)
+                σ = elasticity.stress(partial(mechanics.energy_density, e), ε)
+                self._own[e.region] = self._expression(σ)
+                continue
+            # Regions with the same kind of fibre share the form of their stress.
+            kind = e.fibre.kind if e.fibre else ""
+            if kind not in laws:
+                laws[kind] = self._law(e)
+            self._shared[e.region] = partial(laws[kind], e, displacement)
 
-    def _law(self, e: Elastic) -> _Law:
+    def _law(self, e: Elastic) -> Law:
         """Stress of any region without free strain that has the same law as this one."""
         mesh, v = self._problem.tagged.mesh, fem.Function(self._problem.space)
         coefficients = [fem.Constant(mesh, np.array(c)) for c in e.coefficients]
-        fibre: list[fem.Constant] = []
+        vectors: list[fem.Constant] = []
 
         def constant(value: Vector) -> fem.Constant:
-            fibre.append(fem.Constant(mesh, np.array(value)))
-            return fibre[-1]
+            vectors.append(fem.Constant(mesh, np.array(value)))
+            return vectors[-1]
 
         direction = e.fibre.direction(mesh, constant) if e.fibre else None
-        σ = elasticity.stress(
-            lambda strain: e.energy(strain, coefficients, direction), elasticity.strain(v)
+        expression = self._expression(
+            elasticity.stress(
+                lambda strain: e.energy(strain, coefficients, direction), elasticity.strain(v)
+            )
         )
-        with self._timing.phase("compile", "stress"):
-            expression = fem.Expression(σ, self._points, comm=self._problem.comm)
-        return _Law(expression, v, coefficients, fibre)
 
-    def _expression(self, e: Elastic) -> fem.Expression:
-        problem, mechanics = self._problem, self._problem.mechanics
-        v = problem.displacements()[problem.bodies.of_region[e.region]]
-        ε = mechanics.elastic_strain(e, v)
-        σ = elasticity.stress(lambda strain: mechanics.energy_density(e, strain), ε)
+        def of(e: Elastic, displacement: fem.Function) -> fem.Expression:
+            v.x.array[:] = displacement.x.array
+            for constant, value in zip(coefficients, e.coefficients, strict=True):
+                constant.value = value
+            if e.fibre:
+                # A straight fibre has no point.
+                for constant, vector in zip(vectors, (e.fibre.axis, e.fibre.through), strict=False):
+                    constant.value = vector
+            return expression
+
+        return of
+
+    def _expression(self, σ: Expr) -> fem.Expression:
         with self._timing.phase("compile", "stress"):
-            return fem.Expression(σ, self._points, comm=problem.comm)
+            return fem.Expression(σ, self._points, comm=self._problem.comm)
 
     def evaluate(self, region: str) -> Floats:
         """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
@@ -107,38 +115,22 @@ class Stresses:
         cells = self.cells[region]
         if not len(cells):
             return np.zeros((0, len(self._points), 3, 3))
-        if region in self._plain:
-            e, body = self._plain[region], self._problem.bodies.of_region[region]
-            expression = self._laws[_lay(e)].of(e, self._problem.displacements()[body])
-        else:
-            expression = self._expressions[region]
+        expression = self._own.get(region) or self._shared[region]()
         values = expression.eval(self._problem.tagged.mesh, cells)
         return values.reshape(len(cells), len(self._points), 3, 3)
 
-    def at(self, region: str) -> Floats:
-        """Points of a region's cells, in the reference cell (points, 3)."""
-        history = self._history.get(region)
-        return self._points if history is None else history.points
-
-    def shares(self, region: str) -> Floats:
-        """Fraction of a cell's volume at each of its points (points,)."""
-        history = self._history.get(region)
-        weights = self._weights if history is None else history.weights
-        return np.asarray(weights / weights.sum(), dtype=np.float64)
-
     def mean(self, region: str) -> Floats:
         """Mean stress of a region's own cells (cells, 3, 3) [MPa]."""
-        share = self.shares(region)
-        return np.asarray(np.einsum("q,cqij->cij", share, self.evaluate(region)))
+        return np.einsum("q,cqij->cij", self.shares[region], self.evaluate(region))
 
     def places(self, region: str) -> tuple[Floats, Floats]:
         """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points)."""
         mesh = self._problem.tagged.mesh
         element = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
-        N, *dN = element.tabulate(1, self.at(region))
+        N, *dN = element.tabulate(1, self.points[region])
         x = mesh.geometry.x[mesh.geometry.dofmap[self.cells[region]]]
         measure = np.abs(np.linalg.det(np.einsum("cni,jqn->cqij", x, np.array(dN)))) / 6
-        return np.einsum("qn,cni->cqi", N, x).reshape(-1, 3), measure * self.shares(region)
+        return np.einsum("qn,cni->cqi", N, x).reshape(-1, 3), measure * self.shares[region]
 
     def energy_density(self, region: str) -> Floats:
         r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa].
@@ -164,41 +156,25 @@ class Stresses:
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         deviator = σ - mean[:, None, None] * np.eye(3)
         eigen = np.linalg.eigvalsh(σ)
-        local = np.column_stack(
-            [
-                np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator)),
-                _hoop(σ, x),
-                eigen[:, 2],
-                eigen[:, 0],
-                mean,
-                volumes.ravel(),
-            ]
+        mises = np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator))
+        local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
+        mises, hoop, principal, least, mean, volume = np.concatenate(
+            self._problem.comm.allgather(local), axis=1
         )
-        pieces = self._problem.comm.gather(local)
-        result: dict[str, Any] = {}
-        if pieces is not None:
-            mises, hoop, principal, least, mean, volume = np.concatenate(pieces).T
-            result = {
-                "von_mises_max": float(mises.max()),
-                "von_mises_p99": percentile(mises, volume),
-                "principal_max": float(principal.max()),
-                "principal_p99": percentile(principal, volume),
-                "principal_min": float(least.min()),
-                "mean_stress_min": float(mean.min()),
-                "mean_stress_max": float(mean.max()),
-                "volume": float(volume.sum()),
-                "volume_over_5_8_10_MPa": [
-                    float(volume[principal > level].sum()) for level in STRESS_LEVELS
-                ],
-            }
-            if self._around_z:
-                result["hoop_p99"] = percentile(hoop, volume)
-        return self._problem.comm.bcast(result) | computed("regions", self, region)
-
-
-def _lay(e: Elastic) -> str:
-    """Kind of the fibre: regions of one kind share the form of their stress."""
-    return e.fibre.kind if e.fibre else ""
+        result = {
+            "von_mises_max": float(mises.max()),
+            "von_mises_p99": percentile(mises, volume),
+            "principal_max": float(principal.max()),
+            "principal_p99": percentile(principal, volume),
+            "principal_min": float(least.min()),
+            "mean_stress_min": float(mean.min()),
+            "mean_stress_max": float(mean.max()),
+            "volume": float(volume.sum()),
+            "volume_over_5_8_10_MPa": [float(volume[principal > p].sum()) for p in STRESS_LEVELS],
+        }
+        if self._around_z:
+            result["hoop_p99"] = percentile(hoop, volume)
+        return result | computed("regions", self, region)
 
 
 def _stiffness(e: Elastic) -> Floats:
@@ -213,14 +189,11 @@ def _stiffness(e: Elastic) -> Floats:
         return float(e.energy(ε, e.coefficients, as_vector(fibre))(()))
 
     # Of a quadratic form, ψ(a + b) - ψ(a) - ψ(b) = a : σ(b).
-    units: list[Floats] = list(np.eye(6))
-    own = [energy(a) for a in units]
-    work = [
-        [energy(a + b) - ψ_a - ψ_b for b, ψ_b in zip(units, own, strict=True)]
-        for a, ψ_a in zip(units, own, strict=True)
-    ]
+    own = np.array([energy(a) for a in np.eye(6)])
+    work = np.array([[energy(a + b) for b in np.eye(6)] for a in np.eye(6)])
+    work -= own[:, None] + own
     # A shear of a stands for two entries of the tensor.
-    return np.array(work) / np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])[:, None]
+    return work / np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])[:, None]
 
 
 def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:

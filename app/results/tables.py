@@ -89,23 +89,23 @@ def _table(section: str, rows: Rows) -> list[str]:
     return layout.table(list(columns), cells, units).splitlines() if rows else []
 
 
-def _necrosis(regions: Rows) -> list[str]:
+def necrosis(regions: Rows) -> tuple[list[str], list[list[str]]]:
+    """Regions of bone, and volume and depth of their dead parts by criterion [mm3, mm]."""
     own = TABLE["thermal.regions"]
-    bone = {name: q for name, q in regions.items() if "necrosis_47C_1min_volume" in q}
-    head = ["dead bone", *(f"{name}{what}" for name in bone for what in ("", ", depth"))]
-    cells = [
-        [
-            words,
-            *(
-                own[f"necrosis_{rule}_{key}"].text(q)
-                for q in bone.values()
-                for key in ("volume", "depth")
-            ),
-        ]
+    bones = [name for name, q in regions.items() if "necrosis_47C_1min_volume" in q]
+    columns = [(regions[name], what) for name in bones for what in ("volume", "depth")]
+    rows = [
+        [words, *(own[f"necrosis_{rule}_{what}"].text(q) for q, what in columns)]
         for rule, words in NECROSIS.items()
     ]
-    units = ["", *(["mm^3", "mm"] * len(bone))]
-    return layout.table(head, cells, units).splitlines() if bone else []
+    return bones, rows
+
+
+def _necrosis(regions: Rows) -> list[str]:
+    bones, rows = necrosis(regions)
+    head = ["dead bone", *(f"{name}{what}" for name in bones for what in ("", ", depth"))]
+    units = ["", *(["mm^3", "mm"] * len(bones))]
+    return layout.table(head, rows, units).splitlines() if bones else []
 
 
 def _sentence(section: str, name: str, numbers: Mapping[str, Any]) -> str:

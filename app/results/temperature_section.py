@@ -10,7 +10,9 @@ import numpy as np
 
 from app import figures
 from app.arrays import Floats, Ints
+from app.heat.operators import HeatOperators
 from app.results.necrosis import CELSIUS
+from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import cell_tags
 from meshes.distribute import TaggedMesh
 from meshes.picture import AXES, cut, middle_plane
@@ -20,54 +22,45 @@ _THIN = 1e-3
 DEADLY = 47.0  # degC
 
 
-def section(
-    path: Path,
-    tagged: TaggedMesh,
-    dofs: Ints,
-    body: Mapping[str, int],
-    temperatures: Sequence[Floats],
-    seconds: float,
-    at: Sequence[float],
-) -> None:
-    """Draw the temperature in two planes: y = 0 and the transverse one of a place; collective.
+def section(path: Path, operators: HeatOperators, record: ThermalRecord) -> None:
+    """Draw the temperature in two planes, when the bone was hottest; collective.
+
+    The planes are y = 0 and the transverse one of the hottest place.
 
     Args:
         path: The PNG that rank 0 writes.
-        tagged: The mesh.
-        dofs: Nodes of every cell of this rank (cells, 4), as in ``space.dofmap.list``.
-        body: Thermal body of each region.
-        temperatures: Nodal temperatures of the bodies, ghosts too [K].
-        seconds: The time they belong to [s].
-        at: The place (3,) [mm].
+        operators: The heat on the mesh.
+        record: Its temperatures.
 
     Raises:
         OSError: The file cannot be written (on every rank).
     """
-    comm = tagged.mesh.comm
-    mine = _corners(tagged, dofs, body, temperatures)
-    x = mine[0].reshape(-1, 4)
+    tagged, dofs = operators.tagged, operators.forms.space.dofmap.list
+    corners, tags = _corners(tagged, dofs, operators.bodies.of_region, record.hottest)
+    comm, x = tagged.mesh.comm, corners[..., :3].reshape(-1, 3)
     ends = comm.allgather((x.min(0, initial=np.inf), x.max(0, initial=-np.inf)))
     low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
     # At the ends a plane may touch no more than a node.
     inside = 1e-3 * (high[2] - low[2])
-    across = float(np.clip(at[2], low[2] + inside, high[2] - inside))
+    across = float(np.clip(record.hottest_at[2], low[2] + inside, high[2] - inside))
     planes = [(1, middle_plane(low[1], high[1])), (2, across)]
-    pieces = [_cut(*mine, axis, level) for axis, level in planes]
-    gathered = comm.gather(pieces)
+    gathered = []
+    for axis, level in planes:
+        height = corners[:, :, axis] - level
+        near = (height.min(axis=1) <= 0) & (height.max(axis=1) >= 0)
+        gathered.append(comm.gather((corners[near], tags[near])))
     failed = None
-    if gathered is not None:
-        whole = [_join([p[k] for p in gathered]) for k in range(len(planes))]
+    if comm.rank == 0:
+        whole = [
+            _cut(np.concatenate([c for c, _ in near]), np.concatenate([t for _, t in near]), *plane)
+            for near, plane in zip(gathered, planes, strict=True)
+        ]
         try:
-            _draw(path, planes, whole, seconds, at)
+            _draw(path, planes, whole, record)
         except OSError as error:
             failed = error
     if (failed := comm.bcast(failed)) is not None:
         raise failed
-
-
-# Corners (k, 3, 4) of triangles with temperature [degC] behind the coordinates, and outlines of
-# regions as segments (s, 2, 4) with the region on the side they were cut from (s,).
-Piece = tuple[Floats, Floats, Ints]
 
 
 def _corners(
@@ -84,22 +77,23 @@ def _corners(
     return np.concatenate([x, T[:, :, None]], axis=2), tags
 
 
-def _cut(corners: Floats, tags: Ints, axis: int, level: float) -> Piece:
+def _cut(corners: Floats, tags: Ints, axis: int, level: float) -> tuple[Floats, Floats]:
+    """Cut cells by a plane.
+
+    Returns:
+        Corners (k, 3, 4) of triangles with temperature [degC] behind the coordinates, and their
+        edges between two regions or at the surface (s, 2, 4), from either side.
+    """
     cells = np.arange(4 * len(corners)).reshape(-1, 4)
-    triangles: list[Floats] = [np.zeros((0, 3, 4))]
-    edges: list[Floats] = [np.zeros((0, 2, 4))]
-    regions = [tags[:0]]
+    shapes, outline, of = [], [], []
     for polygons, cell in cut(corners.reshape(-1, 4), cells, axis, level):
         n = polygons.shape[1]
-        triangles += [polygons[:, [0, k, k + 1]] for k in range(1, n - 1)]
-        edges += [polygons[:, [k, (k + 1) % n]] for k in range(n)]
-        regions += [tags[cell]] * n
-    return np.concatenate(triangles), np.concatenate(edges), np.concatenate(regions)
-
-
-def _join(pieces: Sequence[Piece]) -> tuple[Floats, Floats]:
-    """Triangles of all ranks, and their edges between two regions or at the surface."""
-    triangles, edges, regions = (np.concatenate([p[k] for p in pieces]) for k in range(3))
+        shapes += [polygons[:, [0, k, k + 1]] for k in range(1, n - 1)]
+        outline += [polygons[:, [k, (k + 1) % n]] for k in range(n)]
+        of += [tags[cell]] * n
+    triangles: Floats = np.concatenate(shapes)
+    edges: Floats = np.concatenate(outline)
+    regions = np.concatenate(of)
     ends = np.round(edges[:, :, :3], 5)
     swap = np.array([tuple(a) > tuple(b) for a, b in ends], dtype=bool)
     ends[swap] = ends[swap][:, ::-1]
@@ -109,17 +103,17 @@ def _join(pieces: Sequence[Piece]) -> tuple[Floats, Floats]:
     last = np.full(len(first), -1)
     np.minimum.at(first, edge, regions)
     np.maximum.at(last, edge, regions)
-    outline = (first != last) | (np.bincount(edge, minlength=len(first)) == 1)
-    return triangles, edges[outline[edge]]
+    border = (first != last) | (np.bincount(edge, minlength=len(first)) == 1)
+    return triangles, edges[border[edge]]
 
 
 def _draw(
     path: Path,
     planes: Sequence[tuple[int, float]],
     pieces: Sequence[tuple[Floats, Floats]],
-    seconds: float,
-    at: Sequence[float],
+    record: ThermalRecord,
 ) -> None:
+    at = record.hottest_at
     T = np.concatenate([triangles[:, :, 3].ravel() for triangles, _ in pieces])
     low, high = float(T.min()), max(float(T.max()), float(T.min()) + 0.1)
     sizes = [
@@ -139,7 +133,7 @@ def _draw(
     axes[1].plot(at[0], at[1], "o", mfc="none", mec="#35c2ff", ms=8, mew=1.5)
     figure.colorbar(shade, ax=list(axes), label="temperature (°C)", shrink=0.8)
     line = f"; line: {DEADLY:g} °C" if low < DEADLY < high else ""
-    figure.suptitle(f"{seconds:.4g} s, when the ringed place was hottest{line}")
+    figure.suptitle(f"{record.hottest_time:.4g} s, when the ringed place was hottest{line}")
     figure.savefig(path, dpi=130)
 
 

@@ -7,7 +7,7 @@ units are those of ``UNITS``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -17,23 +17,16 @@ from dolfinx import fem
 
 from app.arrays import Floats
 from app.heat.heat_forms import HeatForms
-from app.heat.nodes import (
-    ProbedPoint,
-    Probes,
-    Side,
-    ThermalNodes,
-    pairs_of,
-    region_nodes,
-    sides_of,
-)
+from app.heat.nodes import InterfaceNodes, ProbedPoint, Probes, Side, region_nodes
 from app.numerics.saved_state import node_keys
-from app.results.interface_heat import HeatPassed, InterfaceExtremes
+from app.results.interface_heat import Exchanges, InterfaceExtremes
 from app.results.level_sets import RegionCells
-from app.results.necrosis import CELSIUS, Exposure
+from app.results.necrosis import CELSIUS
 from app.results.region_temperatures import RegionTemperatures, largest
 from meshes.distribute import TaggedMesh
 
 Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
+SIDES = ("first", "second")
 
 # Largest deviation of a piece of a step from the parabola [K], unless that takes too many pieces.
 _STRAIGHT = 0.01
@@ -49,8 +42,8 @@ class ThermalRecord:
 
     Attributes:
         bone: Regions of bone.
-        seconds: Times of the recorded states, the initial one first [s].
-        rows: Result of `row` at each of them.
+        row: Columns of history.csv for the last recorded state.
+        regions: Temperatures and doses of each region.
         hottest: Temperatures of the bodies (nodes of this rank, ghosts too) [K] when the bone side
             of the interfaces, or without bone the whole model after the start, was hottest.
         hottest_time: Its time [s].
@@ -66,7 +59,7 @@ class ThermalRecord:
     """
 
     saved = (
-        *("seconds", "rows", "_extremes", "_regions"),
+        *("_seconds", "row", "_extremes", "regions"),
         *("_watched", "hottest", "hottest_time", "hottest_at"),
     )
 
@@ -81,29 +74,32 @@ class ThermalRecord:
     ) -> None:
         self._comm, self._forms = forms.comm, forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
-        self._interfaces = interfaces
-        self._sides = {name: sides_of(self._nodes, sides) for name, sides in interfaces.items()}
-        self._pairs = {name: pairs_of(self._nodes, sides) for name, sides in interfaces.items()}
+        self._interfaces = {n: InterfaceNodes(self._nodes, s) for n, s in interfaces.items()}
         self.bone = bone
-        self._bone_sides = _bone_sides(interfaces, self._sides, bone)
+        self._bone_sides: list[Side] = []
+        for name, regions in interfaces.items():
+            first, second = (not set(bone).isdisjoint(side) for side in regions)
+            if first != second:
+                self._bone_sides.append(self._interfaces[name].sides[0 if first else 1])
         self._probes = Probes(tagged, forms.space, of_region, probes)
         self._extremes = {name: InterfaceExtremes() for name in interfaces}
-        self._regions: dict[str, RegionTemperatures] = {}
-        self.seconds: list[float] = []
-        self.rows: list[dict[str, float]] = []
+        self.regions: dict[str, RegionTemperatures] = {}
 
     def start(self, temperatures: Sequence[fem.Function], seconds: float = 0.0) -> None:
         """Record the initial state; collective."""
         for name, nodes in self._nodes.items():
-            self._regions[name] = RegionTemperatures.of(nodes, temperatures, seconds)
+            self.regions[name] = RegionTemperatures(nodes, temperatures, seconds)
         self._watched = -np.inf
         self._take(seconds, temperatures)
+        if not self._bone_sides:
+            # The start is not compared with what follows.
+            self._watched = -np.inf
 
     def update(
         self,
         seconds: float,
         temperatures: Sequence[fem.Function],
-        exchanges: Sequence[HeatPassed] = (),
+        exchanges: Exchanges | None = None,
         highest: float = np.inf,
         rates: Sequence[Floats] = (),
     ) -> None:
@@ -120,95 +116,79 @@ class ThermalRecord:
             rates: Rates of change at its end, of own nodes of the bodies [K/s], if the heat source
                 has a kink at its start, so that earlier states say nothing of it.
         """
-        step = seconds - self.seconds[-1]
-        for r in self._regions.values():
-            r.take(self.seconds[-1], temperatures)
+        step = seconds - self._seconds
+        for r in self.regions.values():
+            r.take(self._seconds, temperatures)
         if step > 0:
             self._expose(seconds, rates)
-        elif self._warm():
-            for r in self._regions.values():
+        elif self._comm.allreduce(any(r.warm.any() for r in self.regions.values()), MPI.LOR):
+            for r in self.regions.values():
                 r.exposure.forget()
-        for r in self._regions.values():
+        for r in self.regions.values():
             r.raise_peak(seconds, highest)
-        for e in exchanges:
-            for i, name in enumerate(e.names):
-                here = e.interface == i
-                self._extremes[name].take(self._comm, e.flux[here], e.entropy[here])
+        for name, passed in (exchanges or {}).items():
+            self._extremes[name].take(self._comm, *passed)
         self._take(seconds, temperatures)
 
     def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
         """Add the doses of a step, in as many straight pieces as its curvature asks for."""
-        bends = {name: r.bend(seconds, rates) for name, r in self._regions.items()}
-        most = (np.abs(b[self._regions[n].warm]).max(initial=0.0) for n, b in bends.items())
+        bends = {name: r.bend(seconds, rates) for name, r in self.regions.items()}
+        most = (np.abs(b[self.regions[n].warm]).max(initial=0.0) for n, b in bends.items())
         worst = self._comm.allreduce(max(map(float, most)), MPI.MAX)
         pieces = int(np.clip(np.ceil(np.sqrt(worst / _STRAIGHT)), 1, _MOST_PIECES))
-        for name, r in self._regions.items():
-            r.expose(bends[name], pieces, seconds - self.seconds[-1])
-
-    def _warm(self) -> bool:
-        """Whether anything is warm enough for doses at either end of a step; collective."""
-        local = any(r.warm.any() for r in self._regions.values())
-        return bool(self._comm.allreduce(local, MPI.LOR))
+        for name, r in self.regions.items():
+            r.expose(bends[name], pieces, seconds - self._seconds)
 
     def _take(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
         """Keep the reported histories, and the hottest state."""
-        now = {name: r.now for name, r in self._regions.items()}
-        names, values = [], []
-        for name, T in now.items():
-            names.append(f"{name} temperature_max [degC]")
-            values.append(T.max(initial=-np.inf) - CELSIUS)
-        for name, sides in self._sides.items():
-            for which, side in zip(("first", "second"), sides, strict=True):
-                names.append(f"{name} temperature_max_{which} [degC]")
-                values.append(side.gather(now).max(initial=-np.inf) - CELSIUS)
-            jump = np.abs(self._pairs[name].jump(temperatures)).max(initial=0.0)
-            names.append(f"{name} temperature_jump_max [K]")
-            values.append(jump)
-        over_all = np.array(values, dtype=np.float64)
-        self._comm.Allreduce(MPI.IN_PLACE, over_all, MPI.MAX)
-        row = dict(zip(names, map(float, over_all), strict=True))
+        local = {
+            f"{name} temperature_max [degC]": r.now.max(initial=-np.inf) - CELSIUS
+            for name, r in self.regions.items()
+        }
+        for name, nodes in self._interfaces.items():
+            for which, side in zip(SIDES, nodes.sides, strict=True):
+                T = self._on(side, lambda r: r.now)
+                local[f"{name} temperature_max_{which} [degC]"] = T.max(initial=-np.inf) - CELSIUS
+            jump = np.abs(nodes.jump(temperatures)).max(initial=0.0)
+            local[f"{name} temperature_jump_max [K]"] = jump
+        highest = np.array(list(local.values()), dtype=np.float64)
+        self._comm.Allreduce(MPI.IN_PLACE, highest, MPI.MAX)
+        row = dict(zip(local, map(float, highest), strict=True))
         for name, e in self._extremes.items():
             e.jump = max(e.jump, row[f"{name} temperature_jump_max [K]"])
-        probed = self._probes.values(temperatures) - CELSIUS
+        probed = self._probes.values(temperatures)[:, 0] - CELSIUS
         row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
-        self.seconds.append(seconds)
-        self.rows.append(row)
+        self._seconds, self.row = seconds, {"seconds [s]": seconds, **row}
         self._watch(seconds, temperatures)
+
+    def _on(self, side: Side, values: Callable[[RegionTemperatures], Floats]) -> Floats:
+        """Values of the nodes of a side of an interface (n, ...)."""
+        return np.concatenate([values(self.regions[name])[rows] for name, rows in side.items()])
 
     def _watch(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
         """Keep the state if it is the hottest where it matters."""
-        every = [Side({name: np.arange(len(n.dof)) for name, n in self._nodes.items()})]
-        sides = self._bone_sides or every
-        now = {name: r.now for name, r in self._regions.items()}
-        places = {name: n.x for name, n in self._nodes.items()}
-        T, x = (np.concatenate([side.gather(f) for side in sides]) for f in (now, places))
+        every: Side = {name: np.arange(len(n.dof)) for name, n in self._nodes.items()}
+        sides = self._bone_sides or [every]
+        T = np.concatenate([self._on(side, lambda r: r.now) for side in sides])
+        x = np.concatenate([self._on(side, lambda r: r.nodes.x) for side in sides])
         hot, place, _ = largest(self._comm, T, x, T)
-        initial = not self._bone_sides and len(self.seconds) == 2
-        if hot > self._watched or initial:
+        if hot > self._watched:
             self._watched, self.hottest_time, self.hottest_at = hot, seconds, place
             self.hottest = [t.x.array.copy() for t in temperatures]
-
-    def row(self) -> dict[str, float]:
-        """Columns of history.csv for the last recorded state."""
-        return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
 
     def moved(self, capacities: Mapping[str, float]) -> float:
         """Heat that moved in the last step, by capacities of regions [N/(mm2 K)]; [N mm]."""
         local = sum(
             capacities[name] * float(r.nodes.volume @ np.abs(r.now - r.begin))
-            for name, r in self._regions.items()
+            for name, r in self.regions.items()
         )
         return float(self._comm.allreduce(local, MPI.SUM))
-
-    def exposure(self, region: str) -> tuple[ThermalNodes, Exposure]:
-        """Nodes of a region and their exposure so far."""
-        return self._nodes[region], self._regions[region].exposure
 
     @property
     def row_keys(self) -> dict[str, Any]:
         """Keys of nodes, for the hottest state with ghosts."""
         nodes = node_keys(self._forms.space)
-        return {"hottest": nodes, "_regions": {n: nodes[own.dof] for n, own in self._nodes.items()}}
+        return {"hottest": nodes, "regions": {n: nodes[own.dof] for n, own in self._nodes.items()}}
 
     # The summary
 
@@ -216,47 +196,37 @@ class ThermalRecord:
         """Section ``thermal`` of the summary; collective."""
         comm, cells = self._comm, {name: RegionCells(self._forms, name) for name in self._nodes}
         surface = self._bone_surface(cells)
-        regions = {name: r.temperatures(comm, cells[name]) for name, r in self._regions.items()}
+        regions = {name: r.temperatures(comm, cells[name]) for name, r in self.regions.items()}
         result: dict[str, Any] = {
             "regions": regions,
-            "interfaces": {name: self._interface(name) for name in self._sides},
+            "interfaces": {name: self._interface(name) for name in self._interfaces},
         }
-        local = any(r.exposure.forgotten for r in self._regions.values())
+        local = any(r.exposure.forgotten for r in self.regions.values())
         if comm.allreduce(local, MPI.LOR):
             return result | {"note": TIMELESS}
-        for name, r in self._regions.items():
+        for name, r in self.regions.items():
             regions[name] |= r.times(comm)
         for name in self.bone:
-            regions[name] |= self._regions[name].dead(comm, cells[name], surface)
+            regions[name] |= self.regions[name].dead(comm, cells[name], surface)
         return result
 
     def _bone_surface(self, cells: Mapping[str, RegionCells]) -> Floats:
         """Surface of all bone towards other regions, as triangles (f, 3, 3) [mm]; on every rank."""
         found: list[Floats] = [np.zeros((0, 3, 3))]
         for side in self._bone_sides:
-            for region, rows in side.rows.items():
-                found.append(cells[region].faces(self._nodes[region].dof[rows]))
+            found += [cells[r].faces(self._nodes[r].dof[rows]) for r, rows in side.items()]
         return np.concatenate(found)
 
     def _interface(self, name: str) -> dict[str, Any]:
         result: dict[str, Any] = {}
-        columns = [
-            {n: values(r) for n, r in self._regions.items()}
-            for values in (lambda r: r.peak, lambda r: r.nodes.x, lambda r: r.peak_time)
-        ]
-        for which, side in zip(("first", "second"), self._sides[name], strict=True):
-            peak, place, when = largest(self._comm, *(side.gather(c) for c in columns))
+        for which, side in zip(SIDES, self._interfaces[name].sides, strict=True):
+            peak, place, when = largest(
+                self._comm,
+                self._on(side, lambda r: r.peak),
+                self._on(side, lambda r: r.nodes.x),
+                self._on(side, lambda r: r.peak_time),
+            )
             result[f"temperature_max_{which}"] = peak - CELSIUS
             result[f"temperature_max_{which}_at"] = place
             result[f"temperature_max_{which}_time"] = when
         return result | self._extremes[name].summary()
-
-
-def _bone_sides(
-    interfaces: Interfaces, sides: Mapping[str, tuple[Side, Side]], bones: Sequence[str]
-) -> list[Side]:
-    found = []
-    for name, regions in interfaces.items():
-        bone = [not set(bones).isdisjoint(side) for side in regions]
-        found += [sides[name][k] for k in (0, 1) if bone[k] and not bone[1 - k]]
-    return found

@@ -42,19 +42,22 @@ _METADATA = 1 << 20
 class Grid:
     """The points and cells of a rank; one without any has empty arrays of the same type.
 
+    Points and cells stand in the file in the order of their keys, so that it does not depend on
+    ranks. Several ranks may have the same point, with the same values.
+
     Attributes:
-        points: Coordinates of the rank's own points (n, 3) [mm].
-        cells: Its own cells (m, nodes per cell), in VTK's node order. A number i < n is one of its
-            points, and n + i is ``ghosts[i]``.
-        ghosts: Global numbers of points that other ranks own; the points of all ranks are numbered
-            in the order of the ranks, as by ``dolfinx.common.IndexMap``.
-        cell_data: Constant values in its cells (m,) or (m, components).
+        points: Coordinates (n, 3) [mm].
+        point_keys: Keys of the points (n,).
+        cells: Rows of their points (m, nodes per cell), in VTK's node order.
+        cell_keys: Keys of the cells (m,), each of one rank.
+        cell_data: Constant values in the cells (m,) or (m, components).
         texts: Lists of words, constant over the grid.
     """
 
     points: Array
+    point_keys: Array
     cells: Array
-    ghosts: Array
+    cell_keys: Array
     cell_data: Mapping[str, Array] = field(default_factory=dict)
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
@@ -63,43 +66,28 @@ class GridFile:
     """One grid and its fields in time, from the arrays of each rank.
 
     Args:
-        order: To continue, on rank 0: the row of each point and of each cell of the file among
-            those of all ranks, in the order of the ranks.
-        steps: Number of steps to continue after; later ones are overwritten.
+        steps: Number of steps of an existing file to continue after; later ones are overwritten.
 
     Raises:
         OSError: The file cannot be written, or has too few steps of such a grid (on every rank).
     """
 
-    def __init__(
-        self,
-        comm: MPI.Comm,
-        path: Path,
-        grid: Grid,
-        order: Sequence[Array] | None = None,
-        steps: int = 0,
-    ) -> None:
-        self.comm = comm
-        self.path = path
-        self.steps = 0
+    def __init__(self, comm: MPI.Comm, path: Path, grid: Grid, steps: int = 0) -> None:
+        self.comm, self.path, self.steps = comm, path, steps
         self._constant, self._texts = frozenset(grid.cell_data), tuple(grid.texts)
         self._names: tuple[frozenset[str], frozenset[str]] | None = None
-        self._order = order
-        if order is not None:
-            self._points, self._cells = comm.bcast([len(rows) for rows in order])
-            self._on_root(lambda: _cut(path, self._points, self._cells, steps))
-            self.steps = steps
+        # Rows of the file among those of all ranks, on rank 0.
+        keys, points = np.unique(self._gather(grid.point_keys), return_index=True)
+        cells = np.argsort(self._gather(grid.cell_keys))
+        self._rows = {"PointData": points, "CellData": cells}
+        if steps:
+            self._on_root(lambda: _cut(path, len(points), len(cells), steps))
             return
-        counts, width = comm.allgather(len(grid.points)), grid.cells.shape[1]
-        self._points, self._cells = sum(counts), comm.allreduce(len(grid.cells))
-        own = sum(counts[: comm.rank]) + np.arange(len(grid.points))
-        number = np.concatenate([own, np.asarray(grid.ghosts, np.int64)])
-        self._on_root(lambda: _create(path, self._points, self._cells, width, grid.texts))
-        arrays = {
-            "Points": (np.asarray(grid.points, np.float64), self._points),
-            "Connectivity": (number[grid.cells].ravel(), self._cells * width),
-        }
-        self._append(arrays | self._of_step({}, grid.cell_data))
+        x, nodes = self._gather(grid.points), self._gather(grid.point_keys[grid.cells])
+        data = {name: self._gather(values)[cells] for name, values in grid.cell_data.items()}
+        self._on_root(
+            lambda: _create(path, x[points], np.searchsorted(keys, nodes[cells]), data, grid.texts)
+        )
 
     def write(self, time: float, point: Mapping[str, Array], cell: Mapping[str, Array]) -> None:
         """Add one step (collective); the file is complete and closed when this returns.
@@ -108,65 +96,40 @@ class GridFile:
 
         Args:
             time: Time of the step in s, later than the last.
-            point: Values at this rank's own points, shape (n,) or (n, components).
-            cell: Values in this rank's own cells, shape (m,) or (m, components). VTK takes nine
+            point: Values at this rank's points, shape (n,) or (n, components).
+            cell: Values in this rank's cells, shape (m,) or (m, components). VTK takes nine
                 components as a tensor by rows, and six as xx, yy, zz, xy, yz, xz.
 
         Raises:
             OSError: The file cannot be written (on every rank).
-            ValueError: Names, components or numbers of rows are not those of the first step.
+            ValueError: Names or components are not those of the first step.
         """
         names = frozenset(point), frozenset(cell)
         if self._names not in (None, names) or not self._constant.isdisjoint(cell):
             raise ValueError(f"{self.path}: every step writes the same fields, once: not {names}")
-        self._append(self._of_step(point, cell))
-        offsets = {f"PointDataOffsets/{name}": self.steps * self._points for name in point}
-        offsets |= {f"CellDataOffsets/{name}": self.steps * self._cells for name in cell}
-        offsets |= {f"CellDataOffsets/{name}": 0 for name in self._constant}
-        offsets |= {f"FieldDataOffsets/{name}": 0 for name in self._texts}
-        self._on_root(lambda: _commit(self.path, self.steps, time, offsets))
+        arrays = {
+            f"{kind}/{name}": (self._gather(values), self._rows[kind])
+            for kind, found in (("PointData", point), ("CellData", cell))
+            for name, values in found.items()
+        }
+        starts = {name: self.steps * len(rows) for name, (_, rows) in arrays.items()}
+        starts |= {f"CellData/{name}": 0 for name in self._constant}
+        starts |= {f"FieldData/{name}": 0 for name in self._texts}
+
+        def write() -> None:
+            with _edit(self.path, sum(values.nbytes for values, _ in arrays.values())) as root:
+                for name, (values, rows) in arrays.items():
+                    _put(root, name, values[rows], starts[name], chunk=len(rows))
+            _commit(self.path, self.steps, time, starts)
+
+        self._on_root(write)
         self._names = names
         self.steps += 1
 
-    def _of_step(
-        self, point: Mapping[str, Array], cell: Mapping[str, Array]
-    ) -> dict[str, tuple[Array, int]]:
-        arrays = {f"PointData/{name}": (values, self._points) for name, values in point.items()}
-        return arrays | {f"CellData/{name}": (v, self._cells) for name, v in cell.items()}
-
-    def _append(self, arrays: Mapping[str, tuple[Array, int]]) -> None:
-        """Gather the rows of some arrays and write them as those of the current step."""
-        gathered = {name: (self._gather(values), rows) for name, (values, rows) in arrays.items()}
-        if self._order:
-            points, cells = self._order
-            gathered = {
-                name: (values[points if name.startswith("Point") else cells], rows)
-                for name, (values, rows) in gathered.items()
-            }
-
-        def write() -> None:
-            for name, (values, rows) in gathered.items():
-                if len(values) != rows:
-                    raise ValueError(f"{self.path}: {name}: {len(values)} rows instead of {rows}")
-            size = sum(values.nbytes for values, _ in gathered.values())
-            with _edit(self.path, size) as root:
-                for name, (values, rows) in gathered.items():
-                    _put(root, name, values, self.steps * rows, chunk=rows)
-
-        self._on_root(write)
-
     def _gather(self, values: Array) -> Array:
         """The rows of all ranks on rank 0, nothing elsewhere."""
-        values = np.ascontiguousarray(values)
-        if self.comm.size == 1:
-            return values
-        counts = self.comm.gather(values.size)
-        received: list[Any] | None = None
-        if counts is not None:
-            width = int(np.prod(values.shape[1:], dtype=int))
-            received = [np.empty((sum(counts) // width, *values.shape[1:]), values.dtype), counts]
-        self.comm.Gatherv(values, received)
-        return values[:0] if received is None else received[0]
+        pieces = self.comm.gather(values)
+        return values[:0] if pieces is None else np.concatenate(pieces)
 
     def _on_root(self, action: Callable[[], None]) -> None:
         """Run an action on rank 0; raise its error on every rank."""
@@ -182,20 +145,28 @@ class GridFile:
 
 
 def _create(
-    path: Path, points: int, cells: int, nodes: int, texts: Mapping[str, Sequence[str]]
+    path: Path,
+    points: Array,
+    cells: Array,
+    data: Mapping[str, Array],
+    texts: Mapping[str, Sequence[str]],
 ) -> None:
     with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = (2, 0)
         root.attrs["Type"] = np.bytes_("UnstructuredGrid")
-        root["NumberOfPoints"] = np.array([points])
-        root["NumberOfCells"] = np.array([cells])
-        root["NumberOfConnectivityIds"] = np.array([nodes * cells])
-        root["Offsets"] = nodes * np.arange(cells + 1)
-        root["Types"] = np.full(cells, CELL_TYPES[nodes], np.uint8)
+        root["NumberOfPoints"] = np.array([len(points)])
+        root["NumberOfCells"] = np.array([len(cells)])
+        root["NumberOfConnectivityIds"] = np.array([cells.size])
+        root["Points"] = np.asarray(points, np.float64)
+        root["Connectivity"] = cells.ravel()
+        root["Offsets"] = cells.shape[1] * np.arange(len(cells) + 1)
+        root["Types"] = np.full(len(cells), CELL_TYPES[cells.shape[1]], np.uint8)
         for name in ("PointData", "CellData", "FieldData"):
             root.create_group(name)
             root.create_group(f"Steps/{name}Offsets")
+        for name, values in data.items():
+            root[f"CellData/{name}"] = values
         for name, words in texts.items():
             # VTK reads no other encoding.
             ascii_words = [word.encode("ascii", "replace") for word in words]
@@ -217,13 +188,9 @@ def write_last_step(path: Path, target: Path) -> None:
         h5py.File(target.name, "w", driver="core", backing_store=False) as new,
     ):
         source, root = file["VTKHDF"], new.create_group("VTKHDF")
-        for name in ("Version", "Type"):
-            root.attrs[name] = source.attrs[name]
-        for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Points"):
-            root[name] = source[name][:]
-        for name in ("Connectivity", "Offsets", "Types"):
-            root[name] = source[name][:]
-        source.copy("FieldData", root)
+        root.attrs.update(source.attrs)
+        for name in source.keys() - {"Steps", "PointData", "CellData"}:
+            source.copy(name, root)
         for kind, rows in (("PointData", "Points"), ("CellData", "Types")):
             for name, values in source[kind].items():
                 start = int(source[f"Steps/{kind}Offsets/{name}"][-1])
@@ -249,12 +216,12 @@ def _cut(path: Path, points: int, cells: int, steps: int) -> None:
         raise OSError(errno.EIO, str(error), str(path)) from error
 
 
-def _commit(path: Path, step: int, time: float, offsets: Mapping[str, int]) -> None:
-    """Make a step visible to readers, after its values."""
+def _commit(path: Path, step: int, time: float, starts: Mapping[str, int]) -> None:
+    """Make a step visible to readers, after its values, which begin at rows by array."""
     rows: dict[str, Array] = {"Values": np.array([float(time)]), "NumberOfParts": np.array([1])}
     rows |= {name: np.array([0]) for name in ("PartOffsets", "PointOffsets")}
     rows |= {name: np.array([[0]]) for name in ("CellOffsets", "ConnectivityIdOffsets")}
-    rows |= {name: np.array([offset]) for name, offset in offsets.items()}
+    rows |= {name.replace("/", "Offsets/"): np.array([row]) for name, row in starts.items()}
     with _edit(path, 0) as root:
         for name, values in rows.items():
             _put(root, f"Steps/{name}", values, step, chunk=64)

@@ -12,9 +12,6 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import TYPE_CHECKING, Any
 
-from pydantic import GetJsonSchemaHandler
-from pydantic_core import core_schema
-
 from app.errors import InputError
 from app.schema.section import Scalar, did_you_mean, fail
 from app.schema.units import NUMBER, Dimension, finite
@@ -179,9 +176,7 @@ class Varying(Scalar):
         """The value as text that reads back to the same."""
         return value if isinstance(value, str) else self.constant.write(value)
 
-    def __get_pydantic_json_schema__(
-        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def json_schema(self) -> dict[str, Any]:
         """Text."""
         kind = self.constant
         return {

@@ -133,14 +133,9 @@ def show(value: object) -> str:
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
     """End of a message that proposes words that begin alike or are nearest; may be empty."""
-    folded = {k.lower(): k for k in known}
-    lower = word.lower()
-    begun = [k for k in known if len(word) > 2 and k.lower().startswith(lower)]
-    close = (
-        begun[:3]
-        or difflib.get_close_matches(word, known, 1)
-        or [folded[w] for w in difflib.get_close_matches(lower, list(folded), 1)]
-    )
+    folded, lower = {k.lower(): k for k in known}, word.lower()
+    begun = [k for k in known if len(word) > 2 and k.lower().startswith(lower)][:3]
+    close = begun or [folded[w] for w in difflib.get_close_matches(lower, folded, 1)]
     names = " or ".join(f"'{k}'" for k in close)
     return f"; did you mean {names}?" if close else ""
 
@@ -148,10 +143,8 @@ def did_you_mean(word: str, known: Sequence[str]) -> str:
 def _name(value: object) -> object:
     # Names become names of folders and fields.
     if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]{0,99}", value):
-        fail(
-            f"{show(value)} is not a name; expected letters, digits, _ and -, first a letter, at "
-            "most 100"
-        )
+        expected = "expected letters, digits, _ and -, first a letter, at most 100"
+        fail(f"{show(value)} is not a name; {expected}")
     return value
 
 
@@ -187,6 +180,14 @@ class Scalar:
     def write(self, value: Any) -> Any:
         """Convert a value to a form that `read` takes back to it."""
         return value
+
+    def json_schema(self) -> dict[str, Any]:
+        """The values that are read, for editors; ``x-value`` and ``x-unit`` for the manual."""
+        raise NotImplementedError
+
+    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
+        """Replace pydantic's own JSON schema."""
+        return self.json_schema()
 
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler

@@ -18,8 +18,7 @@ from fractions import Fraction
 from functools import partial
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, GetJsonSchemaHandler
-from pydantic_core import core_schema
+from pydantic import AfterValidator
 
 from app.schema.section import Scalar, did_you_mean, fail, show
 from app.schema.unit_conversion import conversion
@@ -77,8 +76,9 @@ class _Bounded(Scalar):
 
     @property
     def bounds(self) -> dict[str, float]:
-        """Bounds by attribute."""
-        return {key: bound for key in BOUNDS if (bound := getattr(self, key)) is not None}
+        """Bounds by their name in a JSON schema."""
+        found = {name: getattr(self, key) for key, (_, _, name) in BOUNDS.items()}
+        return {name: bound for name, bound in found.items() if bound is not None}
 
     def check(self, value: float, shown: str, unit: str = "") -> None:
         """Refuse a value beyond a bound.
@@ -86,9 +86,8 @@ class _Bounded(Scalar):
         Raises:
             PydanticCustomError: It is beyond one.
         """
-        for key, bound in self.bounds.items():
-            holds, words, _ = BOUNDS[key]
-            if not holds(value, bound):
+        for key, (holds, words, _) in BOUNDS.items():
+            if (bound := getattr(self, key)) is not None and not holds(value, bound):
                 signs = {"above": "must be positive", "at_least": "must not be negative"}
                 text = f"must be {words} {bound:g} {unit}".rstrip()
                 fail(f"{shown} {text if bound else signs.get(key, text)}")
@@ -150,9 +149,7 @@ class Dimension(_Bounded):
                 return degrees
         return f"{value!r} {self.unit}"
 
-    def __get_pydantic_json_schema__(
-        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def json_schema(self) -> dict[str, Any]:
         """Text that starts with a number and ends with a unit."""
         return {
             "type": "string",
@@ -167,8 +164,7 @@ class Dimension(_Bounded):
     def in_words(self) -> str:
         """The values that it allows, in Markdown."""
         what = self.what.removeprefix("a ").removeprefix("an ")
-        bounds = {BOUNDS[key][2]: bound for key, bound in self.bounds.items()}
-        return f"{what}{bounds_in_words(bounds)}, e.g. `{self.example}`"
+        return f"{what}{bounds_in_words(self.bounds)}, e.g. `{self.example}`"
 
 
 @dataclass(frozen=True)
@@ -186,8 +182,6 @@ class AbsoluteTemperature(Dimension):
             PydanticCustomError: As `Dimension.read`; a difference of temperatures; below 0 K.
         """
         match = NUMBER.fullmatch(value) if isinstance(value, str) else None
-        if match and match[2] in ("C", "F"):
-            fail(f"{show(value)} is not {self.what}; did you mean '{match[1]} deg{match[2]}'?")
         if match and "delta" in match[2]:
             fail(f"{show(value)} is a difference of temperatures; expected one such as 37 degC")
         result = super().read(value)
@@ -250,12 +244,9 @@ class Plain(_Bounded):
         self.check(value, str(value))
         return int(value) if self.integer else float(value)
 
-    def __get_pydantic_json_schema__(
-        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
+    def json_schema(self) -> dict[str, Any]:
         """A number with its bounds."""
-        kind = {"type": "integer" if self.integer else "number"}
-        return kind | {BOUNDS[key][2]: bound for key, bound in self.bounds.items()}
+        return {"type": "integer" if self.integer else "number"} | self.bounds
 
 
 _length = partial(Dimension, "mm", "a length", "4 mm")

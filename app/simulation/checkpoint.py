@@ -227,10 +227,8 @@ class CheckpointWriter:
         if (found := self._found) is None:
             return 0
         header = found.header
-        parts, fields = self._parts(), found.state["fields"]
+        parts = self._parts()
         everywhere(self._comm, lambda: self._fill(found, parts))
-        for grid, kept in zip(self._recorder.grids, fields, strict=False):
-            fill(grid, kept)
         restore(parts)
         self._recorder.add_time(header["seconds"])
         self._saved = header["step"]
@@ -282,7 +280,7 @@ class CheckpointWriter:
             "time": self._recorder.time,
             "seconds": self._recorder.seconds(),
         }
-        return header, collect({"parts": self._parts(), "fields": self._recorder.grids})
+        return header, collect({"parts": self._parts()})
 
     def mark(self, k: int) -> None:
         """Remember the state, in stage k, and save it if that is due; collective."""

@@ -23,9 +23,9 @@ from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
-from app.results import gruen, interface_numbers
+from app.results import gruen
 from app.results.balance import Balance
-from app.results.bond_strength import Bond, bonds
+from app.results.bond_strength import bonds
 from app.results.field_output import FieldGroup, HeatFields
 from app.results.interface_numbers import ContactSamples
 from app.results.mechanical_fields import MechanicalFields
@@ -41,7 +41,7 @@ from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
-from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
+from app.stepping.heated_mechanics import HeatedMechanics, SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
 from app.stepping.stages import run_stages
 from app.system import folders
@@ -82,7 +82,6 @@ class Mechanical:
     """Mechanics of a model, or of successive models that differ in loads and laws alone.
 
     Attributes:
-        bonds: Stresses of bonded interfaces.
         neighbours: States of earlier models, as warm starts.
     """
 
@@ -91,7 +90,6 @@ class Mechanical:
     def __init__(self, problem: Problem, solver: Solver, around_z: bool, timing: Timing) -> None:
         self.problem, self.solver = problem, solver
         self.stresses = Stresses(problem, timing, around_z)
-        self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
@@ -243,13 +241,12 @@ class Model:
                 t.update(accepted)
                 observer.on_heat(step, accepted)
 
-            beside: SolvedAfterHeat | SolvedWithHeat | None = None
+            beside: HeatedMechanics | None = None
             if load_stepper and (coupled := t.heating.coupled):
                 beside = SolvedWithHeat(load_stepper, t.heating, coupled)
             elif load_stepper:
-                tolerance = t.heating.options.mechanical_step
-                beside = SolvedAfterHeat(load_stepper, t.heating, tolerance)
-            heat_stepper = HeatStepper(t.heating, beside, on_heat, observer.on_trouble)
+                beside = SolvedAfterHeat(load_stepper, t.heating)
+            heat_stepper = HeatStepper(t.heating, beside, on_heat)
         self._steppers = load_stepper, heat_stepper
         run_stages(
             self.scene.stages,
@@ -300,10 +297,11 @@ class Model:
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}, "stem": {}}
         if m := self.mechanics:
             elastic = m.problem.scene.elastic
-            numbers["interfaces"] = self.interfaces(samples)
+            if samples is not None:
+                numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
-            if m.bonds:
-                numbers["bonds"] = {b.name: b.numbers() for b in m.bonds}
+            if found := bonds(m.problem, m.stresses):
+                numbers["bonds"] = found
             numbers["stem"] = stem_motion(m.problem, self._case)
         if t := self.thermal:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}
@@ -321,15 +319,6 @@ class Model:
             zones = Zones(self._case.geometry)
             found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
         return found
-
-    def interfaces(self, samples: ContactSamples | None) -> dict[str, dict[str, Any]]:
-        """Published numbers of the contact interfaces, by name; collective."""
-        if samples is None or (m := self.mechanics) is None:
-            return {}
-        return {
-            c.name: interface_numbers.interface(m.problem, samples, i)
-            for i, c in enumerate(self.scene.contacts)
-        }
 
     def relative(self, case: Case) -> dict[str, Any]:
         """Solve a companion case; returns its numbers; collective."""

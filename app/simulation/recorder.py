@@ -15,13 +15,11 @@ from app.arrays import Ints
 from app.case.case import Case
 from app.case.quantities import TABLE
 from app.errors import StoppedError
-from app.heat.nodes import ProbedPoint
+from app.heat.nodes import ProbedPoint, Probes
 from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
-from app.results.field_output import Fields
 from app.results.interface_numbers import ContactSamples
-from app.results.probes import DisplacementProbes
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import Stage
 from app.simulation.model import Model
@@ -94,14 +92,15 @@ class Recorder:
         about = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
         self._balance: Balance | None = None
         self._critical: dict[str, Any] = {}
-        self._probes: DisplacementProbes | None = None
+        self._probes: Probes | None = None
         if m := model.mechanics:
             with timing.phase("assemble"):
                 self._balance = m.balance(about)
                 self._critical = uniqueness.check(m.problem)
             probes = case.output.probes
             points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
-            self._probes = DisplacementProbes(m.problem, points)
+            p = m.problem
+            self._probes = Probes(model.tagged, p.space, p.bodies.of_region, points)
         self.samples: ContactSamples | None = None
         self._contact: dict[str, Any] = {}
         self.time = 0.0
@@ -126,13 +125,8 @@ class Recorder:
             if trial is not None and self._contact:
                 trial = replace(trial, law=replace(trial.law, **self._contact))
                 self.samples = ContactSamples(m.problem, trial)
-        if not all(grid.steps for grid in self._writer.grids):
+        if self._writer.fields and not self._writer.field_steps:
             self._written = 0
-
-    @property
-    def grids(self) -> tuple[Fields, ...]:
-        """The field file, if fields are written."""
-        return self._writer.grids
 
     def add_time(self, seconds: Mapping[str, float]) -> None:
         """Add the wall seconds before a restart, as `seconds` gave them."""
@@ -145,7 +139,8 @@ class Recorder:
     def stage(self, stage: Stage) -> None:
         """Write the header of a stage's lines."""
         self._takes_time = stage.takes_time
-        log.info("%s", text.heat_header() if self._takes_time else text.step_header())
+        columns = text.HEAT if self._takes_time else text.STEP
+        log.info("%s", text.line(columns, columns))
 
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
@@ -173,9 +168,9 @@ class Recorder:
             self._row(step)
 
     def _line(self, step: LoadStep) -> None:
-        interfaces = self._model.interfaces(self.samples).values()
+        interfaces = self.samples.numbers if self.samples else {}
         fractions = self._fraction(OPEN), self._fraction(SLIP)
-        deepest = max((q["penetration_max"] for q in interfaces), default=0.0)
+        deepest = max((q["penetration_max"] for q in interfaces.values()), default=0.0)
         wall = clock.perf_counter() - self._begin
         rate = (len(self._model.scene.stages) - step.time) / step.time
         left = self._timing.seconds.get("solve", 0.0) * rate
@@ -187,7 +182,7 @@ class Recorder:
             "krylov [-]": step.outcome.linear_iterations,
             "residual [-]": step.outcome.residuals[-1],
             "step [s]": round(step.seconds, 3),
-            "augmentation [-]": step.augmentation,
+            "augmentation [-]": step.outcome.augmentation,
             "force balance [-]": balance.force,
             "moment balance [-]": balance.moment,
             "energy balance [-]": balance.energy,
@@ -195,7 +190,7 @@ class Recorder:
         for name, u in self._displacements().items():
             row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
         columns = [c for c in TABLE["interfaces"].values() if c.history]
-        for name, q in self._model.interfaces(self.samples).items():
+        for name, q in (self.samples.numbers if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
         return row
 
@@ -217,7 +212,10 @@ class Recorder:
 
     def _displacements(self) -> dict[str, list[float]]:
         """Displacement of each probe [mm]; collective."""
-        return self._probes.values() if self._probes else {}
+        if self._probes is None or (m := self._model.mechanics) is None:
+            return {}
+        values = self._probes.values(m.problem.displacements())
+        return {name: values[k].tolist() for k, name in enumerate(self._probes.names)}
 
     def _fraction(self, status: int) -> float:
         s = self.samples
@@ -227,7 +225,7 @@ class Recorder:
 
     def _fields(self) -> None:
         self._written = self.step_count  # a step that does not fit the disk is not tried again
-        self._writer.fields(self.time, self.samples)
+        self._writer.write_fields(self.time, self.samples)
 
     def flush(self) -> None:
         """Write pending fields of the last step, fields of the last step alone, and pictures."""

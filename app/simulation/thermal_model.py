@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from dolfinx import fem
 
 from app.case.case import Case
@@ -35,9 +34,6 @@ class ThermalModel:
         operators = heating.operators
         self.operators, self.heating = operators, heating
         self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
-        self._names = [c.name for c in operators.scene.thermal_contacts]
-        shares = {f.name: f.slave_share for f in operators.scene.friction_heat}
-        self._shares = np.array([shares.get(name, 0.0) for name in self._names])
         self.record = ThermalRecord(
             operators.tagged,
             operators.forms,
@@ -70,14 +66,11 @@ class ThermalModel:
         heating, operators = self.heating, self.operators
         x = heating.vectors()
         temperatures = operators.temperatures(x)
-        exchanges = []
-        if (j := operators.jumps) is not None:
-            shares = self._shares[j.interface]
-            exchanges.append(exchange(self._names, j, temperatures, x[1].array, j.friction, shares))
+        exchanges = exchange(operators, x, temperatures)
         self._settled = self._settled or accepted.dt == 0.0
         temperatures = self._reported(accepted.seconds)
-        highest = heating.step.bounds(x).high
-        rates = heating.slopes() if heating.begins_at_event(accepted) else ()
+        highest = operators.principle.high
+        rates = [*heating.slopes()] if heating.begins_at_event(accepted) else ()
         self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
         if self.cure:
             self.cure.update(accepted.seconds, heating.degrees(), heating.rates())
@@ -95,7 +88,5 @@ class ThermalModel:
 
     def row(self) -> dict[str, float]:
         """Columns of history.csv."""
-        row = self.record.row()
-        if self.cure:
-            row |= self.cure.row()
-        return row | {"heat balance [-]": self.balance.heat}
+        cure = self.cure.row() if self.cure else {}
+        return {**self.record.row, **cure, "heat balance [-]": self.balance.heat}

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -38,19 +37,11 @@ from app.scene.scene import Scene
 from forms import interface_heat
 
 
-@dataclass(frozen=True)
-class PointDerivatives:
-    """Derivatives of a scalar at own contact points by equilibrium and by the jump (n, 3)."""
-
-    by_equilibrium: Floats
-    by_jump: Floats
-
-
 class ContactHeat:
     """Input of the heat from the contact points: pressures and the power of friction.
 
     Attributes:
-        heats: Nodal heat by friction power per area, for each thermal body (nodes x points) [mm2].
+        heats: Nodal heat by friction power per area of each thermal body (nodes x points) [mm2].
         pressed: Pressure at the points of finite conductance by that at contact points, if any.
         friction_work: Friction work per area since the time step began, in the heat [N/mm].
         expands: Regions whose expansion follows temperature; in curing regions it is history.
@@ -79,10 +70,8 @@ class ContactHeat:
         self.pressed: PETSc.Mat | None = None
         if (t := operators.jumps) is not None:
             name = [scene.thermal_contacts[i].name for i in t.interface]
-            found = np.array(
-                [known.get(key, -1) for key in zip(name, t.points.vertex[t.mine], strict=True)],
-                dtype=np.int64,
-            )
+            keys = zip(name, t.points.vertex[t.mine], strict=True)
+            found = np.array([known.get(key, -1) for key in keys], dtype=np.int64)
             on = np.flatnonzero(found >= 0)
             ones = np.ones(len(on))
             self.pressed = from_triplets(comm, len(found), self._n, on, found[on], ones)
@@ -117,7 +106,7 @@ class ContactHeat:
         if jumps is not None and self.pressed is not None:
             jumps.pressure = _times(self.pressed, pressure)
         if friction is not None:
-            friction.nodal = [_times(H, power) for _, H in sorted(self.heats.items())]
+            friction.nodal = np.array([_times(H, power) for H in self.heats])
             for i, c in enumerate(self._problem.scene.contacts):
                 if f"friction {c.name}" in friction.flows:
                     mine = float((contact.own.weight * power)[contact.own.interface == i].sum())
@@ -144,33 +133,31 @@ class ContactHeat:
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
-    def pressure_rows(self, trial: TrialState) -> PointDerivatives:
-        """Derivatives of the pressure."""
+    def pressure_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
+        """Derivatives of the pressure at own points by equilibrium and by the jump (n, 3)."""
         force = _normal(trial.law, self._contact.own.normals)
         size = np.linalg.norm(force, axis=1)
         direction = force / np.where(size > 0, size, 1.0)[:, None]
         return self._rows(direction, trial)
 
-    def power_rows(self, trial: TrialState) -> PointDerivatives:
-        """Derivatives of the friction power."""
+    def power_rows(self, trial: TrialState) -> tuple[Floats, Floats]:
+        """Derivatives of the friction power, as of the pressure."""
         contact = self._contact
         force, slip = trial.rubbing()
         given = force / contact.law.stiffness[:, None]
-        rows = self._rows(slip - given, trial)
+        by_equilibrium, by_jump = self._rows(slip - given, trial)
         scale = np.where(self.rubbing, 1 / self._h, 0.0)[:, None]
         lost = (contact.law.multiplier_share / contact.own.weight)[:, None] * given
-        return PointDerivatives(
-            scale * (rows.by_equilibrium - lost), scale * (rows.by_jump + force)
-        )
+        return scale * (by_equilibrium - lost), scale * (by_jump + force)
 
-    def _rows(self, along: Floats, trial: TrialState) -> PointDerivatives:
+    def _rows(self, along: Floats, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the force along directions (n, 3): by -e/W (multiplier share), by q."""
-        contact = self._contact
-        by_force = np.einsum("pi,pij->pj", along, trial.law.jacobian)
-        by_jump = np.einsum("pi,pij->pj", along, trial.law.by_jump)
-        return PointDerivatives(
-            -(contact.law.multiplier_share / contact.own.weight)[:, None] * by_force, by_jump
+        by_force, by_jump = (
+            np.asarray(np.einsum("pi,pij->pj", along, derivative))
+            for derivative in (trial.law.jacobian, trial.law.by_jump)
         )
+        share = self._contact.law.multiplier_share / self._contact.own.weight
+        return -share[:, None] * by_force, by_jump
 
 
 def _heats(
@@ -179,7 +166,7 @@ def _heats(
     contact: ContactInterfaces,
     operators: HeatOperators,
     number: Ints,
-) -> dict[int, PETSc.Mat]:
+) -> list[PETSc.Mat]:
     """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
     points, space = contact.points, operators.forms.space
     facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
@@ -193,17 +180,12 @@ def _heats(
     master = np.array([body_of[c.master[0]] for c in scene.contacts])
     slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
     sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))
-    found: dict[int, PETSc.Mat] = {}
+    sizes = problem.comm, operators.forms.owned, len(contact.own)
+    found = []
     for b in range(len(operators.bodies.names)):
-        value = sum(np.where(body[points.interface] == b, share, 0.0) for body, share in sides)
-        found[b] = from_triplets(
-            problem.comm,
-            operators.forms.owned,
-            len(contact.own),
-            dof[own] - start,
-            number[own],
-            (points.weight * value)[own],
-        )
+        share = sum(np.where(body[points.interface] == b, s, 0.0) for body, s in sides)
+        values = (points.weight * share)[own]
+        found.append(from_triplets(*sizes, dof[own] - start, number[own], values))
     return found
 
 

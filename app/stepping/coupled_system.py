@@ -24,10 +24,11 @@ from app.numerics.preconditioners import INTERFACE, Options
 from app.numerics.sparse import from_triplets, matrix_sum
 from app.numerics.system import Measure
 from app.scene.scene import Scene, Stage
-from app.stepping.contact_heat import ContactHeat, PointDerivatives
+from app.stepping.contact_heat import ContactHeat
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+Sizes = tuple[tuple[int, int], tuple[int, int]]
 
 
 class CoupledSystem(ContactSystem):
@@ -51,7 +52,6 @@ class CoupledSystem(ContactSystem):
         self._heat, self._committed = heat, committed
         self.exchange = ContactHeat(scene, problem, heat.operators)
         self._n = len(heat.blocks())
-        self._stage: tuple[int, Stage, float] | None = None
         self._thermal = self._thermal_forces() if self.exchange.expands else None
         # Heat enters the rows of its nodes and of its jumps.
         self._nodes = self._entries()
@@ -76,10 +76,9 @@ class CoupledSystem(ContactSystem):
             h: Its length [s]; infinite for a steady state.
             work: Initial friction work per area (n,) [N/mm].
         """
-        if self._stage is not None:
-            k, stage, start = self._stage
-            part = 1.0 if stage.steady else min((seconds - start) / stage.seconds, 1.0)
-            self._problem.set_time(k + part)
+        k, stage, start = self._stage
+        part = 1.0 if stage.steady else min((seconds - start) / stage.seconds, 1.0)
+        self._problem.set_time(k + part)
         self.exchange.begin(h, work)
 
     def restore(self, x: list[PETSc.Vec]) -> None:
@@ -154,16 +153,14 @@ class CoupledSystem(ContactSystem):
         of_region = operators.bodies.of_region.items()
         moves = {r: by_body[b] for r, b in of_region if b in by_body}
         rows = self._problem.thermal_stiffness(moves)
-        shapes = [v.getSizes() for v in self.blocks().values()]
-        found = []
-        for row, height in zip(rows, shapes[self._n :], strict=True):
-            blocks = []
-            for A, width in zip(row[: self._n], shapes[: self._n], strict=True):
-                negative = _empty(self.comm, height, width) if A is None else A.copy()
-                negative.scale(-1.0)
-                blocks.append(negative)
-            found.append(blocks)
-        return found
+        sizes = [v.getSizes() for v in self.blocks().values()]
+        return [
+            [
+                _negative(A, self.comm, (height, width))
+                for A, width in zip(row, sizes[: self._n], strict=False)
+            ]
+            for row, height in zip(rows, sizes[self._n :], strict=True)
+        ]
 
     def _from_heat(self) -> list[list[PETSc.Mat]]:
         """Rows of displacement and jumps, columns of the heat."""
@@ -176,8 +173,8 @@ class CoupledSystem(ContactSystem):
         """Minus the heat by friction power, in the rows of temperature and of jumps."""
         operators, heats = self._heat.operators, self.exchange.heats
         keep = self._heat.vectors()
-        nodes = [matrix_sum(list(heats.values()))]
-        held = [operators.fixed.held]
+        nodes = [matrix_sum(heats)]
+        held = [operators.fixed.base >= 0]
         if (j := operators.jumps) is not None:
             nodes.append(matrix_sum([B.transposeMatMult(heats[b]) for b, B in j.moves.items()]))
             held.append(j.held)
@@ -212,14 +209,14 @@ class CoupledSystem(ContactSystem):
             return up, []
         return up, [[E.matMult(G) for G in self._thermal[1]] for E, _ in rows]
 
-    def _point_rows(self, rows: PointDerivatives) -> list[PETSc.Mat]:
-        """Rows of scalars of the contact points as matrices (points x components)."""
-        n = len(rows.by_jump)
+    def _point_rows(self, rows: tuple[Floats, Floats]) -> list[PETSc.Mat]:
+        """Derivatives of scalars of the contact points as matrices (points x components)."""
+        n = len(self.contact.own)
         start = self.contact.coupling.D.getOwnershipRange()[0]
         i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
         return [
             from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())
-            for values in (rows.by_equilibrium, rows.by_jump)
+            for values in rows
         ]
 
 
@@ -236,7 +233,10 @@ def _copy(new: list[list[PETSc.Mat]], kept: list[list[PETSc.Mat]]) -> None:
                 A.copy(place, structure=DIFFERENT)
 
 
-def _empty(comm: PETSc.Comm, height: tuple[int, int], width: tuple[int, int]) -> PETSc.Mat:
-    A = PETSc.Mat().createAIJ((height, width), nnz=0, comm=comm)
-    A.assemble()
-    return A
+def _negative(A: PETSc.Mat | None, comm: PETSc.Comm, sizes: Sizes) -> PETSc.Mat:
+    """Minus a matrix, or an empty one of some sizes."""
+    if A is None:
+        A = PETSc.Mat().createAIJ(sizes, nnz=0, comm=comm)
+        A.assemble()
+        return A
+    return -1.0 * A

@@ -7,7 +7,7 @@ or of heat and mechanics together where heat depends on contact (`stepping.coupl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -26,7 +26,6 @@ from app.scene.scene import Scene
 from app.stepping import stability
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Summary
-from app.stepping.thermal_loading import ThermalLoading, ThermalState
 
 # First step of a stage, as a part of an increment, if the rate of change is unknown.
 FIRST = 1e-3
@@ -66,10 +65,9 @@ class HeatState:
         seconds: Time since the start of the run [s].
         total: Counts of steps and iterations so far.
         notes: Warnings about its states.
-        loading: Heat as a load of the mechanics.
     """
 
-    saved = ("seconds", "total", "notes", "state", "_slope", "loading", "step", "solver")
+    saved = ("seconds", "total", "notes", "state", "_slope", "step", "solver")
 
     def __init__(
         self, scene: Scene, step: ImplicitStep, solver: Solver, coupled: CoupledSystem | None
@@ -89,7 +87,6 @@ class HeatState:
         self.put(self.state)
         cure = self.operators.cure
         self._curing = cure.nodes if cure else []
-        self.loading = ThermalLoading(scene, self.operators)
 
     @property
     def row_keys(self) -> dict[str, list[Ints]]:
@@ -122,7 +119,7 @@ class HeatState:
         """Largest error over its tolerance, of cure as the temperature it releases; collective."""
         n = len(self.vectors())
         errors = list(error[:n])
-        for degree, e, node in zip(self.state[n:], error[n:], self._curing, strict=True):
+        for degree, e, node in zip(self.state[n:], error[n:], self._curing, strict=False):
             errors.append(as_temperature(degree, e, node.adiabatic_rise))
         local = max(float(np.abs(e).max(initial=0.0)) for e in errors)
         return float(self.operators.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
@@ -172,38 +169,29 @@ class HeatState:
         cause it (`heat.maximum_principle`), else by backward Euler.
         """
         state, slope = (self._with_work(part) for part in (self.state, self._slope))
+        principle = self.operators.principle
         for name in dict.fromkeys((self.method.name, "backward_euler")):
             method = METHODS[name]
             while True:
                 self._stages = []
                 found = integrator.step(method, state, slope, dt, self.seconds, self._solve)
-                if found is None or not self.step.outside(self.vectors()):
+                T = self.operators.nodal(self.vectors())
+                within = found is None or not principle.outside(T)
+                if within or not principle.correct(T):
                     break
-                if not self.step.correct(self.vectors()):
-                    break
-            if found is None and fixed:
-                continue
-            if found is None or not self.step.outside(self.vectors()):
+            if within and (found is not None or not fixed):
                 break
-        if found is None:
-            return None
-        own = slice(len(self.state))
-        parts = {f.name: getattr(found, f.name)[own] for f in fields(found)}
-        return integrator.StageStep(**parts), method
+        return (found, method) if found is not None else None
 
     def accept(self, found: integrator.StageStep, method: Method, dt: float) -> HeatStep:
         """Commit a step."""
         heats = {
-            name: dt
-            * sum(b * stage[name] for b, stage in zip(method.a[-1], self._stages, strict=True))
+            name: dt * sum(method.a[-1] * [stage[name] for stage in self._stages])
             for name in self._stages[-1]
         }
-        if self._curing:
-            n = len(self.vectors())
-            before = self._nodal(self.state), self.state[n:]
-            self.loading.strain(before, (self._nodal(found.state), found.state[n:]))
-        self.step.take_back(self.vectors())
-        self.state, self._slope = found.state, found.slope
+        self.operators.principle.take_back(self.operators.nodal(self.vectors()))
+        own = slice(len(self.state))
+        self.state, self._slope = found.state[own], found.slope[own]
         self.seconds += dt
         self.total.steps += 1
         return HeatStep(self.seconds, dt, heats, self._stages[-1], self.outcome)
@@ -258,7 +246,7 @@ class HeatState:
         """Times that no step may cross [s]."""
         scene, cure = self.operators.scene, self.operators.cure
         courses = [t for c in scene.heat for t, _ in getattr(c, "course", None) or ()]
-        curing = cure.curing.events if cure else ()
+        curing = cure.events if cure else ()
         return tuple(sorted({*courses, *curing}))
 
     def begins_at_event(self, accepted: HeatStep) -> bool:
@@ -266,8 +254,12 @@ class HeatState:
         begin = accepted.seconds - accepted.dt
         return bool(np.isclose(self.events, begin, rtol=SAME, atol=0.0).any())
 
-    def slopes(self) -> list[Floats]:
-        """Rates of change of temperature at own nodes of each body [K/s]."""
+    def temperatures(self) -> Floats:
+        """Temperatures of own nodes of each body (b, n) [K]."""
+        return self._nodal(self.state)
+
+    def slopes(self) -> Floats:
+        """Rates of change of temperature at own nodes of each body (b, n) [K/s]."""
         return self._nodal(self._slope)
 
     def degrees(self) -> dict[str, Floats]:
@@ -280,13 +272,9 @@ class HeatState:
         n = len(self.vectors())
         return {c.region: a for c, a in zip(self._curing, self._slope[n:], strict=True)}
 
-    def _nodal(self, state: State) -> list[Floats]:
-        """Temperatures of own nodes of each body in a state [K]."""
+    def _nodal(self, state: State) -> Floats:
+        """Temperatures of own nodes of each body in a state (b, n) [K]."""
         x = self.step.vectors()
         for v, values in zip(x, state, strict=False):
             v.array[:] = values
         return self.operators.nodal(x)
-
-    def thermal_state(self) -> ThermalState:
-        """Input of the mechanics at the current state; collective."""
-        return self.loading.at(self._nodal(self.state), self.state[len(self.vectors()) :])

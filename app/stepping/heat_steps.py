@@ -7,78 +7,80 @@ part of each of its solves (`stepping.heated_mechanics`).
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from itertools import pairwise
-from typing import ClassVar
 
 from app.errors import ConvergenceError
 from app.numerics.integrator import Controller
 from app.scene.scene import Stage
 from app.soundness.failure import attempts
 from app.stepping.heat_state import HeatState, HeatStep
-from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
-from app.stepping.load_steps import LoadStep, Summary, no_checkpoint
+from app.stepping.heated_mechanics import HeatedMechanics
+from app.stepping.load_steps import LoadStep, Summary
 
 # Least time step, as a part of its stage.
 SHORTEST = 1e-10
 
 OnHeat = Callable[[LoadStep, HeatStep], None]
+# Committed steps, the part of the stage that is done then, and whether an increment ends.
+Steps = Iterator[tuple[HeatStep, float, bool]]
 
 
-@dataclass
 class HeatStepper:
     """Time stepping of heat with error control.
 
     Attributes:
         heating: Its state.
+
+    Args:
         mechanics: The mechanics beside it, if any.
         on_heat: Called after each committed step, once the mechanics have followed.
-        on_trouble: Called with a sentence on the remedy when a step fails.
     """
 
-    saved: ClassVar = ("_under_way", "_begin", "_steps", "_controller", "mechanics")
+    saved = ("_under_way", "_begin", "_steps", "_controller", "mechanics")
 
-    heating: HeatState
-    mechanics: SolvedAfterHeat | SolvedWithHeat | None
-    on_heat: OnHeat
-    on_trouble: Callable[[str], None]
-
-    def __post_init__(self) -> None:
-        """Set the initial progress: no stage under way."""
-        self._under_way = False
-        self._begin = 0.0
-        self._steps = 0
-        self._controller = Controller(self.heating.method)
-        self._checkpoint_point = no_checkpoint
+    def __init__(
+        self, heating: HeatState, mechanics: HeatedMechanics | None, on_heat: OnHeat
+    ) -> None:
+        self.heating, self.mechanics, self._on_heat = heating, mechanics, on_heat
+        self._under_way, self._begin, self._steps = False, 0.0, 0
+        self._controller = Controller(heating.method)
 
     @property
     def total(self) -> Summary:
         """Counts of steps and iterations so far."""
         return self.heating.total
 
-    def run_stage(
-        self, k: int, stage: Stage, checkpoint_point: Callable[[], None] = no_checkpoint
-    ) -> None:
+    def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Run a stage that takes time, or find a steady state."""
-        self._checkpoint_point = checkpoint_point
         if not self._under_way:
             self._begin, self._steps = self.heating.seconds, 0
         if self.mechanics is not None:
             self.mechanics.begin(k, stage, not self._under_way)
         self._under_way = True
         if stage.steady:
-            self._steady(k, stage)
+            steps = self._steady(stage)
         elif stage.adaptive:
-            self._adaptive(k, stage)
+            steps = self._adaptive(stage)
         else:
-            self._fixed(k, stage)
+            steps = self._fixed(stage)
+        started = clock.perf_counter()
+        for accepted, part, whole in steps:
+            time = k + (1.0 if part > 1 - SHORTEST else part)
+            if self.mechanics is not None:
+                self.mechanics.follow(time, whole)
+            outcome, seconds = accepted.outcome, clock.perf_counter() - started
+            step = LoadStep(self.total.steps, stage.name, time, outcome, seconds, whole)
+            self._on_heat(step, accepted)
+            self._steps += 1
+            checkpoint_point()
+            started = clock.perf_counter()
         self._under_way = False
 
-    def _steady(self, k: int, stage: Stage) -> None:
+    def _steady(self, stage: Stage) -> Steps:
+        """The steady state, unless it has been reached."""
         if self._steps:
             return
-        started = clock.perf_counter()
         accepted = self.heating.solve_steady()
         if accepted is None:
             raise ConvergenceError(
@@ -87,9 +89,9 @@ class HeatStepper:
                 "  what to change: give the stage a duration instead"
             )
         self.heating.warn_if_unstable(stage.name)
-        self._finish_step(k, stage, 1.0, accepted, started, True)
+        yield accepted, 1.0, True
 
-    def _fixed(self, k: int, stage: Stage) -> None:
+    def _fixed(self, stage: Stage) -> Steps:
         """Equal steps, whatever their error, divided at events."""
         heating, whole = self.heating, stage.seconds / stage.increments
         if not self._steps:
@@ -100,25 +102,20 @@ class HeatStepper:
             ends = [0.0, *(e for e in inside if tiny < e < whole - tiny), whole]
             steps += [(b - a, n + b / whole, b == whole) for a, b in pairwise(ends)]
         for dt, done, at_end in steps[self._steps :]:
-            started = clock.perf_counter()
             found = heating.attempt(dt, fixed=True)
             if found is None:
                 raise ConvergenceError(self._failure_text(stage, dt))
-            accepted = heating.accept(*found, dt)
-            self._finish_step(k, stage, done / stage.increments, accepted, started, at_end)
+            yield heating.accept(*found, dt), done / stage.increments, at_end
 
-    def _adaptive(self, k: int, stage: Stage) -> None:
-        heating, begin = self.heating, self._begin
+    def _adaptive(self, stage: Stage) -> Steps:
+        heating, begin, controller = self.heating, self._begin, self._controller
         whole = stage.seconds / stage.increments
         ends = [begin + (n + 1) * whole for n in range(stage.increments)]
-        events = [*ends, *(e for e in heating.events if begin < e < ends[-1])]
-        controller = self._controller
-        controller.events = sorted(events)
+        controller.events = sorted([*ends, *(e for e in heating.events if begin < e < ends[-1])])
         if not self._steps:
             controller.begin(min(heating.start(whole), whole))
         tiny = SHORTEST * stage.seconds
         while heating.seconds < ends[-1] - tiny:
-            started = clock.perf_counter()
             while True:
                 dt = controller.propose(heating.seconds)
                 found = heating.attempt(dt)
@@ -131,28 +128,10 @@ class HeatStepper:
                     raise ConvergenceError(self._failure_text(stage, dt))
             accepted = heating.accept(*found, dt)
             at_end = min(abs(heating.seconds - e) for e in ends) < tiny
-            self._finish_step(k, stage, self._done(stage), accepted, started, at_end)
+            yield accepted, self._done(stage), at_end
 
     def _done(self, stage: Stage) -> float:
         return min((self.heating.seconds - self._begin) / stage.seconds, 1.0)
-
-    def _finish_step(
-        self,
-        k: int,
-        stage: Stage,
-        part: float,
-        accepted: HeatStep,
-        started: float,
-        whole: bool,
-    ) -> None:
-        time = k + (1.0 if part > 1 - SHORTEST else part)
-        if self.mechanics is not None:
-            self.mechanics.follow(time, whole)
-        seconds = clock.perf_counter() - started
-        step = LoadStep(self.total.steps, stage.name, time, accepted.outcome, 1.0, seconds, whole)
-        self.on_heat(step, accepted)
-        self._steps += 1
-        self._checkpoint_point()
 
     def _failure_text(self, stage: Stage, dt: float) -> str:
         outcome = self.heating.outcome

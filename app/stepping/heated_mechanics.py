@@ -1,111 +1,226 @@
-"""Mechanics beside heat: solved after it, or in one system with it."""
+"""Mechanics beside heat: solved after it, or in one system with it.
+
+Heat is a load of the mechanics: temperatures, degrees of cure and the free strain of cement.
+"""
 
 from __future__ import annotations
 
+import math
 import time as clock
+from dataclasses import dataclass
+from functools import cached_property
+
+from mpi4py import MPI
 
 import numpy as np
+from dolfinx import fem
 
-from app.arrays import Ints
+from app.arrays import Floats, Ints
+from app.heat.curing import FreeStrain, since_gelation
+from app.numerics.saved_state import node_keys
 from app.scene.scene import Stage
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_state import HeatState
 from app.stepping.load_steps import LoadStepper
 
+# Rounding error of a complete fraction of a step.
+SAME = 1e-9
 
-class SolvedAfterHeat:
-    """Mechanics that heat does not depend on.
 
-    They are solved at the ends of the increments of a stage and after each large change of
-    temperature, along the straight line between two states of the heat.
+@dataclass(frozen=True)
+class ThermalState:
+    """Temperatures [K], degrees of cure and free strains, by body or region, ghosts included.
 
-    Args:
-        limit: Change of temperature, or of cure as the temperature it releases, after which
-            they are solved again [K].
+    Attributes:
+        temperatures: At the nodes of each thermal body [K].
+        degrees: At the nodes of each curing region.
+        strains: Its free strain since gelation.
     """
 
-    saved = ("_before", "_time")
+    temperatures: list[Floats]
+    degrees: list[Floats]
+    strains: list[Floats]
 
-    def __init__(self, load_stepper: LoadStepper, heating: HeatState, limit: float) -> None:
-        self._load_stepper, self._heating, self._limit = load_stepper, heating, limit
-        self._time = 0.0
-        self._before = heating.thermal_state()
-        heating.loading.interpolate(load_stepper.problem, self._before, self._before, 1.0)
 
-    @property
+class HeatedMechanics:
+    """Mechanics with heat as a load.
+
+    They are solved along the straight line between two states of the heat, in steps of
+    ``time.mechanical_step``: a change of temperature, or of cure as the temperature it releases.
+    """
+
+    saved: tuple[str, ...] = ("_strains", "_before")
+
+    def __init__(self, load_stepper: LoadStepper, heating: HeatState) -> None:
+        self._load_stepper, self._heating = load_stepper, heating
+        operators = self._operators = heating.operators
+        self._limit = heating.options.mechanical_step
+        self._curing = operators.cure.nodes if operators.cure else []
+        self._temperatures = [fem.Function(operators.forms.space) for _ in operators.bodies.names]
+        # Free strain so far, and what the mechanics see.
+        self._degrees, self._strains, self._seen = (
+            [fem.Function(operators.forms.space) for _ in self._curing] for _ in range(3)
+        )
+        expansion = {x.region: x.expansion for x in operators.scene.expansions}
+        self._free = [
+            FreeStrain(operators.comm, cure, expansion.get(cure.region, 0.0), len(c.dof))
+            for cure, c in zip(operators.scene.cures, self._curing, strict=True)
+        ]
+        self._last: ThermalState | None = None
+        self._before = self._now()
+        self._load(self._before, self._before, 1.0)
+
+    @cached_property
     def row_keys(self) -> Ints:
         """Keys of nodes, ghosts included."""
-        return self._heating.loading.row_keys
+        return node_keys(self._operators.forms.space)
 
     def restored(self) -> None:
         """Load the mechanics with the thermal state of their last solve; collective."""
-        self._heating.loading.restore(self._load_stepper.problem, self._before)
+        self._last = None
+        self._now()
+        self._load(self._before, self._before, 1.0)
+        problem = self._load_stepper.problem
+        if problem.setting:
+            problem.setting.begin_at(problem.displacements())
 
     def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
         self._stage = stage
-        if anew:
-            self._time, self._before = float(k), self._heating.thermal_state()
 
     def follow(self, time: float, whole: bool) -> None:
         """Solve after a heat step that ends at a time, and perhaps ends an increment."""
-        loading, problem = self._heating.loading, self._load_stepper.problem
-        before, now = self._before, self._heating.thermal_state()
-        if not whole and loading.distance(before, now) < self._limit:
-            return
-        begin = self._time
+        raise NotImplementedError
+
+    def _now(self) -> ThermalState:
+        """State of the heat, with the free strain of the step that led to it; collective."""
+        degrees = list(self._heating.degrees().values())
+        T = self._heating.temperatures()
+        for b, f in enumerate(self._temperatures):
+            f.x.array[: self._operators.forms.owned] = T[b]
+            f.x.scatter_forward()
+        for f, c, values in zip(self._degrees, self._curing, degrees, strict=True):
+            f.x.array[c.dof] = values
+            f.x.scatter_forward()
+        if (last := self._last) is not None:
+            for k, c in enumerate(self._curing):
+                self._strains[k].x.array[c.dof] += self._free[k].increment(
+                    last.degrees[k][c.dof],
+                    last.temperatures[c.body][c.dof],
+                    degrees[k],
+                    self._temperatures[c.body].x.array[c.dof],
+                )
+                self._strains[k].x.scatter_forward()
+        self._last = ThermalState(
+            *(
+                [f.x.array.copy() for f in functions]
+                for functions in (self._temperatures, self._degrees, self._strains)
+            )
+        )
+        return self._last
+
+    def _distance(self, now: ThermalState) -> float:
+        """Largest change since the last solve [K], of cure by the heat it releases; collective."""
+        before = self._before
+        pairs = zip(before.temperatures, now.temperatures, strict=True)
+        sizes = [float(np.abs(a - b).max()) for a, b in pairs]
+        for c, a, b in zip(self._curing, before.degrees, now.degrees, strict=True):
+            sizes.append(c.adiabatic_rise * float(np.abs(a - b).max()))
+        return float(self._operators.comm.allreduce(max(sizes), MPI.MAX))
+
+    def _advance(self, now: ThermalState, begin: float, end: float) -> None:
+        """Solve from the thermal state and the time of the last solve to others."""
+        before = self._before
+        steps = max(math.ceil(self._distance(now) / self._limit - SAME), 1)
+        self._before = now
 
         def set_load(s: float) -> None:
-            problem.set_time(begin + s * (time - begin))
-            loading.interpolate(problem, before, now, s)
+            self._load_stepper.problem.set_time(begin + s * (end - begin))
+            self._load(before, now, s)
 
-        longest = loading.largest_step(before, now)
-        self._load_stepper.run_path(self._stage, longest, set_load, begin, time)
-        self._before, self._time = now, time
+        self._load_stepper.run_path(self._stage, 1.0 / steps, set_load, begin, end)
+
+    def _load(self, a: ThermalState, b: ThermalState, s: float) -> None:
+        """Load the mechanics with a state between two others: a at s = 0, b at s = 1.
+
+        Free strain grows from gelation on, temperature and cure all the way.
+        """
+        problem, scene = self._load_stepper.problem, self._operators.scene
+        for f, x, y in zip(
+            [*self._temperatures, *self._degrees],
+            [*a.temperatures, *a.degrees],
+            [*b.temperatures, *b.degrees],
+            strict=True,
+        ):
+            f.x.array[:] = (1 - s) * x + s * y
+        for k, cure in enumerate(scene.cures):
+            share = since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
+            self._seen[k].x.array[:] = (1 - share) * a.strains[k] + share * b.strains[k]
+        body = self._operators.bodies.of_region
+        problem.set_temperature(
+            {x.region: self._temperatures[body[x.region]] for x in scene.expansions}
+        )
+        if problem.setting:
+            regions = [c.region for c in self._curing]
+            degrees = dict(zip(regions, self._degrees, strict=True))
+            problem.setting.set(degrees, dict(zip(regions, self._seen, strict=True)))
 
 
-class SolvedWithHeat:
+class SolvedAfterHeat(HeatedMechanics):
+    """Mechanics that heat does not depend on.
+
+    They are solved at the ends of the increments of a stage and after each large change of
+    temperature.
+    """
+
+    saved = (*HeatedMechanics.saved, "_time")
+
+    _time = 0.0
+
+    def begin(self, k: int, stage: Stage, anew: bool) -> None:
+        """Begin a stage that takes time, or continue it after a restart."""
+        super().begin(k, stage, anew)
+        if anew:
+            self._time, self._before = float(k), self._now()
+
+    def follow(self, time: float, whole: bool) -> None:
+        """Solve at the end of an increment, or after a large change."""
+        now = self._now()
+        if whole or self._distance(now) >= self._limit:
+            self._advance(now, self._time, time)
+            self._time = time
+
+
+class SolvedWithHeat(HeatedMechanics):
     """Mechanics that heat depends on: in one system with it."""
 
-    saved = ("_start", "_committed")
+    saved = (*HeatedMechanics.saved, "_start", "_committed")
 
     def __init__(
         self, load_stepper: LoadStepper, heating: HeatState, system: CoupledSystem
     ) -> None:
-        self._load_stepper, self._heating, self._system = load_stepper, heating, system
+        super().__init__(load_stepper, heating)
+        self._system = system
         self._start = self._committed = heating.seconds
-        self._before = heating.thermal_state()
-        heating.loading.interpolate(load_stepper.problem, self._before, self._before, 1.0)
-
-    def restored(self) -> None:
-        """Load the mechanics with the thermal state of their last solve; collective."""
-        self._before = self._heating.thermal_state()
-        self._heating.loading.restore(self._load_stepper.problem, self._before)
 
     def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
-        self._stage = stage
+        super().begin(k, stage, anew)
         if anew:
             self._start = self._committed = self._heating.seconds
         self._system.begin_stage(k, stage, self._start)
         self._system.restore(self._heating.solver.blocks())
 
     def follow(self, time: float, whole: bool) -> None:
-        """Commit the mechanics of a heat step that ends at a time, and perhaps an increment."""
+        """Commit the mechanics of a heat step."""
         started = clock.perf_counter()
-        heating, loading = self._heating, self._heating.loading
+        heating, now = self._heating, self._now()
         self._system.commit(heating.solver.blocks())
         self._system.exchange.report((heating.seconds - self._committed) or np.inf)
         self._committed = heating.seconds
-        if not heating.cures:
+        if self._curing:
+            # Within the step stiffness and free strain were those before it: an error of order 1.
+            self._advance(now, time, time)
+        else:
+            self._before = now
             self._load_stepper.commit(self._stage, time, heating.outcome, started, whole)
-            return
-        # Within the step stiffness and free strain were those before it: an error of first order.
-        before, now = self._before, heating.thermal_state()
-        self._before = now
-
-        def set_load(s: float) -> None:
-            loading.interpolate(self._load_stepper.problem, before, now, s)
-
-        longest = loading.largest_step(before, now)
-        self._load_stepper.run_path(self._stage, longest, set_load, time, time)

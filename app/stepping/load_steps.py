@@ -35,7 +35,6 @@ class LoadStep:
         stage: Name of its stage.
         time: Time at its end: stage k runs from k to k + 1.
         outcome: Outcome of the nonlinear solve.
-        augmentation: Final multiple of the default augmentation.
         seconds: Wall time, failed attempts included.
         whole: Whether it ends an increment of its stage, for which fields are written.
     """
@@ -44,7 +43,6 @@ class LoadStep:
     stage: str
     time: float
     outcome: NewtonResult
-    augmentation: float
     seconds: float
     whole: bool
 
@@ -74,10 +72,6 @@ class Summary:
 
 
 OnStep = Callable[[LoadStep, TrialState | None], None]
-
-
-def no_checkpoint() -> None:
-    """Do nothing: no checkpoint is wanted."""
 
 
 @dataclass
@@ -144,9 +138,7 @@ class LoadStepper:
         self.predictors = (self._line, *self.predictors)
         self._progress = Progress()
 
-    def run_stage(
-        self, k: int, stage: Stage, checkpoint_point: Callable[[], None] = no_checkpoint
-    ) -> None:
+    def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Take load steps through a stage that takes no time."""
         whole = 1.0 / stage.increments
         if not self._progress.step:
@@ -166,7 +158,7 @@ class LoadStepper:
         begin: float,
         end: float,
         progress: Progress | None = None,
-        checkpoint_point: Callable[[], None] = no_checkpoint,
+        checkpoint_point: Callable[[], None] = lambda: None,
     ) -> None:
         """Follow a path of loads, temperatures and supports.
 
@@ -246,15 +238,6 @@ class LoadStepper:
             p.commit(time)
         self.total.steps += 1
         self.total.augmentation = outcome.augmentation
-        self.on_step(
-            LoadStep(
-                self.total.steps,
-                stage.name,
-                time,
-                outcome,
-                outcome.augmentation,
-                clock.perf_counter() - started,
-                whole,
-            ),
-            trial,
-        )
+        seconds = clock.perf_counter() - started
+        step = LoadStep(self.total.steps, stage.name, time, outcome, seconds, whole)
+        self.on_step(step, trial)

@@ -53,7 +53,7 @@ def mirrored(data: MeshData) -> MeshData:
     """Mirror a quarter about x = 0 and y = 0 to the whole."""
     x, cells = data.points, data.cells
     tags, facets, marks = data.cell_tags, data.facets, data.facet_tags
-    planes = {data.boundaries[f"symmetry_{a}"][0]: i for i, a in enumerate("xy")}
+    planes = [data.boundaries[f"symmetry_{a}"][0] for a in "xy"]
     for axis in (0, 1):
         other = x * np.where(np.arange(3) == axis, -1.0, 1.0)
         on = np.abs(x[:, axis]) < 1e-9
@@ -62,7 +62,7 @@ def mirrored(data: MeshData) -> MeshData:
         cells = np.concatenate([cells, number[cells][:, [1, 0, 2, 3]]])
         facets = np.concatenate([facets, number[facets][:, [1, 0, 2]]])
         tags, marks = np.tile(tags, 2), np.tile(marks, 2)
-    keep = ~np.isin(marks, list(planes))
+    keep = ~np.isin(marks, planes)
     boundaries = {n: t for n, t in data.boundaries.items() if not n.startswith("symmetry")}
     return replace(
         data,

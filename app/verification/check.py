@@ -255,6 +255,14 @@ class CheckResult:
         }
 
 
+def by_group(outcomes: Sequence[CheckResult]) -> dict[str, list[CheckResult]]:
+    """The results of each group of checks."""
+    groups: dict[str, list[CheckResult]] = {}
+    for o in outcomes:
+        groups.setdefault(o.check.group, []).append(o)
+    return groups
+
+
 def _number(value: float | None) -> float | None:
     """The value if it is finite, else None: JSON has no other."""
     return None if value is None or not math.isfinite(value) else float(value)

@@ -78,7 +78,7 @@ class Layers:
         return float(self.at(i + 1, r)[0] - self.at(i, r)[0])
 
     def _terms(self, i: int, r: float) -> tuple[Floats, Floats]:
-        """What A and B contribute to `at` (3, 2), and what the free strain takes off (3,)."""
+        """Coefficients of A and B in `at` (3, 2), and what the free strain takes off (3,)."""
         λ, μ = lame(self.materials[i])
         b = 1 / r**2 if i else 0.0
         terms = [[r, b * r], [2 * (λ + μ), -2 * μ * b], [2 * (λ + μ), 2 * μ * b]]

@@ -34,6 +34,7 @@ from app.verification.check import (
     REFUSED,
     Check,
     CheckResult,
+    by_group,
     within,
 )
 from app.verification.extreme_cases import extremes
@@ -188,9 +189,7 @@ def table(outcomes: Sequence[CheckResult]) -> str:
     """A line for each check, one for each group if there are several, and the failures."""
     head = ("check", "error", "tolerance", "order", "expected", "seconds", "outcome", "")
     text = [layout.table(head, map(_line, outcomes))]
-    groups: dict[str, list[CheckResult]] = {}
-    for o in outcomes:
-        groups.setdefault(o.check.group, []).append(o)
+    groups = by_group(outcomes)
     if len(groups) > 1:
         titles = ("group", "checks", *OUTCOMES, "seconds", "worst", "of", "")
         text.append(layout.table(titles, (_summed(name, own) for name, own in groups.items())))

@@ -193,12 +193,8 @@ def layers_stress(run: Run, joined: tuple[bool, bool]) -> Sample:
 def layers_contact(run: Run) -> Sample:
     """Grip on the stem [MPa] and gap at the bone [mm] of cooled_layers.yaml without tension."""
     law, sides = _layers((True, False)), run.summary["interfaces"]
-    return worst(
-        [
-            relative(sides["stem_cement"]["pressure_mean"], -law.at(1, 6.0)[1]),
-            relative(sides["cement_bone"]["gap_p99"], law.gap(1)),
-        ]
-    )
+    grip = relative(sides["stem_cement"]["pressure_mean"], -law.at(1, 6.0)[1])
+    return worst([grip, relative(sides["cement_bone"]["gap_p99"], law.gap(1))])
 
 
 def _layers(joined: tuple[bool, bool]) -> coupled.Layers:
@@ -235,8 +231,7 @@ def wavy_temperature(run: Run) -> Sample:
     """Temperature of wavy_contact.yaml over 37 degC, relative in L2."""
 
     def field(x: Floats, region: Ints, t: float) -> Floats:
-        below, above = WAVY.temperature(x, upper=False), WAVY.temperature(x, upper=True)
-        return np.where(region == 1, below, above)
+        return np.where(region == 1, WAVY.temperature(x, False), WAVY.temperature(x, True))
 
     return mean_square(run, field, 37.0)
 

@@ -142,9 +142,8 @@ def _friction(run: Run, name: str) -> float:
 def nothing_moves(runs: Sequence[Run]) -> Sample:
     """Displacement [mm] and pressure [MPa] without load: zero."""
     run = runs[0]
-    u = float(np.abs(run.displacement()).max())
-    p = max(float(np.abs(run.at_interface(name, "pressure")).max()) for name in run.contacts)
-    return Sample(max(u, p), note="displacement and pressure")
+    values = [run.displacement(), *(run.at_interface(name, "pressure") for name in run.contacts)]
+    return Sample(max(float(np.abs(v).max()) for v in values), note="displacement and pressure")
 
 
 def mirrored(runs: Sequence[Run]) -> Sample:
@@ -201,11 +200,9 @@ def cycles(runs: Sequence[Run], count: int, force: float, friction: float) -> Sa
     ends = np.arange(count + 1) * 2 + 3.0  # unloaded
     lost = work_lost(run, "base_bar", ends)
     creep = float(np.abs(np.diff([end_of_bar(run, t) for t in ends])).max()) / law.end
-    return Sample(
-        max(float(np.abs(lost / law.cycle - 1).max()), creep),
-        note=f"{count} cycles, {lost[0]:.5g} to {lost[-1]:.5g} N mm each, exact {law.cycle:.5g}; "
-        f"the end creeps by {creep:.1e} of its stroke in a cycle",
-    )
+    words = f"{count} cycles, {lost[0]:.5g} to {lost[-1]:.5g} N mm each, exact {law.cycle:.5g}"
+    note = f"{words}; the end creeps by {creep:.1e} of its stroke in a cycle"
+    return Sample(max(float(np.abs(lost / law.cycle - 1).max()), creep), note=note)
 
 
 def shakedown(runs: Sequence[Run], count: int) -> Sample:
@@ -247,17 +244,12 @@ def wedge(runs: Sequence[Run], half_angle: float, friction: float, left: float) 
 
 def unpenalized(runs: Sequence[Run], penalties: Sequence[float], name: str) -> Sample:
     """Penetration and error of a penalty against the augmented Lagrangian: of order -1 in it."""
-    *penalized, other = runs
-    reference = other.summary["interfaces"][name]["pressure_mean"]
-    errors = [
-        abs(r.summary["interfaces"][name]["pressure_mean"] / reference - 1) for r in penalized
-    ]
-    depths = [r.summary["interfaces"][name]["penetration_max"] for r in penalized]
-    orders = [fitted_order(penalties, values) for values in (errors, depths)]
-    return Sample(
-        max(abs(p + 1) for p in orders),
-        note=f"order of the pressure's error {orders[0]:.3f}, of the penetration {orders[1]:.3f}",
-    )
+    *penalized, other = (r.summary["interfaces"][name] for r in runs)
+    errors = [abs(q["pressure_mean"] / other["pressure_mean"] - 1) for q in penalized]
+    depths = [q["penetration_max"] for q in penalized]
+    first, second = (fitted_order(penalties, values) for values in (errors, depths))
+    note = f"order of the pressure's error {first:.3f}, of the penetration {second:.3f}"
+    return Sample(max(abs(first + 1), abs(second + 1)), note=note)
 
 
 # Steps and paths

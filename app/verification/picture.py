@@ -12,7 +12,7 @@ import numpy as np
 from app import figures
 from app.system import style
 from app.system.style import COLOURS
-from app.verification.check import CheckResult
+from app.verification.check import CheckResult, by_group
 
 # Of each outcome colour and marker.
 LOOKS = {
@@ -27,12 +27,8 @@ LEAST, MOST = 1e-6, 30.0
 
 def draw(outcomes: Sequence[CheckResult], path: Path) -> None:
     """Draw ladders with the slopes of theory, and the error over tolerance of every check."""
-    groups: dict[str, list[CheckResult]] = {}
-    ladders: dict[str, list[CheckResult]] = {}
-    for o in outcomes:
-        groups.setdefault(o.check.group, []).append(o)
-        if o.check.order and o.sample and o.sample.errors:
-            ladders.setdefault(o.check.group, []).append(o)
+    groups = by_group(outcomes)
+    ladders = by_group([o for o in outcomes if o.check.order and o.sample and o.sample.errors])
     rows, columns = max(1, len(ladders)), 2 if ladders else 1
     height = max(3.4 * rows if ladders else 0.0, 1.6 + 0.36 * len(groups))
     figure = figures.new(12.5 if ladders else 7.5, height)

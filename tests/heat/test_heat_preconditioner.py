@@ -6,25 +6,15 @@ import numpy as np
 import pytest
 
 from app.heat.preconditioner import WORTH, KeptFactors
-from tests.heat.test_conduction import (
-    BONE,
-    CEMENT,
-    CEMENT_ON_BONE,
-    PERFECT,
-    Solved,
-    contact,
-    fixed,
-    scene,
-    stack,
-)
+from tests.heat import test_conduction as heat
 
-BOTH = pytest.mark.parametrize("h", [300.0, PERFECT], ids=["jumps", "one block"])
+BOTH = pytest.mark.parametrize("h", [300.0, heat.PERFECT], ids=["jumps", "one block"])
 
 
-def heated(h: float) -> tuple[Solved, KeptFactors]:
-    s = Solved(
-        scene([CEMENT, BONE], [fixed("cold", "top", 20.0)], contact(h)), stack(1.0, *CEMENT_ON_BONE)
-    )
+def heated(h: float) -> tuple[heat.Solved, KeptFactors]:
+    cold = [heat.fixed("cold", "top", 20.0)]
+    terms = heat.scene([heat.CEMENT, heat.BONE], cold, heat.contact(h))
+    s = heat.Solved(terms, heat.stack(1.0, *heat.CEMENT_ON_BONE))
     return s, s.solver.snes.getKSP().getPC().getPythonContext()
 
 

@@ -80,9 +80,7 @@ def reactions(solved: support.Solved) -> Floats:
     """Forces through the supports at the nodes [N]."""
     u, q = solved.solver.u_and_q()
     trial = solved.problem.trial(u, q) if q is not None else None
-    return np.array(
-        Balance(solved.problem, np.zeros(3))._measure(u, trial)["reaction"].reshape(-1, 3)
-    )
+    return np.array(Balance(solved.problem, np.zeros(3))._measure(u, trial).reaction.reshape(-1, 3))
 
 
 def same(text: str, *overrides: str, face: bool = False, tolerance: float = 1e-9) -> None:

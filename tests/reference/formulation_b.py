@@ -106,14 +106,14 @@ class Part:
     vertex: Ints
 
 
-@dataclass(frozen=True)
 class Interface:
     """A contact interface: names of its sides, its multiplier and its data at nodes.
 
     Attributes:
-        master: Body whose side is '+' in the interface integrals.
+        master: Body whose side is '+' in the interface integrals: the stiffer one.
         slave: Body whose side is '-'.
         part: Facet submesh and multiplier.
+        dofs: Blocked dofs of master and slave at its own dofs (2, n).
         entities: Integration entities, the master's cell first.
         normal: Averaged nodal normal from master to slave.
         area: Area of each node (n,).
@@ -126,20 +126,53 @@ class Interface:
         history: Amplitudes of the gap at the ends of the stages.
     """
 
-    name: str
-    master: str
-    slave: str
-    part: Part
-    entities: NDArray[np.int32]
-    normal: fem.Function
-    area: Floats
-    free: fem.Function
-    gap: fem.Function
-    full_gap: Floats
-    old: fem.Function
-    r: fem.Constant
-    friction: fem.Constant
-    history: tuple[float, ...] | None
+    def __init__(
+        self, case: Case, tagged: TaggedMesh, bodies: dict[str, Part], name: str, r_factor: float
+    ) -> None:
+        mesh, law = tagged.mesh, case.interfaces[name]
+        assert isinstance(law, Coulomb)
+        self.name, self.history = name, law.gap_history
+        modulus = {r: _isotropic(case, r)[0] for side in tagged.interfaces[name] for r in side}
+        self.master, self.slave = sorted(modulus, key=lambda r: -modulus[r])
+        tags = tagged.cell_tags.values
+        assert np.array_equal(tagged.cell_tags.indices, np.arange(len(tags)))
+        cells_of = mesh.topology.connectivity(2, 3)
+        wanted = sorted(tagged.regions[r] for r in modulus)
+        facets = [
+            f
+            for f in range(mesh.topology.index_map(2).size_local)
+            if sorted(tags[cells_of.links(f)]) == wanted
+        ]
+        part = self.part = _part(tagged, 2, np.array(facets, dtype=np.int32), name)
+        self.entities = np.array(
+            compute_integration_domains(
+                IntegralType.interior_facet, mesh.topology, part.to_parent, 2
+            )
+        ).reshape(-1, 4)
+        turned = tags[self.entities[:, 0]] != tagged.regions[self.master]
+        self.entities[turned] = self.entities[turned][:, [2, 3, 0, 1]]
+        # Both sides of a facet are mapped for every form on it, so each body's map must hold some
+        # valid cell for the cells across; what is computed there is multiplied by nothing.
+        plus, minus = self.entities[:, 0], self.entities[:, 2]
+        m, s = bodies[self.master], bodies[self.slave]
+        m.map[minus], s.map[plus] = m.map[plus], s.map[minus]
+        nodes = np.flatnonzero(part.dof_of_node >= 0)
+        nodes = nodes[np.argsort(part.dof_of_node[nodes])]
+        self.dofs = np.stack([m.dof_of_node[nodes], s.dof_of_node[nodes]])
+        space = part.u.function_space
+        submesh = space.mesh
+        x = submesh.geometry.x[submesh.geometry.dofmap]
+        edge = np.linalg.norm(x - x[:, [1, 2, 0]], axis=2).mean()
+        self.normal, self.area = _nodal_normal(tagged, part, self.entities)
+        self.free, self.old = fem.Function(space), fem.Function(space)
+        self.free.x.array[:] = 1
+        self.gap = fem.Function(fem.functionspace(submesh, ("Lagrange", 1)))
+        at = self.gap.function_space.tabulate_dof_coordinates()
+        gap = evaluate(law.gap, at) if isinstance(law.gap, str) else law.gap
+        self.full_gap: Floats = np.broadcast_to(gap, len(at))
+        r = r_factor * modulus[self.slave] / edge
+        self.r = fem.Constant(mesh, default_scalar_type(r))
+        self.friction = fem.Constant(mesh, default_scalar_type(law.friction_coefficient))
 
 
 def solve(
@@ -158,7 +191,7 @@ def solve(
     """
     assert tagged.mesh.comm.size == 1 and case.mesh.order == 1
     bodies = {name: _body(tagged, name) for name in case.regions}
-    interfaces = [_interface(case, tagged, bodies, name, r_factor) for name in case.interfaces]
+    interfaces = [Interface(case, tagged, bodies, name, r_factor) for name in case.interfaces]
     assert len(interfaces) == len(tagged.interfaces)
     amplitudes: list[tuple[fem.Constant, tuple[float, ...] | None]] = []
     residual = _residual(case, tagged, bodies, interfaces, amplitudes)
@@ -168,7 +201,11 @@ def solve(
     both_held = [_held_on_both_sides(i, bodies, held) for i in interfaces]
     for i, rows in zip(interfaces, both_held, strict=True):
         i.free.x.array[rows] = 0
-        _take_out(i.normal, rows)
+        # No normal in these components; none at all where nothing is left.
+        n = i.normal.x.array.reshape(-1, 3)
+        n.ravel()[rows] = 0
+        size = np.linalg.norm(n, axis=1, keepdims=True)
+        n /= np.where(size > 0, size, 1)
     states = []
     for time in times:
         for constant, history in amplitudes:
@@ -225,71 +262,6 @@ def _part(tagged: TaggedMesh, dim: int, entities: NDArray[np.int32], name: str) 
 
 def _body(tagged: TaggedMesh, region: str) -> Part:
     return _part(tagged, 3, tagged.cell_tags.find(tagged.regions[region]), region)
-
-
-def _interface(
-    case: Case,
-    tagged: TaggedMesh,
-    bodies: dict[str, Part],
-    name: str,
-    r_factor: float,
-) -> Interface:
-    """Facets between two regions, the stiffer one's cells first."""
-    mesh = tagged.mesh
-    law, sides = case.interfaces[name], tagged.interfaces[name]
-    assert isinstance(law, Coulomb)
-    ((first,), (second,)) = sides
-    modulus = {region: _isotropic(case, region)[0] for region in (first, second)}
-    master, slave = (first, second) if modulus[first] >= modulus[second] else (second, first)
-    tags = tagged.cell_tags.values
-    assert np.array_equal(tagged.cell_tags.indices, np.arange(len(tags)))
-    cells_of = mesh.topology.connectivity(2, 3)
-    pairs = {
-        f: tags[cells_of.links(f)]
-        for f in range(mesh.topology.index_map(2).size_local)
-        if len(cells_of.links(f)) == 2
-    }
-    wanted = {tagged.regions[master], tagged.regions[slave]}
-    facets = np.array([f for f, pair in pairs.items() if set(pair) == wanted], dtype=np.int32)
-    part = _part(tagged, 2, facets, name)
-    entities = np.array(
-        compute_integration_domains(IntegralType.interior_facet, mesh.topology, facets, 2)
-    ).reshape(-1, 4)
-    turned = tags[entities[:, 0]] != tagged.regions[master]
-    entities[turned] = entities[turned][:, [2, 3, 0, 1]]
-    # Both sides of a facet are mapped for every form on it, so each body's map must hold some
-    # valid cell for the cells across; what is computed there is multiplied by nothing.
-    bodies[master].map[entities[:, 2]] = bodies[master].map[entities[:, 0]]
-    bodies[slave].map[entities[:, 0]] = bodies[slave].map[entities[:, 2]]
-    submesh = part.u.function_space.mesh
-    x = submesh.geometry.x[submesh.geometry.dofmap]
-    edge = np.linalg.norm(x - x[:, [1, 2, 0]], axis=2).mean()
-    scalars = fem.functionspace(submesh, ("Lagrange", 1))
-    normal, area = _nodal_normal(tagged, part, entities)
-    free = fem.Function(part.u.function_space)
-    free.x.array[:] = 1
-    gap = fem.Function(scalars)
-    at = scalars.tabulate_dof_coordinates()
-    if isinstance(law.gap, str):
-        full_gap = np.asarray(evaluate(law.gap, at), dtype=np.float64)
-    else:
-        full_gap = np.full(len(at), law.gap)
-    return Interface(
-        name=name,
-        master=master,
-        slave=slave,
-        part=part,
-        entities=entities,
-        normal=normal,
-        area=area,
-        free=free,
-        gap=gap,
-        full_gap=full_gap,
-        old=fem.Function(part.u.function_space),
-        r=fem.Constant(mesh, default_scalar_type(r_factor * modulus[slave] / edge)),
-        friction=fem.Constant(mesh, default_scalar_type(law.friction_coefficient)),
-        history=law.gap_history,
-    )
 
 
 def _vertex_rule(tagged: TaggedMesh, entities: Sequence[NDArray[np.int32]]) -> Any:
@@ -367,27 +339,14 @@ def _held_on_both_sides(
     interface: Interface, bodies: dict[str, Part], held: list[Held]
 ) -> list[int]:
     """Unrolled dofs of the multiplier in whose component supports hold both sides."""
-    names = list(bodies)
-    of = interface.part.dof_of_node
-    nodes = np.flatnonzero(of >= 0)
-    sides = [
-        (bodies[name].dof_of_node[nodes], held[names.index(name)])
-        for name in (interface.master, interface.slave)
-    ]
+    of_body = dict(zip(bodies, held, strict=True))
+    m, s = of_body[interface.master], of_body[interface.slave]
     return [
-        3 * int(of[node]) + c
-        for k, node in enumerate(nodes)
+        3 * k + c
+        for k, (on_m, on_s) in enumerate(interface.dofs.T)
         for c in range(3)
-        if all(3 * int(dofs[k]) + c in values for dofs, values in sides)
+        if 3 * on_m + c in m and 3 * on_s + c in s
     ]
-
-
-def _take_out(normal: fem.Function, components: list[int]) -> None:
-    """Take components out of the nodal normals and normalise again; zero where none is left."""
-    n = normal.x.array.reshape(-1, 3)
-    n.ravel()[components] = 0
-    size = np.linalg.norm(n, axis=1, keepdims=True)
-    n /= np.where(size > 0, size, 1)
 
 
 # Forms
@@ -498,10 +457,10 @@ class _Newton:
 
     def __init__(self, tagged: TaggedMesh, parts: list[Part], residual: Any) -> None:
         self._parts = parts
-        maps = {p.u.function_space.mesh: p.map for p in parts}
-        spaces = ufl.MixedFunctionSpace(*(p.u.function_space for p in parts))
+        spaces = [p.u.function_space for p in parts]
+        maps = {V.mesh: p.map for V, p in zip(spaces, parts, strict=True)}
         rows = ufl.extract_blocks(residual)
-        trials = ufl.TrialFunctions(spaces)
+        trials = ufl.TrialFunctions(ufl.MixedFunctionSpace(*spaces))
         jacobian = [
             [
                 None if (J := expand_derivatives(ufl.derivative(row, p.u, w))).empty() else J
@@ -513,25 +472,19 @@ class _Newton:
         self._J = fem.form(jacobian, entity_maps=maps)
         self._A = fem_petsc.create_matrix_block(self._J)
         self._b = fem_petsc.create_vector_block(self._F)
-        sizes = [len(p.u.x.array) for p in parts]
-        self._ends = np.cumsum([0, *sizes])
-        ksp = PETSc.KSP().create(MPI.COMM_SELF)
-        ksp.setOperators(self._A)
-        ksp.setType("preonly")
-        ksp.getPC().setType("lu")
-        ksp.getPC().setFactorSolverType("mumps")
-        self._ksp = ksp
-
-    def _get(self) -> Floats:
-        return np.concatenate([p.u.x.array for p in self._parts])
+        self._ends = np.cumsum([0, *(len(p.u.x.array) for p in parts)])
+        self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
+        self._ksp.setOperators(self._A)
+        self._ksp.setType("preonly")
+        self._ksp.getPC().setType("lu")
+        self._ksp.getPC().setFactorSolverType("mumps")
 
     def _set(self, x: Floats) -> None:
         for p, a, b in zip(self._parts, self._ends, self._ends[1:], strict=False):
             p.u.x.array[:] = x[a:b]
 
     def _evaluate(self, fixed: Ints) -> Floats:
-        with self._b.localForm() as local:
-            local.set(0)
+        self._b.set(0)
         fem_petsc.assemble_vector_block(self._b, self._F, self._J, [])
         f = self._b.array.copy()
         f[fixed] = 0
@@ -549,7 +502,7 @@ class _Newton:
             for dof, value in dofs.items()
         }
         rows = np.array(sorted(given), dtype=np.int64)
-        x = self._get()
+        x = np.concatenate([p.u.x.array for p in self._parts])
         x[rows] = [given[k] for k in rows.tolist()]
         self._set(x)
         f = self._evaluate(rows)
@@ -585,32 +538,19 @@ class _Newton:
 
 def _jump(i: Interface, bodies: dict[str, Part]) -> Floats:
     """Slave minus master at the dofs of the interface (n, 3)."""
-    of = i.part.dof_of_node
-    nodes = np.flatnonzero(of >= 0)
-    jump = np.zeros((len(nodes), 3))
-    s, m = bodies[i.slave], bodies[i.master]
-    jump[of[nodes]] = (
-        s.u.x.array.reshape(-1, 3)[s.dof_of_node[nodes]]
-        - m.u.x.array.reshape(-1, 3)[m.dof_of_node[nodes]]
-    )
-    return jump
+    u_m, u_s = (bodies[name].u.x.array.reshape(-1, 3) for name in (i.master, i.slave))
+    return u_s[i.dofs[1]] - u_m[i.dofs[0]]
 
 
 def _state(bodies: dict[str, Part], interfaces: list[Interface], iterations: int) -> State:
     result = {}
     for i in interfaces:
-        jump = _jump(i, bodies)
-        n = i.normal.x.array.reshape(-1, 3).copy()
+        jump, n = _jump(i, bodies), i.normal.x.array.reshape(-1, 3).copy()
         step = jump - i.old.x.array.reshape(-1, 3)
-        result[i.name] = InterfaceState(
-            vertex=i.part.vertex,
-            normal=n,
-            area=i.area,
-            jump=jump,
-            slip=step - np.sum(step * n, axis=1, keepdims=True) * n,
-            force=i.part.u.x.array.reshape(-1, 3).copy(),
-        )
-    displacement: dict[str, tuple[Ints, Floats]] = {
+        slip = step - np.sum(step * n, axis=1, keepdims=True) * n
+        force = i.part.u.x.array.reshape(-1, 3).copy()
+        result[i.name] = InterfaceState(i.part.vertex, n, i.area, jump, slip, force)
+    displacement = {
         name: (part.vertex, part.u.x.array.reshape(-1, 3).copy()) for name, part in bodies.items()
     }
     return State(result, displacement, iterations)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -12,20 +11,8 @@ import pytest
 from app.errors import InputError
 from app.report import compare
 from app.report.sweep_results import Number
-from tests.support import STEM, extended
-
-CASE = STEM.replace("size: 5 mm", "size: 8 mm")
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A stem, and the same with more friction on it."""
-    folder = tmp_path_factory.mktemp("compared")
-    for name, friction in (("low", "0.2"), ("high", "0.8")):
-        change = f"interfaces.stem_cement.friction_coefficient={friction}"
-        done = extended(folder, "", CASE, "run", "case.yaml", "-o", name, "--set", change)
-        assert done.returncode == 0, done.stderr
-    return folder / "low", folder / "high"
+from app.results.reading import Run
+from tests.report.conftest import FRICTION
 
 
 def cells(html: str, anchor: str) -> list[list[str]]:
@@ -36,32 +23,27 @@ def cells(html: str, anchor: str) -> list[list[str]]:
     return [re.findall(r"<td[^>]*>(.*?)</td>", row, re.S) for row in rows]
 
 
-def test_the_page_says_what_differs(runs: tuple[Path, Path]) -> None:
+def test_the_page_says_what_differs(stems: tuple[Run, Run], tmp_path: Path) -> None:
     """The changed key alone, and numbers of both with what the second has more."""
-    html = compare.write(runs, runs[0].parent / "new" / "page.html").read_text(encoding="utf-8")
-    assert cells(html, "input") == [
-        ["interfaces.stem_cement.friction_coefficient", "0.2", "0.8"],
-    ]
-    slips: list[Any] = [
-        1e3 * json.loads((r / "summary.json").read_text())["interfaces"]["stem_cement"]["slip_p99"]
-        for r in runs
-    ]
-    (row,) = (r for r in cells(html, "numbers") if r[0].startswith("stem-cement slip, p99"))
+    folders = [run.folder for run in stems]
+    html = compare.write(folders, tmp_path / "new" / "page.html").read_text(encoding="utf-8")
+    assert cells(html, "input") == [[FRICTION, "0.4", "0.9"]]
+    slips: list[Any] = [1e3 * run.summary["interfaces"]["stem_cement"]["slip_p99"] for run in stems]
+    row = next(r for r in cells(html, "differences") if r[0].startswith("stem-cement slip, p99"))
     assert [float(row[1]), float(row[2])] == pytest.approx(slips, rel=1e-3)
     assert float(row[3].split()[0]) == pytest.approx(slips[1] - slips[0], rel=1e-3)
     assert html.count('class="one"') == 3  # two runs and their difference
     assert "by more than their errors" in html
-    assert not re.search(
-        r"(src|href)=\"(?!#|data:)", re.sub(r"<script>.*?</script>", "", html, flags=re.S)
-    )
+    scripts = re.sub(r"<script>.*?</script>", "", html, flags=re.S)
+    assert not re.search(r"(src|href)=\"(?!#|data:)", scripts)
 
 
-def test_the_same_run_twice_does_not_differ(runs: tuple[Path, Path]) -> None:
+def test_the_same_run_twice_does_not_differ(stems: tuple[Run, Run], tmp_path: Path) -> None:
     """Neither in input nor in numbers."""
-    html = compare.write([runs[0], runs[0]], runs[0].parent / "same.html").read_text("utf-8")
+    html = compare.write([stems[0].folder] * 2, tmp_path / "same.html").read_text("utf-8")
     assert "No main number differs" in html
     assert "runs of the same case" in html
-    assert {row[3] for row in cells(html, "numbers")} == {"0"}
+    assert {row[3] for row in cells(html, "differences")} == {"0"}
 
 
 @pytest.mark.parametrize(

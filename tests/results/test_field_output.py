@@ -9,16 +9,15 @@ from typing import Any
 
 from mpi4py import MPI
 
-import h5py
 import numpy as np
 import pytest
 from dolfinx import fem
 
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
-from app.results.field_output import Fields, HeatFields, OutputNodes
+from app.results.field_output import FieldGroup, Fields, HeatFields, OutputNodes
 from app.results.interface_numbers import ContactSamples
-from app.results.reading import shape_functions
+from app.results.reading import Run, shape_functions
 from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import Bodies, bodies_of
 from app.scene.scene import Scene
@@ -67,74 +66,67 @@ def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
     temperatures = operators.temperatures(state)
     record.start(temperatures)
     record.update(60.0, temperatures)
-    degree = x[record.exposure("cement")[0].dof, 0] / 5
+    degree = x[record.regions["cement"].nodes.dof, 0] / 5
     heating: Any = SimpleNamespace(
         operators=operators, vectors=lambda: state, degrees=lambda: {"cement": degree}
     )
     return HeatFields(heating, record, SIDES)
 
 
-def read(path: Path) -> tuple[dict[str, Any], Any, Any, Any]:
-    with h5py.File(path) as file:
-        root = file["VTKHDF"]
-        fields = {k: v[:] for k, v in root["PointData"].items()}
-        width = len(root["Connectivity"]) // len(root["Types"])
-        cells = root["Connectivity"][:].reshape(-1, width)
-        return fields, root["Points"][:], cells, root["CellData/region"][:]
+def written(tagged: TaggedMesh, groups: tuple[FieldGroup, ...], path: Path) -> Run:
+    """What is read back of one step; the same on all ranks."""
+    fields = Fields(tagged, groups, path)
+    fields.open()
+    fields.write(1.0, None)
+    tagged.mesh.comm.barrier()
+    return Run(path.parent)
+
+
+def of_regions(run: Run) -> list[np.ndarray]:
+    """Nodes of bone and of cement (n,)."""
+    return [np.isin(np.arange(len(run.points)), run.nodes_of(region)) for region in (1, 2)]
 
 
 def check_heat_alone(comm: MPI.Comm, path: Path) -> None:
     tagged = two_blocks(comm)
-    fields = Fields(tagged, (heat(tagged, True),), path)
-    fields.begin()
-    fields.write(1.0, None)
-    if comm.rank:
-        return
-    fields, x, cells, region = read(path)
-    assert cells.shape[1] == 4 and "displacement" not in fields
+    run = written(tagged, (heat(tagged, True),), path)
+    x, (bone, cement) = run.points, of_regions(run)
+    assert run.cells.shape[1] == 4 and "displacement" not in run.point_fields
     # Two blocks of 8 x 8 x 4 cubes: every node once, on any number of ranks.
-    assert len(x) == 2 * 9 * 9 * 5
-    bone = np.isin(np.arange(len(x)), cells[region == 1])
-    cement = np.isin(np.arange(len(x)), cells[region == 2])
-    assert not (bone & cement).any()
+    assert len(x) == 2 * 9 * 9 * 5 and not (bone & cement).any()
     T = 40 + 4 * x[:, 2] + x[:, 1]
-    assert fields["temperature"] == pytest.approx(np.where(bone, T, T - 10 - x[:, 0]))
     at = np.abs(x[:, 2] - 2) < 1e-9
     # First side bone: second minus first is negative, and heat flows from first to second.
     jump = np.where(at, -10 - x[:, 0], 0)
-    assert fields["bone_cement_temperature_jump"] == pytest.approx(jump)
-    assert fields["bone_cement_heat_flux"] == pytest.approx(-1e3 * H * jump)
-    assert fields["degree_of_cure"] == pytest.approx(np.where(cement, x[:, 0] / 5, 0))
     minutes = np.where(T >= 43, 2 ** (T - 43), np.where(T >= 39, 4 ** (T - 43.0), 0))
-    assert fields["cem43"] == pytest.approx(np.where(bone, minutes, 0))
-    assert fields["seconds_over_47"] == pytest.approx(np.where(bone & (T > 46.999), 60, 0))
+    for name, values in {
+        "temperature": np.where(bone, T, T - 10 - x[:, 0]),
+        "bone_cement_temperature_jump": jump,
+        "bone_cement_heat_flux": -1e3 * H * jump,
+        "degree_of_cure": np.where(cement, x[:, 0] / 5, 0),
+        "cem43": np.where(bone, minutes, 0),
+        "seconds_over_47": np.where(bone & (T > 46.999), 60, 0),
+    }.items():
+        assert run.on_points(name) == pytest.approx(values), name
+    comm.barrier()
 
 
 def check_both(comm: MPI.Comm, path: Path) -> None:
     """Bonded mechanics of second order over heat that jumps, and over heat that does not."""
     tagged = two_blocks(comm)
     for resists in (True, False):
-        fields = Fields(tagged, (Motion(tagged), heat(tagged, resists)), path)
-        fields.begin()
-        fields.write(1.0, None)
-        comm.barrier()
-        if comm.rank:
-            continue
-        fields, x, cells, region = read(path)
-        assert cells.shape[1] == 10
-        assert len(x) == 17 * 17 * (18 if resists else 17)
-        assert fields["place"] == pytest.approx(x)
-        bone = np.isin(np.arange(len(x)), cells[region == 1])
-        cement = np.isin(np.arange(len(x)), cells[region == 2])
+        run = written(tagged, (Motion(tagged), heat(tagged, resists)), path)
+        x, (bone, cement) = run.points, of_regions(run)
+        assert run.cells.shape[1] == 10 and len(x) == 17 * 17 * (18 if resists else 17)
+        assert run.on_points("place") == pytest.approx(x)
         assert (bone & cement).any() != resists
         T = 40 + 4 * x[:, 2] + x[:, 1] - np.where(cement & resists, 10 + x[:, 0], 0)
-        assert fields["temperature"] == pytest.approx(T)
+        assert run.temperature() == pytest.approx(T)
         # Middle nodes are where VTK wants them.
         N, _ = shape_functions(np.array([[0.2, 0.3, 0.1]]), 10)
         L, _ = shape_functions(np.array([[0.2, 0.3, 0.1]]), 4)
-        assert N @ fields["temperature"][cells].T == pytest.approx(
-            L @ fields["temperature"][cells[:, :4]].T
-        )
+        assert N @ T[run.cells].T == pytest.approx(L @ T[run.cells[:, :4]].T)
+        comm.barrier()
 
 
 def test_heat_alone(tmp_path: Path) -> None:

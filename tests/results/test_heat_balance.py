@@ -23,18 +23,13 @@ def cool(theta: float, steps: int, leak: float = 0.0) -> HeatBalance:
 
 
 def test_the_integrators_sum_is_exact() -> None:
+    """The other sum is that of the trapezoidal rule; a leak shows."""
     balance = cool(1.0, 12)
     assert balance.heat < 1e-14
     # Backward Euler's flow is not the trapezoidal one: off by half a step's decay.
     assert balance.quadrature == pytest.approx(K * STEP / C / 2, rel=1e-12)
-
-
-def test_the_quadrature_is_that_of_the_trapezoidal_rule() -> None:
     balance = cool(0.5, 12)
     assert balance.heat < 1e-14 and balance.quadrature < 1e-14
-
-
-def test_a_leak_shows() -> None:
     assert cool(1.0, 5, leak=1e-3).heat == pytest.approx(1e-3, rel=1e-9)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 from mpi4py import MPI
 
@@ -20,8 +22,7 @@ def test_a_section_is_whole_and_outlined() -> None:
     z = space.tabulate_dof_coordinates()[:, 2]
     T = [ZERO + 40 + z, ZERO + 80 - z]
     corners, tags = temperature_section._corners(tagged, space.dofmap.list, BODIES.of_region, T)
-    piece = temperature_section._cut(corners, tags, 1, 1.7)
-    triangles, outline = temperature_section._join([piece])
+    triangles, outline = temperature_section._cut(corners, tags, 1, 1.7)
     x, t = triangles[:, :, :3], triangles[:, :, 3]
     area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
     assert area.sum() == pytest.approx(16)
@@ -38,8 +39,11 @@ def test_pictures_are_written(tmp_path: Path) -> None:
     space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
     T = ZERO + 40 + 4 * space.tabulate_dof_coordinates()[:, 2]
     path = tmp_path / "section.png"
-    where = (path, tagged, space.dofmap.list, BODIES.of_region, [T, T])
+    operators: Any = SimpleNamespace(
+        tagged=tagged, forms=SimpleNamespace(space=space), bodies=BODIES
+    )
     for z in (0.0, 2.0, 4.0):
-        temperature_section.section(*where, 12.0, (1.0, 1.0, z))
+        record: Any = SimpleNamespace(hottest=[T, T], hottest_time=12.0, hottest_at=(1.0, 1.0, z))
+        temperature_section.section(path, operators, record)
         assert path.read_bytes().startswith(b"\x89PNG")
         path.unlink()

@@ -11,6 +11,19 @@ from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 from tests.support import STEM, Solved, solve
 
 MIDDLES = ((1, 2), (0, 2), (0, 1))
+PRESSED = """
+geometry:
+  kind: blocks
+  blocks: [{name: base, size: [10 mm, 10 mm, 5 mm]}, {name: upper, size: [10 mm, 10 mm, 5 mm]}]
+mesh: {order: 2, size: 5 mm}
+regions: {base: &one {youngs_modulus: 1 GPa, poisson_ratio: 0}, upper: *one}
+interfaces:
+  base_upper: {kind: penalty, penalty: 1000 MPa/mm, friction_coefficient: 0}
+supports:
+  below: {kind: fixed, boundary: bottom}
+  side: {kind: displacement, boundary: top, x: 0 mm, y: 0 mm}
+loads: {weight: {kind: pressure, boundary: top, pressure: 2 MPa}}
+"""
 
 
 def on_a_cylinder(radius: float, angle: float) -> tuple[InterfaceFacets, Floats]:
@@ -120,25 +133,7 @@ def test_it_is_the_distance_of_the_deformed_surfaces() -> None:
 
 def test_a_penalty_penetrates_between_points_as_at_points() -> None:
     """Both methods are measured alike: on plane facets between points is what is at points."""
-    s = solve(
-        """
-geometry:
-  kind: blocks
-  blocks: [{name: base, size: [10 mm, 10 mm, 5 mm]}, {name: upper, size: [10 mm, 10 mm, 5 mm]}]
-mesh: {order: 2, size: 5 mm}
-regions:
-  base: {youngs_modulus: 1 GPa, poisson_ratio: 0}
-  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0}
-interfaces:
-  base_upper: {kind: penalty, penalty: 1000 MPa/mm, friction_coefficient: 0}
-supports:
-  below: {kind: fixed, boundary: bottom}
-  side: {kind: displacement, boundary: top, x: 0 mm, y: 0 mm}
-loads:
-  weight: {kind: pressure, boundary: top, pressure: 2 MPa}
-"""
-    )
+    s = solve(PRESSED)
     q = s.interfaces["base_upper"]
-    assert q["penetration_max"] == pytest.approx(2 / 1000, rel=1e-9)
-    assert q["penetration_sampled"] == pytest.approx(2 / 1000, rel=1e-9)
-    assert q["penetration_mean"] == pytest.approx(2 / 1000, rel=1e-9)
+    for what in ("max", "sampled", "mean"):
+        assert q[f"penetration_{what}"] == pytest.approx(2 / 1000, rel=1e-9)

@@ -31,31 +31,21 @@ def cylinder(turn: float) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("turn", [0.0, 7.0, 15.0, -100.0])
-def test_angle_and_height_of_a_cylinder_are_exact(turn: float) -> None:
+def test_a_cylinder_is_unrolled_exactly(turn: float) -> None:
+    """Without holes or smears at the seam: each place in the window is in one triangle."""
     points, triangles = cylinder(turn)
     corners, nodes = unrolled.unroll(points, triangles)
     x = points[nodes]
     assert corners[:, :, 1] == pytest.approx(x[:, :, 2], abs=1e-12)
-    angle = np.radians(corners[:, :, 0])
-    assert RADIUS * np.cos(angle) == pytest.approx(x[:, :, 0], abs=1e-9)
-    assert RADIUS * np.sin(angle) == pytest.approx(x[:, :, 1], abs=1e-9)
+    angle = corners[:, :, 0]
+    assert RADIUS * np.cos(np.radians(angle)) == pytest.approx(x[:, :, 0], abs=1e-9)
+    assert RADIUS * np.sin(np.radians(angle)) == pytest.approx(x[:, :, 1], abs=1e-9)
     # The cap is seen edge on and left out.
     assert len(points) - 1 not in nodes
-
-
-@pytest.mark.parametrize("turn", [0.0, 7.0, 15.0, -100.0])
-def test_the_seam_has_neither_holes_nor_smears(turn: float) -> None:
-    """No triangle is wider than it is on the cylinder; together they fill the window once."""
-    points, triangles = cylinder(turn)
-    corners, _ = unrolled.unroll(points, triangles)
-    angle = corners[:, :, 0]
     assert np.ptp(angle, axis=1) == pytest.approx(360.0 / N)
     low, high = unrolled.SEAM, unrolled.SEAM + 360.0
     # One that ends at the seam may be there on its other side too, by rounding.
-    touching = 1e-9
-    assert angle.min(axis=1).max() < high + touching
-    assert angle.max(axis=1).min() > low - touching
-    # Every place in the window is inside exactly one triangle.
+    assert angle.min(axis=1).max() < high + 1e-9 and angle.max(axis=1).min() > low - 1e-9
     rng = np.random.default_rng(1)
     sample = np.stack([rng.uniform(low, high, 400), rng.uniform(0.0, LENGTH, 400)], axis=1)
     inside = np.zeros(len(sample), dtype=int)
@@ -74,11 +64,8 @@ def two_bodies(order: int) -> Any:
         corners = [np.vstack([x, x[ends].mean(axis=1)]) for x in corners]
     width = len(corners[0])
     points = np.vstack(corners)
-    return SimpleNamespace(
-        points=points,
-        cells=np.arange(2 * width).reshape(2, width),
-        region=np.array([1, 2]),
-    )
+    cells = np.arange(2 * width).reshape(2, width)
+    return SimpleNamespace(points=points, cells=cells, region=np.array([1, 2]))
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -94,16 +81,12 @@ def test_facets_are_those_between_the_bodies(order: int) -> None:
 
 def test_a_flat_interface_is_drawn_in_its_own_plane() -> None:
     run = two_bodies(1)
-    sides = (("lower",), ("upper",))
-    sheet = unrolled.sheet(run, "blocks", sides, ("lower", "upper"))
+    sheet = unrolled.sheet(run, "blocks", (("lower",), ("upper",)), ("lower", "upper"))
     assert sheet is not None and not sheet.round
     a, b, c = sheet.corners[0]
     lengths = sorted(float(np.linalg.norm(e)) for e in (b - a, c - b, a - c))
     assert lengths == pytest.approx([2.0, 2.0, np.sqrt(8.0)])
-
-
-def test_bodies_that_do_not_meet_have_no_map() -> None:
-    run = two_bodies(1)
+    # Bodies that do not meet have no map.
     run.points[4:] += 1.0
     assert unrolled.sheet(run, "blocks", (("a",), ("b",)), ("a", "b")) is None
 

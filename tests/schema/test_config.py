@@ -18,7 +18,6 @@ from app.case.run_options import Stage
 from app.errors import InputError
 from app.laws.interface_laws import Bonded
 from app.laws.loads import Force
-from app.laws.materials import Isotropic
 from app.schema.expressions import evaluate
 from tests.support import CONFIGS
 
@@ -100,6 +99,8 @@ def test_overrides_reach_everything(tmp_path: Path) -> None:
         "geometry.blocks[1].name=top_one",
         "regions.upper=",
         "regions={lower: {rigid: true}, top_one: {youngs_modulus: 1 GPa, poisson_ratio: 0}}",
+        "regions.top_one.eigenstrains=[{strain: -1e-3}, {strain: [0, 0, 1e-3, 0, 0, 0]}]",
+        "supports.base={kind: foundation, boundary: bottom, stiffness: 0.1 GPa/mm}",
         "loads.push.kind=force",
         "loads.push.boundary=top",
         "loads.push.force=[0, 0, -1] kN",
@@ -113,27 +114,10 @@ def test_overrides_reach_everything(tmp_path: Path) -> None:
     assert case.geometry.region_names == ("lower", "top_one")
     assert case.loads["push"].force == (0.0, 0.0, -1000.0)  # type: ignore[union-attr]
     assert case.solver.petsc == {"ksp_monitor": True}
-
-
-def test_single_values_stand_for_all_directions(tmp_path: Path) -> None:
-    case = loaded(
-        tmp_path,
-        MINIMAL,
-        "supports.base={kind: foundation, boundary: bottom, stiffness: 0.1 GPa/mm}",
-        "regions.lower.eigenstrains=[{strain: -1e-3}, {strain: [0, 0, 1e-3, 0, 0, 0]}]",
-    )
+    # Single values stand for all directions.
     assert case.supports["base"].stiffness == (100.0, 100.0, 100.0)  # type: ignore[union-attr]
-    strains = [e.strain for e in case.regions["lower"].eigenstrains]  # type: ignore[union-attr]
+    strains = [e.strain for e in case.regions["top_one"].eigenstrains]  # type: ignore[union-attr]
     assert strains == [(-1e-3, -1e-3, -1e-3, 0, 0, 0), (0, 0, 1e-3, 0, 0, 0)]
-
-
-def test_merged_keys_and_anchors(tmp_path: Path) -> None:
-    text = MINIMAL.replace("{rigid: true}", "{<<: *lower, poisson_ratio: 0.1}").replace(
-        "lower: {youngs", "lower: &lower {youngs"
-    )
-    upper = loaded(tmp_path, text).regions["upper"]
-    assert isinstance(upper, Isotropic)
-    assert (upper.youngs_modulus, upper.poisson_ratio) == (2200.0, 0.1)
 
 
 def test_yaml_is_of_version_1_2(tmp_path: Path) -> None:

@@ -212,21 +212,6 @@ def test_conductors_alone_have_no_mechanics() -> None:
     assert (glued.master, glued.slave) == (("cement",), ("bone",))
 
 
-COLD = [
-    path for path in sorted(support.CONFIGS.glob("*.yaml")) if "thermal:" not in path.read_text()
-]
-
-
-@pytest.mark.parametrize("path", COLD, ids=lambda p: p.stem)
-def test_a_scene_without_heat_has_none_of_its_terms(path: Path) -> None:
-    case = load(path).config
-    found = build_scene(case)
-    heat = (*found.conductors, *found.heat, *found.thermal_contacts, *found.friction_heat)
-    assert heat + found.expansions + found.cures == ()
-    assert not any(s.takes_time for s in found.stages)
-    assert found.time is None
-
-
 # ------------------------------------------------------------------------ shipped cases
 
 

@@ -54,7 +54,7 @@ def test_augmentation_changes_no_answer(reference: Solved, factor: float) -> Non
     # The value used is reported.
     before, after = reference.problem.augmentation(), other.problem.augmentation()
     for name, value in after.items():
-        level = other.steps[-1].augmentation / reference.steps[-1].augmentation
+        level = other.steps[-1].outcome.augmentation / reference.steps[-1].outcome.augmentation
         assert value == pytest.approx(before[name] * factor * level)
 
 

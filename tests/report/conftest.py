@@ -1,0 +1,23 @@
+"""Runs that several tests of reports read."""
+
+from __future__ import annotations
+
+import pytest
+
+import mantle
+from app.results.reading import Run
+from tests.support import STEM
+
+FRICTION = "interfaces.stem_cement.friction_coefficient"
+
+
+@pytest.fixture(scope="session")
+def stems(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
+    """A stem loaded in two stages, at second order; and the same on the same mesh, rougher."""
+    folder = tmp_path_factory.mktemp("stems")
+    text = STEM.replace("order: 1", "order: 2").replace("-900 N]", "-900 N], history: [0.5, 1]")
+    (folder / "case.yaml").write_text(text + "stages: [{name: half}, {name: whole}]\n")
+    for name, friction in (("smooth", 0.4), ("rough", 0.9)):
+        case = mantle.load(folder / "case.yaml", **{FRICTION: friction})
+        mantle.run(case, folder / name)
+    return Run(folder / "smooth"), Run(folder / "rough")
