@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -87,10 +86,6 @@ class Load(Extensible, Named):
         """Given resultant at full amplitude [N]; None if it is not given."""
         return None
 
-    def traction(self, area: float) -> float:
-        """Magnitude of its traction on a boundary of an area [MPa]; 0 if it acts on none."""
-        return 0.0
-
 
 class Force(Load):
     """A resultant force, as a traction over the boundary; with `at`, with its moment too."""
@@ -107,10 +102,6 @@ class Force(Load):
     def resultant(self) -> tuple[float, float, float]:
         """The resultant at full amplitude [N]."""
         return self.force
-
-    def traction(self, area: float) -> float:
-        """Magnitude of its mean traction on a boundary of an area [MPa]."""
-        return math.hypot(*self.force) / area
 
     def work(self, v: Expr, on: Any) -> Any:
         """Work of a traction that is linear over the boundary."""
@@ -138,10 +129,6 @@ class Pressure(Load):
     """Boundary of the geometry."""
     pressure: Stress
     """Pressure."""
-
-    def traction(self, area: float) -> float:
-        """Magnitude of the pressure [MPa]."""
-        return abs(self.pressure)
 
     def work(self, v: Expr, on: Any) -> Any:
         """Work of a traction along the normal."""

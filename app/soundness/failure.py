@@ -26,18 +26,31 @@ class Explanation:
     """Why a solve failed.
 
     Attributes:
-        short: One clause for the log.
         free: Sentences on free bodies.
-        notes: Sentences on bodies that friction barely holds, on friction beyond which solutions
-            need not be unique, on the largest residual and on oscillating points.
-        doubtful: Whether friction is among the notes.
+        friction: Sentences on bodies that friction barely holds, and on friction beyond which
+            solutions need not be unique.
+        places: Sentences on the largest residual and on oscillating points.
     """
 
     outcome: NewtonResult
-    short: str
-    free: Sequence[str]
-    notes: Sequence[str]
-    doubtful: bool
+    free: Sequence[str] = ()
+    friction: Sequence[str] = ()
+    places: Sequence[str] = ()
+
+    @property
+    def short(self) -> str:
+        """One clause for the log."""
+        outcome = self.outcome
+        if self.free:
+            return self.free[0]
+        if outcome.linear_failed:
+            return "the linear solver failed"
+        if sum(outcome.changes[-5:]) > 0:
+            again = f", the same every {outcome.period} iterations" if outcome.period else ""
+            return (
+                f"contact states keep changing ({outcome.changes[-1]} in the last iteration{again})"
+            )
+        return f"the residual stays at {outcome.residuals[-1]:.1e} times the forces"
 
     def text(self, stage: str, reach: float, steps: Sequence[float]) -> str:
         """The message for the user.
@@ -50,14 +63,15 @@ class Explanation:
         code = f" [{Reason.LOOSE_BODY}]" if self.free else ""
         tail = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
         advice = "more increments, a finer mesh at the interface, or a smaller load"
-        if self.doubtful:
+        if self.friction:
             advice += "; other friction, or a support"
         if self.free:
             advice = "hold the free body (a support, friction, an elastic foundation)"
         lines = [
             f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it: {self.short}{code}",
             *self.free[1:],
-            *self.notes,
+            *self.friction,
+            *self.places,
             f"last residuals (relative to the forces): {tail}",
             f"tried: {attempts(self.outcome.tried, steps)}",
             f"what to change: {advice}",
@@ -67,29 +81,16 @@ class Explanation:
 
 def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanation:
     """Explain the failure of the last solve; collective."""
-    free: list[str] = []
-    friction: list[str] = []
-    places: list[str] = []
     u, q = solver.u_and_q(solver.failed_state)
-    if q is not None:
-        trial = problem.trial(u, q)
-        contact = trial.contact
-        free = loose_bodies.free_bodies(problem, trial)
-        friction = [
-            *([] if free else loose_bodies.sliding(problem, contact)),
-            *uniqueness.beyond(problem),
-        ]
-        places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
-    if free:
-        short = free[0]
-    elif outcome.linear_failed:
-        short = "the linear solver failed"
-    elif sum(outcome.changes[-5:]) > 0:
-        again = f", the same every {outcome.period} iterations" if outcome.period else ""
-        short = f"contact states keep changing ({outcome.changes[-1]} in the last iteration{again})"
-    else:
-        short = f"the residual stays at {outcome.residuals[-1]:.1e} times the forces"
-    return Explanation(outcome, short, free, [*friction, *places], bool(friction))
+    if q is None:
+        return Explanation(outcome)
+    trial = problem.trial(u, q)
+    contact = trial.contact
+    free = loose_bodies.free_bodies(problem, trial)
+    friction = [] if free else loose_bodies.sliding(problem, contact)
+    friction += uniqueness.look(problem)[1]
+    places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
+    return Explanation(outcome, free, friction, places)
 
 
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:
@@ -133,12 +134,12 @@ def _largest(problem: Problem, trial: TrialState) -> str:
     """Interface, place and state of the largest residual of contact points; collective."""
     contact = trial.contact
     r = np.linalg.norm(contact.residual(trial.equilibrium, trial.jump, trial.law), axis=1)
-    found = (-1.0, "")
-    if len(r):
-        k = int(np.argmax(r))
-        state = _state(trial.law.status[k])
-        found = (
+    local = [
+        (
             float(r[k]),
-            f"largest residual: {r[k]:.2e} N {_place(problem, contact, k)}, {state}",
+            f"largest residual: {r[k]:.2e} N {_place(problem, contact, k)}, "
+            f"{_state(trial.law.status[k])}",
         )
-    return max(problem.comm.allgather(found))[1]
+        for k in ([int(np.argmax(r))] if len(r) else [])
+    ]
+    return max(found for part in problem.comm.allgather(local) for found in part)[1]

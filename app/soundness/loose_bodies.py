@@ -113,29 +113,22 @@ class BodiesOnMesh:
         return rigid_modes((x - self._origin) / self._size)
 
     def _left_by_supports(self) -> Iterator[tuple[int, Floats]]:
-        """Stages with changed supports, with the motions they leave free (6 n, k)."""
-        before: dict[str, Any] = {}
+        """Stages with changed supports, with the motions they leave free (6 n, k), orthonormal."""
+        before, n = None, len(self._groups)
         for k, stage in enumerate(self._case.stages):
-            here = {n: s for n, s in self._case.supports.items() if holds(s, stage.name)}
-            if k == 0 or here != before:
-                yield k, self._left(here.values())
-            before = here
-
-    def _left(self, supports: Any) -> Floats:
-        """Motions that supports leave free (6 n, k), orthonormal."""
-        n = len(self._groups)
-        held = np.zeros((n, 6, 6))
-        for s in supports:
-            for piece, nodes in self._found.boundaries.get(s.boundary, {}).items():
-                modes = self._modes(self._found.x[nodes])
-                rows = (directions(s, self._found, nodes) @ modes).reshape(-1, 6)
-                held[self._of[piece]] += rows.T @ rows
-        blocks = []
-        for b in range(n):
-            values, vectors = np.linalg.eigh(held[b])
-            free = vectors[:, values <= FREE * max(values[-1], np.finfo(float).tiny)]
-            blocks.append(np.kron(np.eye(n)[:, [b]], free))
-        return np.hstack(blocks)
+            here = [s for s in self._case.supports.values() if holds(s, stage.name)]
+            if here == before:
+                continue
+            before, held = here, np.zeros((n, 6, 6))
+            for s in here:
+                for piece, nodes in self._found.boundaries.get(s.boundary, {}).items():
+                    modes = self._modes(self._found.x[nodes])
+                    rows = (directions(s, self._found, nodes) @ modes).reshape(-1, 6)
+                    held[self._of[piece]] += rows.T @ rows
+            values, vectors = np.linalg.eigh(held)
+            free = values <= FREE * np.maximum(values[:, -1:], np.finfo(float).tiny)
+            left = [np.kron(np.eye(n)[:, [b]], vectors[b][:, free[b]]) for b in range(n)]
+            yield k, np.hstack(left)
 
     def _resistance(
         self, shears: Mapping[str, float] | None, absent: Sequence[str] = ()

@@ -41,8 +41,7 @@ def needed(case: Case) -> float:
 def available(environ: Mapping[str, str] = os.environ) -> float:
     """Memory available to a run [byte]: installed, or as limited."""
     limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
-    if (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) != resource.RLIM_INFINITY:
-        limits.append(limit - UNUSED)
+    limits.append(_addresses() - UNUSED)
     for file in _group_limits():
         with suppress(OSError, ValueError):  # there is none, or "max"
             limits.append(float(file.read_text()))
@@ -50,6 +49,12 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
     given = (environ.get(name, "") for name in names)
     nodes, ranks, here = (float(text) if text.isdigit() else 1.0 for text in given)
     return min(limits) * max(nodes, ranks / here, 1.0)
+
+
+def _addresses() -> float:
+    """Limit of the addresses of a process [byte], infinite without one."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return math.inf if limit == resource.RLIM_INFINITY else float(limit)
 
 
 def _group_limits() -> Iterator[Path]:
@@ -96,15 +101,14 @@ def _lacks_memory(error: BaseException) -> bool:
 
 def _nearly_full() -> bool:
     """Whether this process has nearly reached its limit: libraries do not always say why."""
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
     peak = re.search(r"VmPeak:\s+(\d+) kB", status)
-    return bool(peak and limit > 0 and 1024 * int(peak[1]) > NEARLY * limit)
+    return bool(peak and 1024 * int(peak[1]) > NEARLY * _addresses())
 
 
 def _limits() -> str:
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit == resource.RLIM_INFINITY:
+    limit = _addresses()
+    if math.isinf(limit):
         return f"a process may use {available({}) / GIGABYTE:.1f} GB"
     return f"a process may use {limit / GIGABYTE:.1f} GB of addresses (ulimit -v)"
 
@@ -122,27 +126,23 @@ def check(file: CaseFile, case: Case) -> None:
             f"there is too little memory for any case: {_limits()}; mantle alone takes "
             f"{BASE / GIGABYTE:.1f} GB, and {(BASE + UNUSED) / GIGABYTE:.1f} GB of addresses"
         )
-    if needed(case) <= memory:
+    if (least := needed(case)) <= memory:
         return
     cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.unknowns(case)
     text = (
         f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which take at least "
-        f"{needed(case) / GIGABYTE:.2g} GB; there are {memory / GIGABYTE:.2g} GB"
+        f"{least / GIGABYTE:.2g} GB; there are {memory / GIGABYTE:.2g} GB"
     )
     if isinstance(case.geometry, MeshFile):
         file.raise_all([Fault(("geometry", "path"), text)])
-    larger = _fitting(case, memory)
-    hint = f"; {larger:g} mm would do" if larger <= min(case.geometry.coarsest_size, ABSURD) else ""
-    file.raise_all([Fault(("mesh", "size"), f"{case.mesh.size:g} mm {text}{hint}")])
-
-
-def _fitting(case: Case, memory: float) -> float:
-    """Size with which a case fits [mm]: two digits, a few tenths too large at most."""
     size = case.mesh.size
     while needed(_with_size(case, size)) > memory:
         size *= 1.02
+    # Two digits, a few tenths too large at most.
     digit = 10.0 ** (math.floor(math.log10(size)) - 1)
-    return float(f"{digit * math.ceil(size / digit):.2g}")
+    larger = float(f"{digit * math.ceil(size / digit):.2g}")
+    hint = f"; {larger:g} mm would do" if larger <= min(case.geometry.coarsest_size, ABSURD) else ""
+    file.raise_all([Fault(("mesh", "size"), f"{case.mesh.size:g} mm {text}{hint}")])
 
 
 def _with_size(case: Case, size: float) -> Case:

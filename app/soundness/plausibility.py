@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from app.case.case import Case
 from app.laws.thermal import PressureConductance
 from app.schema.section import Section
 from app.system.layout import plain
 
+Range = tuple[float, float]
 # Ranges of material data, in internal units: from foam to diamond and osmium. Absolute temperatures
 # between dry ice and burning.
 TEMPERATURES = (190.0, 800.0)
@@ -52,19 +53,13 @@ def warnings(case: Case) -> list[str]:
             if getattr(region, "nearly_incompressible", False)
         ]
     for name, region in case.regions.items():
+        place, thermal = f"regions.{name}", region.thermal
         known = next(limits for word, limits in STIFFNESS.items() if word in name)
-        for key in MODULI:
-            if hasattr(region, key):
-                messages += _far_off(f"regions.{name}.{key}", region, key, *known)
-        if region.thermal is not None:
-            place, thermal = f"regions.{name}.thermal", region.thermal
-            for key, limits in USUAL.items():
-                messages += _far_off(f"{place}.{key}", thermal, key, *limits)
-            if thermal.cure is not None:
-                messages += _far_off(f"{place}.cure.heat", thermal.cure, "heat", 1.0, 1e4)
-    expands = any(
-        r.thermal is not None and r.thermal.thermal_expansion for r in case.regions.values()
-    )
+        messages += _far_off(place, region, dict.fromkeys(MODULI, known))
+        messages += _far_off(f"{place}.thermal", thermal, USUAL)
+        cure = None if thermal is None else thermal.cure
+        messages += _far_off(f"{place}.thermal.cure", cure, {"heat": (1.0, 1e4)})
+    expands = any(r.thermal and r.thermal.thermal_expansion for r in case.regions.values())
     messages += [
         f"interfaces.{name}: expansion and a conductance that grows with pressure feed each other: "
         "there may be several states, and the initial temperatures decide between them"
@@ -75,10 +70,9 @@ def warnings(case: Case) -> list[str]:
     if case.geometry.kind in ("femur", "intact_femur") and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
             messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
+    limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
-        for key in ("temperature", "ambient"):
-            if isinstance(getattr(condition, key, None), float):
-                messages += _far_off(f"heat.{name}.{key}", condition, key, *TEMPERATURES)
+        messages += _far_off(f"heat.{name}", condition, limits)
     return messages
 
 
@@ -96,8 +90,10 @@ def _largest_force(case: Case) -> float:
     return max((math.hypot(*force) * max(map(abs, h)) for force, h in loads), default=0.0)
 
 
-def _far_off(place: str, model: Section, key: str, low: float, high: float) -> Iterable[str]:
-    value = getattr(model, key)
-    if value and not low <= abs(value) <= high:
-        text = plain(model.model_dump(mode="json")[key])
-        yield f"{place} is {text}: a wrong unit?"
+def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[str]:
+    """Messages on values of a part of a case that are beyond the limits of their keys."""
+    for key, (low, high) in limits.items():
+        value = getattr(part, key, None)
+        if part and isinstance(value, float) and value and not low <= abs(value) <= high:
+            text = plain(part.model_dump(mode="json")[key])
+            yield f"{place}.{key} is {text}: a wrong unit?"

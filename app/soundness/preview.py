@@ -63,14 +63,12 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
         lines += ["probes", *_table(case.output.probes)]
     if varied := case.variations:
         lines.append(f"variations: {len(varied)} runs, and none of the case without them")
-        for name, changes in varied.items():
-            lines.append(f"  {name}: {plain(changes) or 'the case as it is'}")
+        lines += [f"  {n}: {plain(keys) or 'the case as it is'}" for n, keys in varied.items()]
     return "\n".join(lines)
 
 
 def _stage(stage: Stage) -> str:
-    time = f"{stage.duration:g} s, " if stage.duration else ""
-    time = time or ("until nothing changes, " if stage.steady else "")
+    time = f"{stage.seconds:g} s, " if stage.seconds else "until nothing changes, " * stage.steady
     steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
     return f"  {stage.name}: {time}{steps}{', adaptive' if stage.adaptive else ''}"
 
@@ -107,13 +105,12 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
 
 def _resultant(case: Case) -> Iterable[str]:
     """Resultant force at the end of the last stage."""
-    forces = [(load, load.resultant) for load in case.loads.values() if load.resultant is not None]
-    if not forces:
+    loads = [load for load in case.loads.values() if load.resultant is not None]
+    if not loads:
         return
-    factors = [1.0 if load.history is None else load.history[-1] for load, _ in forces]
-    total = [
-        sum(k * force[i] for k, (_, force) in zip(factors, forces, strict=True)) for i in range(3)
-    ]
+    factors = [1.0 if load.history is None else load.history[-1] for load in loads]
+    forces = zip(*(load.resultant for load in loads), strict=True)
+    total = [math.sumprod(factors, along) for along in forces]
     components = ", ".join(f"{c:.6g}" for c in total)
-    rest = "" if len(forces) == len(case.loads) else ", without pressures and body forces"
+    rest = "" if len(loads) == len(case.loads) else ", without pressures and body forces"
     yield f"  sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"

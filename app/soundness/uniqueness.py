@@ -115,23 +115,15 @@ def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
 
 
 def check(problem: Problem) -> dict[str, float]:
-    """Least critical coefficient of each frictional interface; collective.
-
-    Warns of interfaces whose friction coefficient exceeds it.
-    """
-    found, sentences = _look(problem)
+    """`look`, with the sentences as warnings."""
+    found, sentences = look(problem)
     for sentence in sentences:
         log.warning("%s", sentence)
     return found
 
 
-def beyond(problem: Problem) -> list[str]:
-    """Sentences on interfaces whose friction coefficient exceeds the critical one; collective."""
-    return _look(problem)[1]
-
-
-def _look(problem: Problem) -> tuple[dict[str, float], list[str]]:
-    """Least critical coefficient of each frictional interface, and sentences to report."""
+def look(problem: Problem) -> tuple[dict[str, float], list[str]]:
+    """Least critical coefficient of each frictional interface, and what exceeds it; collective."""
     found: dict[str, float] = {}
     sentences: list[str] = []
     contact = problem.contact

@@ -5,6 +5,7 @@ Certain errors are raised before anything is solved; doubts are notes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,6 @@ from app.case.case import Case
 from app.errors import InputError
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
-from app.laws.values import field
 from app.soundness.loose_bodies import BodiesOnMesh
 from app.soundness.mesh_parts import directions, gaps_of, history_of, holds, law_between
 from app.system.layout import point_text
@@ -64,7 +64,8 @@ def judge(case: Case, found: Parts) -> list[str]:
         return notes
     bodies = BodiesOnMesh(case, found)
     torn, split = _contradictions(case, found)
-    errors = [*bodies.unheld(), *torn, *_too_tight(case, found)]
+    tight, apart = _gaps(case, found)
+    errors = [*bodies.unheld(), *torn, *tight]
     if errors:
         # A crack is often why.
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
@@ -73,7 +74,8 @@ def judge(case: Case, found: Parts) -> list[str]:
         *bodies.loosely_held(),
         *split,
         *_clamped(case, found),
-        *_large(case, found),
+        *apart,
+        *_far(case, found),
         *_too_stiff(case, found),
         *_strained(case, found),
     ]
@@ -82,11 +84,10 @@ def judge(case: Case, found: Parts) -> list[str]:
 # What contradicts itself
 
 
-def _given(case: Case, support: Any, name: str, axis: str, x: Floats) -> Floats:
-    """Displacement prescribed by a support at points, at the end of each stage (stages, n) [mm]."""
-    value = getattr(support, axis, None) or 0.0
-    factors = np.array(history_of(case, getattr(support, "history", None)))
-    return np.asarray(factors[:, None] * field(f"supports.{name}.{axis}", value)(x))
+def _given(case: Case, name: str, x: Floats) -> Floats:
+    """Displacement prescribed by a support at points, at the ends of stages (stages, n, 3) [mm]."""
+    support: Any = case.supports[name]
+    return np.multiply.outer(history_of(case, support.history), support.named(name).values(x))
 
 
 def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
@@ -100,13 +101,13 @@ def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
     notes: list[str] = []
     for one, two in combinations(holding, 2):
         a, b = case.supports[one], case.supports[two]
-        nodes = np.intersect1d(holding[one], holding[two])
+        x = found.x[np.intersect1d(holding[one], holding[two])]
         both = [holds(a, stage.name) and holds(b, stage.name) for stage in case.stages]
-        for axis in sorted(set(a.held_axes) & set(b.held_axes)) if len(nodes) else ():
-            x = found.x[nodes]
-            first, second = (_given(case, s, n, axis, x)[both] for s, n in ((a, one), (b, two)))
-            size = max(np.abs(first).max(initial=0.0), np.abs(second).max(initial=0.0))
-            differ = (np.abs(first - second) > SAME * size).any(axis=0)
+        first, second = (_given(case, name, x)[both] for name in (one, two))
+        for axis in sorted(set(a.held_axes) & set(b.held_axes)):
+            u, v = first[..., "xyz".index(axis)], second[..., "xyz".index(axis)]
+            size = max(np.abs(u).max(initial=0.0), np.abs(v).max(initial=0.0))
+            differ = (np.abs(u - v) > SAME * size).any(axis=0)
             if not differ.any():
                 continue
             text = (
@@ -185,68 +186,58 @@ def _clamped(case: Case, found: Parts) -> list[str]:
 # What is out of proportion
 
 
-def _sides(case: Case, found: Parts, name: str) -> tuple[list[float], float]:
-    """Mean thickness behind each elastic side of an interface, and the interface's size [mm]."""
+def _sides(case: Case, found: Parts, name: str) -> tuple[float, float]:
+    """Mean thickness behind the elastic sides of an interface, 0 if rigid, and its size [mm]."""
     touches = [t for t in found.touches if law_between(case, found, t.pieces)[0] == name]
     area = sum(float(t.areas.sum()) for t in touches)
     near = {p for t in touches for p in t.pieces}
-    thickness = []
+    thickness = 0.0
     for side in case.geometry.interface_sides[name]:
         pieces = [found.pieces[p] for p in near if found.pieces[p].region in side]
         if not any(isinstance(case.regions[p.region], Rigid) for p in pieces):
-            thickness.append(sum(p.volume for p in pieces) / area)
+            thickness += sum(p.volume for p in pieces) / area
     x = np.concatenate([t.x for t in touches])
     return thickness, float(np.linalg.norm(np.ptp(x, axis=0)))
 
 
-def _largest(case: Case, law: Any, gap: Floats) -> tuple[float, float]:
-    """Largest interference and smallest gap of an interface over all stages [mm]."""
-    factors = [0.0, *history_of(case, law.gap_history)]
-    ends = [f * g for f in factors for g in (float(gap.min()), float(gap.max()))]
-    return -min(ends), float(gap.min()) * factors[-1]
-
-
-def _too_tight(case: Case, found: Parts) -> list[str]:
-    """Interferences too large for the thickness of the bodies."""
-    errors = []
+def _gaps(case: Case, found: Parts) -> tuple[list[str], list[str]]:
+    """Errors and notes on gaps and interferences that are not small."""
+    errors: list[str] = []
+    notes: list[str] = []
     for name, gap in gaps_of(case, found).items():
-        interference, _ = _largest(case, case.interfaces[name], gap)
-        thickness, _ = _sides(case, found, name)
-        if thickness and interference >= TOO_MUCH * sum(thickness):
+        factors = (0.0, *history_of(case, case.interfaces[name].initial_gap[1]))
+        interference = -float(np.multiply.outer(factors, gap).min())
+        apart = float(gap.min()) * factors[-1]
+        thickness, size = _sides(case, found, name)
+        if thickness and interference >= TOO_MUCH * thickness:
             errors.append(
                 f"interfaces.{name}.gap: an interference of {interference:.3g} mm is "
-                f"{100 * interference / sum(thickness):.0f} % of the thickness of the bodies "
-                f"({sum(thickness):.3g} mm): they cannot make room for it within small strains; "
+                f"{100 * interference / thickness:.0f} % of the thickness of the bodies "
+                f"({thickness:.3g} mm): they cannot make room for it within small strains; "
                 "expected a smaller one (a wrong unit?)"
             )
-    return errors
-
-
-def _large(case: Case, found: Parts) -> list[str]:
-    """Gaps and prescribed displacements that are not small."""
-    notes = []
-    for name, gap in gaps_of(case, found).items():
-        interference, apart = _largest(case, case.interfaces[name], gap)
-        thickness, size = _sides(case, found, name)
-        if thickness and interference > SMALL * sum(thickness):
+        elif thickness and interference > SMALL * thickness:
             notes.append(
                 f"interfaces.{name}.gap: an interference of {interference:.3g} mm in bodies "
-                f"{sum(thickness):.3g} mm thick: strains are not small; a wrong unit?"
+                f"{thickness:.3g} mm thick: strains are not small; a wrong unit?"
             )
         if apart > SMALL * size:
             notes.append(
                 f"interfaces.{name}.gap: the sides are {apart:.3g} mm apart everywhere, on an "
                 f"interface of {size:.3g} mm: small displacements do not close it"
             )
+    return errors, notes
+
+
+def _far(case: Case, found: Parts) -> list[str]:
+    """Prescribed displacements that are not small."""
+    notes = []
     whole = float(np.linalg.norm(np.ptp(found.x, axis=0)))
     for name, s in case.supports.items():
         if s.kind != "displacement" or not found.boundaries.get(s.boundary):
             continue
         x = found.x[np.concatenate([*found.boundaries[s.boundary].values()])]
-        most = max(
-            float(np.abs(_given(case, s, name, axis, x)).max(initial=0.0)) for axis in s.held_axes
-        )
-        if most > FAR * whole:
+        if (most := float(np.abs(_given(case, name, x)).max())) > FAR * whole:
             notes.append(
                 f"supports.{name} moves a model of {whole:.3g} mm by {most:.3g} mm: displacements "
                 "are not small; a wrong unit?"
@@ -257,20 +248,19 @@ def _large(case: Case, found: Parts) -> list[str]:
 def _strained(case: Case, found: Parts) -> list[str]:
     """Loads that strain the material under them by more than `STRAIN`."""
     notes = []
-    loads: Mapping[str, Any] = case.loads
-    for name, load in loads.items():
+    for name, load in case.loads.items():
         boundary = getattr(load, "boundary", "")
         area = found.boundary_areas.get(boundary, 0.0)
         under = {found.pieces[p].region for p in found.boundaries.get(boundary, {})}
-        moduli = [m for r in under if (m := modulus(case.regions[r]))]
-        if not area or not moduli:
+        softest = min((m for r in under if (m := modulus(case.regions[r]))), default=0.0)
+        if not area or not softest:
             continue
-        factor = max(map(abs, history_of(case, load.history)), default=1.0)
-        stress = factor * load.traction(area)
-        if stress > STRAIN * min(moduli):
+        stress = math.hypot(*(load.resultant or ())) / area + abs(getattr(load, "pressure", 0.0))
+        stress *= max(map(abs, history_of(case, load.history)), default=1.0)
+        if stress > STRAIN * softest:
             notes.append(
                 f"loads.{name} is {stress:.3g} MPa on boundary '{boundary}', beside a modulus "
-                f"of {min(moduli):.3g} MPa: strains are not small; a wrong unit?"
+                f"of {softest:.3g} MPa: strains are not small; a wrong unit?"
             )
     return notes
 

@@ -88,7 +88,7 @@ def test_the_answer_is_found_from_a_bad_one(
                 problem, solver, lambda step, trial: outcomes.append(step.outcome), pytest.fail
             )
             (stage,) = problem.scene.stages
-            motion.run_stage(0, stage)
+            motion.run_stage(0, stage, lambda: None)
         assert motion.total.rejected == 0
         q = solver.u_and_q()[1]
         assert q is not None

@@ -163,6 +163,7 @@ CASES = {
     ),
     "conductance": Compared(coupled.CASE, ("stages[1].increments=2", EXACT), {1: (), 3: ()}),
     "friction heat": Compared(coupled.CASE, (HEATING, EXACT), {1: (), 3: ()}),
+    "fibres": Compared("verification/fibre_ring.yaml", ("mesh.size=1 mm",), {1: (), 2: ()}),
     "gruen zones": Compared("stance.yaml", (*GRUEN, EXACT, "output.fields=false"), {1: (), 2: ()}),
     "setting": Compared(SETTING, (EXACT,), {1: (), 3: ()}),
     "corrected": Compared(SETTING, (*SHORT, EXACT), {1: (), 3: ()}),

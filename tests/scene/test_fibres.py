@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 from typing import Literal
 
 from mpi4py import MPI
@@ -191,32 +189,3 @@ def test_the_axis_runs_outside_the_region(
         return
     with pytest.raises(InputError, match=rf"^{key}: its axis meets the region, e.g. at \(.*axis o"):
         well_posedness.judge(case, found)
-
-
-@pytest.mark.parametrize("command", [["check", "--mesh"], ["run", "--force", "-o"]])
-def test_check_and_run_refuse_an_axis_in_the_region(
-    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from app.cli import main
-
-    name, *options = command
-    folder = [str(tmp_path / "out")] if name == "run" else []
-    path = tmp_path / "ring.yaml"
-    text = RING.read_text().replace("path: ring.geo", f"path: {RING.with_name('ring.geo')}")
-    path.write_text(text.replace("through: [0 mm", "through: [7 mm"))
-    sizes = ["--set", "mesh.size=2 mm"]
-    assert main([name, str(path), *options, *folder, *sizes]) == 2
-    line = 1 + text[: text.index("fibre: {")].count("\n")
-    assert f"{path}:{line}:5: regions.ring.fibre: its axis meets" in capsys.readouterr().err
-
-
-@pytest.mark.parallel
-def test_two_ranks_give_the_numbers_of_one(tmp_path: Path) -> None:
-    numbers = []
-    for ranks in (1, 2):
-        out = tmp_path / str(ranks)
-        changes = ["--set", "mesh.size=1 mm"]
-        support.on_ranks(ranks, "-m", "mantle", "run", RING, "-o", out, *changes)
-        found = json.loads((out / "summary.json").read_text())["regions"]["ring"]
-        numbers.append(np.hstack([v for v in found.values() if not isinstance(v, str | list)]))
-    assert numbers[1] == pytest.approx(numbers[0], rel=1e-8, abs=1e-8)

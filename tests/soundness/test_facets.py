@@ -29,7 +29,8 @@ def moved(*overrides: str) -> float:
     def note(step: object, trial: object) -> None:
         found.append(float(np.abs(trial.jump).max()))  # type: ignore[attr-defined]
 
-    LoadStepper(problem, solver, note, pytest.fail).run_stage(0, problem.scene.stages[0])
+    stepper = LoadStepper(problem, solver, note, pytest.fail)
+    stepper.run_stage(0, problem.scene.stages[0], lambda: None)
     return found[-1]
 
 
