@@ -137,9 +137,8 @@ def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
     curve = [r for r in runs if r.line]
     ladder = [r for r in runs if not r.line]
     measured = [_measure(study, name, curve, ladder) for name in study.quantities]
-    pairs = [(m.name, p) for m in measured for p in m.points]
     advice = _advice_on_all(study.target, curve, measured)
-    return Report(study.target, curve, ladder, measured, advice, wp.effectivity(pairs))
+    return Report(study.target, curve, ladder, measured, advice)
 
 
 def _measure(
@@ -163,7 +162,6 @@ def _measure(
         points=points,
         exponents={n: wp.exponent([p for p in points if p.line == n]) for n in lines},
         front=wp.pareto([p.time for p in points], errors),
-        errors=errors,
         advice=_advice(study.target, name, curve, errors, reference) if compared else "",
     )
 
@@ -214,10 +212,10 @@ def _advice_on_all(target: float, curve: Sequence[StudyRun], measured: Sequence[
         return ""
     left_out = [m.name for m in compared if m not in good]
     what = f"all but {', '.join(left_out)}" if left_out else f"all {len(good)} quantities"
-    worst: list[float | None] = []
-    for errors in zip(*(m.errors for m in good), strict=True):
-        known = [e for e in errors if e is not None]
-        worst.append(max(known) if len(known) == len(errors) else None)
+    worst = [
+        None if None in errors else max(e for e in errors if e is not None)
+        for errors in zip(*(m.errors for m in good), strict=True)
+    ]
     return _sentence(target, what, curve, worst)
 
 

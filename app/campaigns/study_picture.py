@@ -39,13 +39,12 @@ def draw(report: Report, folder: Path) -> list[str]:
 
 def varying_lines(report: Report) -> dict[str, list[int]]:
     """Lines that vary a number other than the mesh, with the indices of their runs."""
-    found: dict[str, list[int]] = {}
-    for i, r in enumerate(report.runs):
-        found.setdefault(r.line, []).append(i)
+    runs, lines = report.runs, dict.fromkeys(r.line for r in report.runs)
+    found = {name: [i for i, r in enumerate(runs) if r.line == name] for name in lines}
     return {
         name: own
         for name, own in found.items()
-        if all(report.runs[i].x and not report.runs[i].key.startswith("mesh.") for i in own)
+        if all(runs[i].x and not runs[i].key.startswith("mesh.") for i in own)
     }
 
 
@@ -83,7 +82,10 @@ def _against_time(report: Report, axes: Any, m: Measured) -> None:
     error = [None if e is None else max(e, EXACT) for e in m.errors]
     for k, name in enumerate(m.exponents):
         _line(axes, report, m, error, name, k)
-    _front(axes, m, error)
+    if m.front:  # as steps: least error reached by a time
+        band = {"color": "#f2c14e", "lw": 6, "alpha": 0.55, "zorder": 1, "label": "Pareto front"}
+        time = [m.points[i].time for i in m.front]
+        axes.step(time, [error[i] for i in m.front], where="post", **band)
     _limits(axes, report, error)
     target = f"target {percent(report.target)}"
     axes.axhline(report.target, color="0.3", lw=1, ls=(0, (5, 3)), label=target)
@@ -93,14 +95,6 @@ def _against_time(report: Report, axes: Any, m: Measured) -> None:
         axes.axhspan(axes.get_ylim()[0], own, **below)
     if all(e is None for e in error):
         axes.text(0.5, 0.5, "no known error", transform=axes.transAxes, ha="center", color="0.4")
-
-
-def _front(axes: Any, m: Measured, error: list[float | None]) -> None:
-    """Pareto front as steps: least error reached by a time."""
-    time = [m.points[i].time for i in m.front]
-    if time:
-        band = {"color": "#f2c14e", "lw": 6, "alpha": 0.55, "zorder": 1, "label": "Pareto front"}
-        axes.step(time, [error[i] for i in m.front], where="post", **band)
 
 
 def _line(
@@ -134,9 +128,8 @@ def _line(
 
 def _limits(axes: Any, report: Report, error: list[float | None]) -> None:
     """Show at least a decade of error, with room for labels and crosses."""
-    known = [e for e in error if e is not None]
-    low, high = min(*known, report.target, report.target), max(*known, report.target, report.target)
-    axes.set_ylim(low / 2.5, max(high, 10 * low) * 3)
+    known = [report.target, *(e for e in error if e is not None)]
+    axes.set_ylim(min(known) / 2.5, max(*known, 10 * min(known)) * 3)
     times = [r.time or r.result.seconds for r in report.runs]
     axes.set_xlim(max(min(times), 1e-2) / 1.6, max(times) * 2.2)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from app.campaigns.runs import Result
-from app.campaigns.work_precision import USEFUL, Effectivity, ErrorPoint, ReferenceValue
+from app.campaigns.work_precision import USEFUL, ErrorPoint, ReferenceValue
 from app.case.quantities import Quantity
 from app.case.study import PlannedStudy
 from app.case.sweep import PlannedRun
@@ -59,7 +59,6 @@ class Measured:
         points: One for each run.
         exponents: The p of error ~ key^p along each line.
         front: Pareto front of time and error: indices of points, fastest first.
-        errors: Error of each point, at least the reference's own; None if unknown.
         advice: Recommended run; empty if it is not compared.
     """
 
@@ -70,8 +69,12 @@ class Measured:
     points: Sequence[ErrorPoint]
     exponents: dict[str, float | None]
     front: list[int]
-    errors: list[float | None]
     advice: str
+
+    @property
+    def errors(self) -> list[float | None]:
+        """Error of each point, at least the reference's own; None if unknown."""
+        return [p.bound for p in self.points]
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,12 @@ class Report:
     ladder: Sequence[StudyRun]
     quantities: Sequence[Measured]
     advice: str
-    effectivity: Effectivity
+
+    @property
+    def judged(self) -> list[tuple[str, ErrorPoint]]:
+        """Estimates whose true error is known well enough, with the names of their quantities."""
+        every = ((m.name, p) for m in self.quantities for p in m.points)
+        return [(name, p) for name, p in every if p.effectivity is not None]
 
 
 def percent(value: float) -> str:
@@ -145,13 +153,15 @@ def table(report: Report) -> str:
         if m.compared:
             lines.append(f"  {m.advice}")
     lines += ["", "* no other run is both faster and closer"]
-    e, (low, high) = report.effectivity, USEFUL
-    if e.pairs:
+    (low, high), judged = USEFUL, report.judged
+    if judged:
+        useful = sum(p.useful for _, p in judged)
         lines.append(
-            f"estimated over true error is within {low:g} to {high:g} for {e.useful} of {e.pairs} "
-            f"numbers ({percent(e.useful / e.pairs)})"
+            f"estimated over true error is within {low:g} to {high:g} for {useful} of "
+            f"{len(judged)} numbers ({percent(useful / len(judged))})"
         )
-    lines += [f"  {n} with {p.line} at {p.label}: {p.effectivity:.2f}" for n, p in e.others]
+    others = [(n, p) for n, p in judged if not p.useful]
+    lines += [f"  {n} with {p.line} at {p.label}: {p.effectivity:.2f}" for n, p in others]
     return "\n".join([*lines, *([report.advice] if report.advice else [])])
 
 
@@ -167,7 +177,7 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
 
 def write(report: Report, planned: PlannedStudy, cores: int, folder: Path) -> list[str]:
     """Write ``study.json`` and ``study.csv``; return their names."""
-    e = report.effectivity
+    judged = report.judged
     record = {
         "mantle": __version__,
         "study": planned.file.name,
@@ -178,9 +188,9 @@ def write(report: Report, planned: PlannedStudy, cores: int, folder: Path) -> li
         "advice": report.advice,
         "quantities": {m.name: _measured_record(m) for m in report.quantities},
         "effectivity": {
-            "pairs": e.pairs,
-            "useful": e.useful,
-            "others": [[n, p.line, p.label, p.effectivity] for n, p in e.others],
+            "pairs": len(judged),
+            "useful": sum(p.useful for _, p in judged),
+            "others": [[n, p.line, p.label, p.effectivity] for n, p in judged if not p.useful],
         },
         "runs": [_run_record(r) for r in report.runs],
         "reference_runs": [_run_record(r) for r in report.ladder],

@@ -81,6 +81,12 @@ class ErrorPoint:
             return None
         return self.estimate / self.deviation
 
+    @property
+    def useful(self) -> bool:
+        """Whether the effectivity is known and within `USEFUL`."""
+        low, high = USEFUL
+        return self.effectivity is not None and low <= self.effectivity <= high
+
 
 def extrapolate(sizes: Sequence[float], values: Sequence[float]) -> ReferenceValue:
     """Richardson extrapolation from the last three values of a sequence of refinements.
@@ -183,27 +189,3 @@ def best(
         if (errors[i] or 0.0) <= target:
             return i, True
     return (front[-1] if front else None), False
-
-
-@dataclass(frozen=True)
-class Effectivity:
-    """Quality of the error estimates.
-
-    Attributes:
-        pairs: Number of estimates whose true error is known well enough.
-        useful: Number of those with an index within `USEFUL`.
-        others: The remaining ones, with the name of their quantity.
-    """
-
-    pairs: int
-    useful: int
-    others: tuple[tuple[str, ErrorPoint], ...]
-
-
-def effectivity(points: Sequence[tuple[str, ErrorPoint]]) -> Effectivity:
-    """Share of useful estimates among the points of quantities that have an index."""
-    low, high = USEFUL
-    judged = [(quantity, p, p.effectivity) for quantity, p in points]
-    others = tuple((q, p) for q, p, e in judged if e is not None and not low <= e <= high)
-    pairs = sum(e is not None for _, _, e in judged)
-    return Effectivity(pairs, pairs - len(others), others)

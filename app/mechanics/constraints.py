@@ -164,24 +164,55 @@ class Constraints:
         columns[turned, :, :3] = columns[turned, :, 0][:, None]
         entries[turned, :, :3] = axes[turned]
         for k, body in enumerate(scene.rigid):
-            here = np.flatnonzero(region == k)
-            motions, basis, rank, amounts, whole = _rigid_unknowns(
-                comm, scene, body.region, x[here], axes[here], own[here], prescribed[:, here]
-            )
-            place = tail + 6 * k
+            here, place = np.flatnonzero(region == k), tail + 6 * k
             columns[here] = place + np.arange(6)
-            entries[here] = motions
+            entries[here], rank = self._add_rigid(
+                comm, scene, body.region, place, x[here], axes[here], own[here], prescribed[:, here]
+            )
             reacting[here] |= rank > 0
-            if comm.rank == 0:
-                self._bases[place] = basis
-                self.constrained[place : place + rank] = True
-                self.unit[:, place : place + rank] = amounts[:, :rank]
-                self.modes[:, place : place + 6] = whole.T
         self.reacting = reacting.ravel()
         keep = columns.reshape(-1, 6) >= 0
         pointer = np.concatenate([[0], np.cumsum(keep.sum(axis=1))])
         places, values = columns.reshape(-1, 6)[keep], entries.reshape(-1, 6)[keep]
         self._P = from_rows(comm, (3 * nodes, n), pointer, places, values)
+
+    def _add_rigid(
+        self,
+        comm: MPI.Comm,
+        scene: Scene,
+        region: str,
+        place: int,
+        x: Floats,
+        axes: Floats,
+        own: Ints,
+        prescribed: Floats,
+    ) -> tuple[Floats, int]:
+        """Set the unknowns of a rigid region, from its n own nodes; collective.
+
+        The six begin at ``place``. ``x`` are positions (n, 3) [mm], ``axes`` those of the
+        components (n, 3, 3), ``own`` the support of each component (n, 3), ``prescribed`` the
+        displacement by each support (s, n, 3).
+
+        Returns:
+            Displacement of the nodes by the unknowns (n, 3, 6), and the constrained unknowns.
+        """
+        points = gather(comm, x)[0]
+        centre, scale = points.mean(axis=0), np.ptp(points, axis=0).max() or 1.0
+        local = rigid_modes((x - centre) / scale)
+        held = own >= 0
+        along = (axes.swapaxes(1, 2) @ local)[held]
+        rows, *wanted = gather(comm, along, *(values[held] for values in prescribed))
+        basis, rank, amounts = _held_motions(scene, region, rows, wanted)
+        if comm.rank == 0:
+            self._bases[place] = basis
+            self.constrained[place : place + rank] = True
+            self.unit[:, place : place + rank] = amounts[:, :rank]
+            # A rigid mode of the model in terms of this body: t + w x c, and w * scale.
+            whole = np.eye(6)
+            whole[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
+            whole[3:] *= scale
+            self.modes[:, place : place + 6] = (basis.T @ whole).T
+        return local @ basis, rank
 
     @property
     def transforms(self) -> bool:
@@ -242,38 +273,6 @@ def touched_nodes(space: fem.FunctionSpace, cells: Ints) -> Bools:
     marks.x.scatter_reverse(la.InsertMode.add)
     marks.x.scatter_forward()
     return np.asarray(marks.x.array[::3] > 0)
-
-
-def _rigid_unknowns(
-    comm: MPI.Comm,
-    scene: Scene,
-    region: str,
-    x: Floats,
-    axes: Floats,
-    own: Ints,
-    prescribed: Floats,
-) -> tuple[Floats, Floats, int, Floats, Floats]:
-    """Unknowns of a rigid region, from its n own nodes; collective.
-
-    ``x`` are positions (n, 3) [mm], ``axes`` those of the components (n, 3, 3), ``own`` the
-    support of each component (n, 3), ``prescribed`` the displacement by each support (s, n, 3).
-
-    Returns:
-        Displacement of the nodes by the unknowns (n, 3, 6); basis, rank and amounts as of
-        `_held_motions`; the six rigid modes of the model in the unknowns, by column.
-    """
-    points = gather(comm, x)[0]
-    centre, scale = points.mean(axis=0), np.ptp(points, axis=0).max() or 1.0
-    local = rigid_modes((x - centre) / scale)
-    held = own >= 0
-    along = (axes.swapaxes(1, 2) @ local)[held]
-    rows, *wanted = gather(comm, along, *(values[held] for values in prescribed))
-    basis, rank, amounts = _held_motions(scene, region, rows, wanted)
-    # A rigid mode of the model in terms of this body: t + w x c, and w * scale.
-    whole = np.eye(6)
-    whole[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
-    whole[3:] *= scale
-    return local @ basis, basis, rank, amounts, basis.T @ whole
 
 
 def _held_motions(

@@ -87,16 +87,8 @@ def mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.
     """
     x = x.copy()
     here = solver.residual(x)
-    steps, changes = [], []
-    for state in others:
-        step = x.copy()
-        step.axpy(-1.0, state)
-        there = x.copy()
-        there.axpy(1.0, step)
-        change = solver.residual(there)
-        change.axpy(-1.0, here)
-        steps.append(step)
-        changes.append(change)
+    steps = [x - state for state in others]
+    changes = [solver.residual(x + step) - here for step in steps]
     gram = np.array([[a.dot(b) for b in changes] for a in changes])
     shares, *_ = np.linalg.lstsq(gram, [-a.dot(here) for a in changes], rcond=1e-12)
     for share, step in zip(shares, steps, strict=True):
@@ -119,9 +111,7 @@ def imbalance(solver: Solver, x: PETSc.Vec) -> float:
 
 def same(a: PETSc.Vec, b: PETSc.Vec) -> bool:
     """Whether two states are equal; collective."""
-    difference = a.copy()
-    difference.axpy(-1.0, b)
-    return bool(difference.norm() == 0.0)
+    return bool((a - b).norm() == 0.0)
 
 
 @dataclass(frozen=True)

@@ -20,19 +20,16 @@ def cheaper(case: Case, unknowns: int) -> Case | None:
     """The case on a coarser mesh, else at first order; None unless its mechanics is large."""
     if unknowns < LARGE:
         return None
-    if COARSER * case.mesh.size <= case.geometry.coarsest_size:
-        mesh = case.mesh.coarser(COARSER)
-    elif case.mesh.order > 1:
-        mesh = case.mesh.model_copy(update={"order": 1})
+    mesh, solver = case.mesh, case.solver
+    if COARSER * mesh.size <= case.geometry.coarsest_size:
+        mesh = mesh.coarser(COARSER)
+    elif mesh.order > 1:
+        mesh = mesh.model_copy(update={"order": 1})
     else:
         return None
-    solver = {"tolerance": max(TOLERANCE, case.solver.tolerance)}
-    return case.model_copy(
-        update={
-            "mesh": mesh,
-            "solver": case.solver.model_copy(update=solver),
-        }
-    )
+    tolerance = {"tolerance": max(TOLERANCE, solver.tolerance)}
+    changes = {"mesh": mesh, "solver": solver.model_copy(update=tolerance)}
+    return case.model_copy(update=changes)
 
 
 def stiffness(case: Case) -> tuple[Any, ...]:

@@ -11,28 +11,30 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+from numpy.typing import NDArray
 
 import meshes
 from app.case.case import Case
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
 from app.mechanics.contact import TrialState
-from app.mechanics.predictors import Predictor
+from app.mechanics.predictors import Predictor, WarmStart
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results import gruen
+from app.results.balance import Balance
 from app.results.bond_strength import bonds
 from app.results.field_output import FieldGroup, HeatFields
 from app.results.interface_numbers import ContactSamples
 from app.results.mechanical_fields import MechanicalFields
 from app.results.run_folder import on_root
 from app.results.stem_motion import stem_motion
+from app.results.stresses import Stresses
 from app.scene.build import build_scene
 from app.scene.scene import Scene, Stage
 from app.simulation import coarser_case
-from app.simulation.mechanical_model import Mechanical
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
@@ -74,6 +76,40 @@ class Observer:
     on_stage: Callable[[Stage], None] = _nothing
     checkpoint_point: Callable[[int], None] = _nothing
     resume: Callable[[], int] = lambda: 0
+
+
+class Mechanical:
+    """Mechanics of a model, or of successive models that differ in loads and laws alone.
+
+    Attributes:
+        neighbours: States of earlier models, as warm starts.
+    """
+
+    saved = ("problem", "solver")
+
+    def __init__(self, problem: Problem, solver: Solver, around_z: bool, timing: Timing) -> None:
+        self.problem, self.solver = problem, solver
+        self.stresses = Stresses(problem, timing, around_z)
+        self.neighbours = WarmStart(problem, solver)
+        self._balance: Balance | None = None
+
+    def begin(self, build: Scene, augmentation_factor: float, tolerance: float) -> None:
+        """Begin another model, at rest; collective."""
+        self.problem.begin(build, augmentation_factor)
+        self.solver.begin(tolerance)
+        self.neighbours.begin()
+
+    def restored(self) -> None:
+        """Fill the unknowns with the restored displacement and jumps; collective."""
+        self.problem.take_up(*self.solver.u_and_q())
+
+    def balance(self, about: NDArray[np.float64]) -> Balance:
+        """Balances of the model at rest, with moments about a fixed point (3,) [mm]; collective."""
+        if self._balance is None:
+            self._balance = Balance(self.problem, about)
+        else:
+            self._balance.begin()
+        return self._balance
 
 
 class Model:

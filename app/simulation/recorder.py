@@ -169,18 +169,12 @@ class Recorder:
 
     def _line(self, step: LoadStep) -> None:
         interfaces = self.samples.numbers if self.samples else {}
+        fractions = self._fraction(OPEN), self._fraction(SLIP)
+        deepest = max((q["penetration_max"] for q in interfaces.values()), default=0.0)
+        wall = clock.perf_counter() - self._begin
         rate = (len(self._model.scene.stages) - step.time) / step.time
-        solved = self._timing.seconds.get("solve", 0.0)
-        log.info(
-            "%s",
-            text.step_line(
-                step,
-                (self._fraction(OPEN), self._fraction(SLIP)),
-                max((q["penetration_max"] for q in interfaces.values()), default=0.0),
-                clock.perf_counter() - self._begin,
-                solved * rate,
-            ),
-        )
+        left = self._timing.seconds.get("solve", 0.0) * rate
+        log.info("%s", text.step_line(step, fractions, deepest, wall, left))
 
     def _row_of(self, step: LoadStep, balance: Balance) -> dict[str, Any]:
         row: dict[str, Any] = {
@@ -213,8 +207,7 @@ class Recorder:
             self._frames += 1
             if self._frames % self._case.output.every == 0:
                 self._fields()
-        end = float(len(self._case.stages))
-        folder = self._writer.folder
+        end, folder = float(len(self._case.stages)), self._writer.folder
         self._progress(AcceptedStep(folder, self.step_count, step.stage, step.time, end, wall, row))
 
     def _displacements(self) -> dict[str, list[float]]:
@@ -245,7 +238,7 @@ class Recorder:
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
         model, counted = self._model, total or self._total
-        sizes = model.sizes()
+        comm, sizes = model.tagged.mesh.comm, model.sizes()
         balance: dict[str, float] = {}
         if b := self._balance:
             balance |= {"force": b.force, "moment": b.moment, "energy": b.energy}
@@ -268,22 +261,19 @@ class Recorder:
                 "linear_iterations": counted.linear_iterations,
                 "rejected_steps": total.rejected if total else None,
                 "augmentation": model.mechanics.problem.augmentation() if model.mechanics else {},
-                "ranks": model.tagged.mesh.comm.size,
+                "ranks": comm.size,
             },
         }
         for name, value in self._critical.items():
             if name in result["interfaces"]:
                 result["interfaces"][name]["critical_friction"] = value
-        comm = model.tagged.mesh.comm
-        cpu = comm.allgather(self._timing.cpu)
-        memory = comm.allreduce(peak_memory())
-        result["timing"] = self.seconds()
-        result["cpu"] = {k: round(sum(c.get(k, 0.0) for c in cpu), 3) for k in cpu[0]}
-        result["memory"] = {
-            "peak": round(memory, 1),
-            "per_unknown": round(1e3 * memory / sum(sizes.values()), 2),
+        cpu, memory = comm.allgather(self._timing.cpu), comm.allreduce(peak_memory())
+        per_unknown = round(1e3 * memory / sum(sizes.values()), 2)
+        return result | {
+            "timing": self.seconds(),
+            "cpu": {k: round(sum(c.get(k, 0.0) for c in cpu), 3) for k in cpu[0]},
+            "memory": {"peak": round(memory, 1), "per_unknown": per_unknown},
         }
-        return result
 
     def seconds(self) -> dict[str, float]:
         """Wall seconds so far, by phase."""

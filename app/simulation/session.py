@@ -176,11 +176,9 @@ def _vary(setup: Setup, output: Path) -> None:
             raise StoppedError(f"{place}: {stop}") from stop
         status = solved[i].get("status", "not converged")
         rows[i] = variations.row(v, solved[i], status, clock.perf_counter() - setup.begin)
-        done = [rows[k] for k in sorted(rows)]
-        on_root(comm, partial(variations.write, done, output), share=False)
+        on_root(comm, partial(variations.write, rows, output), share=False)
         setup.begin_next()
-    done = [rows[k] for k in sorted(rows)]
-    on_root(comm, partial(variations.write, done, output), share=False)
+    done = on_root(comm, partial(variations.write, rows, output)) or []
     log.info("%s", variations.table(done))
     if failed := [v.name for i, v in enumerate(varied) if not solved[i]]:
         raise ConvergenceError(
@@ -228,42 +226,29 @@ class _CaseRun:
     """
 
     def __init__(self, setup: Setup, case: Case, changes: Sequence[str], output: Path) -> None:
-        comm, self._setup, self._case, self._folder = setup.comm, setup, case, output
+        self._setup, self._case, self._folder = setup, case, output
+        comm, loaded = setup.comm, setup.loaded
         found = None
         if setup.restart:
             found = checkpoint.find(comm, setup.restart, output, case, setup.force)
-        self._model = Model(case, comm, setup.options, setup.timing, setup.stop, setup.model)
-        setup.model = self._model
-        self._notes = [*plausibility.warnings(case), *self._model.judge()]
+        model = Model(case, comm, setup.options, setup.timing, setup.stop, setup.model)
+        self._model = setup.model = model
+        self._notes = [*plausibility.warnings(case), *model.judge()]
         setup.note(self._notes)
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
-            case.title or setup.loaded.path.stem,
-            self._model.tagged.mesh.topology.index_map(3).size_global,
-            ", ".join(f"{n} {name}" for name, n in self._model.sizes().items()),
+            case.title or loaded.path.stem,
+            model.tagged.mesh.topology.index_map(3).size_global,
+            ", ".join(f"{n} {name}" for name, n in model.sizes().items()),
             comm.size,
         )
-        record = partial(
-            provenance,
-            comm.size,
-            setup.loaded.file.digests,
-            [*setup.loaded.overrides, *changes],
-            self._model.mesh_hash,
-            setup.started,
-        )
-        self._writer = Writer(
-            self._model.tagged,
-            self._model.layers(),
-            output,
-            dump(case),
-            case.output.fields,
-            record,
-            found is not None,
-        )
-        self._recorder = Recorder(
-            case, self._model, self._writer, setup.timing, setup.begin, setup.progress
-        )
-        self._checkpoints = CheckpointWriter(case, self._model, self._recorder, output, found)
+        overrides, digests = [*loaded.overrides, *changes], loaded.file.digests
+        record = partial(provenance, comm.size, digests, overrides, model.mesh_hash, setup.started)
+        again, fields = found is not None, case.output.fields
+        writer = Writer(model.tagged, model.layers(), output, dump(case), fields, record, again)
+        self._writer = writer
+        self._recorder = Recorder(case, model, writer, setup.timing, setup.begin, setup.progress)
+        self._checkpoints = CheckpointWriter(case, model, self._recorder, output, found)
 
     def solve(self) -> Summary:
         """Solve all stages; returns a summary of the effort; collective.

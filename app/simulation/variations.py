@@ -83,60 +83,79 @@ def value_at(case: Mapping[str, Any], key: str) -> Any:
 
 
 def row(v: Varied | Point, summary: Mapping[str, Any], status: str, seconds: float) -> Row:
-    """Row of the table of variations for one run: a variation or a point of a sweep.
+    """Row of the table of many runs: a variation or a point of a sweep.
 
     ``summary`` is empty if there is none; ``status`` is converged, not converged or stopped;
     ``seconds`` are wall time.
     """
     solver = summary.get("solver", {})
+    # Numbers by which runs are compared, named as in a study.
+    numbers = {
+        f"{name}.{key}": found[key]
+        for section, name, found in quantities.numbers_of(summary)
+        for key, q in quantities.TABLE[section].items()
+        if q.headline and key in found
+    }
+    errors = {name: quantities.read(summary, name, "_error") for name in numbers}
     return {
         "name": v.name,
         "overrides": v.changes,
         "status": status,
-        "numbers": headlines(summary),
+        "numbers": numbers,
+        "errors": {name: error for name, error in errors.items() if error is not None},
         "notes": summary.get("notes", []),
+        "unknowns": solver.get("dofs"),
         "newton_iterations": solver.get("newton_iterations"),
         "linear_iterations": solver.get("linear_iterations"),
         "seconds": round(seconds, 3),
+        "folder": v.name,
     }
 
 
-def headlines(summary: Mapping[str, Any]) -> dict[str, float]:
-    """Numbers by which runs are compared, named as in a study."""
-    return {
-        f"{name}.{key}": numbers[key]
-        for section, name, numbers in quantities.numbers_of(summary)
-        for key, q in quantities.TABLE[section].items()
-        if q.headline and key in numbers
-    }
+def csv(rows: Sequence[Row], keys: Sequence[str], first: str) -> str:
+    """Table as CSV, with the overrides of some keys; ``first`` is the title of the names."""
+    flat = []
+    for r in rows:
+        numbers = {}
+        for name, value in r["numbers"].items():
+            unit = quantities.find(name).unit
+            numbers[f"{name} [{unit}]"] = value
+            if name in r["errors"]:
+                numbers[f"{name} error [{unit}]"] = r["errors"][name]
+        flat.append(
+            {
+                first: r["name"],
+                "status": r["status"],
+                "notes": "; ".join(r["notes"]),
+                **{key: r["overrides"].get(key, "") for key in keys},
+                **numbers,
+                "unknowns [-]": r["unknowns"],
+                "newton [-]": r["newton_iterations"],
+                "krylov [-]": r["linear_iterations"],
+                "wall [s]": r["seconds"],
+                "folder": r["folder"],
+            }
+        )
+    return csv_text(flat)
 
 
-def write(rows: Sequence[Row], folder: Path) -> None:
-    """Write the table as ``variations.json`` and ``variations.csv``."""
-    write_json(folder / "variations.json", list(rows))
-    flat = [
-        {
-            "name": r["name"],
-            **r["overrides"],
-            "status": r["status"],
-            **{f"{key} [{quantities.find(key).unit}]": n for key, n in r["numbers"].items()},
-            "newton [-]": r["newton_iterations"],
-            "krylov [-]": r["linear_iterations"],
-            "wall [s]": r["seconds"],
-        }
-        for r in rows
-    ]
-    write_text(folder / "variations.csv", csv_text(flat))
+def write(rows: Mapping[int, Row], folder: Path) -> list[Row]:
+    """Write ``variations.json`` and ``variations.csv``; returns the rows in their order."""
+    every = [rows[i] for i in sorted(rows)]
+    keys = list(dict.fromkeys(key for r in every for key in r["overrides"]))
+    write_json(folder / "variations.json", every)
+    write_text(folder / "variations.csv", csv(every, keys, "name"))
+    return every
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Table as text: numbers that all runs have, a line per run."""
+    """Table as text: a line per run, with the number that tells most of it."""
     lines = []
     for r in rows:
-        newton, krylov = (r[f"{kind}_iterations"] for kind in ("newton", "linear"))
+        counts = [r[key] for key in ("unknowns", "newton_iterations", "linear_iterations")]
         said = most(r["numbers"]) if r["status"] == "converged" else r["status"]
-        lines.append((r["name"], newton, krylov, f"{r['seconds']:.1f} s", said))
-    return layout.table(("variation", "newton", "krylov", "wall", "most"), lines)
+        lines.append((r["name"], *counts, layout.duration(r["seconds"]), said))
+    return layout.table(("case", "unknowns", "newton", "krylov", "wall", "most"), lines)
 
 
 def most(numbers: Mapping[str, float]) -> str:

@@ -350,14 +350,3 @@ def test_the_shipped_study_of_the_paper_is_all_there() -> None:
     assert {c.geometry.cement_thickness for c in hot} == {2, 3, 4, 5}
     assert {"held" in c.heat for c in hot} == {True, False}
     assert {p.point.part for p in planned} >= {"limits", "residual", "intact"}
-
-
-def test_the_stance_by_penalty_covers_six_decades() -> None:
-    """Each law in turn, the default last, on the same mesh."""
-    runs = study_file.read(support.CONFIGS / "studies" / "stance_penalty.yaml").runs
-    laws = [(r.case.interfaces["cement_bone"], r.case.interfaces["stem_cement"]) for r in runs]
-    decades = [10.0**k for k in range(8)]
-    for k in (0, 1):
-        assert [getattr(law[k], "penalty", None) for law in laws[:7]] == decades[1:]
-        assert [getattr(law[k], "augmentation", None) for law in laws[7:]] == [*decades[1:7], None]
-    assert {r.case.mesh.size for r in runs} == {3.0} and not any(r.case.output.error for r in runs)

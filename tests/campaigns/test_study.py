@@ -18,19 +18,15 @@ from app.case import quantities
 from app.case import study as study_file
 from app.cli import main
 from app.errors import MantleError
+from tests.campaigns import test_points as points
 from tests.campaigns.conftest import Bench
 from tests.campaigns.test_points import CASE
 
-STUDY = """\
-base: case.yaml
-study:
-  quantities: [lower_upper.slip_p99, lower_upper.pressure_p99]
-  lines:
-    P1: {mesh.order: 1, mesh.size: [4 mm, 2 mm, 1 mm]}
-    P2: {mesh.order: 2, mesh.size: [4 mm, 2 mm, 1.5 mm], mesh.far_size: [5 mm, 4 mm, 3 mm]}
-  reference:
-    run: {mesh.order: 2, mesh.size: [1 mm, 0.5 mm, 0.25 mm]}
-"""
+STUDY = (
+    points.STUDY.replace("set: {output.condition: true}\n", "")
+    .replace(", solver.condition", "")
+    .replace("0.5 mm]", "0.5 mm, 0.25 mm]")
+)
 PENALTY = """\
 base: ../case.yaml
 set: {mesh.size: 2 mm, output.condition: true}

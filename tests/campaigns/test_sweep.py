@@ -26,12 +26,12 @@ from app.campaigns.runs import Job, runs_of
 from app.case import sweep as sweep_file
 from app.case.case import load, plain
 from app.cli import main
-from app.errors import ConvergenceError, MantleError, StoppedError, gravest
+from app.errors import ConvergenceError, StoppedError, gravest
 from app.schema import yaml_file
 from app.soundness import cost
 from tests import support
 from tests.campaigns.conftest import Bench, wait
-from tests.campaigns.test_points import CASE, FRICTION, SWEEP
+from tests.campaigns.test_points import FRICTION, SWEEP
 
 
 def run(bench: Bench, *overrides: str) -> None:
@@ -226,14 +226,6 @@ def test_names_of_folders_are_not_run(bench: Bench, saved: str) -> None:
     assert "PWNED" not in (bench.out / "jobs.json").read_text()
 
 
-@pytest.mark.parametrize(("code", "expected"), [(3, 3), (137, 70)])
-def test_a_sweep_leaves_as_its_cases_did(bench: Bench, code: int, expected: int) -> None:
-    bench.tell(broken="0.2 0.4", code=str(code))
-    with pytest.raises(MantleError, match="8 of 8 cases failed") as error:
-        run(bench)
-    assert error.value.exit_code == expected
-
-
 def test_the_gravest_exit_code_wins() -> None:
     assert gravest([4, 3, 4], "").exit_code == 4
     assert gravest([5, 2], "").exit_code == 5
@@ -306,25 +298,6 @@ grid:
 """
     )
     kill_again_and_again(bench, 12, 10, 3.0)
-
-
-@pytest.mark.slow
-def test_shared_and_separate_runs_give_the_same(tmp_path: Path) -> None:
-    """For real: two frictions in one process, and each alone."""
-    push = "}\n  push: {kind: force, boundary: x_max, force: '[-8, 0, 0] N'}\n"
-    (tmp_path / "case.yaml").write_text(CASE.rstrip("}\n") + push)
-    path = tmp_path / "sweep.yaml"
-    path.write_text(f"base: case.yaml\ngrid: {{{FRICTION}: [0.2, 0.6]}}\n")
-    sweep.run(path, (), Options(tmp_path / "shared", 1))
-    together = cases_of(tmp_path / "shared")
-    assert {c["folder"].split("/")[1] for c in together} == {together[0]["folder"].split("/")[1]}
-    for friction, case in zip((0.2, 0.6), together, strict=True):
-        path.write_text(f"base: case.yaml\nset: {{{FRICTION}: {friction}}}\n")
-        sweep.run(path, (), Options(tmp_path / "alone", 1))
-        alone = cases_of(tmp_path / "alone")[0]
-        assert alone["folder"].count("/") == 1
-        for name, value in case["numbers"].items():
-            assert alone["numbers"][name] == pytest.approx(value, rel=1e-6, abs=1e-9), name
 
 
 def test_samples_tell_spread_and_cause() -> None:

@@ -168,14 +168,6 @@ def compiled(which: str) -> Kinetics:
     return setting(KINETICS[which], 3)
 
 
-def test_senseless_temperatures_do_no_harm() -> None:
-    """Iterates of a solver may be anywhere; nothing sets where there is no heat."""
-    T = np.array([-500.0, 0.0, 1.0, 1e7])
-    found = setting(nodes=4).update(np.full(4, 0.3), T, 1.0, 0.0)
-    assert np.isfinite(found.by_temperature).all()
-    assert found.degree[:3] == pytest.approx(0.3) and 0.3 < found.degree[3] <= 1
-
-
 @ALL
 def test_nothing_undefined_leaves_a_step_or_is_remembered(kinetics: Autocatalytic) -> None:
     """Where rates underflow, nothing sets and no warming changes that; the next step is as ever."""
@@ -337,8 +329,6 @@ def test_reference_history() -> None:
     for t, a in ((100, 0.00217920), (300, 0.01032774), (500, 0.05708639), (600, 0.22178809)):
         # The shift in time that is allowed, times the rate.
         assert run.spline(t) == pytest.approx(a, rel=5e-3)
-    found = [integrate(point(), t).temperature[-1] - 273.15 for t in (500.0, 600.0)]
-    assert found == pytest.approx([41.99620, 56.66790], abs=0.05)
     exact = integrate(point(), 600.0, tolerance=1e-6)
     assert exact.degree[-1] == pytest.approx(0.22178809, abs=2e-6)
     assert exact.temperature[-1] - 273.15 == pytest.approx(56.66790, abs=1e-4)

@@ -15,7 +15,7 @@ from app.errors import InputError
 from app.laws.supports import Roller
 from app.results.balance import Balance
 from app.soundness.well_posedness import judge, look
-from app.verification.changed_meshes import ROTATION, turned
+from app.verification.changed_meshes import CHANGES, ROTATION
 from meshes.distribute import TaggedMesh, distribute
 from tests import support
 
@@ -52,6 +52,10 @@ supports:
   z: {kind: roller, boundary: bottom, axis: z}
 loads: {push: {kind: force, boundary: top, force: [0 N, 0 N, -120 N]}}
 """
+PLATE = (
+    "geometry.blocks=[{name: block, size: [4 mm, 6 mm, 5 mm]}, "
+    "{name: plate, size: [4 mm, 6 mm, 3 mm]}]",
+)
 
 
 def vector(values: Any, unit: str = "") -> str:
@@ -62,7 +66,7 @@ def vector(values: Any, unit: str = "") -> str:
 def turn(text: str, *overrides: str, face: bool = False) -> tuple[Case, TaggedMesh]:
     """A case and its mesh, both turned: rollers along axes become oblique ones."""
     straight = support.case(text, *overrides)
-    data = turned(meshes.build(straight.geometry, straight.mesh, None))
+    data = CHANGES["turned"](meshes.build(straight.geometry, straight.mesh, None))
     changes = [*overrides]
     for name, s in straight.supports.items():
         if isinstance(s, Roller) and s.axis:
@@ -123,11 +127,7 @@ def test_released_and_held_again(rigid: bool) -> None:
         "stages=[{name: a}, {name: b}, {name: c}]",
         "loads.pull={kind: force, boundary: y_max, force: [30 N, 20 N, -10 N], history: [1, 2, 1]}",
     )
-    plate = (
-        "geometry.blocks=[{name: block, size: [4 mm, 6 mm, 5 mm]}, "
-        "{name: plate, size: [4 mm, 6 mm, 3 mm]}]",
-        "regions.plate={rigid: true}",
-    )
+    plate = (*PLATE, "regions.plate={rigid: true}")
     same(BLOCK, *supports, *(plate if rigid else ()))
 
 
@@ -240,38 +240,33 @@ def test_a_direction_is_normalised_and_reads_back() -> None:
             r"supports.x, y.*: cannot all hold at \(0, 0, .*allowed: the same displacements",
         ),
         (
-            ("supports.y={kind: roller, boundary: walls, normal: face}",),
-            "boundary 'walls' has an edge at .* a support for each face",
+            (
+                *PLATE,
+                "regions.plate={youngs_modulus: 1 GPa, poisson_ratio: 0.3}",
+                "interfaces.block_plate={kind: contact, friction_coefficient: 0.3}",
+                "supports.x={kind: roller, boundary: block_x_min, axis: x}",
+                "supports.a={kind: roller, boundary: plate_x_min, normal: [1, 0.2, 0]}",
+            ),
+            "neither the same nor at right angles; allowed",
         ),
     ],
 )
 def test_what_cannot_hold(changes: tuple[str, ...], expected: str) -> None:
-    """Displacements at an angle to what a roller holds; a normal at an edge."""
-    this = support.case(BLOCK, *changes[: -1 if "walls" in changes[-1] else None])
+    """Displacements at an angle to what a roller holds; sides of an interface held at an angle."""
+    with pytest.raises(InputError, match=expected):
+        support.solve(BLOCK, *changes)
+
+
+def test_a_face_with_an_edge_has_no_normal() -> None:
+    this = support.case(BLOCK)
     data = meshes.build(this.geometry, this.mesh, None)
     walls = {"walls": data.boundaries["x_max"] + data.boundaries["y_min"]}
-    tagged = distribute(
-        replace(data, boundaries={**data.boundaries, **walls}), support.MPI.COMM_WORLD
-    )
-    supports = dict(this.supports)
-    if "walls" in changes[-1]:
-        supports["y"] = Roller(boundary="walls", normal="face")
-    with pytest.raises(InputError, match=expected):
-        support.solve(this.model_copy(update={"supports": supports}), tagged=tagged)
-
-
-def test_skew_directions_on_two_bodies_are_refused() -> None:
-    """Where the sides of an interface are held at an angle, no axes serve both."""
-    two = (
-        "geometry.blocks=[{name: block, size: [4 mm, 6 mm, 5 mm]}, "
-        "{name: plate, size: [4 mm, 6 mm, 3 mm]}]",
-        "regions.plate={youngs_modulus: 1 GPa, poisson_ratio: 0.3}",
-        "interfaces.block_plate={kind: contact, friction_coefficient: 0.3}",
-        "supports.x={kind: roller, boundary: block_x_min, axis: x}",
-        "supports.a={kind: roller, boundary: plate_x_min, normal: [1, 0.2, 0]}",
-    )
-    with pytest.raises(InputError, match="neither the same nor at right angles; allowed"):
-        support.solve(BLOCK, *two)
+    data = replace(data, boundaries={**data.boundaries, **walls})
+    supports = {**this.supports, "y": Roller(boundary="walls", normal="face")}
+    this = this.model_copy(update={"supports": supports})
+    edge = "boundary 'walls' has an edge at .* a support for each face"
+    with pytest.raises(InputError, match=edge):
+        support.solve(this, tagged=distribute(data, support.MPI.COMM_WORLD))
 
 
 @pytest.mark.parametrize(

@@ -303,18 +303,6 @@ def test_the_wall_time_is_kept(
     assert saved(out)[0] != path and len(restarted.rows(out)) > steps
 
 
-def started(*command: str) -> subprocess.Popen[str]:
-    """A process of its own, with all that it starts."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "mantle", *command],
-        env=support.environment(),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        start_new_session=True,
-    )
-
-
 @pytest.mark.slow
 def test_twenty_kills(tmp_path: Path) -> None:
     """Whenever a run is killed, what it left goes on to the same numbers."""
@@ -324,7 +312,12 @@ def test_twenty_kills(tmp_path: Path) -> None:
     left = []
     for k in range(20):
         out = tmp_path / f"out-{k}"
-        process = started(*command, "-o", str(out))
+        process = subprocess.Popen(
+            [sys.executable, "-m", "mantle", *command, "-o", str(out)],
+            env=support.environment(),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         wanted = f"checkpoint-{random.integers(1, 6)}.state"
         while process.poll() is None and wanted not in [p.name for p in saved(out)]:
             clock.sleep(0.001)
@@ -337,40 +330,3 @@ def test_twenty_kills(tmp_path: Path) -> None:
         shutil.rmtree(out)
     print(f"killed 20 times, checkpoints left: {np.bincount(left).tolist()}")
     assert left.count(2) > 4
-
-
-VARIATIONS = """
-variations:
-  a: {interfaces.lower_upper.friction_coefficient: 0.2}
-  b: {interfaces.lower_upper.friction_coefficient: 0.3}
-  c: {interfaces.lower_upper.friction_coefficient: 0.4}
-"""
-
-
-def others(out: Path) -> list[str]:
-    """Variations that are not done, once one is."""
-    left = [n for n in "abc" if not (out / n / "DONE").exists()]
-    return left if len(left) == 2 else []
-
-
-@pytest.mark.slow
-def test_variations_go_on_where_they_were_killed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    case = tmp_path / "case.yaml"
-    case.write_text(restarted.RUBBING + VARIATIONS)
-    command = ["run", str(case), "--set", FIELDS, "--set", "output.checkpoint.steps=1"]
-    command += ["--set", "stages.1.increments=20"]
-    assert main([*command, "-o", str(tmp_path / "whole")]) == 0
-    out = tmp_path / "out"
-    process = started(*command, "-o", str(out))
-    # One is done and the next is under way, whichever that is.
-    while not (under_way := [n for n in others(out) if saved(out / n)]):
-        assert process.poll() is None
-        clock.sleep(0.01)
-    process.kill()
-    process.wait()
-    assert main([*command, "-o", str(out), "--restart", "auto"]) == 0
-    assert f"restart from {out / under_way[0]}" in capsys.readouterr().out
-    for name in "abc":
-        restarted.assert_same(tmp_path / "whole" / name, out / name)
