@@ -88,9 +88,18 @@ class Neck:
 
 
 class FemurSurfaces:
-    """Surfaces of the operated femur, as `layers.Surfaces`.
+    """Nested surfaces of the operated femur as functions of angle and station, and their grid.
 
     Attributes:
+        size: Mesh size [mm].
+        around: Number of lines around.
+        through: Cells through each layer, at most.
+        cement: Cells through the first layer; a fraction is the part, from the cut down, with one
+            more.
+        blocks: Blocks of the reference body, from below.
+        mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
+            in one continue below and above.
+        mirrored: Steps whose prisms are split the other way around: there sections turn back.
         tip: Station of the stem's tip.
         cut: Station of the neck cut.
     """
@@ -152,7 +161,7 @@ class FemurSurfaces:
         return zeta, self._steepest * t * t * (2 - t)
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
-        """Lines in the sections; above the cut lines of the stem's outline alone."""
+        """Lines at angles `phi` [turns] and stations `s` (n,); above the cut the stem's alone."""
         start, end = np.zeros((len(s), 3)), np.ones((len(s), 3))
         mantle, endosteum = np.full(len(s), 0.3), np.full(len(s), 0.6)
         bone = s <= self.cut
@@ -162,11 +171,11 @@ class FemurSurfaces:
         return Lines(start, end, mantle, endosteum)
 
     def ended(self, nodes: Nodes, number: Ints, body: Body) -> tuple[Nodes, Ints]:
-        """No ball."""
+        """Take nodes of a ball at the end off their lines; nodes, and what stands for each."""
         return nodes, number
 
     def arc(self, a: Floats, b: Floats) -> Floats:
-        """No ball."""
+        """Middles of edges from a to b (n, 3) in the shell of a ball (n, 3)."""
         return 0.5 * (a + b)
 
     def _across(self, phi: Floats, s: Floats) -> tuple[Floats, Floats, Floats, Floats]:

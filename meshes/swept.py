@@ -19,13 +19,12 @@ from app.errors import GeometryError
 from meshes import grid, reference_body
 from meshes.curving import untangle
 from meshes.data import EDGES, cell_volumes, distinct, faces_of, match_faces
-from meshes.layers import DIGITS, Nodes, Surfaces, lines_of, place
+from meshes.femur_surfaces import FemurSurfaces
+from meshes.layers import DIGITS, Lines, Nodes
 from meshes.reference_body import Body
 
 FLOOR = 0.12  # of the mesh size: layers thinner than this have no thickness
 ALONG = 0.10  # of the distance to the next section, where that is far: the same
-# How much of the larger thickness a mid-edge node keeps beside a layer's end: else cells invert.
-KEPT = 0.8
 
 # The tetrahedra of a prism, whose lower corners 0, 1, 2 are in the order of their ranks.
 _PRISM = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])
@@ -42,7 +41,7 @@ class Swept:
         names: Regions.
     """
 
-    surfaces: Surfaces
+    surfaces: FemurSurfaces
     nodes: Nodes
     cells: Ints
     region: Ints
@@ -86,7 +85,7 @@ class Swept:
         }
 
 
-def mesh(surfaces: Surfaces, curved: bool) -> Swept:
+def mesh(surfaces: FemurSurfaces, curved: bool) -> Swept:
     """Mesh the layers; cells are curved if asked.
 
     Raises:
@@ -100,7 +99,7 @@ def mesh(surfaces: Surfaces, curved: bool) -> Swept:
     return _curved(made) if curved else made
 
 
-def _split(surfaces: Surfaces, body: Body, number: Ints) -> tuple[Ints, Ints]:
+def _split(surfaces: FemurSurfaces, body: Body, number: Ints) -> tuple[Ints, Ints]:
     """Tetrahedra (m, 4) of distinct nodes, and their prisms (m,).
 
     Columns rank from lateral to medial, all of one line together, outwards: sections turn about an
@@ -121,7 +120,7 @@ def _split(surfaces: Surfaces, body: Body, number: Ints) -> tuple[Ints, Ints]:
     return tets[kept], kept // 3
 
 
-def _grid(surfaces: Surfaces, body: Body) -> tuple[Nodes, Ints]:
+def _grid(surfaces: FemurSurfaces, body: Body) -> tuple[Nodes, Ints]:
     """Nodes of all columns at all stations, and the one that stands for each."""
     n, r, c = surfaces.around, len(body.rho), len(body.at)
     levels = sum(block.steps for block in surfaces.blocks) + 1
@@ -166,7 +165,7 @@ def _grid(surfaces: Surfaces, body: Body) -> tuple[Nodes, Ints]:
         floor=np.where(inside, 0.0, np.where(merged, 0.0, floor)[i, station]),
         x=np.zeros((len(i), 3)),
     )
-    nodes = place(surfaces, nodes)
+    nodes = _place(surfaces, nodes)
     x = nodes.x.reshape(levels, c, 3)
     x[:, n * r :] = np.round(body.weights @ x[:, : n * r : r], DIGITS)
     number = np.arange(levels * c)
@@ -174,7 +173,35 @@ def _grid(surfaces: Surfaces, body: Body) -> tuple[Nodes, Ints]:
     return surfaces.ended(nodes, number, body)
 
 
-def _floor(surfaces: Surfaces, bone: Floats) -> Floats:
+def _lines_of(surfaces: FemurSurfaces, phi: Ints, s: Ints) -> tuple[Lines, Ints]:
+    """Distinct lines of nodes at phi and s (n,), and the number of the line of each node (n,)."""
+    turn = 2 * surfaces.around
+    keys, line = distinct(s * turn + phi)
+    return surfaces.lines((keys % turn) / turn, (keys // turn) / 2), line
+
+
+def _place(surfaces: FemurSurfaces, nodes: Nodes) -> Nodes:
+    """Put all nodes on lines onto the surfaces, or between them by their coordinates."""
+    on = np.flatnonzero(nodes.rho > 0)
+    lines, line = _lines_of(surfaces, nodes.phi[on], nodes.s[on])
+    start, end = lines.start[line], lines.end[line]
+    bone, gap = lines.endosteum[line], lines.gap[line]
+    merged, rho = nodes.merged[on], nodes.rho[on]
+    used = np.where(merged, 0.0, np.maximum(gap + nodes.error[on], nodes.floor[on]))
+    mantle = bone - used / lines.length[line]
+    part = np.where(
+        rho <= 2,
+        (rho - 1) * mantle,
+        np.where(rho <= 3, mantle + (rho - 2) * (bone - mantle), bone + (rho - 3) * (1 - bone)),
+    )
+    part = np.where(merged, bone, part)
+    x, error = nodes.x.copy(), nodes.error.copy()
+    x[on] = start + part[:, None] * (end - start)
+    error[on] = np.where(merged, -gap, used - gap)
+    return replace(nodes, x=np.round(x, DIGITS), error=error)
+
+
+def _floor(surfaces: FemurSurfaces, bone: Floats) -> Floats:
     """Least thickness of the layer within the endosteum, by line and station [mm]."""
     apart = np.sqrt(((np.roll(bone, -1, axis=0) - bone) ** 2).sum(axis=2))
     apart = np.maximum(apart, np.roll(apart, 1, axis=0))
@@ -188,7 +215,7 @@ def _floor(surfaces: Surfaces, bone: Floats) -> Floats:
 
 
 def _packed(
-    surfaces: Surfaces, nodes: Nodes, cells: Ints, region: Ints, names: tuple[str, ...]
+    surfaces: FemurSurfaces, nodes: Nodes, cells: Ints, region: Ints, names: tuple[str, ...]
 ) -> Swept:
     used, cells = np.unique(cells, return_inverse=True)
     cells = cells.reshape(-1, 4)
@@ -236,20 +263,14 @@ def _middles(made: Swept, a: Ints, b: Ints) -> Nodes:
     ]
     inner = (nodes.rho[a] <= 0) | (nodes.rho[b] <= 0) | (np.abs(apart) > 2)
     shell = inner & (np.minimum(np.abs(nodes.rho[a]), np.abs(nodes.rho[b])) >= 3)
-    lines, line = lines_of(made.surfaces, nodes.phi, nodes.s)
-    thickness = np.maximum(lines.gap[line] + nodes.error, 0.0)
-    thick = np.where(nodes.rho > 0, thickness, 0.0)
-    thin, thick = np.minimum(thick[a], thick[b]), np.maximum(thick[a], thick[b])
-    # Beside their end layers must not get too thin: curved cells invert.
-    steep = np.where(2 * thin < thick, KEPT * 0.5 * (thin + thick), 0.0)
     middle = Nodes(
         phi=np.where(inner, 0, (nodes.phi[a] + apart // 2) % turn),
         rho=np.where(inner, np.where(shell, -3.0, 0.0), np.where(both, 3.0, 0.5 * sum(ends))),
         s=(nodes.s[a] + nodes.s[b]) // 2,
         merged=both & ~inner,
         error=np.where(inner, 0.0, 0.5 * (nodes.error[a] + nodes.error[b])),
-        floor=np.maximum(np.where(inner, 0.0, 0.5 * (nodes.floor[a] + nodes.floor[b])), steep),
+        floor=np.where(inner, 0.0, 0.5 * (nodes.floor[a] + nodes.floor[b])),
         x=0.5 * (nodes.x[a] + nodes.x[b]),
     )
     middle.x[shell] = made.surfaces.arc(nodes.x[a[shell]], nodes.x[b[shell]])
-    return place(made.surfaces, middle)
+    return _place(made.surfaces, middle)
