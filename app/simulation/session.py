@@ -119,17 +119,8 @@ def run(
     signalled = stopping.signals() if signals else str
     form_cache.guard()
     late = str if walltime is None else stopping.WallTime(begin, walltime)
-    setup = Setup(
-        comm=comm,
-        loaded=case,
-        options=raw_options(petsc_options),
-        stop=lambda: signalled() or late(),
-        progress=progress,
-        restart=restart,
-        force=force,
-        begin=begin,
-        started=started,
-    )
+    options, asked = raw_options(petsc_options), (progress, restart, force)
+    setup = Setup(comm, case, options, lambda: signalled() or late(), *asked, begin, started)
     setup.note(plausibility.warnings(case.config))
     with case.file.placing(), ExitStack() as held:
         on_root(comm, lambda: held.enter_context(claim(output)), share=False)

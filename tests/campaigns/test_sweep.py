@@ -115,9 +115,11 @@ def test_an_interrupted_sweep_has_its_table_and_goes_on(bench: Bench) -> None:
     thread.join()
     assert not bench.processes()
     assert {c["status"] for c in cases_of(bench.out)} == {"converged", "stopped"}
+    done = {p: p.stat().st_mtime_ns for p in bench.finished()}
     bench.tell(awaited=".")
     run(bench)
-    assert len(bench.told("runs")) == 8
+    assert len(bench.finished()) == 8
+    assert {p: p.stat().st_mtime_ns for p in done} == done
     assert {c["status"] for c in cases_of(bench.out)} == {"converged"}
 
 
