@@ -33,7 +33,7 @@ def through_cement(cement: float, mesh: Any) -> float:
     A fraction is the part, from the neck cut down, with one more.
     """
     least = 1 if mesh.order > 1 else 2  # straight displacements lock in a mantle of one cell
-    return float(mesh.through_cement or max(least, 1.5 * cement / mesh.size - 0.5))
+    return float(mesh.through_cement or max(least, 1.75 * cement / mesh.size - 0.5))
 
 
 def cells_through(cement: float, mesh: Any) -> tuple[int, int, int]:
