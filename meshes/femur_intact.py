@@ -24,7 +24,7 @@ from meshes.data import MeshData
 from meshes.femur import patches
 from meshes.femur_surfaces import SPREAD, FemurSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
-from meshes.reference_body import Block, Body
+from meshes.reference_body import Segment, ReferenceBody
 from meshes.tags import assemble, number
 
 REGIONS = ("cortical_bone", "cancellous_bone")
@@ -71,7 +71,7 @@ class Intact(FemurSurfaces):
         wide = WIDE * 2 * math.pi * self._radius / self.around
         self.ball = self.neck + max(STEPS, round(ARC * self._radius / max(self.size, wide)))
         bone = ("cancellous_bone", "cancellous_bone", "cancellous_bone", "cortical_bone")
-        self.blocks = (Block(self.ball, bone), Block(1, ("cortical_bone",) * 3))
+        self.segments = (Segment(self.ball, bone), Segment(1, ("cortical_bone",) * 3))
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
         """Lines in the sections of shaft and neck; lines of the head are not used."""
@@ -111,7 +111,7 @@ class Intact(FemurSurfaces):
             CORTEX[0] + (CORTEX[1] - CORTEX[0]) * t,
         )
 
-    def ended(self, nodes: Nodes, number: Ints, body: Body) -> tuple[Nodes, Ints]:
+    def ended(self, nodes: Nodes, number: Ints, body: ReferenceBody) -> tuple[Nodes, Ints]:
         """Put the nodes of the head on sections, those of its cortex between two spheres."""
         c, steps = len(body.at), self.ball - self.neck
         head = nodes.s > 2 * self.neck

@@ -25,7 +25,7 @@ from app.arrays import Floats, Ints
 from app.errors import GeometryError
 from meshes import femur_bone, femur_stem, grid
 from meshes.layers import DIGITS, Lines, Nodes
-from meshes.reference_body import Block, Body
+from meshes.reference_body import Segment, ReferenceBody
 
 TURN = 60.0  # mm below the neck cut over which sections turn to it
 CORE = 0.5  # of the canal: where the innermost surface goes below the plug
@@ -96,7 +96,7 @@ class FemurSurfaces:
         through: Cells through each layer, at most.
         cement: Cells through the first layer; a fraction is the part, from the cut down, with one
             more.
-        blocks: Blocks of the reference body, from below.
+        segments: Segments of the reference body, from below.
         mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
             in one continue below and above.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
@@ -142,11 +142,11 @@ class FemurSurfaces:
         self._above = np.cumsum([0, out, grid.steps(blend, self.size), grid.steps(cone, self.size)])
         bone = ("cancellous_bone", "cortical_bone")
         self.top = self.cut + int(self._above[-1])
-        self.blocks: tuple[Block, ...] = (
-            Block(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
-            Block(self.tip - self.mantle[0], ("cement", "cement", *bone)),
-            Block(self.cut - self.tip, ("stem", "cement", *bone)),
-            Block(int(self._above[-1]), ("stem",)),
+        self.segments: tuple[Segment, ...] = (
+            Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
+            Segment(self.tip - self.mantle[0], ("cement", "cement", *bone)),
+            Segment(self.cut - self.tip, ("stem", "cement", *bone)),
+            Segment(int(self._above[-1]), ("stem",)),
         )
 
     def outline(self) -> Floats:
@@ -170,7 +170,7 @@ class FemurSurfaces:
         end[~bone] = start[~bone] + 1.0
         return Lines(start, end, mantle, endosteum)
 
-    def ended(self, nodes: Nodes, number: Ints, body: Body) -> tuple[Nodes, Ints]:
+    def ended(self, nodes: Nodes, number: Ints, body: ReferenceBody) -> tuple[Nodes, Ints]:
         """Take nodes of a ball at the end off their lines; nodes, and what stands for each."""
         return nodes, number
 

@@ -1,7 +1,7 @@
 """The reference body of a hip, by gmsh: a straight stack of rings about a core.
 
 The cross-section is a polygon, the *core*, in rings between larger ones of the same shape; gmsh
-triangulates the core, divides the rings and extrudes all of it in layers. A block of layers may
+triangulates the core, divides the rings and extrudes all of it in layers. A segment of layers may
 end at an inner ring: the stem goes on alone above the neck cut. Each volume is in the physical
 group of its region. `layers` makes an anatomy of it.
 """
@@ -26,7 +26,7 @@ PRISM = 6  # gmsh's number of the type
 
 
 @dataclass(frozen=True)
-class Block:
+class Segment:
     """Layers with the same regions.
 
     Attributes:
@@ -39,7 +39,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Body:
+class ReferenceBody:
     """Prisms on a grid of columns and stations.
 
     Columns are those of the first line from the core's edge outwards, of the second, ..., then
@@ -64,18 +64,18 @@ class Body:
     names: tuple[str, ...]
 
 
-def make(outline: Floats, through: Sequence[int], blocks: Sequence[Block]) -> Body:
+def make(outline: Floats, through: Sequence[int], segments: Sequence[Segment]) -> ReferenceBody:
     """Mesh the body.
 
     Args:
         outline: The core's corners, one a line, around 0 (around, 2) [mm].
         through: Cells through each ring, from the core outwards.
-        blocks: Blocks from the bottom up; the first has all rings.
+        segments: Blocks from the bottom up; the first has all rings.
     """
     corners = outline + np.outer(outline[:, 1], [SHEAR, 0.0])
-    names = tuple(dict.fromkeys(name for block in blocks for name in block.regions))
+    names = tuple(dict.fromkeys(name for segment in segments for name in segment.regions))
     with session("reference body") as gmsh:
-        _extruded(gmsh, corners, through, blocks, names)
+        _extruded(gmsh, corners, through, segments, names)
         edge = np.sqrt(((corners - np.roll(corners, 1, axis=0)) ** 2).sum(axis=1)).mean()
         grade(gmsh, (), COARSER * edge, COARSER * edge)
         gmsh.model.mesh.generate(3)
@@ -102,7 +102,7 @@ def make(outline: Floats, through: Sequence[int], blocks: Sequence[Block]) -> Bo
     row = np.zeros(int(tags.max()) + 1, dtype=np.int64)
     row[tags.astype(np.int64)] = np.arange(len(tags))
     prism = row[np.concatenate(prisms).astype(np.int64)].reshape(-1, 6)
-    return Body(
+    return ReferenceBody(
         rho=rho,
         weights=_mean_values(inside, corners),
         at=at - np.outer(at[:, 1], [SHEAR, 0.0]),
@@ -117,12 +117,12 @@ def _extruded(
     gmsh: Any,
     corners: Floats,
     through: Sequence[int],
-    blocks: Sequence[Block],
+    segments: Sequence[Segment],
     names: Sequence[str],
 ) -> None:
-    """Draw the section, extrude it block by block, and group the volumes by region."""
+    """Draw the section, extrude it segment by segment, and group the volumes by region."""
     geo = gmsh.model.geo
-    n = len(corners)
+    n, half = len(corners), (len(corners) + 1) // 2
     rings = [
         [geo.addPoint(*map(float, (ring * corner)), 0.0) for corner in corners]
         for ring in range(1, len(through) + 2)
@@ -132,26 +132,26 @@ def _extruded(
     for edge in np.ravel(edges):
         geo.mesh.setTransfiniteCurve(edge, 2)
     for k, cells in enumerate(through):
-        ends = [0, n // 2]
+        ends = [0, half]
         rays = [geo.addLine(rings[k][i], rings[k + 1][i]) for i in ends]
         for ray in rays:
             geo.mesh.setTransfiniteCurve(ray, cells + 1)
         faces.append([])
-        for side, part in enumerate((slice(0, n // 2), slice(n // 2, n))):
+        for side, part in enumerate((slice(half), slice(half, n))):
             outer = [-edge for edge in edges[k + 1][part][::-1]]
             loop = [*edges[k][part], rays[1 - side], *outer, -rays[side]]
             faces[-1].append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
             one, other = ends[side], ends[1 - side]
             four = [rings[k][one], rings[k][other], rings[k + 1][other], rings[k + 1][one]]
-            geo.mesh.setTransfiniteSurface(faces[-1][-1], cornerTags=four)
+            geo.mesh.setTransfiniteSurface(faces[-1][-1], ("Left", "Right")[side], four)
     volumes: dict[str, list[int]] = {name: [] for name in names}
-    for block in blocks:
-        faces = faces[: len(block.regions)]
+    for segment in segments:
+        faces = faces[: len(segment.regions)]
         flat = [(2, face) for layer in faces for face in layer]
-        made = geo.extrude(flat, 0, 0, block.steps, numElements=[block.steps], recombine=True)
+        made = geo.extrude(flat, 0, 0, segment.steps, numElements=[segment.steps], recombine=True)
         at = [k for k, (dim, _) in enumerate(made) if dim == 3]
         tops, bodies = iter([made[k - 1][1] for k in at]), iter([made[k][1] for k in at])
-        for name, layer in zip(block.regions, faces, strict=True):
+        for name, layer in zip(segment.regions, faces, strict=True):
             volumes[name] += [next(bodies) for _ in layer]
         faces = [[next(tops) for _ in layer] for layer in faces]
     geo.synchronize()

@@ -21,7 +21,7 @@ from meshes.curving import untangle
 from meshes.data import EDGES, cell_volumes, distinct, faces_of, match_faces
 from meshes.femur_surfaces import FemurSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
-from meshes.reference_body import Body
+from meshes.reference_body import ReferenceBody
 
 FLOOR = 0.12  # of the mesh size: layers thinner than this have no thickness
 ALONG = 0.10  # of the distance to the next section, where that is far: the same
@@ -77,7 +77,7 @@ class Swept:
         moved = np.where(nodes.merged[mantle], np.maximum(-nodes.error[mantle], 0.0), wrong)[within]
         return {
             "lines_around": surfaces.around,
-            "steps_along": sum(block.steps for block in surfaces.blocks),
+            "steps_along": sum(segment.steps for segment in surfaces.segments),
             "cells_through": list(surfaces.through),
             "least_thickness_mm": FLOOR * surfaces.size,
             "moved_nodes": float((moved > 10.0**-DIGITS).mean()),
@@ -91,7 +91,7 @@ def mesh(surfaces: FemurSurfaces, curved: bool) -> Swept:
     Raises:
         GeometryError: Cells overlap: the surfaces are not nested.
     """
-    body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.blocks)
+    body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.segments)
     nodes, number = _grid(surfaces, body)
     cells, parent = _split(surfaces, body, number)
     made = _packed(surfaces, nodes, cells, body.region[parent], body.names)
@@ -99,7 +99,7 @@ def mesh(surfaces: FemurSurfaces, curved: bool) -> Swept:
     return _curved(made) if curved else made
 
 
-def _split(surfaces: FemurSurfaces, body: Body, number: Ints) -> tuple[Ints, Ints]:
+def _split(surfaces: FemurSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:
     """Tetrahedra (m, 4) of distinct nodes, and their prisms (m,).
 
     Columns rank from lateral to medial, all of one line together, outwards: sections turn about an
@@ -120,10 +120,10 @@ def _split(surfaces: FemurSurfaces, body: Body, number: Ints) -> tuple[Ints, Int
     return tets[kept], kept // 3
 
 
-def _grid(surfaces: FemurSurfaces, body: Body) -> tuple[Nodes, Ints]:
+def _grid(surfaces: FemurSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     """Nodes of all columns at all stations, and the one that stands for each."""
     n, r, c = surfaces.around, len(body.rho), len(body.at)
-    levels = sum(block.steps for block in surfaces.blocks) + 1
+    levels = sum(segment.steps for segment in surfaces.segments) + 1
     phi, s = np.meshgrid(np.arange(n) / n, np.arange(levels, dtype=float), indexing="ij")
     lines = surfaces.lines(phi.ravel(), s.ravel())
     bone = lines.start + lines.endosteum[:, None] * (lines.end - lines.start)

@@ -176,11 +176,11 @@ def test_the_reference_body_is_what_it_was_asked_for() -> None:
     """Volume by region of straight rings about an ellipse, and linear mean value coordinates."""
     turn = 2 * np.pi * np.arange(9) / 9
     outline = np.stack([5 * np.cos(turn), 3 * np.sin(turn)], axis=1)
-    blocks = (
-        reference_body.Block(2, ("a", "b", "c")),
-        reference_body.Block(3, ("d",)),
+    segments = (
+        reference_body.Segment(2, ("a", "b", "c")),
+        reference_body.Segment(3, ("d",)),
     )
-    body = reference_body.make(outline, (2, 3), blocks)
+    body = reference_body.make(outline, (2, 3), segments)
     a, b, c = body.at[body.columns].transpose(1, 0, 2)
     (p, q), (u, v) = (b - a).T, (c - a).T
     areas = 0.5 * np.abs(p * v - q * u)
