@@ -24,7 +24,7 @@ from meshes.data import MeshData
 from meshes.femur import patches
 from meshes.femur_surfaces import SPREAD, FemurSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
-from meshes.reference_body import Segment, ReferenceBody
+from meshes.reference_body import ReferenceBody, Segment
 from meshes.tags import assemble, number
 
 REGIONS = ("cortical_bone", "cancellous_bone")

@@ -25,7 +25,7 @@ from app.arrays import Floats, Ints
 from app.errors import GeometryError
 from meshes import femur_bone, femur_stem, grid
 from meshes.layers import DIGITS, Lines, Nodes
-from meshes.reference_body import Segment, ReferenceBody
+from meshes.reference_body import ReferenceBody, Segment
 
 TURN = 60.0  # mm below the neck cut over which sections turn to it
 CORE = 0.5  # of the canal: where the innermost surface goes below the plug

@@ -210,7 +210,7 @@ class _Femur(Shape):
         layers = stem * (cement + cortical + cancellous * open_)
         layers += below * (cement + cortical + cancellous * free)
         # In neck and head cancellous bone is wide, cortical bone thin.
-        whole = 6.0 * around * (cement + 0.4 * bone[0] + 0.6 * cancellous + 1.0)
+        whole = 6.0 * around * (cement + 0.2 * bone[0] + 0.8 * cancellous + 1.0)
         return (stem + below) * core + 6.0 * around * layers, core, core + whole
 
 

@@ -11,13 +11,13 @@ from tests.support import CONFIGS
 NO_ERRORS = "output.error=false"
 # Processor time of the whole command, with all forms compiled and no mesh kept.
 MEASURED = {
-    ("stance",): 50.4,
-    ("stance", NO_ERRORS): 31.5,
+    ("stance",): 30.6,
+    ("stance", NO_ERRORS): 22.0,
     ("stance", NO_ERRORS, "mesh.size=8 mm"): 4.9,
     ("stance", NO_ERRORS, "mesh.size=6 mm"): 4.9,
-    ("stance", NO_ERRORS, "mesh.size=3 mm"): 49.0,
-    ("stance", NO_ERRORS, "mesh.size=2.5 mm"): 316.0,
-    ("stance_cocr",): 52.0,
+    ("stance", NO_ERRORS, "mesh.size=3 mm"): 37.0,
+    ("stance", NO_ERRORS, "mesh.size=2.5 mm"): 52.0,
+    ("stance_cocr",): 29.0,
     ("intact",): 53.6,
     ("blocks",): 2.9,
     ("cylinders",): 7.9,
