@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -41,8 +42,8 @@ class Sweep(SweepPart):
             if (name or not self.parts) and (part.base or self.base) is None:
                 text = "missing; expected the case that is varied, relative to this file"
                 fail(text, at=(*path, "base"))
-            if part.number > MOST_CASES:
-                fail(f"{part.number} combinations; at most {MOST_CASES} are allowed", at=path)
+            if (number := math.prod(map(len, part.axes(path)))) > MOST_CASES:
+                fail(f"{number} combinations; at most {MOST_CASES} are allowed", at=path)
         return self
 
     def points(self) -> list[Point]:
