@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -125,8 +125,10 @@ def plan(
         overrides: ``--set`` options for every point; they replace values under ``set``.
     """
     problems = points.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
-    given = {o.partition("=")[0].strip(): _value(o) for o in overrides}
-    others = [o for o in overrides if o.partition("=")[0].strip() != "ranks"]
+    keys = [o.partition("=")[0].strip() for o in overrides]
+    # A value that cannot be read is None here, and told where the case is read.
+    given = dict.fromkeys(keys) | overlay.changed(CaseFile(""), overrides).given
+    others = [o for key, o in zip(keys, overrides, strict=True) if key != "ranks"]
     planned: list[PlannedRun] = []
     failed: dict[tuple[Path, str], list[Point]] = {}
     bases = Counter(overlay.found(folder, p.base) for p in every)
@@ -159,9 +161,3 @@ def plan(
         else:
             problems.append(Fault((), message, ""))
     return planned, problems
-
-
-def _value(option: str) -> Any:
-    """Value of an option; None if it cannot be read."""
-    text = option.partition("=")[2]
-    return overlay.changed(CaseFile(""), [f"value={text}"]).data.get("value")

@@ -93,7 +93,7 @@ def _rows(name: str, columns: Sequence[Column]) -> list[MapRow]:
 def _hottest(run: Run, sheet: Sheet) -> Floats | None:
     """Temperature [degC] at the written step at which an interface is hottest."""
     steps = [run.temperature(k) for k in range(len(run.times))] if run.hot else []
-    return max(steps, key=lambda T: float(T[sheet.nodes].max()), default=None)
+    return max(steps, key=lambda T: float(T[sheet.nodes].max())) if steps else None
 
 
 def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[str]) -> Figure:
