@@ -79,10 +79,20 @@ def on_ranks(number: int, tmp_path: Path, *arguments: str) -> list[str]:
     return ["-c", LAUNCH, str(number), sys.executable, str(script), *arguments]
 
 
-def test_no_command_is_a_usage_error() -> None:
-    result = run()
-    assert result.returncode == 2
-    assert "usage: mantle COMMAND" in result.stdout
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("", 2, "usage: mantle COMMAND"),
+        ("--version", 0, f"mantle {mantle.__version__}\n"),  # without a solver stack
+        ("doctor", 2, "'cloud' is not one of native, container, tree"),
+        ("setup --update someday", 2, "--update"),
+        ("setup --upgrade", 2, "--update"),
+    ],
+)
+def test_what_needs_no_solver_stack(words: str, code: int, said: str) -> None:
+    path = "/bin:/usr/bin"
+    result = run(*words.split(), MANTLE_BACKEND="cloud", MANTLE_INSIDE="", PATH=path)
+    assert result.returncode == code and said in result.stdout + result.stderr
 
 
 def test_help_lists_every_command_with_a_line() -> None:
@@ -93,17 +103,6 @@ def test_help_lists_every_command_with_a_line() -> None:
     (commands,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
     lines = [f"  {a.dest:<10} {a.help}" for a in commands._choices_actions]
     assert len(lines) == 12 and set(lines) <= set(result.stdout.splitlines())
-
-
-def test_the_version_needs_no_solver_stack() -> None:
-    result = run("--version", MANTLE_BACKEND="cloud", MANTLE_INSIDE="", PATH="/bin:/usr/bin")
-    assert (result.returncode, result.stdout) == (0, f"mantle {mantle.__version__}\n")
-
-
-def test_an_unknown_backend_is_named() -> None:
-    result = run("doctor", MANTLE_BACKEND="cloud", MANTLE_INSIDE="")
-    assert result.returncode == 2
-    assert "'cloud' is not one of native, container, tree" in result.stderr
 
 
 def test_dolfinx_is_found_natively_and_one_thread_is_the_default() -> None:
@@ -281,12 +280,6 @@ def test_a_tree_is_made_again_if_it_is_older_than_asked(tmp_path: Path) -> None:
     os.utime(tree / "etc/mantle-tree", (1e9, 1e9))
     tree, _ = made(tmp_path, EMPTY_TREE, "--update", "yesterday")
     assert set_ups(tmp_path) == 2 and not (tree / "first").exists()
-
-
-@pytest.mark.parametrize("words", [["--update", "someday"], ["--upgrade"]])
-def test_other_options_of_setup_are_refused(words: list[str]) -> None:
-    result = run("setup", *words)
-    assert result.returncode == 2 and "--update" in result.stderr
 
 
 def test_a_container_client_without_an_engine_is_not_enough(tmp_path: Path) -> None:
