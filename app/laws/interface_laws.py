@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from app.arrays import Floats
     from forms.contact import Response
 
+    # Stiffness of the trial force (n,) [MPa/mm], fraction of the multiplier in it (n,) [-].
+    TrialForce = tuple[Floats | float, Floats | float]
+
 # Default ratio of the augmentation to the stiffness against a jump.
 USUAL_AUGMENTATION = 0.2
 
@@ -126,9 +129,7 @@ class InterfaceLaw(Extensible):
         """Force and derivative of the law."""
         raise NotImplementedError
 
-    def trial_force(
-        self, met: Floats, factor: float, softening: float
-    ) -> tuple[Floats | float, Floats | float]:
+    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
         """Stiffness of the trial force (n,) [MPa/mm], fraction of the multiplier in it (n,) [-].
 
         Args:
@@ -204,9 +205,7 @@ class Coulomb(Unilateral):
     augmentation: PositiveStiffness | None = None
     """Augmentation parameter r, chosen by default; results do not depend on it."""
 
-    def trial_force(
-        self, met: Floats, factor: float, softening: float
-    ) -> tuple[Floats | float, Floats | float]:
+    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
         """With the given augmentation, or the default."""
         full = factor * met if self.augmentation is None else self.augmentation
         return softening * full, 1.0
@@ -223,9 +222,7 @@ class Penalty(Unilateral):
     penalty: PositiveStiffness
     """Pressure per penetration."""
 
-    def trial_force(
-        self, met: Floats, factor: float, softening: float
-    ) -> tuple[Floats | float, Floats | float]:
+    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
         """At most the penalty: above it, the multiplier enters with a negative sign."""
         import numpy as np
 
@@ -288,9 +285,7 @@ class Traction(InterfaceLaw):
         force, slope, pressures, status = map(strip_variables, (force, slope, pressures, status))
         return Response(force, slope, pressures, status, stripped)
 
-    def trial_force(
-        self, met: Floats, factor: float, softening: float
-    ) -> tuple[Floats | float, Floats | float]:
+    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
         """Without the multiplier."""
         return softening * (factor * met), 0.0
 
