@@ -151,7 +151,7 @@ def _vary(setup: Setup, output: Path) -> None:
         UnusableError: All did, but the numbers of some are not to be used.
         StoppedError: Those before are done.
     """
-    comm, varied = setup.comm, setup.loaded.variations()
+    comm, varied = setup.comm, setup.loaded.variations
     chain = variations.order(setup.loaded.config, varied)
     mark = output / "DONE"
     on_root(comm, lambda: mark.unlink(missing_ok=True), share=False)

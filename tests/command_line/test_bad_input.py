@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-import errno
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
@@ -145,22 +143,6 @@ def test_mesh_file(name: str, content: str | None, words: str, path: Path) -> No
         path.with_name(name).write_text(content)
     message = next(m for m in complaints(path) if "geometry" in m)
     assert message.startswith("3:3: geometry.path: ") and words in message
-
-
-def test_mesh_file_that_may_not_be_read(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path.write_text(FILE.format("a.msh"))
-    mesh, opens = path.with_name("a.msh"), Path.open
-    mesh.touch()
-
-    def refuses(self: Path, *how: Any, **more: Any) -> Any:
-        if self == mesh:
-            raise PermissionError(errno.EACCES, "Permission denied")
-        return opens(self, *how, **more)
-
-    monkeypatch.setattr(Path, "open", refuses)
-    message = next(m for m in complaints(path) if "geometry" in m)
-    assert message.startswith("3:3: geometry.path: ")
-    assert message.endswith("cannot be read: Permission denied")
 
 
 def test_names_of_a_mesh_file(path: Path) -> None:

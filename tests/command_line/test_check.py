@@ -223,6 +223,8 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["check", str(given), "--mesh"]) == 0
     out = capsys.readouterr().out
     assert "joint 100" in out and "estimated" not in out
+    assert main(["mesh", case, "-o", str(given / "below.msh"), *coarse]) == 2
+    assert "cannot be made" in capsys.readouterr().err
 
 
 def test_mesh_draws_the_mantle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -246,15 +248,6 @@ def test_a_press_fit_acts_by_penalty_too() -> None:
     for value, told in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
         case = load(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"]).config
         assert any("nothing acts" in note for note in plausibility.warnings(case)) == told
-
-
-def test_mesh_says_where_it_cannot_write(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    target = tmp_path / "file" / "below.msh"
-    assert main(["mesh", str(CONFIGS / "blocks.yaml"), "-o", str(target)]) == 2
-    assert "cannot be made" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", sorted(REMOVED))

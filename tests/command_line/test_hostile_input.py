@@ -10,7 +10,6 @@ import pytest
 
 import meshes
 from app.case import overlay
-from app.case import study as study_file
 from app.case import sweep as sweep_file
 from app.case.case import load, resolve
 from app.case.gmsh_header import ALLOWED
@@ -72,14 +71,6 @@ def test_a_file_too_long_to_be_a_case_is_not_read_to_its_end(
     path.write_text("#" * yaml_file.LARGEST + "\n")
     assert complaint(path) == f"{path}: is larger than 4 MB; no case is"
     assert complaint(Path("/dev/zero")) == "/dev/zero: is larger than 4 MB; no case is"
-
-
-def test_a_study_whose_overrides_are_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "study.yaml"
-    path.write_text(f"base: {BLOCKS}\nset:\nstudy: {{}}\n")
-    with pytest.raises(InputError) as caught:
-        study_file.read(path, ["nonsense.key=1"])
-    assert any("set: nothing is not a mapping" in m for m in caught.value.messages)
 
 
 def test_combinations_beyond_number(tmp_path: Path) -> None:

@@ -105,21 +105,13 @@ def test_help_lists_every_command_with_a_line() -> None:
     assert len(lines) == 12 and set(lines) <= set(result.stdout.splitlines())
 
 
-def test_dolfinx_is_found_natively_and_one_thread_is_the_default() -> None:
-    command = (
-        'python3 -c "import dolfinx, mantle; print(dolfinx.__version__)"; echo $OMP_NUM_THREADS'
-    )
-    result = run(
-        "shell", "-c", command, MANTLE_BACKEND="native", MANTLE_INSIDE="", OMP_NUM_THREADS=""
-    )
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.split() == ["0.9.0", "1"]
-    assert result.stderr == ""
-
-
-def test_the_working_folder_and_the_exit_code_stay(tmp_path: Path) -> None:
-    result = run("shell", "-c", "pwd; exit 4", cwd=tmp_path)
-    assert (result.returncode, result.stdout.strip()) == (4, str(tmp_path))
+def test_a_shell_has_dolfinx_and_one_thread_where_it_is_started(tmp_path: Path) -> None:
+    python = 'python3 -c "import dolfinx, mantle; print(dolfinx.__version__)"'
+    command = f"{python}; echo $OMP_NUM_THREADS; pwd; exit 4"
+    native = {"MANTLE_BACKEND": "native", "MANTLE_INSIDE": "", "OMP_NUM_THREADS": ""}
+    result = run("shell", "-c", command, cwd=tmp_path, **native)
+    assert (result.returncode, result.stderr) == (4, "")
+    assert result.stdout.split() == ["0.9.0", "1", str(tmp_path)]
 
 
 # Finds all that it is asked for, notes what it runs under which kernel, and fails under Haswell.

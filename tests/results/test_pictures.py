@@ -101,8 +101,8 @@ def test_a_picture_has_the_rows_that_there_are(tmp_path: Path) -> None:
     run: Run = SimpleNamespace()  # type: ignore[assignment]
     sheet = unrolled.Sheet(corners, nodes, True)
     rows = [
-        unrolled.MapRow("height (mm)", "viridis", lambda run: points[:, 2]),
-        unrolled.MapRow("nothing", "viridis", lambda run: None),
+        unrolled.MapRow("height (mm)", "viridis", [points[:, 2]] * 2),
+        unrolled.MapRow("nothing", "viridis", [None] * 2),
     ]
     path = tmp_path / "map.png"
     assert unrolled.draw(path, [("one", run, sheet), ("two", run, sheet)], rows) == ["height (mm)"]
