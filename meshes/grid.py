@@ -13,7 +13,7 @@ import numpy as np
 LINES, COMPANION, COARSE = 8, 4, 10.0  # least number of lines around; above this size [mm]
 # Least length of a cell through cement, cancellous and cortical bone over the mesh size: in bone
 # there are as many as have room, in cement at most as many as `through_cement`. Widest bone [mm].
-THROUGH = (0.25, 1.25, 1.6)
+THROUGH = (0.25, 1.0, 1.25)
 CANCELLOUS, CORTICAL = 15.0, 8.0
 # Steps along [mm]: times the size from the plug down, first, at most, and growth per mm; and from
 # the neck cut down, beside whose rim the largest gaps are and where sections turn apart.
@@ -32,8 +32,7 @@ def through_cement(cement: float, mesh: Any) -> float:
 
     A fraction is the part, from the neck cut down, with one more.
     """
-    least = 1 if mesh.order > 1 else 2  # straight displacements lock in a mantle of one cell
-    return float(mesh.through_cement or max(least, 1.75 * cement / mesh.size - 0.5))
+    return float(mesh.through_cement or max(2.0, 1.75 * cement / mesh.size - 0.5))
 
 
 def cells_through(cement: float, mesh: Any) -> tuple[int, int, int]:

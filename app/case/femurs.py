@@ -29,7 +29,7 @@ MUSCLES: dict[str, Point3] = {
 FILLED = (0.0, 0.05, 0.4, 0.64, 0.7, 0.74, 0.8, 0.85, 0.9)
 FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
 # Mean widths of cement, cancellous and cortical bone along the lines (mm).
-WIDTHS = (3.0, 6.0, 5.5)
+WIDTHS = (2.6, 6.0, 5.5)
 # Least fraction of the stem in the bone; range of the angle between neck and shaft (deg).
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
 
