@@ -69,8 +69,6 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
         if data is None:
             data = _make(geometry, mesh)
             _cache.store(data, path)
-    if geometry.mantles and "mantle" not in data.notes:
-        data = replace(data, notes={**data.notes, **_describe_mantle(data, geometry)})
     return data
 
 

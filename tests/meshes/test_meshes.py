@@ -31,7 +31,7 @@ from meshes.data import (
     region_volumes,
 )
 from meshes.gmsh_child import MILLIMETRES, session
-from meshes.picture import cut, picture
+from meshes.picture import cut
 from meshes.tags import assemble
 from tests import support
 from tests.robustness.faulty import DAMAGES, damage
@@ -372,11 +372,6 @@ def test_a_cached_mesh_is_of_its_user_alone(tmp_path: Path, mask: int) -> None:
         os.umask(before)
     (path,) = tmp_path.glob("*.npz")
     assert path.stat().st_mode & 0o777 == 0o600
-
-
-def test_picture_is_a_png(tmp_path: Path, rod: MeshData) -> None:
-    picture(rod, tmp_path / "rod.png")
-    assert (tmp_path / "rod.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("sector", ["full", "half", "quarter"])
