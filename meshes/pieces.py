@@ -162,15 +162,7 @@ def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = 
         pieces=tuple(pieces),
         touches=tuple(_touches(data.points, faces[rows], first, second)),
         joined=_joined(data.cells, piece, pieces),
-        boundaries={
-            name: {
-                int(k): np.unique(data.facets[here & (piece_of_facet == k)])
-                for k in np.unique(piece_of_facet[here])
-                if k >= 0
-            }
-            for name, tags in data.boundaries.items()
-            for here in [np.isin(data.facet_tags, tags)]
-        },
+        boundaries=_boundaries(data, piece_of_facet),
         normals={name: _normals(data, name, cell_of_facet, middles) for name in curved},
         boundary_areas=boundary_areas(data),
         x=data.points,
@@ -224,6 +216,16 @@ def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[in
         for a, b in combinations(range(len(pieces)), 2)
         if pieces[a].region == pieces[b].region and np.intersect1d(nodes[a], nodes[b]).size
     )
+
+
+def _boundaries(data: MeshData, piece: Ints) -> dict[str, dict[int, Ints]]:
+    """Nodes of each piece on each boundary, from the piece of each tagged facet, -1 if none."""
+    found: dict[str, dict[int, Ints]] = {}
+    for name, tags in data.boundaries.items():
+        here = np.isin(data.facet_tags, tags)
+        on = (int(k) for k in np.unique(piece[here]) if k >= 0)
+        found[name] = {k: np.unique(data.facets[here & (piece == k)]) for k in on}
+    return found
 
 
 def _normals(data: MeshData, name: str, cell: Ints, middles: Floats) -> Floats:
