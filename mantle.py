@@ -15,23 +15,20 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.errors import (
-    ConvergenceError,
-    EnvironmentProblem,
-    GeometryError,
-    InputError,
-    MantleError,
-    StoppedError,
-    UnusableError,
-    stack_needed,
-)
-from app.version import __version__
+from app.errors import ConvergenceError as ConvergenceError
+from app.errors import EnvironmentProblem as EnvironmentProblem
+from app.errors import GeometryError as GeometryError
+from app.errors import InputError as InputError
+from app.errors import MantleError as MantleError
+from app.errors import StoppedError as StoppedError
+from app.errors import UnusableError as UnusableError
+from app.errors import stack_needed
+from app.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from app.case.case import LoadedCase
@@ -39,22 +36,6 @@ if TYPE_CHECKING:
     from app.simulation.recorder import AcceptedStep
     from app.soundness.preview import CheckedCase
     from meshes import MeshData
-
-__all__ = [
-    "ConvergenceError",
-    "EnvironmentProblem",
-    "GeometryError",
-    "InputError",
-    "MantleError",
-    "StoppedError",
-    "UnusableError",
-    "__version__",
-    "check",
-    "load",
-    "mesh",
-    "read",
-    "run",
-]
 
 # Names for extensions, and the modules that define them.
 _EXTENSIONS = {
@@ -192,7 +173,7 @@ def run(
         ranks.alone()
         with stack_needed():
             from app.simulation import session
-        with _reported(folder, case.config.output.report):
+        try:
             session.run(
                 case,
                 folder,
@@ -203,7 +184,11 @@ def run(
                 signals=signals,
                 progress=progress,
             )
-    return _results(folder)
+        except (ConvergenceError, UnusableError):
+            _report(case, folder, failed=True)
+            raise
+        _report(case, folder, failed=False)
+    return read(folder)
 
 
 def read(folder: str | os.PathLike[str]) -> Results:
@@ -220,29 +205,16 @@ def read(folder: str | os.PathLike[str]) -> Results:
     path = Path(folder)
     if not any((path / name).exists() for name in ("case.yaml", "variations.json")):
         raise InputError(f"{path}: holds no results of a run")
-    return _results(path)
-
-
-@contextmanager
-def _reported(folder: Path, wanted: bool) -> Iterator[None]:
-    """Write the report of a run at its end, also if it failed or is not to be used."""
-    failure = None
-    try:
-        yield
-    except (ConvergenceError, UnusableError) as error:
-        failure = error
-    if wanted:
-        from app.report import run_report
-
-        run_report.after_run(folder, failure is not None)
-    if failure:
-        raise failure
-
-
-def _results(folder: Path) -> Results:
     with stack_needed():
         from app.results.reading import Results
-    return Results(folder)
+    return Results(path)
+
+
+def _report(case: LoadedCase, folder: Path, *, failed: bool) -> None:
+    if case.config.output.report:
+        from app.report import run_report
+
+        run_report.after_run(folder, failed)
 
 
 if __name__ == "__main__":

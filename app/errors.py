@@ -155,9 +155,15 @@ def everywhere(comm: Any, action: Callable[[], T]) -> T:
     error = None
     try:
         result = action()
-    except MantleError as caught:
+    except Exception as caught:  # of any kind: the other ranks wait
         error = caught
     for found in comm.allgather(error):
         if found is not None:
-            raise found
+            raise error or found
     return result
+
+
+def on_root(comm: Any, action: Callable[[], T], share: bool = True) -> T | None:
+    """Run an action on rank 0; share its result, or None, and raise its errors on every rank."""
+    result = everywhere(comm, lambda: action() if comm.rank == 0 else None)
+    return comm.bcast(result) if share else result

@@ -21,19 +21,10 @@ from tests import support
 
 # A hot block tilts and rubs on a cold one: points are open, stick and slip, and heat goes through
 # where they are pressed.
-CASE = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [6 mm, 4 mm, 2 mm]}
-    - {name: upper, size: [6 mm, 4 mm, 2 mm]}
-mesh: {order: 1, size: 2 mm, far_size: 2 mm}
-regions:
-  lower:
-    youngs_modulus: 1000 MPa
-    poisson_ratio: 0.3
-    thermal: {conductivity: 0.5 W/(m K), density: 1800 kg/m^3, specific_heat: 1300 J/(kg K),
-      initial_temperature: 37 degC, thermal_expansion: 20e-6 1/K}
+CASE = (
+    support.TWO_BLOCKS
+    + support.LOWER
+    + """\
   upper:
     youngs_modulus: 2000 MPa
     poisson_ratio: 0.3
@@ -58,6 +49,7 @@ stages:
 time: {method: backward_euler, tolerance: 0.1 K}
 solver: {tolerance: 1.0e-10}
 """
+)
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -34,20 +34,31 @@ TINY = 1e-9  # in the units of the summary: what is smaller is rounding
 
 def numbers(folder: Path) -> dict[str, float]:
     """Read the numbers of a run: its summaries and the last row of its histories, by their path."""
-    found: dict[str, float] = {}
+    found: dict[str, Any] = {}
     for path in sorted(folder.rglob("summary.json")):
         prefix = path.parent.relative_to(folder).as_posix()
-        found |= dict(_walk(json.loads(path.read_text("utf-8")), f"{prefix}:summary"))
+        found |= dict(leaves(json.loads(path.read_text("utf-8")), f"{prefix}:summary"))
     for path in sorted(folder.rglob("history.csv")):
         prefix = path.parent.relative_to(folder).as_posix()
         with path.open(encoding="utf-8", newline="") as file:
             last = list(csv.DictReader(file))[-1]
         for name, text in last.items():
-            try:
+            with suppress(ValueError):
                 found[f"{prefix}:history.{name}"] = float(text)
-            except ValueError:
-                continue
-    return {name: value for name, value in found.items() if not _volatile(name)}
+    return {
+        name: float(value)
+        for name, value in found.items()
+        if isinstance(value, int | float) and not isinstance(value, bool) and not _volatile(name)
+    }
+
+
+def leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """The values inside a table of tables and lists, by their dotted path."""
+    if not isinstance(value, dict | list):
+        yield path, value
+        return
+    for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from leaves(inner, f"{path}.{key}")
 
 
 def moved(old: dict[str, float], new: dict[str, float], tolerance: float) -> list[str]:
@@ -66,8 +77,7 @@ def solve(name: str) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / name
         case = support.CONFIGS / f"{name}.yaml"
-        command = [sys.executable, "-m", "mantle", "run", str(case), "-o", str(output)]
-        subprocess.run(command, check=True, capture_output=True, text=True)
+        support.python("-m", "mantle", "run", case, "-o", output, timeout=7200)
         return numbers(output)
 
 
@@ -75,17 +85,6 @@ def frozen(name: str) -> dict[str, float]:
     """Read the frozen numbers of a shipped case."""
     found: dict[str, float] = json.loads((FROZEN / f"{name}.json").read_text("utf-8"))
     return found
-
-
-def _walk(value: Any, path: str) -> Iterator[tuple[str, float]]:
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _walk(inner, f"{path}.{key}")
-    elif isinstance(value, list):
-        for key, inner in enumerate(value):
-            yield from _walk(inner, f"{path}.{key}")
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        yield path, float(value)
 
 
 def _volatile(path: str) -> bool:

@@ -16,15 +16,10 @@ OPTIONS = {
     "matplotlibrc": "text.usetex: True\n",
 }
 # Named as mantle's, as libraries and as what Python starts with.
-MODULES = ("app.py", "argparse.py", "configs/__init__.py", "forms.py", "gmsh.py", "logging.py")
-MODULES += (
-    "mantle.py",
-    "meshes/__init__.py",
-    "numpy.py",
-    "sitecustomize.py",
-    "snakemake.py",
-    "socket.py",
-)
+MODULES = """
+app.py argparse.py configs/__init__.py forms.py gmsh.py logging.py mantle.py meshes/__init__.py
+numpy.py sitecustomize.py snakemake.py socket.py
+""".split()
 
 
 def mislead(folder: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +12,12 @@ from app.case.case import load
 from app.simulation import checkpoint
 from app.simulation.session import run
 from app.system.folders import saved
+from tests import frozen
+from tests.support import LOWER, TWO_BLOCKS
 
-BLOCKS = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [6 mm, 4 mm, 2 mm]}
-    - {name: upper, size: [6 mm, 4 mm, 2 mm]}
-mesh: {order: 1, size: 2 mm, far_size: 2 mm}
-"""
 # Pressed on, then dragged back and forth: what slips and how much it rubs is history.
 RUBBING = (
-    BLOCKS
+    TWO_BLOCKS
     + """
 regions:
   lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
@@ -44,14 +37,9 @@ stages:
 )
 # Sets between a warm block and a holder that lets go; loaded on what that leaves.
 SETTING = (
-    BLOCKS
-    + """
-regions:
-  lower:
-    youngs_modulus: 1000 MPa
-    poisson_ratio: 0.3
-    thermal: {conductivity: 0.5 W/(m K), density: 1800 kg/m^3, specific_heat: 1300 J/(kg K),
-      initial_temperature: 37 degC, thermal_expansion: 20e-6 1/K}
+    TWO_BLOCKS
+    + LOWER
+    + """\
   upper:
     youngs_modulus: 2000 MPa
     poisson_ratio: 0.3
@@ -100,20 +88,9 @@ NOTHING = 1e-9
 
 def numbers(folder: Path) -> dict[str, Any]:
     """The numbers of a run by dotted key; places of maxima, which may be several, left out."""
-
-    def leaves(data: Any, key: str) -> Iterator[tuple[str, Any]]:
-        if isinstance(data, dict):
-            for name, value in data.items():
-                if not name.endswith("_at"):
-                    yield from leaves(value, f"{key}.{name}")
-        elif isinstance(data, list):
-            for k, value in enumerate(data):
-                yield from leaves(value, f"{key}.{k}")
-        else:
-            yield key, data
-
     summary = json.loads((folder / "summary.json").read_text())
-    return dict(leaves({k: v for k, v in summary.items() if k not in APART}, ""))
+    kept = {k: v for k, v in summary.items() if k not in APART}
+    return {k: v for k, v in frozen.leaves(kept, "") if "_at." not in f"{k}."}
 
 
 def rows(folder: Path) -> list[list[str]]:

@@ -57,6 +57,23 @@ interfaces:
   cement_bone: {kind: contact, friction_coefficient: 1.0}
 """
 TISSUES = MATERIALS + CONTACT
+# A block on another, and the first of their regions where they conduct heat.
+TWO_BLOCKS = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [6 mm, 4 mm, 2 mm]}
+    - {name: upper, size: [6 mm, 4 mm, 2 mm]}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
+"""
+LOWER = """\
+regions:
+  lower:
+    youngs_modulus: 1000 MPa
+    poisson_ratio: 0.3
+    thermal: {conductivity: 0.5 W/(m K), density: 1800 kg/m^3, specific_heat: 1300 J/(kg K),
+      initial_temperature: 37 degC, thermal_expansion: 20e-6 1/K}
+"""
 
 
 def stem(length: str = "20 mm", mesh: str = "size: 5 mm", taper: str = "1.5 deg") -> str:
@@ -338,8 +355,6 @@ def extended(
     """
     (folder / "own_package.py").write_text(program)
     (folder / "case.yaml").write_text(text)
-    here = environment()
-    paths = [str(folder), here.get("PYTHONPATH", "")]
-    here |= {"MANTLE_EXTENSIONS": "own_package", "PYTHONPATH": os.pathsep.join(paths)}
-    command = [sys.executable, "-m", "mantle", *arguments]
-    return subprocess.run(command, env=here, cwd=folder, capture_output=True, text=True)
+    paths = os.pathsep.join((str(folder), str(ROOT)))
+    own = {"MANTLE_EXTENSIONS": "own_package", "PYTHONPATH": paths}
+    return python("-m", "mantle", *arguments, code=None, cwd=folder, **own)

@@ -96,6 +96,10 @@ def run(
     here = cores if slurm is None else None
     runs = runs_of(jobs, folder, here)
     every = {r.id: r for r in runs}
+
+    def results(over: bool) -> list[Result]:
+        return [result_of(job, r, over=over) for job, r in zip(jobs, runs, strict=True)]
+
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
     with claim(folder):
@@ -106,21 +110,17 @@ def run(
             log.warning("the machine is busy (load %.1f): measured times will be too long", load)
         if pending:
             _write(pending.values(), folder, here)
-            progress = _Progress(pending, len(every), lambda: so_far(_so_far(jobs, runs)))
+            progress = _Progress(pending, len(every), lambda: so_far(results(over=False)))
             try:
                 engine.execute(folder, cores, slurm, alone, progress.watch)
             except KeyboardInterrupt:
-                so_far(_so_far(jobs, runs))
+                so_far(results(over=False))
                 raise StoppedError(
                     f"stopped after {progress.count} of {len(every)} runs in {folder}; "
                     "the same command continues"
                 ) from None
             progress.finish(folder / "snakemake.log")
-    return [result_of(job, r) for job, r in zip(jobs, runs, strict=True)]
-
-
-def _so_far(jobs: Sequence[Job], runs: Sequence[BatchRun]) -> list[Result]:
-    return [result_of(job, r, over=False) for job, r in zip(jobs, runs, strict=True)]
+    return results(over=True)
 
 
 def plan(title: str, jobs: Sequence[Job], options: Options) -> str:

@@ -133,8 +133,6 @@ def _resolved(jobs: Sequence[Job]) -> list[Case]:
             cases.append(load(job.case, job.overrides).config)
         except InputError as error:
             messages += [f"{job.name}: {m}" if m.startswith("--set") else m for m in error.messages]
-        if job.ranks < 1:
-            messages.append(f"{job.name}: {job.ranks} is not a number of ranks; allowed: 1, 2, ...")
     if messages:
         raise InputError(list(dict.fromkeys(messages)))
     return cases

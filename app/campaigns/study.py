@@ -137,7 +137,16 @@ def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
     curve = [r for r in runs if r.line]
     ladder = [r for r in runs if not r.line]
     measured = [_measure(study, name, curve, ladder) for name in study.quantities]
-    advice = _advice_on_all(study.target, curve, measured)
+    compared = [m for m in measured if m.compared]
+    refused = {m.name: _refusal(study.target, m) for m in compared}
+    good = [m for m in compared if not refused[m.name]]
+    advice = {
+        m.name: refused[m.name] or _advice(study.target, m.name, curve, [m]) for m in compared
+    }
+    if len(compared) > 1 and good:
+        left_out = [m.name for m in compared if m not in good]
+        what = f"all but {', '.join(left_out)}" if left_out else f"all {len(good)} quantities"
+        advice[""] = _advice(study.target, what, curve, good)
     return Report(study.target, curve, ladder, measured, advice)
 
 
@@ -149,21 +158,14 @@ def _measure(
     points = []
     for r in curve:
         value, estimate = (quantities.read(r.result.summary, name, s) for s in ("", "_error"))
-        tolerance = r.planned.case.solver.tolerance
-        point = wp.ErrorPoint(r.line, r.label, r.x, r.time, value, estimate, tolerance)
+        point = wp.ErrorPoint(value, estimate, r.planned.case.solver.tolerance)
         points.append(wp.compare(point, reference))
-    errors = [p.bound for p in points]
-    lines = dict.fromkeys(r.line for r in curve)
-    return Measured(
-        name=name,
-        quantity=quantities.find(name),
-        compared=compared,
-        reference=reference,
-        points=points,
-        exponents={n: wp.exponent([p for p in points if p.line == n]) for n in lines},
-        front=wp.pareto([p.time for p in points], errors),
-        advice=_advice(study.target, name, curve, errors, reference) if compared else "",
-    )
+    exponents = {}
+    for line in dict.fromkeys(r.line for r in curve):
+        own = [i for i, r in enumerate(curve) if r.line == line]
+        exponents[line] = wp.exponent([curve[i].x for i in own], [points[i] for i in own])
+    front = wp.pareto([r.time for r in curve], [p.bound for p in points])
+    return Measured(name, quantities.find(name), compared, reference, points, exponents, front)
 
 
 def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.ReferenceValue | None:
@@ -182,47 +184,29 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
     return wp.extrapolate(x if len(x) == len(found) else [], [v for _, v in found])
 
 
-def _advice(
-    target: float,
-    name: str,
-    curve: Sequence[StudyRun],
-    errors: Sequence[float | None],
-    reference: wp.ReferenceValue | None,
-) -> str:
-    if reference is None or reference.value == 0.0:
-        return f"no advice on {name}: it has no reference" + ("" if reference is None else " but 0")
-    own = reference.uncertainty / abs(reference.value)
-    if own > target:
-        return (
-            f"no advice on {name}: its reference is known to {percent(own)} only; "
-            "refine study.reference.run"
-        )
-    return _sentence(target, name, curve, errors)
-
-
-def _advice_on_all(target: float, curve: Sequence[StudyRun], measured: Sequence[Measured]) -> str:
-    """Advice for all quantities whose reference is accurate enough."""
-    compared = [m for m in measured if m.compared]
-    good = [
-        m
-        for m in compared
-        if m.reference and 0 <= m.reference.uncertainty <= target * abs(m.reference.value)
-    ]
-    if len(compared) == 1 or not good:
+def _refusal(target: float, m: Measured) -> str:
+    """Why there is no advice on a quantity, or ""."""
+    if m.reference is None or m.reference.value == 0.0:
+        but = "" if m.reference is None else " but 0"
+        return f"no advice on {m.name}: it has no reference{but}"
+    own = m.reference.uncertainty / abs(m.reference.value)
+    if own <= target:
         return ""
-    left_out = [m.name for m in compared if m not in good]
-    what = f"all but {', '.join(left_out)}" if left_out else f"all {len(good)} quantities"
-    worst = [
-        None if None in errors else max(e for e in errors if e is not None)
-        for errors in zip(*(m.errors for m in good), strict=True)
-    ]
-    return _sentence(target, what, curve, worst)
+    return (
+        f"no advice on {m.name}: its reference is known to {percent(own)} only; "
+        "refine study.reference.run"
+    )
 
 
-def _sentence(
-    target: float, what: str, curve: Sequence[StudyRun], errors: Sequence[float | None]
+def _advice(
+    target: float, what: str, curve: Sequence[StudyRun], measured: Sequence[Measured]
 ) -> str:
+    """The fastest run in which all of these quantities are accurate enough, else the closest."""
     wanted = percent(target)
+    errors = [
+        None if None in own else max(e for e in own if e is not None)
+        for own in zip(*(m.errors for m in measured), strict=True)
+    ]
     i, reached = wp.best([r.time for r in curve], errors, target)
     if i is None:
         return f"no advice on {what}: no run has a known error"

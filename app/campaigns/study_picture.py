@@ -84,7 +84,7 @@ def _against_time(report: Report, axes: Any, m: Measured) -> None:
         _line(axes, report, m, error, name, k)
     if m.front:  # as steps: least error reached by a time
         band = {"color": "#f2c14e", "lw": 6, "alpha": 0.55, "zorder": 1, "label": "Pareto front"}
-        time = [m.points[i].time for i in m.front]
+        time = [report.runs[i].time for i in m.front]
         axes.step(time, [error[i] for i in m.front], where="post", **band)
     _limits(axes, report, error)
     target = f"target {percent(report.target)}"
@@ -108,18 +108,18 @@ def _line(
     look = {"textcoords": "offset points", "color": colour, "path_effects": halo, "zorder": 2}
     above = k % 2 == 0  # so that the labels of two lines side by side can be read
     own = [i for i, r in enumerate(report.runs) if r.line == name]
-    good = [i for i in own if error[i] is not None and m.points[i].time is not None]
-    style.curve(axes, [m.points[i].time for i in good], [error[i] for i in good], k, name)
+    good = [i for i in own if error[i] is not None and report.runs[i].time is not None]
+    style.curve(axes, [report.runs[i].time for i in good], [error[i] for i in good], k, name)
     for i in good:
-        at = (m.points[i].time, error[i])
+        at = (report.runs[i].time, error[i])
         if not m.points[i].trusted:
             axes.plot(*at, marker, mfc="white", mec=colour, ms=6, zorder=4)
-        axes.annotate(m.points[i].label, at, xytext=(5, 5 if above else -10), fontsize=7, **look)
+        axes.annotate(report.runs[i].label, at, xytext=(5, 5 if above else -10), fontsize=7, **look)
     exponent = m.exponents[name]
     if good and exponent is not None and abs(exponent) >= FLAT:
         letter = "h" if report.runs[own[0]].key == "mesh.size" else "x"
         middle = good[len(good) // 2]
-        at, place = (m.points[middle].time, error[middle]), (-8, -14) if above else (8, 6)
+        at, place = (report.runs[middle].time, error[middle]), (-8, -14) if above else (8, 6)
         text, side = rf"$\sim {letter}^{{{exponent:.1f}}}$", "right" if above else "left"
         axes.annotate(text, at, xytext=place, ha=side, fontsize=10, **look)
     failed = [r.result for r in (report.runs[i] for i in own) if r.result.exit_code]

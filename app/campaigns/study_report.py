@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,6 @@ class Measured:
         points: One for each run.
         exponents: The p of error ~ key^p along each line.
         front: Pareto front of time and error: indices of points, fastest first.
-        advice: Recommended run; empty if it is not compared.
     """
 
     name: str
@@ -69,7 +68,6 @@ class Measured:
     points: Sequence[ErrorPoint]
     exponents: dict[str, float | None]
     front: list[int]
-    advice: str
 
     @property
     def errors(self) -> list[float | None]:
@@ -85,20 +83,24 @@ class Report:
         target: Relative error wanted.
         runs: The runs of all lines.
         ladder: The runs of the reference.
-        advice: Recommended run for all quantities; empty for a single one.
+        advice: Recommended run for each quantity that is compared; for all of several as "".
     """
 
     target: float
     runs: Sequence[StudyRun]
     ladder: Sequence[StudyRun]
     quantities: Sequence[Measured]
-    advice: str
+    advice: Mapping[str, str]
 
     @property
-    def judged(self) -> list[tuple[str, ErrorPoint]]:
-        """Estimates whose true error is known well enough, with the names of their quantities."""
-        every = ((m.name, p) for m in self.quantities for p in m.points)
-        return [(name, p) for name, p in every if p.effectivity is not None]
+    def judged(self) -> list[tuple[str, StudyRun, ErrorPoint]]:
+        """Estimates whose true error is known well enough: quantity, run and point."""
+        return [
+            (m.name, r, p)
+            for m in self.quantities
+            for r, p in zip(self.runs, m.points, strict=True)
+            if p.effectivity is not None
+        ]
 
 
 def percent(value: float) -> str:
@@ -151,18 +153,20 @@ def table(report: Report) -> str:
         if orders:
             lines.append(f"  error goes with {', '.join(orders)}")
         if m.compared:
-            lines.append(f"  {m.advice}")
+            lines.append(f"  {report.advice[m.name]}")
     lines += ["", "* no other run is both faster and closer"]
     (low, high), judged = USEFUL, report.judged
     if judged:
-        useful = sum(p.useful for _, p in judged)
+        useful = sum(p.useful for *_, p in judged)
         lines.append(
             f"estimated over true error is within {low:g} to {high:g} for {useful} of "
             f"{len(judged)} numbers ({percent(useful / len(judged))})"
         )
-    others = [(n, p) for n, p in judged if not p.useful]
-    lines += [f"  {n} with {p.line} at {p.label}: {p.effectivity:.2f}" for n, p in others]
-    return "\n".join([*lines, *([report.advice] if report.advice else [])])
+    others = [(n, r, p) for n, r, p in judged if not p.useful]
+    lines += [f"  {n} with {r.line} at {r.label}: {p.effectivity:.2f}" for n, r, p in others]
+    if "" in report.advice:
+        lines.append(report.advice[""])
+    return "\n".join(lines)
 
 
 def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
@@ -171,7 +175,7 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
         return [*start, r.status, "", "", "", ""]
     p, q = m.points[i], m.quantity
     index = "" if p.effectivity is None else f"{p.effectivity:.2f}"
-    numbers = [shown(p.value, q), error_text(m, i), duration(p.time or 0)]
+    numbers = [shown(p.value, q), error_text(m, i), duration(r.time or 0)]
     return [*start, *numbers, shown(p.estimate, q), index]
 
 
@@ -185,12 +189,12 @@ def write(report: Report, planned: PlannedStudy, cores: int, folder: Path) -> li
         "overrides": planned.overrides,
         "cores": cores,
         "target": report.target,
-        "advice": report.advice,
-        "quantities": {m.name: _measured_record(m) for m in report.quantities},
+        "advice": report.advice.get("", ""),
+        "quantities": {m.name: _measured_record(report, m) for m in report.quantities},
         "effectivity": {
             "pairs": len(judged),
-            "useful": sum(p.useful for _, p in judged),
-            "others": [[n, p.line, p.label, p.effectivity] for n, p in judged if not p.useful],
+            "useful": sum(p.useful for *_, p in judged),
+            "others": [[n, r.line, r.label, p.effectivity] for n, r, p in judged if not p.useful],
         },
         "runs": [_run_record(r) for r in report.runs],
         "reference_runs": [_run_record(r) for r in report.ladder],
@@ -201,16 +205,18 @@ def write(report: Report, planned: PlannedStudy, cores: int, folder: Path) -> li
     return ["study.json", "study.csv"]
 
 
-def _measured_record(m: Measured) -> dict[str, Any]:
+def _measured_record(report: Report, m: Measured) -> dict[str, Any]:
     return {
         "unit": m.quantity.unit,
-        "advice": m.advice,
+        "advice": report.advice.get(m.name, ""),
         "compared": m.compared,
         "reference": None if m.reference is None else asdict(m.reference),
         "exponents": m.exponents,
         "points": [
-            asdict(p) | {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
-            for i, p in enumerate(m.points)
+            {"line": r.line, "label": r.label, "x": r.x, "time": r.time}
+            | asdict(p)
+            | {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
+            for i, (r, p) in enumerate(zip(report.runs, m.points, strict=True))
         ],
     }
 

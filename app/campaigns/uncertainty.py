@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from app.case import quantities
 from app.system import layout
@@ -62,6 +61,8 @@ def _spread(numbers: Sequence[float], inputs: Mapping[str, Sequence[float]]) -> 
 
 def correlation(a: Sequence[float], b: Sequence[float]) -> float | None:
     """Spearman's rank correlation; None where one of them does not vary."""
+    from scipy.stats import spearmanr  # half a second, which only a sweep of samples needs
+
     return float(spearmanr(a, b).statistic) if min(len(set(a)), len(set(b))) > 1 else None
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -36,12 +35,9 @@ class ReferenceValue:
 
 @dataclass(frozen=True)
 class ErrorPoint:
-    """A run and one quantity of it.
+    """One quantity of a run.
 
     Attributes:
-        label: Value of the varying key, as written.
-        x: That value, if it is a number.
-        time: Run time [s]; None if the run failed.
         value: None if the run failed or does not have it.
         estimate: Error estimated by the run itself, in the unit of the quantity.
         algebraic: Relative error of the linear and nonlinear solution.
@@ -50,10 +46,6 @@ class ErrorPoint:
         uncertainty: Relative uncertainty of the reference.
     """
 
-    line: str
-    label: str
-    x: float | None
-    time: float | None
     value: float | None
     estimate: float | None = None
     algebraic: float = 0.0
@@ -141,15 +133,15 @@ def compare(point: ErrorPoint, reference: ReferenceValue | None) -> ErrorPoint:
     )
 
 
-def exponent(points: Sequence[ErrorPoint]) -> float | None:
+def exponent(numbers: Sequence[float | None], points: Sequence[ErrorPoint]) -> float | None:
     """The p of error ~ x^p by least squares in logarithms, over the trusted points of a line.
 
     Errors within the tolerance of the solution are not fitted.
     """
     pairs = [
-        (p.x, p.error)
-        for p in points
-        if p.trusted and p.x and p.x > 0 and p.error and p.error > ALGEBRAIC_FACTOR * p.algebraic
+        (x, p.error)
+        for x, p in zip(numbers, points, strict=True)
+        if p.trusted and x and x > 0 and p.error and p.error > ALGEBRAIC_FACTOR * p.algebraic
     ]
     if len({x for x, _ in pairs}) < 2:
         return None
@@ -164,16 +156,14 @@ def fitted_order(sizes: Sequence[float], errors: Sequence[float]) -> float:
 def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> list[int]:
     """Indices of points that no other beats in both run time and error, fastest first."""
     front: list[int] = []
-    pairs = [
+    known = [
         (cost, error, i)
         for i, (cost, error) in enumerate(zip(costs, errors, strict=True))
         if cost is not None and error is not None
     ]
-    least = math.inf
-    for _, error, i in sorted(pairs):
-        if error < least:
+    for _, error, i in sorted(known):
+        if not front or error < (errors[front[-1]] or 0.0):
             front.append(i)
-            least = error
     return front
 
 

@@ -148,21 +148,19 @@ class LoadedCase:
             and the tissue of every region.
         overrides: Changes of the file, ``key=value`` each.
         file: Content and the place of each key, for messages.
+        variations: In the order of the file.
     """
 
     config: Case
     path: Path
     overrides: tuple[str, ...]
     file: CaseFile = field(repr=False)
+    variations: list[Varied] = field(repr=False)
 
     @property
     def output(self) -> Path:
         """Default folder of the results: ``out/<name of the file>``."""
         return Path("out") / self.path.stem
-
-    def variations(self) -> list[Varied]:
-        """The variations of the case, in the order of the file."""
-        return _varied(self.file, self.path.parent, self.config)
 
 
 def load(path: Path, overrides: Sequence[str] = ()) -> LoadedCase:
@@ -176,22 +174,8 @@ def load(path: Path, overrides: Sequence[str] = ()) -> LoadedCase:
         InputError: Every error of the file at once, one line each.
     """
     file = overlay.read(path, overrides)
-    return LoadedCase(resolve(file, path.parent), path, tuple(overrides), file)
-
-
-def resolve(file: CaseFile, folder: Path) -> Case:
-    """Check the content of a case file.
-
-    Args:
-        file: The content.
-        folder: The folder of its relative paths.
-
-    Raises:
-        InputError: As `load`.
-    """
-    case = _resolved(file, folder)
-    _varied(file, folder, case)
-    return case
+    case = resolve(file, path.parent)
+    return LoadedCase(case, path, tuple(overrides), file, _varied(file, path.parent, case))
 
 
 def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
@@ -214,7 +198,7 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
         copy = overlay.changed(file, overrides)
         del copy.data["variations"]
         try:
-            found.append(Varied(name, overrides, changes, _resolved(copy, folder)))
+            found.append(Varied(name, overrides, changes, resolve(copy, folder)))
         except InputError as error:
             faults += [
                 points.at_override(message, places) or Fault(("variations",), f"{name}: {message}")
@@ -224,8 +208,16 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
     return found
 
 
-def _resolved(file: CaseFile, folder: Path) -> Case:
-    """Check a case without its variations, and fill in defaults."""
+def resolve(file: CaseFile, folder: Path) -> Case:
+    """Check a case without its variations, and fill in defaults.
+
+    Args:
+        file: Its content.
+        folder: The folder of its relative paths.
+
+    Raises:
+        InputError: As `load`.
+    """
     case, faults = valid_parts(file.data, folder)
     file.raise_all([*faults, *checks.cross_check(case)])
     laws = {name: case.interfaces.get(name, Bonded()) for name in case.geometry.interface_sides}

@@ -65,15 +65,15 @@ class Key:
     """A key of a file, with texts in Markdown.
 
     Attributes:
-        section: Path of its section, ``interfaces.<name>``; empty at the top.
-        kind: Kind of the section, or "".
+        path: The whole key, ``interfaces.<name>.history``.
+        kind: Kind of its section, or "".
         value: Type and bounds.
         unit: Internal unit, or "".
         default: "" if it is required.
         inner: Kinds of sections that its value may be, with their keys.
     """
 
-    section: str
+    path: str
     kind: str
     name: str
     value: str
@@ -81,11 +81,6 @@ class Key:
     default: str
     meaning: str
     inner: tuple[tuple[str, tuple[str, ...]], ...]
-
-    @property
-    def path(self) -> str:
-        """The whole key."""
-        return f"{self.section}.{self.name}" if self.section else self.name
 
 
 @dataclass(frozen=True)
@@ -118,7 +113,7 @@ def table(root: type[BaseModel] = Case) -> list[Keys]:
         meaning = prose(schema.get("description", "")) if name else ""
         places[name] = Keys(path, _kind(schema) if name else "", meaning, [])
         for key, field in schema["properties"].items():
-            for place, other in _sections(field, f"{path}.{key}" if path else key):
+            for place, other in _sections(field, f"{path}.{key}".removeprefix(".")):
                 if other not in places:
                     visit(place, other)
 
@@ -126,16 +121,15 @@ def table(root: type[BaseModel] = Case) -> list[Keys]:
     for name, section in places.items():
         for key, field in schemas[name]["properties"].items():
             value, unit = _value(field, places)
-            meaning = prose(field.get("description", ""))
-            if key == "kind":
-                meaning = "Says that it is of this kind."
+            own = "Says that it is of this kind."
+            meaning = own if key == "kind" else prose(field.get("description", ""))
             default = "" if key in schemas[name].get("required", ()) else _default(key, field)
             inner = tuple(
                 (_kind(schemas[n]), tuple(k for k in schemas[n]["properties"] if k != "kind"))
                 for _, n in _sections(field, "")
             )
-            made = Key(section.path, section.kind, key, value, unit, default, meaning, inner)
-            section.keys.append(made)
+            path = f"{section.path}.{key}".removeprefix(".")
+            section.keys.append(Key(path, section.kind, key, value, unit, default, meaning, inner))
     return list(places.values())
 
 

@@ -184,14 +184,6 @@ class SweepPart(Section):
     latin_hypercube: LatinHypercube | None = None
     """Samples of uncertain inputs: one axis."""
 
-    @property
-    def number(self) -> int:
-        """Number of cases."""
-        lists = next((v for v in (self.lists or {}).values() if isinstance(v, list)), [0])
-        samples = self.latin_hypercube.samples if self.latin_hypercube else 1
-        grid = math.prod(len(values) for values in (self.grid or {}).values())
-        return grid * len(lists) * len(self.table or [0]) * samples
-
     def axes(self, path: Path) -> Iterator[list[AxisValue]]:
         """Axes of the part at a path of the file: table, grid, lists, samples."""
         short = short_keys([*(self.grid or {}), *(self.lists or {})])

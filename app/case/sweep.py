@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -41,8 +42,8 @@ class Sweep(SweepPart):
             if (name or not self.parts) and (part.base or self.base) is None:
                 text = "missing; expected the case that is varied, relative to this file"
                 fail(text, at=(*path, "base"))
-            if part.number > MOST_CASES:
-                fail(f"{part.number} combinations; at most {MOST_CASES} are allowed", at=path)
+            if (number := math.prod(map(len, part.axes(path)))) > MOST_CASES:
+                fail(f"{number} combinations; at most {MOST_CASES} are allowed", at=path)
         return self
 
     def points(self) -> list[Point]:
@@ -124,8 +125,10 @@ def plan(
         overrides: ``--set`` options for every point; they replace values under ``set``.
     """
     problems = points.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
-    given = {o.partition("=")[0].strip(): _value(o) for o in overrides}
-    others = [o for o in overrides if o.partition("=")[0].strip() != "ranks"]
+    keys = [o.partition("=")[0].strip() for o in overrides]
+    # A value that cannot be read is None here, and told where the case is read.
+    given = dict.fromkeys(keys) | overlay.changed(CaseFile(""), overrides).given
+    others = [o for key, o in zip(keys, overrides, strict=True) if key != "ranks"]
     planned: list[PlannedRun] = []
     failed: dict[tuple[Path, str], list[Point]] = {}
     bases = Counter(overlay.found(folder, p.base) for p in every)
@@ -158,9 +161,3 @@ def plan(
         else:
             problems.append(Fault((), message, ""))
     return planned, problems
-
-
-def _value(option: str) -> Any:
-    """Value of an option; None if it cannot be read."""
-    text = option.partition("=")[2]
-    return overlay.changed(CaseFile(""), [f"value={text}"]).data.get("value")

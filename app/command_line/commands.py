@@ -35,32 +35,24 @@ log = logging.getLogger("mantle")
 
 def dispatch(arguments: list[str]) -> int:
     """Parse the command line, call the command and return its exit code."""
-    count, rest = ranks.split(arguments)
-    cut = rest.index("--") if "--" in rest else len(rest)
-    petsc_options = rest[cut + 1 :]
-    refuse_removed(rest[:cut])
-    options = parser().parse_args(rest[:cut])
-    if count is not None and options.command != "run":
-        hint = "; --cores N uses N cores" if "cores" in options else ""
-        raise InputError(
-            f"mantle {options.command}: -n {count}: only mantle run starts ranks{hint}"
-        )
+    cut = arguments.index("--") if "--" in arguments else len(arguments)
+    petsc_options = arguments[cut + 1 :]
+    refuse_removed(arguments[:cut])
+    options = parser().parse_args(arguments[:cut])
     if getattr(options, "allow_scripts", False):
         os.environ[gmsh_header.ALLOWED] = "1"
-    if petsc_options and options.command != "run":
-        raise InputError(f"mantle {options.command}: this command takes no PETSc options after --")
     if options.command == "run":
-        return _run(options, petsc_options, count, rest)
+        return _run(options, petsc_options, arguments)
+    if petsc_options:
+        raise InputError(f"mantle {options.command}: this command takes no PETSc options after --")
     return COMMANDS[options.command](options)
 
 
-def _run(
-    options: argparse.Namespace, petsc_options: list[str], count: int | None, rest: list[str]
-) -> int:
+def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[str]) -> int:
     from app.simulation import finished_runs
     from app.system import stopping
 
-    size = ranks.world_size()
+    size, count = ranks.world_size(), options.n
     configure_log("debug" if options.verbose else "info")
     # The input is checked before ranks are started: its errors come at once, and once.
     options.overrides += ["output.error=true"] if options.error else []
@@ -71,11 +63,11 @@ def _run(
         if rank() == 0:
             print(f"{output} is finished already by this case and program (--force: again)")
         return 0
-    if size is None and count is not None and count > 1:
+    if size is None and count > 1:
         print(f"starting {count} ranks", flush=True)
         pass_colours()
-        return ranks.launch(count, [sys.executable, "-m", "mantle", *rest])
-    if size is not None and count not in (None, size) and rank() == 0:
+        return ranks.launch(count, [sys.executable, "-m", "mantle", *arguments])
+    if size is not None and count not in (1, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
     mantle.run(
         case,

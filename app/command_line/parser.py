@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -17,6 +18,14 @@ EXIT_CODES = (
     "3 geometry or mesh, 4 not converged, 5 stopped with the state saved, 69 environment, 70 "
     "internal error"
 )
+
+
+def _number_of_ranks(text: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,6}", text) or int(text) == 0:
+        raise InputError(f"-n: '{text}' is not a number of ranks; allowed: 1, 2, 3, ...")
+    return int(text)
+
+
 CASE, MANY = "case --set --allow-scripts", "-o --cores --dry-run --slurm"
 SUITE = f"{MANY} -k --tier"
 # Each command: its help and its arguments.
@@ -74,7 +83,9 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         "materials or loads for a list of them",
     ),
     "-o": dict(dest="output", type=Path, metavar="PATH"),
-    "-n": dict(metavar="N", help="number of MPI ranks (default 1)"),
+    "-n": dict(
+        type=_number_of_ranks, default=1, metavar="N", help="number of MPI ranks (default 1)"
+    ),
     "-k": dict(dest="pattern", default="", metavar="NAME", help="only what has this in its name"),
     "-v": dict(
         dest="verbose", action="store_true", help="tell more: each phase, and what libraries print"
@@ -165,6 +176,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise InputError for a wrong command line."""
+        if message.startswith("unrecognized arguments: -n"):
+            message += "; only mantle run starts ranks, --cores N uses N cores"
         raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
 
     def _print_message(self, message: str, file: Any = None) -> None:

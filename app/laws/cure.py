@@ -6,17 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, model_validator
 
-from app.laws.values import Named, rising
+from app.laws.values import Named, OverTime, rising
 from app.schema import units
 from app.schema.section import ITEMS, Kinds, Section, fail
 from app.schema.vectors import Pair
 
-RateCourse = Annotated[
-    tuple[
-        Annotated[tuple[units.NonNegativeTime, units.NonNegativeNumber], Pair("[300 s, 1]")], ...
-    ],
-    ITEMS,
-    AfterValidator(rising("time")),
+RateCourse = OverTime[
+    Annotated[tuple[units.NonNegativeTime, units.NonNegativeNumber], Pair("[300 s, 1]")]
 ]
 Conversion = Annotated[float, units.Plain(above=0.0, at_most=1.0)]
 Limit = Annotated[

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import AfterValidator, model_validator
+from pydantic import model_validator
 
 from app.errors import InputError
-from app.laws.values import Named, field, rising
+from app.laws.values import Named, OverTime, field
 from app.schema import units
 from app.schema.expressions import Varying
 from app.schema.section import ITEMS, Kinds, Name, fail
@@ -23,15 +23,9 @@ FluxField = Annotated[
 SourceField = Annotated[
     float | str, Varying(units.Dimension("mW/mm^3", "a power per volume", "1e6 W/m^3"))
 ]
-Course = Annotated[
-    tuple[Annotated[tuple[units.NonNegativeTime, units.Number], Pair("[10 s, 0]")], ...],
-    ITEMS,
-    AfterValidator(rising("time")),
-]
-TemperatureCourse = Annotated[
-    tuple[Annotated[tuple[units.NonNegativeTime, units.Temperature], Pair("[10 s, 37 degC]")], ...],
-    ITEMS,
-    AfterValidator(rising("time")),
+Course = OverTime[Annotated[tuple[units.NonNegativeTime, units.Number], Pair("[10 s, 0]")]]
+TemperatureCourse = OverTime[
+    Annotated[tuple[units.NonNegativeTime, units.Temperature], Pair("[10 s, 37 degC]")]
 ]
 
 

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from app.arrays import Floats
     from forms.contact import Response
 
+    # Stiffness of the trial force (n,) [MPa/mm], fraction of the multiplier in it (n,) [-].
+    TrialForce = tuple[Floats | float, Floats | float]
+
 # Default ratio of the augmentation to the stiffness against a jump.
 USUAL_AUGMENTATION = 0.2
 
@@ -126,22 +129,15 @@ class InterfaceLaw(Extensible):
         """Force and derivative of the law."""
         raise NotImplementedError
 
-    def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
-        """Stiffness of the trial force (n,) [MPa/mm].
+    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
+        """Stiffness of the trial force (n,) [MPa/mm], fraction of the multiplier in it (n,) [-].
 
         Args:
             met: Stiffness per area against the jump of each point (n,) [MPa/mm].
             factor: Default ratio of the augmentation to that.
+            softening: Share to which the solver reduces the stiffness.
         """
-        return factor * met
-
-    def softened_stiffness(self, stiffness: Floats, met: Floats, share: float) -> Floats:
-        """Stiffness of the trial force, reduced to a share by the solver (n,) [MPa/mm]."""
-        return share * stiffness
-
-    def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats | float:
-        """Fraction of the multiplier in the trial force (n,) [-]."""
-        return 1.0
+        return softening * (factor * met), 1.0
 
 
 class Bonded(InterfaceLaw):
@@ -209,9 +205,10 @@ class Coulomb(Unilateral):
     augmentation: PositiveStiffness | None = None
     """Augmentation parameter r, chosen by default; results do not depend on it."""
 
-    def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
-        """The given augmentation, or the default (n,) [MPa/mm]."""
-        return factor * met if self.augmentation is None else self.augmentation
+    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
+        """With the given augmentation, or the default."""
+        full = factor * met if self.augmentation is None else self.augmentation
+        return softening * full, 1.0
 
 
 class Penalty(Unilateral):
@@ -225,21 +222,14 @@ class Penalty(Unilateral):
     penalty: PositiveStiffness
     """Pressure per penetration."""
 
-    def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
-        """The penalty [MPa/mm]."""
-        return self.penalty
-
-    def softened_stiffness(self, stiffness: Floats, met: Floats, share: float) -> Floats:
-        """At most the penalty: above it, F enters S with a negative sign (n,) [MPa/mm]."""
+    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
+        """At most the penalty: above it, the multiplier enters with a negative sign."""
         import numpy as np
 
-        if share == 1.0:
-            return stiffness
-        return np.minimum(share * USUAL_AUGMENTATION * met, stiffness)
-
-    def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats | float:
-        """Fraction of the multiplier in the trial force, 0 for r = penalty (n,) [-]."""
-        return 1.0 - softened / stiffness
+        if softening == 1.0:
+            return self.penalty, 0.0
+        softer = np.minimum(softening * USUAL_AUGMENTATION * met, self.penalty)
+        return softer, 1.0 - softer / self.penalty
 
 
 class Traction(InterfaceLaw):
@@ -295,9 +285,9 @@ class Traction(InterfaceLaw):
         force, slope, pressures, status = map(strip_variables, (force, slope, pressures, status))
         return Response(force, slope, pressures, status, stripped)
 
-    def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats | float:
-        """Always 0 [-]."""
-        return 0.0
+    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
+        """Without the multiplier."""
+        return softening * (factor * met), 0.0
 
 
 Interface = Annotated[InterfaceLaw, Kinds()]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
-from pydantic import PrivateAttr
+from pydantic import AfterValidator, PrivateAttr
 
 from app.errors import InputError
 from app.schema.expressions import Varying, evaluate
@@ -58,6 +58,11 @@ def rising(what: str) -> Callable[[Table], Table]:
         return table
 
     return check
+
+
+T = TypeVar("T")
+# Pairs that begin with a time.
+OverTime = Annotated[tuple[T, ...], ITEMS, AfterValidator(rising("time"))]
 
 
 def field(key: str, value: float | str | Field) -> Field:

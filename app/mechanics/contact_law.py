@@ -120,21 +120,20 @@ class PointLaw:
             local_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
         self._point_stiffness = np.linalg.eigvalsh(local_stiffness)[:, 0] / self._own.weight
-        self.default_stiffness = np.zeros(len(self._own))
-        for law, here in self._laws:
-            local = self._point_stiffness[here]
-            self.default_stiffness[here] = law.trial_stiffness(local, self._factor)
+        self.default_stiffness = self._trial_force(1.0)[0]
         self.scale_augmentation(self._scale)
 
     def scale_augmentation(self, factor: float) -> None:
         """Multiply the default augmentation by a factor, until the next call."""
         self._scale = factor
-        self.stiffness, self.multiplier_share = np.zeros((2, len(self._own)))
+        self.stiffness, self.multiplier_share = self._trial_force(factor)
+
+    def _trial_force(self, softening: float) -> tuple[Floats, Floats]:
+        stiffness, share = np.zeros((2, len(self._own)))
         for law, here in self._laws:
-            full = self.default_stiffness[here]
-            softer = law.softened_stiffness(full, self._point_stiffness[here], factor)
-            self.stiffness[here] = softer
-            self.multiplier_share[here] = law.multiplier_share(softer, full)
+            met = self._point_stiffness[here]
+            stiffness[here], share[here] = law.trial_force(met, self._factor, softening)
+        return stiffness, share
 
     def usual_augmentation(self) -> float:
         """Default augmentation over the one in the case, in the mean; collective."""

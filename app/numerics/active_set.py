@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -13,23 +12,6 @@ from app.arrays import Ints
 
 # Iterations that are kept, and the longest cycle that is recognized.
 KEPT, LONGEST = 12, 5
-
-
-@dataclass(frozen=True)
-class OscillatingPoint:
-    """A contact point that keeps changing its state.
-
-    Attributes:
-        row: Its row among the points of its rank.
-        changes: Number of its changes.
-        iterations: Number of iterations in which they were counted.
-        states: States it alternates between.
-    """
-
-    row: int
-    changes: int
-    iterations: int
-    states: tuple[int, ...]
 
 
 class ActiveSet:
@@ -68,8 +50,12 @@ class ActiveSet:
                 return p if self._comm.allreduce(moves, MPI.LOR) else 0
         return 0
 
-    def oscillating(self) -> list[OscillatingPoint]:
-        """Points of this rank that changed their state last, the most oscillating first."""
+    def oscillating(self) -> list[tuple[int, int, int, tuple[int, ...]]]:
+        """Points of this rank that changed their state last, the most oscillating first.
+
+        Each with its row, the number of its changes, the iterations in which they were counted, and
+        the states it alternates between.
+        """
         if len(self._known) < 2:
             return []
         states = np.array(self._known)
@@ -78,7 +64,7 @@ class ActiveSet:
         late = (states[-2:] != states[-3:-1]).any(axis=0) if len(states) > 2 else changes > 0
         rows = np.flatnonzero(late)
         return [
-            OscillatingPoint(
+            (
                 int(k),
                 int(changes[k]),
                 len(states) - 1,

@@ -258,13 +258,12 @@ def _drawing(panel: Panel, x: str) -> dict[str, Any]:
         )
         for line in panel.lines
     ]
-    title = f"{panel.title} ({panel.y})" if panel.y else panel.title
-    ends = ([(part(v, of), f"{v:g}") for v in of] for of in (across, up))
     return {
-        "title": title,
+        "title": f"{panel.title} ({panel.y})" if panel.y else panel.title,
         "x": x,
         "lines": lines,
-        **dict(zip(("across", "up"), ends, strict=True)),
+        "across": [(part(v, across), f"{v:g}") for v in across],
+        "up": [(part(v, up), f"{v:g}") for v in up],
     }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -79,22 +78,22 @@ def maps(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str
 
 
 def _rows(name: str, columns: Sequence[Column]) -> list[MapRow]:
-    sheets = {id(run): own for _, run, own in columns}
-
-    def contact(quantity: str, factor: float, run: Run) -> Floats | None:
-        return factor * lengths(run, f"{name}_{quantity}") if name in run.contacts else None
-
-    def hottest(run: Run) -> Floats | None:
-        steps = [run.temperature(k) for k in range(len(run.times))] if run.hot else []
-        nodes = sheets[id(run)].nodes
-        return max(steps, key=lambda T: float(np.max(T[nodes]))) if steps else None
-
     rows = []
     for quantity, colours in SHOWN.items():
         unit, factor = QUANTITIES[quantity]
-        values = partial(contact, quantity, factor)
+        values = [
+            factor * lengths(run, f"{name}_{quantity}") if name in run.contacts else None
+            for _, run, _ in columns
+        ]
         rows.append(MapRow(f"{WORDS[quantity]} ({unit})", colours, values))
+    hottest = [_hottest(run, sheet) for _, run, sheet in columns]
     return [*rows, MapRow("temperature (°C)", "inferno", hottest, False)]
+
+
+def _hottest(run: Run, sheet: Sheet) -> Floats | None:
+    """Temperature [degC] at the written step at which an interface is hottest."""
+    steps = [run.temperature(k) for k in range(len(run.times))] if run.hot else []
+    return max(steps, key=lambda T: float(T[sheet.nodes].max())) if steps else None
 
 
 def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[str]) -> Figure:

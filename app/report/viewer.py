@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from app.arrays import Bools, Floats, Ints
 from app.report import page
+from app.report.sweep_results import QUANTITIES
 from app.results.reading import EDGES, FACES, Run
 
 THREE = Path("/usr/share/javascript/three")
@@ -26,11 +27,7 @@ LEVELS = 65534  # values are 0 to this, and one more stands for none
 MOST = 3_000_000  # bytes of values before they are compressed: about half of a page of 2 MB
 # Label, unit, and factor on the value in the file; of vectors the length is shown.
 INTERFACE = {
-    "slip": ("slip", "µm", 1e3),
-    "gap": ("gap", "µm", 1e3),
-    "motion": ("motion", "µm", 1e3),
-    "pressure": ("pressure", "MPa", 1.0),
-    "shear": ("shear", "MPa", 1.0),
+    **{key: (key, *QUANTITIES[key]) for key in ("slip", "gap", "motion", "pressure", "shear")},
     "status": ("open 0, stick 1, slip 2", "", 1.0),
 }
 NODAL = {
@@ -113,21 +110,18 @@ def packed(
     numbers = bytearray()
 
     def add(array: NDArray[Any]) -> int:
-        at = len(numbers)
         numbers.extend(array.tobytes())
-        return at
+        return len(numbers) - array.nbytes
 
     x = run.points[nodes]
     low, size = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
-    number = np.full(len(run.points), -1)
-    number[nodes] = np.arange(len(nodes))
     head: dict[str, Any] = {
         "points": {"at": add(_levels((x - low) / size)), "n": len(nodes)},
         "low": low.tolist(),
         "size": size,
         "bodies": [
-            {"name": name, "at": add(number[t].astype("<u4")), "triangles": len(t)}
-            for name, t in fine.items()
+            {"name": body, "at": add(np.searchsorted(nodes, t).astype("<u4")), "triangles": len(t)}
+            for body, t in fine.items()
         ],
         "stages": ends,
         "signed": minus is not None,
@@ -142,13 +136,12 @@ def packed(
         on = run.at_interface(where, "status", -1)[nodes] >= 0 if where else True
         steps = []
         for stage in ends:
-            v = factor * lengths(run, name, stage)[nodes]
-            if minus is not None:
-                v -= factor * lengths(minus, name, -1 if stage == ends[-1] else stage)[nodes]
+            other = -1 if stage == ends[-1] else stage
+            less = 0.0 if minus is None else lengths(minus, name, other)
+            v = factor * (lengths(run, name, stage) - less)[nodes]
             parts, least, most = _scaled(v, np.isfinite(v) & on)
             steps.append({"at": add(parts), "min": least, "max": most})
-        title = f"{where.replace('_', '-')}: {label}" if where else label
-        head["fields"].append({"name": name, "label": title, "unit": unit, "steps": steps})
+        head["fields"].append({"name": name, "label": label, "unit": unit, "steps": steps})
     return head, bytes(numbers)
 
 
@@ -169,9 +162,9 @@ def lengths(run: Run, name: str, step: int | str = -1) -> Floats:
 def _kinds(run: Run) -> list[tuple[str, str, str, str, float]]:
     """Fields to show: name in the file, interface or nothing, label, unit and factor."""
     found = [
-        (f"{contact}_{key}", contact, *how)
+        (f"{contact}_{key}", contact, f"{contact.replace('_', '-')}: {label}", *how)
         for contact in sorted(run.contacts, reverse=True)
-        for key, how in INTERFACE.items()
+        for key, (label, *how) in INTERFACE.items()
         if f"{contact}_{key}" in run.point_fields
     ]
     found += [(key, "", *how) for key, how in NODAL.items() if key in run.point_fields]

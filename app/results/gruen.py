@@ -79,13 +79,8 @@ def _interface(s: ContactSamples, at: NDArray[np.bool_]) -> dict[str, float]:
     """Motion and tractions of the marked points of an interface; means by area."""
     weight = s.weight[at]
     result: dict[str, float] = {}
-    for name, values in (
-        ("gap", np.maximum(s.opening[at], 0.0)),
-        ("slip", np.linalg.norm(s.slip[at], axis=1)),
-        ("motion", np.linalg.norm(s.motion[at], axis=1)),
-        ("pressure", s.pressure[at]),
-        ("shear", s.shear[at]),
-    ):
+    for name in ("gap", "slip", "motion", "pressure", "shear"):
+        values = s.sizes[name][at].reshape(len(weight), -1).max(axis=1)
         result[f"{name}_max"] = float(values.max())
         result[f"{name}_mean"] = float(np.average(values, weights=weight))
     return result | {"area": float(weight.sum())}

@@ -54,6 +54,7 @@ class ContactSamples:
         least: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
         own: History variables of the laws, by name: (n, ...).
+        sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
         numbers: Motion, tractions and states of each interface, by its name.
     """
 
@@ -82,6 +83,14 @@ class ContactSamples:
         self.dissipation, self.least = whole(history.dissipation), whole(history.least)
         self.contact_work = whole(history.contact_work)
         self.own = {name: whole(values) for name, values in history.own.items()}
+        self.sizes = {
+            "gap": np.maximum(self.gap, 0.0),
+            "slip": np.linalg.norm(self.slip, axis=1),
+            "slip_path": self.path,
+            "motion": np.linalg.norm(self.motion, axis=1),
+            "pressure": self.pressure,
+            "shear": self.shear,
+        }
         depths = overlap(contact, trial.jump)
         self.numbers: dict[str, dict[str, Any]] = {
             c.name: {
@@ -99,14 +108,7 @@ def _numbers(s: ContactSamples, i: int, facets: _Facets) -> dict[str, Any]:
     weight, x = s.weight[at], s.x[at]
     total = float(weight.sum())
     found: dict[str, Any] = {}
-    for name, values in (
-        ("gap", np.maximum(s.gap, 0.0)),
-        ("slip", np.linalg.norm(s.slip, axis=1)),
-        ("slip_path", s.path),
-        ("motion", np.linalg.norm(s.motion, axis=1)),
-        ("pressure", s.pressure),
-        ("shear", s.shear),
-    ):
+    for name, values in s.sizes.items():
         field = facets.field(values)
         here = values[at].reshape(len(x), -1).max(axis=1)
         k = int(np.argmax(here))

@@ -14,13 +14,13 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from mpi4py import MPI
 
 from app import files
 from app.case import quantities
-from app.errors import StoppedError, everywhere
+from app.errors import StoppedError, on_root
 from app.heat.operators import HeatOperators
 from app.results import temperature_section
 from app.results.field_output import FieldGroup, Fields
@@ -30,8 +30,6 @@ from app.system import identity
 from app.system.folders import csv_text, saved, write_json, write_text
 from app.version import __version__
 from meshes.distribute import TaggedMesh
-
-T = TypeVar("T")
 
 UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
@@ -44,12 +42,6 @@ PACKAGES = (
     *("mpi4py", "numpy", "h5py"),
 )
 log = logging.getLogger("mantle")
-
-
-def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
-    """Run an action on rank 0; share its result, or None, and raise its errors on every rank."""
-    result = everywhere(comm, lambda: action() if comm.rank == 0 else None)
-    return comm.bcast(result) if share else result
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 
 from app import figures
 from app.arrays import Floats, Ints
+from app.errors import on_root
 from app.heat.operators import HeatOperators
 from app.results.necrosis import CELSIUS
 from app.results.thermal_record import ThermalRecord
@@ -49,18 +50,15 @@ def section(path: Path, operators: HeatOperators, record: ThermalRecord) -> None
         height = corners[:, :, axis] - level
         near = (height.min(axis=1) <= 0) & (height.max(axis=1) >= 0)
         gathered.append(comm.gather((corners[near], tags[near])))
-    failed = None
-    if comm.rank == 0:
+
+    def draw() -> None:
         whole = [
             _cut(np.concatenate([c for c, _ in near]), np.concatenate([t for _, t in near]), *plane)
             for near, plane in zip(gathered, planes, strict=True)
         ]
-        try:
-            _draw(path, planes, whole, record)
-        except OSError as error:
-            failed = error
-    if (failed := comm.bcast(failed)) is not None:
-        raise failed
+        _draw(path, planes, whole, record)
+
+    on_root(comm, draw, share=False)
 
 
 def _corners(

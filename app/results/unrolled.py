@@ -8,7 +8,7 @@ left out. Other interfaces are drawn if they are flat, in their own plane.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -107,13 +107,13 @@ class MapRow:
     """A quantity of a map.
 
     Attributes:
-        values: Its values at the nodes of a run, in that unit; None where it has none.
+        values: At the nodes of each column's run, in that unit; None where it has none.
         from_zero: Whether colours begin at zero, else at the smallest value.
     """
 
     label: str
     colours: str
-    values: Callable[[Run], Floats | None]
+    values: Sequence[Floats | None]
     from_zero: bool = True
 
 
@@ -127,21 +127,21 @@ def draw(
     Returns:
         The labels of the rows drawn; no picture if there is none.
     """
-    found = [(row, [row.values(run) for _, run, _ in columns]) for row in rows]
-    found = [(row, values) for row, values in found if any(v is not None for v in values)]
+    found = [row for row in rows if any(v is not None for v in row.values)]
     if not found:
         return []
     round = all(s.round for _, _, s in columns)
     wide, high = (3.0, 2.9) if round else (3.4, 3.0)
     figure = figures.new(wide * len(columns) + 1.6, high * len(found) + 0.5)
     grid = figure.subplots(len(found), len(columns), squeeze=False, sharey=round)
-    for axes_row, (row, values) in zip(grid, found, strict=True):
-        shown = [v[s.nodes] for (_, _, s), v in zip(columns, values, strict=True) if v is not None]
+    for axes_row, row in zip(grid, found, strict=True):
+        of = [(own, v) for (*_, own), v in zip(columns, row.values, strict=True)]
+        shown = [v[own.nodes] for own, v in of if v is not None]
         every = np.concatenate([v.ravel() for v in shown])
         low = 0.0 if row.from_zero else float(every.min())
         top = max(float(np.percentile(every, CLIP)), low + LEAST)
         shade: Any = None
-        for axes, (_, _, own), v in zip(axes_row, columns, values, strict=True):
+        for axes, (own, v) in zip(axes_row, of, strict=True):
             _axes(axes, own)
             if v is None:
                 axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color="0.4")
@@ -154,7 +154,7 @@ def draw(
     for axes in grid[:, 0]:
         axes.set_ylabel("height (mm)" if round else "mm")
     figure.savefig(path, dpi=110)
-    return [row.label for row, _ in found]
+    return [row.label for row in found]
 
 
 def _shade(axes: Any, own: Sheet, values: Floats, colours: str, limits: tuple[float, float]) -> Any:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app import files
+from app.errors import on_root
 
 Array = npt.NDArray[Any]
 
@@ -81,12 +82,13 @@ class GridFile:
         cells = np.argsort(self._gather(grid.cell_keys))
         self._rows = {"PointData": points, "CellData": cells}
         if steps:
-            self._on_root(lambda: _cut(path, len(points), len(cells), steps))
+            on_root(comm, lambda: _cut(path, len(points), len(cells), steps))
             return
         x, nodes = self._gather(grid.points), self._gather(grid.point_keys[grid.cells])
         data = {name: self._gather(values)[cells] for name, values in grid.cell_data.items()}
-        self._on_root(
-            lambda: _create(path, x[points], np.searchsorted(keys, nodes[cells]), data, grid.texts)
+        on_root(
+            comm,
+            lambda: _create(path, x[points], np.searchsorted(keys, nodes[cells]), data, grid.texts),
         )
 
     def write(self, time: float, point: Mapping[str, Array], cell: Mapping[str, Array]) -> None:
@@ -122,7 +124,7 @@ class GridFile:
                     _put(root, name, values[rows], starts[name], chunk=len(rows))
             _commit(self.path, self.steps, time, starts)
 
-        self._on_root(write)
+        on_root(self.comm, write, share=False)
         self._names = names
         self.steps += 1
 
@@ -130,18 +132,6 @@ class GridFile:
         """The rows of all ranks on rank 0, nothing elsewhere."""
         pieces = self.comm.gather(values)
         return values[:0] if pieces is None else np.concatenate(pieces)
-
-    def _on_root(self, action: Callable[[], None]) -> None:
-        """Run an action on rank 0; raise its error on every rank."""
-        error = None
-        if self.comm.rank == 0:
-            try:
-                action()
-            except Exception as caught:  # of any kind: the other ranks wait
-                error = caught
-        error = self.comm.bcast(error)
-        if error is not None:
-            raise error
 
 
 def _create(

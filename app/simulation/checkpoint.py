@@ -23,10 +23,9 @@ from mpi4py import MPI
 import numpy as np
 
 from app.case.case import Case, plain
-from app.errors import InputError, everywhere
+from app.errors import InputError, everywhere, on_root
 from app.files import write_bytes
 from app.numerics.saved_state import Array, Rows, collect, fill, restore
-from app.results.run_folder import on_root
 from app.simulation.model import Model
 from app.simulation.recorder import Recorder
 from app.system import folders
@@ -36,8 +35,8 @@ log = logging.getLogger("mantle")
 
 # Version of the file layout.
 FORMAT = 5
-# Names of the header, and of what stands for rows in it.
-HEADER, ROWS = "header", "@rows"
+# Stands for rows in the header, which is an array of its name.
+ROWS = "@rows"
 # Number of checkpoints kept.
 KEPT = 2
 # Number of differences listed in a message.
@@ -81,18 +80,13 @@ def write(comm: MPI.Comm, path: Path, header: Mapping[str, Any], state: Any) -> 
 
     # All ranks meet the rows in the same order.
     text = json.dumps({**header, "format": FORMAT, "state": state}, default=gathered)
-    failure = None
-    if comm.rank == 0:
+
+    def whole() -> None:
         file = io.BytesIO()
-        arrays[HEADER] = np.frombuffer(text.encode(), np.uint8)
-        np.savez(file, allow_pickle=False, **arrays)
-        try:
-            write_bytes(path, file.getvalue())
-        except OSError as error:
-            failure = error
-    failure = comm.bcast(failure)
-    if failure is not None:
-        raise failure
+        np.savez(file, allow_pickle=False, **arrays, header=np.frombuffer(text.encode(), np.uint8))
+        write_bytes(path, file.getvalue())
+
+    on_root(comm, whole, share=False)
 
 
 def read(path: Path) -> Checkpoint:
@@ -111,7 +105,7 @@ def read(path: Path) -> Checkpoint:
         def with_rows(data: dict[str, Any]) -> Any:
             return Rows(*(arrays[name] for name in data[ROWS])) if ROWS in data else data
 
-        header = json.loads(arrays[HEADER].tobytes(), object_hook=with_rows)
+        header = json.loads(arrays["header"].tobytes(), object_hook=with_rows)
         if header["format"] != FORMAT:
             raise DamagedError(f"written by mantle {header['mantle']} in another format")
         return Checkpoint(path, header, header.pop("state"))

@@ -65,9 +65,7 @@ def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str
     if restart not in ("", "auto") and case.config.variations:
         raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")
     memory.check(case.file, case.config)
-    runs = {output: case.config}
-    if case.config.variations:
-        runs = {output / v.name: v.case for v in case.variations()}
+    runs = {output / v.name: v.case for v in case.variations} or {output: case.config}
     done = not force and restart in ("", "auto") and (output / "DONE").exists()
     done = done and all(finished(folder, one) for folder, one in runs.items())
     folders.prepare_run(output, force or done or bool(restart))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import meshes
 from app.case.case import Case
+from app.errors import on_root
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
 from app.mechanics.contact import TrialState
@@ -29,7 +30,6 @@ from app.results.bond_strength import bonds
 from app.results.field_output import FieldGroup, HeatFields
 from app.results.interface_numbers import ContactSamples
 from app.results.mechanical_fields import MechanicalFields
-from app.results.run_folder import on_root
 from app.results.stem_motion import stem_motion
 from app.results.stresses import Stresses
 from app.scene.build import build_scene

@@ -16,12 +16,19 @@ from typing import Any
 from mpi4py import MPI
 
 from app.case.case import Case, LoadedCase, Varied, dump
-from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError, agree
+from app.errors import (
+    ConvergenceError,
+    EnvironmentProblem,
+    GeometryError,
+    StoppedError,
+    agree,
+    on_root,
+)
 from app.numerics.condition import condition_number
 from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results import error_estimate
-from app.results.run_folder import Writer, on_root, provenance
+from app.results.run_folder import Writer, provenance
 from app.simulation import checkpoint, finished_runs, variations
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model, Observer
@@ -127,7 +134,8 @@ def run(
         if case.config.variations:
             _vary(setup, output)
         else:
-            summary = _solve(setup, case.config, (), output)
+            solving = _CaseRun(setup, case.config, (), output)
+            summary = solving.finish(solving.solve())
             text.report(summary)
             text.check_usable({output: summary})
     log.info("results in %s", output)
@@ -143,7 +151,7 @@ def _vary(setup: Setup, output: Path) -> None:
         UnusableError: All did, but the numbers of some are not to be used.
         StoppedError: Those before are done.
     """
-    comm, varied = setup.comm, setup.loaded.variations()
+    comm, varied = setup.comm, setup.loaded.variations
     chain = variations.order(setup.loaded.config, varied)
     mark = output / "DONE"
     on_root(comm, lambda: mark.unlink(missing_ok=True), share=False)
@@ -184,7 +192,8 @@ def _variation(setup: Setup, varied: Varied, folder: Path) -> dict[str, Any]:
     """Solve a variation; returns its summary, empty if it does not converge; collective."""
     on_root(setup.comm, partial(_prepare, folder), share=False)
     try:
-        summary = _solve(setup, varied.case, varied.overrides, folder)
+        solving = _CaseRun(setup, varied.case, varied.overrides, folder)
+        summary = solving.finish(solving.solve())
     except ConvergenceError as failure:
         log.warning("%s: %s", varied.name, failure)
         why = partial(write_text, folder / FAILED, f"{failure}\n")
@@ -198,16 +207,6 @@ def _prepare(folder: Path) -> None:
     """Make the folder of a variation; remove the note of an earlier failure."""
     prepare_run(folder, force=True)
     (folder / FAILED).unlink(missing_ok=True)
-
-
-def _solve(setup: Setup, case: Case, changes: Sequence[str], output: Path) -> dict[str, Any]:
-    """Solve the case or a variation, write its run directory; returns its summary; collective.
-
-    Raises:
-        MantleError: With the last converged state on disk where there is one.
-    """
-    run = _CaseRun(setup, case, changes, output)
-    return run.finish(run.solve())
 
 
 class _CaseRun:

@@ -44,8 +44,8 @@ def estimated_size(case: Case) -> str:
 
 def unknowns(case: Case) -> float:
     """Estimated unknowns of a case; 0 where they are unknown before meshing."""
-    cells, nodes, corners, each = _estimated(case)
-    return sum(_unknowns(case, nodes, corners, each)) if cells else 0.0
+    cells, sizes = _cells_and_unknowns(case)
+    return sum(sizes) if cells else 0.0
 
 
 def seconds(case: Case, alone: bool = True) -> float:
@@ -53,15 +53,12 @@ def seconds(case: Case, alone: bool = True) -> float:
 
     A run that is not ``alone`` shares mesh, forms and matrices with an earlier one.
     """
-    cells, nodes, corners, each = _estimated(case)
-    sizes = _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
-    return _duration(case, cells, sizes, alone)
+    return _duration(case, *_cells_and_unknowns(case), alone)
 
 
 def phases(case: Case) -> dict[str, float]:
     """Time of each phase of a first run on one core [s], by its name in `Timing`."""
-    cells, nodes, corners, each = _estimated(case)
-    sizes = _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
+    cells, sizes = _cells_and_unknowns(case)
     unknowns = sum(sizes)
     alone = case.model_copy(update={"output": case.output.model_copy(update={"error": False})})
     return {
@@ -126,19 +123,25 @@ def _estimated(case: Case) -> tuple[float, float, float, dict[str, float]]:
     return count, nodes, corners, each
 
 
+def _cells_and_unknowns(case: Case) -> tuple[float, tuple[float, float]]:
+    """Estimated cells, 0 before meshing, and unknowns of mechanics and heat."""
+    cells, nodes, corners, each = _estimated(case)
+    return cells, _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
+
+
+def _on_interfaces(case: Case, each: Mapping[str, float]) -> tuple[float, float]:
+    """Nodes with a jump of displacement, and of temperature."""
+    laws = case.interfaces.items()
+    jumps = sum(each[name] for name, law in laws if law.can_part)
+    return jumps, sum(each[name] for name, law in laws if law.conductance is not None)
+
+
 def _unknowns(
-    case: Case, nodes: float, corners: float, interfaces: Mapping[str, float]
+    case: Case, nodes: float, corners: float, each: Mapping[str, float]
 ) -> tuple[float, float]:
-    mechanical = thermal = 0.0
-    if solid(case):
-        jumps = sum(interfaces[name] for name, law in case.interfaces.items() if law.can_part)
-        mechanical = 3 * (nodes + jumps)
-    if case.conducts:
-        steps = sum(
-            interfaces[n] for n, law in case.interfaces.items() if law.conductance is not None
-        )
-        thermal = corners + steps
-    return mechanical, thermal
+    """Unknowns of mechanics and heat."""
+    jumps, steps = _on_interfaces(case, each)
+    return 3 * (nodes + jumps) * solid(case), (corners + steps) * case.conducts
 
 
 def exact_size(case: Case, data: MeshData) -> str:
@@ -183,16 +186,14 @@ def _size(
     interfaces: Mapping[str, float],
 ) -> str:
     """Lines on unknowns and memory: ``nodes`` carry displacements, ``corners`` temperatures."""
-    laws = case.interfaces.items()
     parts = [f"{count(cells)} cells"]
+    jumps, steps = _on_interfaces(case, interfaces)
     if solid(case):
-        jumps = sum(interfaces[name] for name, law in laws if law.can_part)
         parts += [
             f"{count(nodes)} displacement nodes",
             f"{count(jumps)} interface nodes with a jump",
         ]
     if case.conducts:
-        steps = sum(interfaces[name] for name, law in laws if law.conductance is not None)
         parts += [f"{count(corners)} temperatures", f"{count(steps)} temperature jumps"]
     sizes = _unknowns(case, nodes, corners, interfaces)
     unknowns = sum(sizes)

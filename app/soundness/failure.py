@@ -119,12 +119,11 @@ def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet
     """Contact points that changed state most in the last iterations; collective."""
     local = [
         (
-            r.changes,
-            f"changing: {' <-> '.join(map(_state, r.states))} "
-            f"{_place(problem, contact, r.row)}, "
-            f"in {r.changes} of the last {r.iterations} iterations",
+            changes,
+            f"changing: {' <-> '.join(map(_state, states))} {_place(problem, contact, row)}, "
+            f"in {changes} of the last {iterations} iterations",
         )
-        for r in active.oscillating()[:SHOWN]
+        for row, changes, iterations, states in active.oscillating()[:SHOWN]
     ]
     every = sorted((r for part in problem.comm.allgather(local) for r in part), reverse=True)
     return [text for _, text in every[:SHOWN]]

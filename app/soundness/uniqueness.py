@@ -1,39 +1,9 @@
-r"""Friction coefficients beyond which a contact point alone may have several equilibria.
+"""Friction coefficients beyond which a contact point alone may have several equilibria.
 
-A point that may open, stick or slip on a body of stiffness K under a load b: with q the jump and r
-the reaction,
-
-.. math:: K q = b + r, \qquad q_n \ge 0, \quad r_n \ge 0, \quad q_n r_n = 0, \qquad
-          |r_T| \le μ r_n, \quad r_T |q_T| = -μ r_n q_T .
-
-Klarbring (1990) solves it for a particle in the plane, K = [[k_T, w], [w, k_N]]. While the particle
-slips along ±t by s, eliminating r_n = ±w s - b_n leaves (k_T ± μ w) s = ±b_T + μ b_n: the load
-grows with the slip, as it does in the other states, if and only if μ |w| < k_T. Otherwise some
-loads have three solutions: open, stick and slip.
-
-In space, let n be the normal and t a unit vector of the tangent plane, A the tangential block of K
-and w its row K_nT (the normal force that a slip takes). A state that slips is (s, p, t): slip s t,
-pressure p = r_n. Its load is
-
-.. math:: b_T = s A t + μ p t, \qquad b_n = s\, w·t - p .
-
-The map from states to loads is continuous, piecewise smooth and homogeneous of degree one. If its
-Jacobian has one sign throughout, it is one to one near every state but 0 (two pieces of one
-orientation join to a homeomorphism), hence a covering of the loads without 0, which are simply
-connected, hence one to one. The sign is that of det K > 0 where the point is open and that of 1
-where it sticks. Where it slips, with t' across t and B = A + μ t w^T,
-
-.. math:: \det[Bt,\; s B t' + μ p t'] = s \det B + μ p\; t·Bt .
-
-Both terms have to be positive for all t: t·At + μ w·t > 0 (incipient slip), and det B > 0 (about to
-open). The first implies the second: if B x = 0 with |x| = 1, then x·Ax = -μ (x·t)(w·x) <= μ |w·x|,
-against the first for t = x or -x. Where the first fails, stick and slip fold onto each other and
-loads near b = (μ t, -1) have both. Hence
-
-.. math:: μ_c = \min_{|t| = 1} \frac{t·At}{|w·t|},
-
-which in the plane is Klarbring's k_T / |w|. With t = (cos θ, sin θ) in axes along and across w,
-[[a, b], [b, c]] the symmetric part of A and τ = tan θ, this is the least value of
+With A the tangential block of the stiffness of a point and w its coupling row (the normal force
+that a slip takes), the least of t·At / |w·t| over unit vectors t of the tangent plane, in the plane
+Klarbring's k_T / |w| (derived in `docs/theory.md`). With t = (cos θ, sin θ) in axes along and
+across w, [[a, b], [b, c]] the symmetric part of A and τ = tan θ, this is the least value of
 (a + 2 b τ + c τ²) / (|w| sqrt(1 + τ²)), stationary where c τ³ + (2 c - a) τ + 2 b = 0.
 
 A. Klarbring, Examples of non-uniqueness and non-existence of solutions to quasistatic contact

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.errors import EnvironmentProblem, everywhere
+from app.errors import EnvironmentProblem
 from app.system import doctor
 
 # Larger than the blocks of usual kernels, and no multiple of them.
@@ -28,12 +28,9 @@ def check(comm: MPI.Comm) -> None:
     Raises:
         EnvironmentProblem: A result is wrong, on any rank.
     """
-
-    def here() -> None:
-        if (found := problem()) is not None:
+    for found in comm.allgather(problem()):
+        if found is not None:
             raise found
-
-    everywhere(comm, here)
 
 
 def problem() -> EnvironmentProblem | None:

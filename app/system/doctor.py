@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable, Iterable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -91,11 +92,7 @@ def loaded_blas() -> list[str]:
     """Paths of the BLAS libraries that numpy and PETSc have loaded into this process."""
     for module in ("numpy.linalg", "petsc4py.PETSc"):
         _try(lambda module=module: str(import_module(module)))  # type: ignore[misc]
-    try:
-        maps = Path("/proc/self/maps").read_text().splitlines()
-    except OSError:
-        return []
-    return blas_libraries(maps)
+    return blas_libraries(Path("/proc/self/maps").read_text().splitlines())
 
 
 def blas_libraries(maps: Iterable[str]) -> list[str]:
@@ -153,18 +150,13 @@ def _compiler() -> str:
     path = shutil.which(name)
     if path is None:
         return _MISSING
-    try:
-        told = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=10)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return f"{path} ({error})"
-    return f"{path} ({(told.stdout.splitlines() or ['?'])[0]})"
+    command = partial(subprocess.check_output, [path, "--version"], text=True, timeout=10)
+    return f"{path} ({_try(command).splitlines()[0]})"
 
 
 def _memory(field: str) -> str:
-    for line in Path("/proc/meminfo").read_text().splitlines():
-        if line.startswith(field + ":"):
-            return _size(int(line.split()[1]) * 1024)
-    raise ValueError(f"no {field} in /proc/meminfo")
+    kilobytes = re.findall(rf"{field}: +(\d+) kB", Path("/proc/meminfo").read_text())
+    return _size(int(kilobytes[0]) * 1024)
 
 
 def _size(count: int) -> str:

@@ -17,7 +17,6 @@ from typing import Any
 
 from app import files
 from app.errors import EnvironmentProblem, InputError
-from app.files import write_bytes as write_bytes
 
 # First characters of texts that spreadsheets take for formulas, unless they are numbers.
 FORMULA = re.compile(r"[=@+\-\t\r](?!\d*\.?\d*(e[+-]?\d+)?$)", re.IGNORECASE)
@@ -144,20 +143,19 @@ def claim(folder: Path) -> Iterator[None]:
 
 def saved(folder: Path) -> list[Path]:
     """The checkpoints in a run directory, the newest first."""
-    found = {p: p.stem.removeprefix("checkpoint-") for p in folder.glob("checkpoint-*.state")}
-    numbers = {p: int(n) for p, n in found.items() if n.isdigit()}
-    return sorted(numbers, key=lambda p: numbers[p], reverse=True)
+    found = [p for p in folder.glob("checkpoint-*.state") if p.stem.partition("-")[2].isdigit()]
+    return sorted(found, key=lambda p: int(p.stem.partition("-")[2]), reverse=True)
 
 
-def remove(files: Iterable[Path]) -> None:
+def remove(paths: Iterable[Path]) -> None:
     """Remove files, if they are there."""
-    for path in files:
+    for path in paths:
         path.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a file under another name, flush it to disk and rename it; all of it or nothing."""
-    write_bytes(path, text.encode())
+    files.write_bytes(path, text.encode())
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -22,7 +22,7 @@ from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import IO
 
-from app.errors import EnvironmentProblem, InputError, StoppedError
+from app.errors import EnvironmentProblem, StoppedError
 from app.system import scratch
 
 # Variables with the number of ranks, by process manager.
@@ -36,41 +36,19 @@ ONE_NODE = {
     "OMPI_MCA_btl": "self,sm",
     "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
 }
-_RULE = b"-" * 74
+_RULE = b"-" * 74 + b"\n"
+_BANNER = re.compile(rb"-{74}\s+(prterun|mpirun|MPI_ABORT) ")
+# Banners that repeat the application's message, and messages of a job manager that closes down.
+_REPEATED = re.compile(
+    rb"exited with non-zero status|MPI_ABORT was invoked|calling\s\"abort\""
+    rb"|PMIX ERROR: PMIX_ERR_UNREACH|^Abort is in progress"
+)
+_ENDED = re.compile(rb"exited on\ssignal")
 _PR_SET_PDEATHSIG = 1
 _CRASHED = 59  # exit code of PETSc after a signal such as SIGSEGV, which it has reported
 SAME_SIGNAL = 1.0  # s
 # The folder that holds app, forms, meshes, configs and mantle.py.
 _FOLDER = str(Path(__file__).resolve().parents[2])
-
-
-def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
-    """Take ``-n N``, ``-nN`` or ``-n=N`` out of the arguments.
-
-    Returns:
-        The number of ranks, or None, and the other arguments in order; those behind a bare ``--``
-        are PETSc's and stay.
-
-    Raises:
-        InputError: N is missing or not a positive whole number.
-    """
-    ranks: int | None = None
-    rest: list[str] = []
-    queue = list(arguments)
-    while queue:
-        argument = queue.pop(0)
-        if argument == "--":
-            return ranks, [*rest, argument, *queue]
-        if not argument.startswith("-n"):
-            rest.append(argument)
-            continue
-        value = argument[2:].removeprefix("=")
-        if argument == "-n" and queue:
-            value = queue.pop(0)
-        if not re.fullmatch(r"[0-9]{1,6}", value) or int(value) == 0:
-            raise InputError(f"-n: '{value}' is not a number of ranks; allowed: 1, 2, 3, ...")
-        ranks = int(value)
-    return ranks, rest
 
 
 def world_size(environ: Mapping[str, str] = os.environ) -> int | None:
@@ -245,40 +223,17 @@ def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int
         target: Its new place.
         received: Signals received so far; after one, ranks ended by a signal are not reported.
     """
-    block: list[bytes] = []
     closing = False  # mpirun has begun to end the job; its banners leave blanks behind
-    while line := source.readline():
-        is_rule = line.rstrip() == _RULE
-        if not block:
-            if is_rule:
-                block = [line]
-            elif not (closing and not line.strip(b" \n\0")) and not _is_noise(line):
-                _write(target, line)
-            continue
-        block.append(line)
-        if len(block) == 2 and not line.startswith((b"prterun ", b"mpirun ", b"MPI_ABORT ")):
-            _write(target, b"".join(block))  # a table of the application's
-            block = []
-        elif is_rule:
-            if _repeats(b"".join(block), bool(received)):
-                closing = True
-            else:
-                _write(target, b"".join(block))
-            block = []
-    _write(target, b"".join(block))
-
-
-def _is_noise(line: bytes) -> bool:
-    """Whether this is a message of a job manager interrupted while it closes down."""
-    return b"PMIX ERROR: PMIX_ERR_UNREACH" in line or line.startswith(b"Abort is in progress")
-
-
-def _repeats(banner: bytes, stopped: bool) -> bool:
-    if b"exited with non-zero status" in banner or b"MPI_ABORT was invoked" in banner:
-        return True
-    if b'calling\n"abort"' in banner:
-        return True
-    return stopped and (b"exited on\nsignal" in banner or b"exited on signal" in banner)
+    for line in source:
+        block = line
+        while block.startswith(_RULE) and (line := source.readline()):
+            block += line
+            if line == _RULE or not _BANNER.match(block):  # its end, or the application's
+                break
+        if _REPEATED.search(block) or (received and _ENDED.search(block)):
+            closing = True
+        elif not closing or block.strip(b" \n\0"):
+            _write(target, block)
 
 
 def _write(target: IO[bytes], text: bytes) -> None:

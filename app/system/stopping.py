@@ -20,12 +20,9 @@ FORMS = "H:MM:SS, MM:SS or D-H:MM:SS"
 def seconds(text: str) -> float:
     """Seconds of a duration in the format of batch systems, ``[D-]H:MM:SS`` or ``MM:SS``."""
     found = re.fullmatch(r"(?:(?:(\d+)-)?(\d+):)?(\d+):(\d\d)", text.strip())
-    if found is None or not (
-        total := sum(
-            int(part or 0) * unit
-            for part, unit in zip(found.groups(), (86400, 3600, 60, 1), strict=True)
-        )
-    ):
+    days, hours, minutes, rest = (int(part or 0) for part in found.groups()) if found else [0] * 4
+    total = ((24 * days + hours) * 60 + minutes) * 60 + rest
+    if not total:
         raise InputError(f"--walltime {text}: not a duration; allowed: {FORMS}, e.g. 2:00:00")
     return float(total)
 

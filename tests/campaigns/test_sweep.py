@@ -51,7 +51,7 @@ def test_cases_share_processes_and_have_a_row_each(
     run(bench, *overrides)
     groups = sorted((bench.out / "cases").iterdir())
     assert len(groups) == 2 and all(g.name.startswith("shared-") for g in groups)
-    found = {v.name: v.case for g in groups for v in load(g).variations()}
+    found = {v.name: v.case for g in groups for v in load(g).variations}
     with (bench.out / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     cases = cases_of(bench.out)

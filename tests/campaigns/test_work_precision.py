@@ -43,18 +43,18 @@ def test_without_a_number_along_the_ladder_nothing_is_extrapolated() -> None:
     assert found.uncertainty == pytest.approx(0.1)
 
 
-def point(x: float, error: float, *, estimate: float | None = None, **more: float) -> ErrorPoint:
+def point(error: float, estimate: float | None = None, algebraic: float = 0.0) -> ErrorPoint:
     """A point of the quantity 2 + 2 error, compared with 2 ± 0.002."""
-    raw = ErrorPoint("P1", f"{x} mm", x, 1.0, 2 + 2 * error, estimate, more.get("algebraic", 0.0))
+    raw = ErrorPoint(2 + 2 * error, estimate, algebraic)
     return wp.compare(raw, ReferenceValue(2.0, 0.002, None, "given"))
 
 
 def test_error_and_what_can_be_trusted() -> None:
-    good, close = point(1, 0.05), point(1, -0.0005)
+    good, close = point(0.05), point(-0.0005)
     assert good.error == pytest.approx(0.05) and good.deviation == pytest.approx(0.1)
     assert good.trusted and not close.trusted
     assert good.bound == pytest.approx(0.05) and close.bound == pytest.approx(0.001)
-    failed, plain = ErrorPoint("P1", "a", 1.0, None, None), ErrorPoint("P1", "a", 1.0, 1.0, 1.0)
+    failed, plain = ErrorPoint(None), ErrorPoint(1.0)
     assert wp.compare(failed, ReferenceValue(2.0, 0.002, None, "given")) == failed
     assert wp.compare(plain, ReferenceValue(0.0, 0.0, None, "given")) == plain
     assert wp.compare(plain, None) == plain
@@ -63,15 +63,17 @@ def test_error_and_what_can_be_trusted() -> None:
 
 def test_exponent() -> None:
     """Least squares over the points that mean something: 0.1 h^2 here."""
-    line = [point(h, 0.1 * h**2) for h in (1.0, 0.5, 0.25)]
-    assert wp.exponent(line) == pytest.approx(2)
-    below = point(0.01, 0.0009)  # below the error of the reference
-    assert wp.exponent([*line, below]) == pytest.approx(2)
-    noise = point(100, 0.002, algebraic=0.001)  # not above what the solver leaves
-    assert wp.exponent([*line, noise]) == pytest.approx(2)
-    assert wp.exponent(line[:1]) is None
-    assert wp.exponent([line[0], line[0]]) is None
-    assert wp.exponent([point(n, 0.1 / n) for n in (1.0, 2.0, 4.0)]) == pytest.approx(-1)
+    sizes = [1.0, 0.5, 0.25]
+    line = [point(0.1 * h**2) for h in sizes]
+    assert wp.exponent(sizes, line) == pytest.approx(2)
+    below = point(0.0009)  # below the error of the reference
+    assert wp.exponent([*sizes, 0.01], [*line, below]) == pytest.approx(2)
+    noise = point(0.002, algebraic=0.001)  # not above what the solver leaves
+    assert wp.exponent([*sizes, 100], [*line, noise]) == pytest.approx(2)
+    assert wp.exponent(sizes[:1], line[:1]) is None
+    assert wp.exponent([1.0, 1.0], line[:1] * 2) is None
+    counts = [1.0, 2.0, 4.0]
+    assert wp.exponent(counts, [point(0.1 / n) for n in counts]) == pytest.approx(-1)
 
 
 def test_pareto() -> None:
@@ -91,15 +93,15 @@ def test_best() -> None:
 
 def test_effectivity() -> None:
     """Estimates for a true 0.1: within 0.05 and 0.3 they are useful."""
-    points = [point(1, 0.05, estimate=e) for e in (0.04, 0.051, 0.299, 0.31)]
+    points = [point(0.05, estimate=e) for e in (0.04, 0.051, 0.299, 0.31)]
     assert [p.effectivity for p in points] == pytest.approx([0.4, 0.51, 2.99, 3.1])
     # Not judged: no estimate; near the reference's error; near the algebraic error.
     rest = [
-        point(1, 0.05),
-        point(1, 0.0029, estimate=1.0),
-        point(1, 0.05, estimate=1.0, algebraic=0.006),
-        point(1, 0.0031, estimate=1.0),
-        point(1, 0.05, estimate=1.0, algebraic=0.004),
+        point(0.05),
+        point(0.0029, estimate=1.0),
+        point(0.05, estimate=1.0, algebraic=0.006),
+        point(0.0031, estimate=1.0),
+        point(0.05, estimate=1.0, algebraic=0.004),
     ]
     assert [p.effectivity is None for p in rest] == [True, True, True, False, False]
     assert [p.useful for p in points + rest] == [False, True, True, *[False] * 6]

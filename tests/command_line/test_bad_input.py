@@ -5,17 +5,14 @@
 
 from __future__ import annotations
 
-import errno
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
 
-from app import cli
 from app.case.case import load
 from app.cli import main
 from app.errors import InputError
@@ -68,10 +65,6 @@ def test_complaint(case: str, name: str, path: Path) -> None:
 def test_override(case: str, sets: str, path: Path) -> None:
     path.write_text(TABLE[case]["case"])
     check(complaints(path, *sets.split(" --set ")), TABLE[case]["sets"][sets])
-
-
-def test_table_is_large_enough() -> None:
-    assert len(EDITS) >= 160 and len(SETS) >= 40
 
 
 def test_errors_of_file_and_overrides_come_together(path: Path) -> None:
@@ -152,22 +145,6 @@ def test_mesh_file(name: str, content: str | None, words: str, path: Path) -> No
     assert message.startswith("3:3: geometry.path: ") and words in message
 
 
-def test_mesh_file_that_may_not_be_read(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path.write_text(FILE.format("a.msh"))
-    mesh, opens = path.with_name("a.msh"), Path.open
-    mesh.touch()
-
-    def refuses(self: Path, *how: Any, **more: Any) -> Any:
-        if self == mesh:
-            raise PermissionError(errno.EACCES, "Permission denied")
-        return opens(self, *how, **more)
-
-    monkeypatch.setattr(Path, "open", refuses)
-    message = next(m for m in complaints(path) if "geometry" in m)
-    assert message.startswith("3:3: geometry.path: ")
-    assert message.endswith("cannot be read: Permission denied")
-
-
 def test_names_of_a_mesh_file(path: Path) -> None:
     path.with_name("a.msh").write_text(
         '$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$PhysicalNames\n3\n2 7 "bottom"\n3 1 "rock"\n'
@@ -192,7 +169,7 @@ def test_names_of_a_mesh_file(path: Path) -> None:
 
 
 def test_command_says_it_once_and_exits_with_2(
-    path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path.write_text(GOOD.replace("110 GPa", "110 mm"))
     for command in ("check", "run", "mesh"):
@@ -200,11 +177,6 @@ def test_command_says_it_once_and_exits_with_2(
         out, err = capsys.readouterr()
         assert (out, err.count("\n")) == ("", 1)
         assert err.startswith(f"{path}:12:5: regions.stem.youngs_modulus: ")
-    # The other ranks of an MPI job keep quiet and leave with the same code.
-    monkeypatch.setenv("OMPI_COMM_WORLD_RANK", "1")
-    monkeypatch.setattr(cli, "GRACE", 0.0)
-    assert main(["run", str(path)]) == 2
-    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(
@@ -238,13 +210,6 @@ def test_run_folder(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ):
         assert main(["run", str(path), "-o", str(folder)]) == 2
         assert capsys.readouterr().err.startswith(f"-o {folder}: {expected}")
-
-
-def test_module_exits_with_the_code(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "mantle", "run", str(tmp_path / "none.yaml")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    said = f"{tmp_path}/none.yaml: no such file\n"
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", said)
 
 
 @pytest.mark.parallel

@@ -79,10 +79,20 @@ def on_ranks(number: int, tmp_path: Path, *arguments: str) -> list[str]:
     return ["-c", LAUNCH, str(number), sys.executable, str(script), *arguments]
 
 
-def test_no_command_is_a_usage_error() -> None:
-    result = run()
-    assert result.returncode == 2
-    assert "usage: mantle COMMAND" in result.stdout
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("", 2, "usage: mantle COMMAND"),
+        ("--version", 0, f"mantle {mantle.__version__}\n"),  # without a solver stack
+        ("doctor", 2, "'cloud' is not one of native, container, tree"),
+        ("setup --update someday", 2, "--update"),
+        ("setup --upgrade", 2, "--update"),
+    ],
+)
+def test_what_needs_no_solver_stack(words: str, code: int, said: str) -> None:
+    path = "/bin:/usr/bin"
+    result = run(*words.split(), MANTLE_BACKEND="cloud", MANTLE_INSIDE="", PATH=path)
+    assert result.returncode == code and said in result.stdout + result.stderr
 
 
 def test_help_lists_every_command_with_a_line() -> None:
@@ -95,32 +105,13 @@ def test_help_lists_every_command_with_a_line() -> None:
     assert len(lines) == 12 and set(lines) <= set(result.stdout.splitlines())
 
 
-def test_the_version_needs_no_solver_stack() -> None:
-    result = run("--version", MANTLE_BACKEND="cloud", MANTLE_INSIDE="", PATH="/bin:/usr/bin")
-    assert (result.returncode, result.stdout) == (0, f"mantle {mantle.__version__}\n")
-
-
-def test_an_unknown_backend_is_named() -> None:
-    result = run("doctor", MANTLE_BACKEND="cloud", MANTLE_INSIDE="")
-    assert result.returncode == 2
-    assert "'cloud' is not one of native, container, tree" in result.stderr
-
-
-def test_dolfinx_is_found_natively_and_one_thread_is_the_default() -> None:
-    command = (
-        'python3 -c "import dolfinx, mantle; print(dolfinx.__version__)"; echo $OMP_NUM_THREADS'
-    )
-    result = run(
-        "shell", "-c", command, MANTLE_BACKEND="native", MANTLE_INSIDE="", OMP_NUM_THREADS=""
-    )
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.split() == ["0.9.0", "1"]
-    assert result.stderr == ""
-
-
-def test_the_working_folder_and_the_exit_code_stay(tmp_path: Path) -> None:
-    result = run("shell", "-c", "pwd; exit 4", cwd=tmp_path)
-    assert (result.returncode, result.stdout.strip()) == (4, str(tmp_path))
+def test_a_shell_has_dolfinx_and_one_thread_where_it_is_started(tmp_path: Path) -> None:
+    python = 'python3 -c "import dolfinx, mantle; print(dolfinx.__version__)"'
+    command = f"{python}; echo $OMP_NUM_THREADS; pwd; exit 4"
+    native = {"MANTLE_BACKEND": "native", "MANTLE_INSIDE": "", "OMP_NUM_THREADS": ""}
+    result = run("shell", "-c", command, cwd=tmp_path, **native)
+    assert (result.returncode, result.stderr) == (4, "")
+    assert result.stdout.split() == ["0.9.0", "1", str(tmp_path)]
 
 
 # Finds all that it is asked for, notes what it runs under which kernel, and fails under Haswell.
@@ -281,12 +272,6 @@ def test_a_tree_is_made_again_if_it_is_older_than_asked(tmp_path: Path) -> None:
     os.utime(tree / "etc/mantle-tree", (1e9, 1e9))
     tree, _ = made(tmp_path, EMPTY_TREE, "--update", "yesterday")
     assert set_ups(tmp_path) == 2 and not (tree / "first").exists()
-
-
-@pytest.mark.parametrize("words", [["--update", "someday"], ["--upgrade"]])
-def test_other_options_of_setup_are_refused(words: list[str]) -> None:
-    result = run("setup", *words)
-    assert result.returncode == 2 and "--update" in result.stderr
 
 
 def test_a_container_client_without_an_engine_is_not_enough(tmp_path: Path) -> None:

@@ -144,42 +144,52 @@ def test_a_case_with_a_base_is_run_and_run_again_from_what_it_leaves(tmp_path: P
     )
 
 
-def test_the_library_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["explain", "materials"]) == main(["explain", "loads"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert "  PMMA             bone cement" in lines
-    assert any(line.startswith("  single_limb_stance  standing on one leg") for line in lines)
-    assert main(["explain", "cancellous_bone"]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("cancellous_bone:\n  about: ") and "Morgan 2003" in out
-    assert out.splitlines()[-1] == "    thermal_expansion: 27.5e-6 1/K"
-    assert main(["explain", "PMA"]) == 2
-    assert "PMMA" in capsys.readouterr().err
+FEMUR = """
+geometry.cement_thickness  (kind femur)
+geometry.cement_thickness  (kind intact_femur)
+  Thickness of the mantle where the canal has room for it, 1 to 8 mm.
+  value    length, at least 1 and at most 8, e.g. 4 mm
+  unit     mm
+  default  4.0 mm
+  example  cement_thickness: 4 mm
+"""
 
 
-def test_a_key_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["explain", "geometry.cement_thickness"]) == 0
-    femur = capsys.readouterr().out.split("\n\n")[1].splitlines()
-    assert femur == [
-        "geometry.cement_thickness  (kind femur)",
-        "geometry.cement_thickness  (kind intact_femur)",
-        "  Thickness of the mantle where the canal has room for it, 1 to 8 mm.",
-        "  value    length, at least 1 and at most 8, e.g. 4 mm",
-        "  unit     mm",
-        "  default  4.0 mm",
-        "  example  cement_thickness: 4 mm",
-    ]
-    for key in ("interfaces.friction_coefficient", "interfaces.stem_cement.friction_coefficient"):
-        assert main(["explain", key]) == 0
-        assert "interfaces.<name>.friction_coefficient  (kind contact)" in capsys.readouterr().out
-    assert main(["explain", "stages.0.increments"]) == 0
-    assert capsys.readouterr().out.startswith("stages[].increments\n")
-    assert main(["explain", "loads.library"]) == 0
-    assert "library: NAME among them" in capsys.readouterr().out
-    assert main(["explain", "interfaces.frictoin"]) == 2
-    assert capsys.readouterr().err.startswith(
-        "interfaces.frictoin: no key of a case; nearest: interfaces.friction"
-    )
+@pytest.mark.parametrize(
+    ("word", "code", "parts"),
+    [
+        ("materials", 0, ["  PMMA             bone cement\n"]),
+        ("loads", 0, ["\n  single_limb_stance  standing on one leg"]),
+        (
+            "cancellous_bone",
+            0,
+            ["cancellous_bone:\n  about: ", "Morgan 2003", "    thermal_expansion: 27.5e-6 1/K\n"],
+        ),
+        ("PMA", 2, ["PMMA"]),
+        ("geometry.cement_thickness", 0, [FEMUR]),
+        *(
+            (
+                f"interfaces.{name}friction_coefficient",
+                0,
+                ["interfaces.<name>.friction_coefficient  (kind contact)"],
+            )
+            for name in ("", "stem_cement.")
+        ),
+        ("stages.0.increments", 0, ["stages[].increments\n"]),
+        ("loads.library", 0, ["library: NAME among them"]),
+        (
+            "interfaces.frictoin",
+            2,
+            ["interfaces.frictoin: no key of a case; nearest: interfaces.friction"],
+        ),
+    ],
+)
+def test_names_and_keys_are_explained(
+    word: str, code: int, parts: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["explain", word]) == code
+    said = capsys.readouterr()[code // 2]
+    assert all(part in said for part in parts), said
 
 
 def test_every_key_is_explained_by_its_own_words() -> None:

@@ -9,6 +9,7 @@ import shlex
 import tomllib
 from collections.abc import Iterator
 from functools import cache
+from itertools import takewhile
 from pathlib import Path
 from types import ModuleType
 
@@ -22,7 +23,6 @@ from app.case.quantities import TABLE
 from app.case.study import StudyFile
 from app.case.sweep import Sweep
 from app.command_line.parser import parser
-from app.system import ranks
 from app.verification.engine import SUITES
 from tests import support
 
@@ -124,10 +124,7 @@ def test_every_page_stands_in_the_contents_of_the_site() -> None:
 def test_commands_parse(page: Path, command: list[str]) -> None:
     if command[0] in LAUNCHER:
         return
-    _, rest = ranks.split(command)
-    redirected = rest.index(">") if ">" in rest else len(rest)
-    rest = rest[:redirected]
-    options = parser().parse_args(rest[: rest.index("--") if "--" in rest else len(rest)])
+    options = parser().parse_args(list(takewhile(lambda word: word not in (">", "--"), command)))
     file = getattr(options, "case", None) or getattr(options, "sweep", None)
     assert file is None or not str(file).startswith("configs/") or (ROOT / file).is_file()
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import sys
 import tomllib
 from importlib import metadata
-from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.project.test_layering import MODULES, ROOT, imported, top
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRA = PROJECT["optional-dependencies"]
 # Names of packages whose distributions are called otherwise.
@@ -29,21 +28,11 @@ CALLED = {
 OWN = {"app", "configs", "forms", "mantle", "meshes"}
 
 
-def imported() -> set[str]:
-    found: set[str] = set()
-    for path in (p for name in OWN - {"mantle"} for p in (ROOT / name).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                found |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                found.add(node.module.split(".")[0])
-    return found - set(sys.stdlib_module_names) - OWN
-
-
 def test_all_that_is_imported_is_a_dependency_and_nothing_else() -> None:
     named = {Requirement(text).name for text in PROJECT["dependencies"]}
     optional = {Requirement(text).name for text in (*EXTRA["many"], *EXTRA["completion"])}
-    needed = {CALLED.get(name, name) for name in imported()}
+    found = {top(name) for path in MODULES.values() for name in imported(path)}
+    needed = {CALLED.get(name, name) for name in found - set(sys.stdlib_module_names) - OWN}
     assert needed - optional == named and "snakemake" in optional
 
 

@@ -25,10 +25,10 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from app.case import gmsh_header, overlay
+from app.case import gmsh_header
 from app.case import study as study_file
 from app.case import sweep as sweep_file
-from app.case.case import dump, resolve
+from app.case.case import dump, load
 from app.errors import InputError
 from app.schema import yaml_file
 from app.schema.unit_conversion import registry
@@ -198,9 +198,9 @@ def read(path: Path, overrides: list[str]) -> None:
     elif "study" in data or path.parent.name == "studies":
         study_file.read(path, overrides)
     else:
-        file = overlay.read(path, overrides)
-        case = resolve(file, path.parent)
-        text = preview.describe(case, file.data) + cost.estimated_size(case)
+        loaded = load(path, overrides)
+        case = loaded.config
+        text = preview.describe(case, loaded.file.data) + cost.estimated_size(case)
         text += "".join(plausibility.warnings(case)) + dump(case) + str(cost.seconds(case))
         text.encode()
 

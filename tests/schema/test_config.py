@@ -228,7 +228,7 @@ def test_a_title_names_what_is_changed(overrides: list[str], changed: str | None
 def test_titles_of_variations_and_sweeps_tell_them_apart(tmp_path: Path) -> None:
     text = STANCE.read_text() + "\nvariations: {rough: {interfaces.*.friction_coefficient: 1.5}}\n"
     (tmp_path / "stance.yaml").write_text(text)
-    (rough,) = load(tmp_path / "stance.yaml").variations()
+    (rough,) = load(tmp_path / "stance.yaml").variations
     assert rough.case.title == (
         f"{TITLE}; changed: stem_cement.friction_coefficient 1.5, "
         "cement_bone.friction_coefficient 1.5"

@@ -76,7 +76,7 @@ def written(tmp_path: Path, text: str) -> Path:
 def test_a_star_is_every_name(tmp_path: Path) -> None:
     """Of what the file lists: all loads grow together."""
     section = "variations: {twice: {'loads.*.history': [2, 2]}}\n"
-    (twice,) = load(written(tmp_path, STEM + section)).variations()
+    (twice,) = load(written(tmp_path, STEM + section)).variations
     assert [load.history for load in twice.case.loads.values()] == [(2, 2), (2, 2)]
     assert twice.overrides == ("loads.down.history=[2, 2]", "loads.aside.history=[2, 2]")
     bad = "variations: {a: {interfaces.*.friction_coefficient: -1}}\n"
@@ -90,7 +90,7 @@ def test_a_star_is_every_name(tmp_path: Path) -> None:
 def test_a_variation_is_what_set_makes_of_the_case(tmp_path: Path) -> None:
     """Its overrides, as options, on the case without variations."""
     path = written(tmp_path, STEM + SECTION)
-    found = load(path, ["title=mine"]).variations()
+    found = load(path, ["title=mine"]).variations
     assert [v.name for v in found][:3] == ["as_is", "fit", "mu2_900"] and len(found) == 8
     for v in found:
         alone = load(path, ["title=mine", "variations={}", *v.overrides]).config
@@ -154,7 +154,7 @@ def test_the_chain_goes_to_the_nearest(tmp_path: Path) -> None:
     """From the case as it is: first what merely scales, then the next friction, then the fit."""
     text = STEM + SECTION + "  tied:\n    interfaces.cement_bone: {kind: bonded}\n"
     path = written(tmp_path, text)
-    found = load(path).variations()
+    found = load(path).variations
     chain = [found[i].name for i in variations.order(load(path).config, found)]
     assert sorted(chain) == sorted(v.name for v in found)
     assert chain[0] == "as_is" and chain[-1] == "tied"
@@ -174,7 +174,7 @@ def grid_of(frictions: int, loads: int, folder: Path) -> tuple[Case, list[Varied
         for i, k in points
     ]
     path = written(folder, STEM + "variations:\n" + "".join(lines))
-    return load(path).config, load(path).variations()
+    return load(path).config, load(path).variations
 
 
 def test_the_chain_takes_the_nearest_to_any_before(tmp_path: Path) -> None:

@@ -69,28 +69,11 @@ def test_report_survives_a_package_that_breaks(monkeypatch: pytest.MonkeyPatch) 
     assert "unusable (OSError: libfoo.so: undefined symbol)" in doctor.report()
 
 
-def test_problems_name_the_thread_setting(monkeypatch: pytest.MonkeyPatch) -> None:
-    def threads() -> list[str]:
-        return [line for line in doctor.problems() if line.startswith("OMP_NUM_THREADS")]
-
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    assert threads() == []
-    monkeypatch.setenv("OMP_NUM_THREADS", "4")
-    assert "is not 1" in threads()[0]
-
-
-def test_the_reference_blas_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        doctor, "loaded_blas", lambda: ["/usr/lib/x86_64-linux-gnu/blas/libblas.so.3"]
-    )
-    assert any("libopenblas0-pthread" in line for line in doctor.problems())
-
-
-def test_form_cache_follows_the_environment(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert doctor.form_cache() == tmp_path / "fenics"
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert doctor.form_cache() == tmp_path / ".cache" / "fenics"
+def test_slow_settings_are_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+    for threads, blas, slow in (("1", "openblas-pthread", False), ("4", "blas", True)):
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+        path = f"/usr/lib/x86_64-linux-gnu/{blas}/libblas.so.3"
+        monkeypatch.setattr(doctor, "loaded_blas", lambda path=path: [path])
+        found = "\n".join(doctor.problems())
+        assert ("OMP_NUM_THREADS is not 1" in found) == slow
+        assert ("libopenblas0-pthread" in found) == slow

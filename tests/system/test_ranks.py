@@ -7,8 +7,7 @@ import signal
 
 import pytest
 
-from app.cli import main
-from app.command_line import commands
+from app.command_line.parser import parser
 from app.errors import InputError
 from app.system import ranks
 
@@ -29,51 +28,27 @@ CRASH = (
 
 
 @pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ([], (None, [])),
-        (["run", "case.yaml"], (None, ["run", "case.yaml"])),
-        (["run", "-n", "2", "case.yaml"], (2, ["run", "case.yaml"])),
-        (["run", "case.yaml", "-n", "16"], (16, ["run", "case.yaml"])),
-        (["run", "case.yaml", "-n16"], (16, ["run", "case.yaml"])),
-        (["run", "-n=16", "case.yaml"], (16, ["run", "case.yaml"])),
-        (["run", "case.yaml", "-n", "2", "-n3"], (3, ["run", "case.yaml"])),
-        (["run", "a-n4", "--no", "--", "-n4"], (None, ["run", "a-n4", "--no", "--", "-n4"])),
-        (["run", "a", "--", "-n", "7"], (None, ["run", "a", "--", "-n", "7"])),
-        (["run", "-n", "3", "a", "--", "-n", "x"], (3, ["run", "a", "--", "-n", "x"])),
-    ],
+    ("words", "expected"),
+    [("", 1), ("-n 2", 2), ("-n16", 16), ("-n=16", 16), ("-n 2 -n3", 3)],
 )
-def test_ranks_are_taken_out(arguments: list[str], expected: tuple[int | None, list[str]]) -> None:
-    assert ranks.split(arguments) == expected
+def test_ranks_are_told_before_and_behind_the_case(words: str, expected: int) -> None:
+    for line in (f"run a-n4 {words}", f"run {words} a-n4"):
+        options = parser().parse_args(line.split())
+        assert (options.n, str(options.case)) == (expected, "a-n4")
 
 
-@pytest.mark.parametrize("value", ["0", "-1", "two", "1.5", "²", "", None])
-@pytest.mark.parametrize("joined", ["-n", "-n="])
-def test_a_wrong_number_of_ranks_is_an_input_error(value: str | None, joined: str) -> None:
-    for words in (["-n"] if value is None else ["-n", value], [joined + (value or "")]):
-        with pytest.raises(InputError, match="is not a number of ranks; allowed: 1, 2, 3"):
-            ranks.split(["run", "case.yaml", *words])
+@pytest.mark.parametrize("value", ["0", "-1", "two", "1.5", "²", ""])
+def test_a_wrong_number_of_ranks_is_an_input_error(value: str) -> None:
+    for words in (["-n", value], [f"-n={value}"]):
+        with pytest.raises(InputError, match=r"not a number of ranks|expected one"):
+            parser().parse_args(["run", "case.yaml", *words])
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        *(["check", "a.yaml"], ["mesh", "a.yaml"], ["study", "a.yaml"], ["sweep", "a.yaml"]),
-        *(["report", "a"], ["verify"], ["stress"], ["bench"], ["explain"], ["doctor"]),
-    ],
-)
-def test_only_a_run_takes_ranks(
-    command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in (f"_{command[0]}", "_campaign", "_suite"):
-        monkeypatch.setattr(commands, name, lambda *_: pytest.fail("it began"), raising=False)
-    for words in (["-n", "2"], ["-n2"], ["-n=2"]):
-        assert main([*command, *words]) == 2
-        said = capsys.readouterr().err
-        assert said.startswith(f"mantle {command[0]}: -n 2: only mantle run starts ranks")
-        assert ("--cores" in said) == (
-            command[0] in ("study", "sweep", "verify", "stress", "bench")
-        )
+@pytest.mark.parametrize("command", ["check a.yaml", "sweep a.yaml", "report a", "verify"])
+def test_only_a_run_takes_ranks(command: str) -> None:
+    for words in ("-n 2", "-n2", "-n=2"):
+        with pytest.raises(InputError, match="only mantle run starts ranks, --cores N"):
+            parser().parse_args(f"{command} {words}".split())
 
 
 @pytest.mark.parametrize(
@@ -91,15 +66,11 @@ def test_an_existing_job_is_recognised(environ: dict[str, str], expected: int | 
     assert ranks.world_size(environ) == expected
 
 
-def test_the_environment_of_the_user_stays() -> None:
+def test_the_environment_of_the_user_and_of_a_scheduler_stays() -> None:
     environ = {"OMP_NUM_THREADS": "2", "OMPI_MCA_btl": "tcp,self"}
     assert environ.items() <= ranks.environment(environ).items()
     assert ranks.environment({})["OMP_NUM_THREADS"] == "1"
-
-
-def test_a_scheduler_chooses_network_and_mapping() -> None:
-    given = ranks.environment({"SLURM_JOB_ID": "1"})
-    assert not {"OMPI_MCA_btl", "PRTE_MCA_rmaps_default_mapping_policy"} & given.keys()
+    assert not ranks.ONE_NODE.keys() & ranks.environment({"SLURM_JOB_ID": "1"}).keys()
 
 
 @pytest.mark.parametrize(
