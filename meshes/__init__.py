@@ -17,6 +17,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,13 @@ __all__ = ["MeshData", "build", "write_msh"]
 
 # A mantle that fills the canal divides the cancellous bone; each piece is held by the cortex.
 DIVISIBLE = frozenset({"cancellous_bone"})
+MESHERS = {
+    "blocks": "blocks",
+    "cylinders": "cylinders",
+    "femur": "femur",
+    "intact_femur": "femur_intact",
+    "file": "imported",
+}
 
 
 def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
@@ -62,8 +70,6 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
         if data is None:
             data = _make(geometry, mesh)
             _cache.store(data, path)
-    if geometry.mantles and "mantle" not in data.notes:
-        data = replace(data, notes={**data.notes, **_describe_mantle(data, geometry)})
     return data
 
 
@@ -106,29 +112,9 @@ def write_msh(data: MeshData, path: Path) -> None:
 
 def _generate(geometry: Any, mesh: Any) -> MeshData:
     # Imported here: each needs gmsh, and a block needs no femur.
-    match geometry.kind:
-        case "blocks":
-            from meshes import blocks
-
-            return blocks.build(geometry, mesh)
-        case "cylinders":
-            from meshes import cylinders
-
-            return cylinders.build(geometry, mesh)
-        case "femur":
-            from meshes import femur
-
-            return femur.build(geometry, mesh)
-        case "intact_femur":
-            from meshes import femur_intact
-
-            return femur_intact.build(geometry, mesh)
-        case "file":
-            from meshes import imported
-
-            return imported.build(geometry, mesh)
-        case kind:
-            raise GeometryError(f"geometry.kind: {kind!r} has no mesher")
+    mesher = import_module(f"meshes.{MESHERS[geometry.kind]}")
+    data: MeshData = mesher.build(geometry, mesh)
+    return data
 
 
 def _check_parts(data: MeshData, whole: Collection[str]) -> None:
@@ -147,7 +133,7 @@ def _check_parts(data: MeshData, whole: Collection[str]) -> None:
         hint = f"; {doubled} pairs of nodes coincide but are not one: merge them" if doubled else ""
         text = "the mesh has no " + ", no ".join(missing) + hint
         raise GeometryError(f"{text} [{Reason.MISSING_PART}]")
-    _, component = components(data.neighbours, data.cell_tags)
+    component = components(data.neighbours, data.cell_tags)
     pieces = {n: len(set(component[data.cell_tags == data.regions[n]].tolist())) for n in whole}
     if any(n > 1 for n in pieces.values()):
         raise GeometryError(

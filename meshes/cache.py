@@ -24,26 +24,9 @@ log = logging.getLogger("mantle")
 MESHER_VERSION = 9  # raise it whenever the same input gives another mesh
 
 
-def plain(value: Any) -> Any:
-    """Configuration object as data for JSON, without private attributes."""
-    if hasattr(value, "model_dump"):
-        return plain(value.model_dump())
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple | set):
-        return [plain(v) for v in value]
-    if isinstance(value, str | int | float | bool) or value is None:
-        return value
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "__dict__"):
-        return plain({k: v for k, v in vars(value).items() if not k.startswith("_")})
-    return str(value)
-
-
 def key(geometry: Any, mesh: Any) -> str:
     """Hash of everything the mesh depends on, the content of a mesh file included."""
-    content: dict[str, Any] = {"geometry": plain(geometry), "mesh": plain(mesh)}
+    content: dict[str, Any] = {"geometry": geometry.model_dump(), "mesh": mesh.model_dump()}
     # The order of the displacement does not change the mesh.
     content["mesh"].pop("order", None)
     content["version"] = MESHER_VERSION
@@ -52,7 +35,7 @@ def key(geometry: Any, mesh: Any) -> str:
         content["file"] = geometry.content
     if geometry.kind != "file" or geometry.is_script:
         content["gmsh"] = _gmsh_version()
-    text = json.dumps(content, sort_keys=True)
+    text = json.dumps(content, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
@@ -68,8 +51,9 @@ def _gmsh_version() -> str:
     return str(gmsh.__version__)
 
 
-# Arrays of a mesh in the cache.
+# Parts of a mesh in the cache.
 ARRAYS = ("points", "cells", "cell_tags", "facets", "facet_tags")
+NAMES = ("regions", "boundaries", "interfaces", "notes")
 
 
 def load(path: Path) -> MeshData | None:
@@ -104,16 +88,10 @@ def lock(path: Path) -> Iterator[None]:
 
 def store(data: MeshData, path: Path) -> None:
     """Write the mesh under another name and rename it; skipped where the folder is not writable."""
-    names = {
-        "regions": dict(data.regions),
-        "boundaries": dict(data.boundaries),
-        "interfaces": dict(data.interfaces),
-        "notes": dict(data.notes),
-    }
-    arrays = {name: np.asarray(getattr(data, name)) for name in ARRAYS}
+    names = {name: dict(getattr(data, name)) for name in NAMES}
+    arrays: dict[str, Any] = {name: getattr(data, name) for name in ARRAYS}
     content = io.BytesIO()
-    parts: dict[str, Any] = {**arrays, "names": np.array(json.dumps(names))}
-    np.savez(content, **parts)
+    np.savez(content, **arrays, names=np.array(json.dumps(names)))
     try:
         files.write_bytes(path, content.getvalue(), 0o600)
     except OSError as error:

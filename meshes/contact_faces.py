@@ -8,6 +8,7 @@ import numpy as np
 
 from app.arrays import Bools, Floats, Ints
 from meshes.contact_facets import InterfaceFacets
+from meshes.data import connected
 
 FACE_ANGLE = np.deg2rad(30.0)
 MAX_FACES = 3
@@ -64,24 +65,7 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
     a, b = a[smooth], b[smooth]
     # Corner numbers of the two ends of the edge in either facet (vertices are sorted: ends agree).
     one, two = 3 * (a // 3)[:, None] + local[a % 3], 3 * (b // 3)[:, None] + local[b % 3]
-    return _connected(3 * f, one.ravel(), two.ravel())
-
-
-def _connected(n: int, a: Ints, b: Ints) -> Ints:
-    """Label connected components of a graph of n nodes (n,), in the order of their first nodes.
-
-    Each node takes the least number around it until none changes: joined nodes are near here.
-    """
-    label = np.arange(n)
-    while True:
-        low = np.minimum(label[a], label[b])
-        new = label.copy()
-        np.minimum.at(new, a, low)
-        np.minimum.at(new, b, low)
-        new = new[new]
-        if np.array_equal(new, label):
-            return np.asarray(np.unique(label, return_inverse=True)[1], dtype=np.int64)
-        label = new
+    return connected(3 * f, one.ravel(), two.ravel())
 
 
 def _distinct(normals: Floats, areas: Floats) -> tuple[Floats, Floats]:

@@ -376,9 +376,4 @@ def _bends(facets: InterfaceFacets, edges: Ints) -> Floats:
 
 
 def _join(*parts: Entries) -> Entries:
-    return Entries(
-        np.concatenate([p.body for p in parts]),
-        np.concatenate([p.row for p in parts]),
-        np.concatenate([p.column for p in parts]),
-        np.concatenate([p.value for p in parts]),
-    )
+    return Entries(*map(np.concatenate, zip(*(vars(p).values() for p in parts), strict=True)))

@@ -16,6 +16,7 @@ from meshes.tags import assemble, number
 
 REGIONS = ("stem", "cement", "bone")
 SLICE = 2.0  # mesh sizes: shorter cylinders may be swept
+Radii = tuple[float, float, float]  # of the stem, the cement and the bone [mm]
 ANGLES = {"full": 2 * math.pi, "half": math.pi, "quarter": math.pi / 2}
 
 
@@ -46,18 +47,23 @@ def build(geometry: Any, mesh: Any) -> MeshData:
             f"geometry.taper: the cement ({rise:.3g} mm wider at the end) leaves the bone"
             f" ({geometry.bone_thickness:g} mm thick); taper less or thicken the bone"
         )
-    made = _tetrahedra(geometry, mesh, swept=False)
+    radii = (inner, middle, middle + geometry.bone_thickness)
+    slope = math.tan(geometry.taper)
+    points, cells, entity = _tetrahedra(geometry, mesh, radii, swept=False)
     if geometry.taper == 0 and geometry.length < SLICE * mesh.size:
         # Between two faces a cell apart the generator left a flat cell in 10 of 100 slices. Where
         # it does not, its cells give smoother pressures than swept ones.
-        points, cells, _ = made
         if sicn(points, cells).min() < POOR:
-            made = _tetrahedra(geometry, mesh, swept=True)
-    points, cells, entity = made
-    slope = math.tan(geometry.taper)
-    cell_tags = _by_radius(points, cells, entity, (inner, middle), slope, geometry.length)
+            points, cells, entity = _tetrahedra(geometry, mesh, radii, swept=True)
+    # Volumes are recognised by the mean position of their cells.
+    cell_tags = np.zeros(len(cells), dtype=np.int32)
+    x, y, z = points[cells[:, :4]].mean(axis=1).T
+    shell = np.searchsorted(radii[:2], np.hypot(x, y) - slope * (z - geometry.length / 2)) + 1
+    for volume in np.unique(entity):
+        own = entity == volume
+        cell_tags[own] = np.bincount(shell[own]).argmax()
     exterior = exterior_facets(cells)
-    boundaries = _boundaries(points, exterior[0], cell_tags[exterior[1]], geometry)
+    boundaries = _boundaries(points, exterior[0], cell_tags[exterior[1]], geometry, radii[2])
     interfaces = {
         "stem_cement": (("stem",), ("cement",)),
         "cement_bone": (("cement",), ("bone",)),
@@ -65,30 +71,24 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     return assemble(points, cells, cell_tags, number(REGIONS), interfaces, boundaries, exterior)
 
 
-def _tetrahedra(geometry: Any, mesh: Any, swept: bool) -> tuple[Floats, Any, Any]:
-    inner = geometry.stem_radius
-    middle = inner + geometry.cement_thickness
-    outer = middle + geometry.bone_thickness
+def _tetrahedra(geometry: Any, mesh: Any, radii: Radii, swept: bool) -> tuple[Floats, Any, Any]:
     slope = math.tan(geometry.taper)
     with session("cylinders") as gmsh:
         if swept:
             layers = max(1, round(geometry.length / mesh.size))
-            _slice(gmsh, (inner, middle, outer), geometry.length, geometry.sector, layers)
+            _slice(gmsh, radii, geometry.length, geometry.sector, layers)
         else:
             rise = slope * geometry.length / 2
-            _solids(gmsh, (inner, middle, outer), rise, geometry.length, ANGLES[geometry.sector])
+            _solids(gmsh, radii, rise, geometry.length, ANGLES[geometry.sector])
         distances = [
-            f"(sqrt(x*x+y*y)-{radius}-({slope})*(z-{geometry.length / 2}))"
-            for radius in (inner, middle)
+            f"(sqrt(x*x+y*y)-{radius}-({slope})*(z-{geometry.length / 2}))" for radius in radii[:2]
         ]
         grade(gmsh, distances, mesh.size, mesh.far_size or 4 * mesh.size)
         generate(gmsh, mesh.curved)
         return extract(gmsh)
 
 
-def _solids(
-    gmsh: Any, radii: tuple[float, float, float], rise: float, length: float, angle: float
-) -> None:
+def _solids(gmsh: Any, radii: Radii, rise: float, length: float, angle: float) -> None:
     occ = gmsh.model.occ
 
     def solid(radius: float, rise: float) -> tuple[int, int]:
@@ -96,18 +96,12 @@ def _solids(
             return 3, occ.addCylinder(0, 0, 0, 0, 0, length, radius, angle=angle)
         return 3, occ.addCone(0, 0, 0, 0, 0, length, radius - rise, radius + rise, angle=angle)
 
-    stem, cement, bone = (
-        solid(radii[0], rise),
-        solid(radii[1], rise),
-        solid(radii[2], 0.0),
-    )
+    stem, cement, bone = solid(radii[0], rise), solid(radii[1], rise), solid(radii[2], 0.0)
     occ.fragment([bone], [cement, stem])
     occ.synchronize()
 
 
-def _slice(
-    gmsh: Any, radii: tuple[float, float, float], length: float, sector: str, layers: int
-) -> None:
+def _slice(gmsh: Any, radii: Radii, length: float, sector: str, layers: int) -> None:
     """Three nested rings, meshed in the plane and swept."""
     occ = gmsh.model.occ
     reach = 2 * radii[-1]
@@ -124,25 +118,9 @@ def _slice(
     occ.synchronize()
 
 
-def _by_radius(
-    points: Floats,
-    cells: Any,
-    entity: Any,
-    radii: tuple[float, float],
-    slope: float,
-    length: float,
-) -> Any:
-    """Region tag of each cell: volumes are recognised by the mean position of their cells."""
-    tags = np.zeros(len(cells), dtype=np.int32)
-    x, y, z = points[cells[:, :4]].mean(axis=1).T
-    shell = np.searchsorted(radii, np.hypot(x, y) - slope * (z - length / 2)) + 1
-    for volume in np.unique(entity):
-        own = entity == volume
-        tags[own] = np.bincount(shell[own]).argmax()
-    return tags
-
-
-def _boundaries(points: Floats, facets: Any, region: Any, geometry: Any) -> dict[str, Any]:
+def _boundaries(
+    points: Floats, facets: Any, region: Any, geometry: Any, outer: float
+) -> dict[str, Any]:
     corners = points[facets[:, :3]]
     near = 1e-6 * geometry.length
 
@@ -157,7 +135,6 @@ def _boundaries(points: Floats, facets: Any, region: Any, geometry: Any) -> dict
     symmetry = {"full": (), "half": ("symmetry_y",), "quarter": ("symmetry_x", "symmetry_y")}
     planes = {"symmetry_x": plane(0, 0.0), "symmetry_y": plane(1, 0.0)}
     masks |= {name: planes[name] & ~bottom & ~top for name in symmetry[geometry.sector]}
-    outer = geometry.stem_radius + geometry.cement_thickness + geometry.bone_thickness
     masks["bone_surface"] = np.all(
         np.abs(np.hypot(corners[..., 0], corners[..., 1]) - outer) < 1e-6 * outer, axis=1
     )

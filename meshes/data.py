@@ -63,7 +63,7 @@ class MeshData:
     @cached_property
     def neighbours(self) -> Ints:
         """The cell behind each face of each cell, -1 outside; shape (m, 4)."""
-        return face_neighbours(self.cells) if self.behind is None else self.behind
+        return match_faces(self.cells).reshape(-1, 4) // 4 if self.behind is None else self.behind
 
     @cached_property
     def between(self) -> tuple[Ints, Ints, Ints]:
@@ -141,29 +141,27 @@ def match_faces(cells: Ints) -> Ints:
     return partner
 
 
+def same_triangles(a: Ints, b: Ints) -> tuple[Ints, Ints]:
+    """The same number for the same triangle of either list, in any order of its corners."""
+    both = np.sort(np.concatenate([a, b]), axis=1)
+    n = int(both.max(initial=0)) + 1
+    if n**3 < 2**63:
+        label = (both[:, 0] * n + both[:, 1]) * n + both[:, 2]
+    else:
+        label = np.unique(both, axis=0, return_inverse=True)[1].ravel()
+    return label[: len(a)], label[len(a) :]
+
+
 def exterior_facets(cells: Ints) -> tuple[Ints, Ints]:
     """Facets that belong to one cell only: nodes, outward (k, 3 or 6), and cells (k,)."""
     rows = np.flatnonzero(match_faces(cells) < 0)
     return faces_of(cells, rows // 4, rows % 4), rows // 4
 
 
-def face_neighbours(cells: Ints) -> Ints:
-    """The cell behind each face of each cell, -1 outside; shape (m, 4)."""
-    return match_faces(cells).reshape(-1, 4) // 4
-
-
-def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> tuple[int, Ints]:
-    """Connected components of cells joined by faces between cells of equal label.
-
-    Takes the result of ``face_neighbours`` and a label per cell; returns the number of components
-    and the component of each cell.
-    """
-    cell = np.arange(len(neighbours))
-    found: Ints = cell.copy()
-    # Pairs of neighbours of one label, each once.
-    once = (neighbours >= 0) & (neighbours < cell[:, None])
-    a, face = np.nonzero(once & (labels[neighbours] == labels[:, None]))
-    b = neighbours[a, face]
+def connected(n: int, a: Ints, b: Ints) -> Ints:
+    """Connected component of each of n nodes joined by pairs (a, b), by their first nodes (n,)."""
+    node = np.arange(n)
+    found: Ints = node.copy()
     while len(a):
         # The greater one is known by the lesser one, and all that are known by it.
         found[np.maximum(a, b)] = np.minimum(a, b)
@@ -172,8 +170,18 @@ def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> tuple[int, In
         a, b = found[a], found[b]
         apart = a != b
         a, b = a[apart], b[apart]
-    known = found == cell
-    return int(known.sum()), (np.cumsum(known) - 1)[found]
+    return np.asarray((np.cumsum(found == node) - 1)[found])
+
+
+def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> Ints:
+    """Connected component of each cell, joined by faces between cells of equal label (m,).
+
+    ``neighbours`` are the cells behind the faces (m, 4), as in `MeshData`.
+    """
+    # Pairs of neighbours of one label, each once.
+    once = (neighbours >= 0) & (neighbours < np.arange(len(neighbours))[:, None])
+    a, face = np.nonzero(once & (labels[neighbours] == labels[:, None]))
+    return connected(len(neighbours), a, neighbours[a, face])
 
 
 # Quadrature exact for the volume of a quadratic tetrahedron (cubic Jacobian, four points of

@@ -24,6 +24,8 @@ from meshes.data import MeshData
 # Several threads part a mesh in another way each time, and the numbers end with other rounding.
 os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")
 
+NAMES = ("regions", "boundaries", "interfaces", "notes")
+
 
 @dataclass(frozen=True)
 class TaggedMesh:
@@ -47,19 +49,25 @@ class TaggedMesh:
 
 def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     """Distribute the mesh of rank 0 (None on the others) to all ranks; collective."""
-    names = (
-        (dict(data.regions), dict(data.boundaries), dict(data.interfaces), data.cells.shape[1])
-        if data is not None
-        else None
-    )
-    regions, boundaries, interfaces, nodes = comm.bcast(names, root=0)
-    points, cells, cell_tags, facets, facet_tags = _arrays(data, nodes)
-    cells = cells[:, cell_perm_array(CellType.tetrahedron, nodes)].copy()
-    facets = facets[:, cell_perm_array(CellType.triangle, 3 if nodes == 4 else 6)].copy()
+    known = None
+    if data is not None:
+        names = {name: getattr(data, name) for name in NAMES}
+        known = data.cell_tags, data.curved, names
+    cell_tags, curved, names = comm.bcast(known)
+    corners, width = (10, 6) if curved else (4, 3)
+    # The arrays are on rank 0; elsewhere empty ones of the same width.
+    points: np.ndarray = np.zeros((0, 3))
+    cells: np.ndarray = np.zeros((0, corners), dtype=np.int64)
+    facets: np.ndarray = np.zeros((0, width), dtype=np.int64)
+    facet_tags: np.ndarray = np.zeros(0, dtype=np.int32)
+    if data is not None:
+        points, cells, facets, facet_tags = data.points, data.cells, data.facets, data.facet_tags
+    cells = cells[:, cell_perm_array(CellType.tetrahedron, corners)].copy()
+    facets = facets[:, cell_perm_array(CellType.triangle, width)].copy()
     coordinates = basix.ufl.element(
         basix.ElementFamily.P,
         "tetrahedron",
-        1 if nodes == 4 else 2,
+        2 if curved else 1,
         basix.LagrangeVariant.equispaced,
         shape=(3,),
     )
@@ -73,47 +81,12 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     mesh.topology.create_connectivity(3, 0)
     mesh.topology.create_entities(2)
     mesh.topology.create_connectivity(2, 3)
-    return TaggedMesh(
-        mesh=mesh,
-        cell_tags=_cell_tags(mesh, comm.bcast(cell_tags)),
-        facet_tags=_tags(mesh, 2, facets, facet_tags, "boundaries"),
-        regions=regions,
-        boundaries=boundaries,
-        interfaces=interfaces,
-        notes=comm.bcast(data.notes if data is not None else None),
+    original = mesh.topology.original_cell_index
+    regions = meshtags(mesh, 3, np.arange(len(original), dtype=np.int32), cell_tags[original])
+    regions.name = "regions"
+    local, values = distribute_entity_data(mesh, 2, facets, facet_tags)
+    patches = meshtags_from_entities(
+        mesh, 2, AdjacencyList_int32(local), values.astype(np.int32, copy=False)
     )
-
-
-def _arrays(data: MeshData | None, nodes: int) -> tuple[np.ndarray, ...]:
-    """The arrays on rank 0, empty ones of the same width elsewhere."""
-    if data is not None:
-        return data.points, data.cells, data.cell_tags, data.facets, data.facet_tags
-    none = np.zeros(0, dtype=np.int32)
-    width = 3 if nodes == 4 else 6
-    return (
-        np.zeros((0, 3)),
-        np.zeros((0, nodes), dtype=np.int64),
-        none,
-        np.zeros((0, width), dtype=np.int64),
-        none,
-    )
-
-
-def _cell_tags(mesh: dolfinx.mesh.Mesh, values: np.ndarray) -> MeshTags:
-    """Mesh tags of all cells, ghosts included, from those of the cells of the file."""
-    local = mesh.topology.original_cell_index
-    tags = meshtags(mesh, 3, np.arange(len(local), dtype=np.int32), values[local])
-    tags.name = "regions"
-    return tags
-
-
-def _tags(
-    mesh: dolfinx.mesh.Mesh, dim: int, entities: np.ndarray, values: np.ndarray, name: str
-) -> MeshTags:
-    """Mesh tags from entities given by their input nodes on rank 0."""
-    local, local_values = distribute_entity_data(mesh, dim, entities, values)
-    tags = meshtags_from_entities(
-        mesh, dim, AdjacencyList_int32(local), local_values.astype(np.int32, copy=False)
-    )
-    tags.name = name
-    return tags
+    patches.name = "boundaries"
+    return TaggedMesh(mesh, regions, patches, **names)

@@ -14,9 +14,8 @@ import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +37,7 @@ GROWTH = 0.4  # mm of element size per mm of distance from an interface
 MOST_EDGES = 20_000
 SECONDS = 3600
 WRITTEN = 1 << 30  # bytes in a file
-_TETRAHEDRA, _TRIANGLES = {4: 4, 11: 10}, {2: 3, 9: 6}
+_NODES = {2: {2: 3, 9: 6}, 3: {4: 4, 11: 10}}  # of elements, by dimension and gmsh's type
 _SERVE = "from meshes.gmsh_child import serve; serve()"
 
 
@@ -133,50 +132,33 @@ def extract(gmsh: Any) -> tuple[Floats, Ints, npt.NDArray[np.int64]]:
     node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
     row = np.full(int(node_tags.max()) + 1, -1, dtype=np.int64)
     row[node_tags.astype(np.int64)] = np.arange(len(node_tags))
-    cells, entities = [], []
-    for _, volume in gmsh.model.getEntities(3):
-        types, _, nodes = gmsh.model.mesh.getElements(3, volume)
-        for kind, connectivity in zip(types, nodes, strict=True):
-            if kind not in _TETRAHEDRA:
-                raise GeometryError(f"element type {kind}: only tetrahedra can be used")
-            cells.append(row[connectivity.astype(np.int64)].reshape(-1, _TETRAHEDRA[kind]))
-            entities.append(np.full(len(cells[-1]), volume, dtype=np.int64))
-    if not cells:
+    volumes = [volume for _, volume in gmsh.model.getEntities(3)]
+    blocks = [_elements(gmsh, 3, [volume], "the mesh") for volume in volumes]
+    entities = np.repeat(volumes, [*map(len, blocks)])
+    if not len(entities):
         raise GeometryError("the mesh has no tetrahedra")
-    points, connectivity = coordinates.reshape(-1, 3), np.concatenate(cells)
-    if connectivity.shape[1] == 10:
-        points = untangle(points, connectivity)
-    return points, connectivity, np.concatenate(entities)
+    points = coordinates.reshape(-1, 3)
+    cells = row[np.concatenate([block for block in blocks if len(block)])]
+    if cells.shape[1] == 10:
+        points = untangle(points, cells)
+    return points, cells, entities
 
 
 # ------------------------------------------------------------------------------- files of others
 
 
-@dataclass(frozen=True)
-class Content:
-    """The named parts of a mesh in a file.
-
-    Attributes:
-        node_tags: Numbers of the nodes (n,), any.
-        points: Their coordinates (n, 3), in the unit of the file.
-        cells: Nodes of the cells of each region (m, 4 or 10), by number.
-        surfaces: Nodes of the triangles of each physical surface (k, 3 or 6), by number.
-        everything: Number of cells, including cells without a region.
-    """
-
-    node_tags: Ints
-    points: Floats
-    cells: dict[str, Ints]
-    surfaces: dict[str, Ints]
-    everything: int
-
-
-def read(geometry: Any, mesh: Any) -> Content:
+def read(geometry: Any, mesh: Any) -> dict[str, Any]:
     """Read a ``.msh`` file, or mesh a script, in a child process.
 
     Args:
         geometry: ``path``, ``unit``, ``interfaces``, ``content`` and ``copy_files``.
         mesh: ``size``, ``far_size`` [mm], ``curved`` for a script.
+
+    Returns:
+        ``node_tags``: numbers of the nodes (n,), any; ``points``: their coordinates (n, 3), in the
+        unit of the file; ``cells NAME``: nodes of the cells of a region (m, 4 or 10), by number;
+        ``surfaces NAME``: nodes of the triangles of a physical surface (k, 3 or 6), by number;
+        ``everything``: number of cells, including cells without a region.
 
     Raises:
         GeometryError: No tetrahedra, other elements, missing physical groups (with the names
@@ -217,11 +199,7 @@ def read(geometry: Any, mesh: Any) -> Content:
         found = dict(answer)
     if "error" in found:
         raise GeometryError(str(found["error"]))
-    cells, surfaces = (
-        {key.removeprefix(kind): found[key] for key in found if key.startswith(kind)}
-        for kind in ("cells ", "surfaces ")
-    )
-    return Content(found["node_tags"], found["points"], cells, surfaces, int(found["everything"]))
+    return found
 
 
 def serve() -> None:
@@ -256,25 +234,27 @@ def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
             _run_script(gmsh, request)
         else:
             gmsh.merge(path.name)
-        names = {
-            dim: [
-                gmsh.model.getPhysicalName(d, tag) for d, tag in gmsh.model.getPhysicalGroups(dim)
-            ]
-            for dim in (2, 3)
-        }
+        names: dict[int, list[str]] = {2: [], 3: []}
+        blocks: dict[int, dict[str, list[int]]] = {2: {}, 3: {}}
+        for dim, tag in gmsh.model.getPhysicalGroups(2) + gmsh.model.getPhysicalGroups(3):
+            names[dim].append(name := gmsh.model.getPhysicalName(dim, tag))
+            entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
+            blocks[dim].setdefault(name, []).extend(entities)
         found = (
             f"{path}: physical volumes: {_listed(names[3])}; physical surfaces: {_listed(names[2])}"
         )
         if not any(names[3]):
             raise GeometryError(f"{found}; name every region (and boundary) with a physical group")
-        cells = {n: _elements(gmsh, 3, n, _TETRAHEDRA, path) for n in sorted({*names[3]} - {""})}
-        cells = {name: block for name, block in cells.items() if len(block)}
+        surfaces, cells = (
+            {n: _elements(gmsh, dim, on, f"{path}: {n!r}") for n, on in blocks[dim].items() if n}
+            for dim in (2, 3)
+        )
+        cells = {name: block for name, block in sorted(cells.items()) if len(block)}
         if absent := [name for name in request["regions"] if name not in cells]:
             raise GeometryError(f"{found}; no cells in the volumes {_listed(absent)}")
         if absent := sorted({*request["sides"]} - set(cells)):
             raise GeometryError(f"{found}; interfaces need the volumes {_listed(absent)}")
         node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        surfaces = {name: _elements(gmsh, 2, name, _TRIANGLES, path) for name in names[2] if name}
         _, tags, _ = gmsh.model.mesh.getElements(3)
     return {
         "node_tags": node_tags,
@@ -306,21 +286,19 @@ def _listed(names: Any) -> str:
     return ", ".join(name or "(unnamed)" for name in names) or "none"
 
 
-def _elements(gmsh: Any, dim: int, name: str, kinds: dict[int, int], path: Path) -> Ints:
+def _elements(gmsh: Any, dim: int, entities: Iterable[int], what: str) -> Ints:
+    """Nodes of the triangles or tetrahedra of entities (k, 3, 4, 6 or 10), by number."""
     blocks = []
-    for d, tag in gmsh.model.getPhysicalGroups(dim):
-        if gmsh.model.getPhysicalName(d, tag) != name:
-            continue
-        for entity in gmsh.model.getEntitiesForPhysicalGroup(d, tag):
-            types, _, nodes = gmsh.model.mesh.getElements(d, entity)
-            for kind, connectivity in zip(types, nodes, strict=True):
-                if kind not in kinds:
-                    label = gmsh.model.mesh.getElementProperties(kind)[0]
-                    raise GeometryError(
-                        f"{path}: {name!r} has elements of type {label!r}; only straight or"
-                        " quadratic tetrahedra (and their triangles) can be used"
-                    )
-                blocks.append(connectivity.astype(np.int64).reshape(-1, kinds[kind]))
+    for entity in entities:
+        types, _, nodes = gmsh.model.mesh.getElements(dim, entity)
+        for kind, connectivity in zip(types, nodes, strict=True):
+            if kind not in _NODES[dim]:
+                label = gmsh.model.mesh.getElementProperties(kind)[0]
+                raise GeometryError(
+                    f"{what} has elements of type {label!r}; only straight or"
+                    " quadratic tetrahedra (and their triangles) can be used"
+                )
+            blocks.append(connectivity.astype(np.int64).reshape(-1, _NODES[dim][kind]))
     if len({block.shape[1] for block in blocks}) > 1:
-        raise GeometryError(f"{path}: {name!r} mixes straight and quadratic elements")
-    return np.concatenate(blocks) if blocks else np.zeros((0, 4 if dim == 3 else 3), dtype=np.int64)
+        raise GeometryError(f"{what} mixes straight and quadratic elements")
+    return np.concatenate(blocks) if blocks else np.zeros((0, dim + 1), dtype=np.int64)

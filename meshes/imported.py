@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,8 @@ import numpy as np
 from app.arrays import Ints
 from app.errors import GeometryError
 from meshes.curving import bent, untangle
-from meshes.data import MeshData, cell_volumes, exterior_facets
-from meshes.gmsh_child import MILLIMETRES, Content, read, session
+from meshes.data import MeshData, cell_volumes, exterior_facets, same_triangles
+from meshes.gmsh_child import MILLIMETRES, read, session
 from meshes.quality import overlapping, places
 from meshes.tags import assemble, number
 
@@ -43,18 +43,22 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     return _named(geometry, read(geometry, mesh))
 
 
-def _named(geometry: Any, found: Content) -> MeshData:
-    path, regions = geometry.path, number(found.cells)
-    rows = _rows_of(path, found.node_tags)
-    widths = {block.shape[1] for block in found.cells.values()}
+def _named(geometry: Any, found: Mapping[str, Any]) -> MeshData:
+    blocks, surfaces = (
+        {key.removeprefix(kind): block for key, block in found.items() if key.startswith(kind)}
+        for kind in ("cells ", "surfaces ")
+    )
+    path, regions = geometry.path, number(blocks)
+    rows = _rows_of(path, found["node_tags"])
+    widths = {block.shape[1] for block in blocks.values()}
     if len(widths) != 1:
         what = "mixes straight and quadratic cells" if widths else "has no tetrahedra in regions"
         raise GeometryError(f"{path}: the mesh {what}")
-    cells = rows(np.concatenate([*found.cells.values()]))
-    cell_tags = np.repeat([*regions.values()], [*map(len, found.cells.values())]).astype(np.int32)
+    cells = rows(np.concatenate([*blocks.values()]))
+    cell_tags = np.repeat([*regions.values()], [*map(len, blocks.values())]).astype(np.int32)
     if len(np.unique(np.sort(cells[:, :4], axis=1), axis=0)) < len(cells):
         raise GeometryError(f"{path}: some cells belong to two physical volumes")
-    points = found.points * MILLIMETRES[geometry.unit]
+    points = found["points"] * MILLIMETRES[geometry.unit]
     if cells.shape[1] == 10 and geometry.is_script and not bent(points, cells):
         cells = cells[:, :4]
     negative = cell_volumes(points, cells) < 0
@@ -72,8 +76,10 @@ def _named(geometry: Any, found: Content) -> MeshData:
         )
     if cells.shape[1] == 10 and geometry.is_script:
         points = untangle(points, cells)
-    corners = {name: rows(block[:, :3]) for name, block in found.surfaces.items()}
-    masks = {name: _among(exterior[0], wanted) for name, wanted in corners.items()}
+    masks = {}
+    for name, block in surfaces.items():
+        keys, wanted = same_triangles(exterior[0][:, :3], rows(block[:, :3]))
+        masks[name] = np.isin(keys, wanted)
     boundaries = {name: mask for name, mask in masks.items() if mask.any()}
     data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, exterior)
     turned = (
@@ -83,7 +89,7 @@ def _named(geometry: Any, found: Content) -> MeshData:
     notes = {
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),
-        "cells_without_region": found.everything - len(cells),
+        "cells_without_region": int(found["everything"]) - len(cells),
         "told": [turned] if negative.any() else [],
     }
     return replace(data, notes=notes)
@@ -103,14 +109,6 @@ def _rows_of(path: Path, node_tags: Ints) -> Callable[[Ints], Ints]:
         return np.asarray(order[at])
 
     return rows
-
-
-def _among(facets: Ints, wanted: Ints) -> Any:
-    """Mask of the facets that share their three corners with a wanted one (k,)."""
-    both = np.sort(np.concatenate([facets[:, :3], wanted]), axis=1)
-    _, label = np.unique(both, axis=0, return_inverse=True)
-    label = label.ravel()
-    return np.isin(label[: len(facets)], label[len(facets) :])
 
 
 def write(data: MeshData, path: Path) -> None:

@@ -8,12 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from app.arrays import Floats, Ints
 from meshes.contact_facets import NODES, nodal_normals
-from meshes.data import MeshData, cell_faces, cell_volumes, components, facet_areas
+from meshes.data import (
+    MeshData,
+    boundary_areas,
+    cell_faces,
+    cell_volumes,
+    components,
+    facet_areas,
+    interface_facets,
+    same_triangles,
+)
 
 # Nodes this close, in parts of the mesh's diagonal, are meant to be one.
 COINCIDENT = 1e-7
@@ -116,13 +126,18 @@ def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = 
     """
     names = {tag: name for name, tag in data.regions.items()}
     neighbours = data.neighbours
-    count, piece = components(neighbours, data.cell_tags)
+    piece = components(neighbours, data.cell_tags)
+    count = int(piece.max()) + 1
     faces = cell_faces(data.cells)
     behind = neighbours.ravel()
     cell = np.repeat(np.arange(len(data.cells)), 4)
     outer = (behind < 0) | (piece[np.maximum(behind, 0)] != piece[cell])
     outside = np.flatnonzero(behind < 0)
-    keys, on = _numbered(faces[outside, :3], data.facets[:, :3])
+    keys, on = same_triangles(faces[outside, :3], data.facets[:, :3])
+    order = np.argsort(keys)
+    at = order[np.searchsorted(keys, on, sorter=order).clip(max=len(keys) - 1)]
+    cell_of_facet = np.where(keys[at] == on, cell[outside[at]], -1)
+    piece_of_facet = np.where(cell_of_facet >= 0, piece[cell_of_facet], -1)
     bare = outer.copy()
     tags = [t for name in held for t in data.boundaries.get(name, ())]
     bare[outside[np.isin(keys, on[np.isin(data.facet_tags, tags)])]] = False
@@ -143,51 +158,24 @@ def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = 
         pieces.append(Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, part))
     rows = np.flatnonzero((behind >= 0) & outer & (piece[cell] < piece[np.maximum(behind, 0)]))
     first, second = piece[cell[rows]], piece[behind[rows]]
-    corners = {
-        name: np.unique(faces[rows][_between(first, second, pieces, sides)][:, :3])
-        for name, sides in data.interfaces.items()
-    }
     return Parts(
         pieces=tuple(pieces),
         touches=tuple(_touches(data.points, faces[rows], first, second)),
         joined=_joined(data.cells, piece, pieces),
-        boundaries=_boundaries(data, keys, on, piece[cell[outside]]),
-        normals={name: _normals(data, name, keys, on, middles[cell[outside]]) for name in curved},
-        boundary_areas={
-            name: float(facet_areas(data.points, data.facets[np.isin(data.facet_tags, tags)]).sum())
-            for name, tags in data.boundaries.items()
-        },
+        boundaries=_boundaries(data, piece_of_facet),
+        normals={name: _normals(data, name, cell_of_facet, middles) for name in curved},
+        boundary_areas=boundary_areas(data),
         x=data.points,
         corners={
             name: data.cells[data.cell_tags == tag, :4].astype(np.int32)
             for tag, name in names.items()
         },
-        interfaces=corners,
+        interfaces={
+            name: np.unique(interface_facets(data, name)[0][:, :3]) for name in data.interfaces
+        },
         doubled=_doubled(data, piece, pieces),
         told=tuple(data.notes.get("told", ())),
     )
-
-
-def _between(
-    first: Ints,
-    second: Ints,
-    pieces: list[Piece],
-    sides: tuple[tuple[str, ...], tuple[str, ...]],
-) -> np.ndarray:
-    """Mask of the facets between the regions of two sides."""
-    a, b = (np.array([p.region in side for p in pieces]) for side in sides)
-    return np.asarray((a[first] & b[second]) | (b[first] & a[second]))
-
-
-def _numbered(a: Ints, b: Ints) -> tuple[Ints, Ints]:
-    """The same number for the same triangle of either list, in any order of its corners."""
-    both = np.sort(np.concatenate([a, b]), axis=1)
-    n = int(both.max(initial=0)) + 1
-    if n**3 < 2**63:
-        label = (both[:, 0] * n + both[:, 1]) * n + both[:, 2]
-    else:
-        label = np.unique(both, axis=0, return_inverse=True)[1].ravel()
-    return label[: len(a)], label[len(a) :]
 
 
 def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[Touch]:
@@ -222,56 +210,33 @@ def _bend(facets: Ints, normals: Floats) -> float:
 
 def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[int, int]]:
     """Pieces of one region that meet in edges or corners alone."""
-    regions = [p.region for p in pieces]
-    if len(set(regions)) == len(regions):
-        return frozenset()
-    n = int(cells.max()) + 1
-    of = [np.unique(cells[piece == k, :4]) for k in range(len(pieces))]
-    count = np.zeros(n, dtype=np.int64)
-    for nodes in of:
-        count[nodes] += 1
-    shared = [set(map(int, nodes[count[nodes] > 1])) for nodes in of]
+    nodes = [np.unique(cells[piece == k, :4]) for k in range(len(pieces))]
     return frozenset(
         (a, b)
-        for a in range(len(pieces))
-        for b in range(a + 1, len(pieces))
-        if regions[a] == regions[b] and shared[a] & shared[b]
+        for a, b in combinations(range(len(pieces)), 2)
+        if pieces[a].region == pieces[b].region and np.intersect1d(nodes[a], nodes[b]).size
     )
 
 
-def _boundaries(data: MeshData, keys: Ints, on: Ints, owner: Ints) -> dict[str, dict[int, Ints]]:
-    """Nodes of each piece on each boundary.
-
-    ``keys`` and ``owner`` are numbers and pieces of all exterior faces, ``on`` the numbers of the
-    facets of the boundaries.
-    """
-    order = np.argsort(keys)
-    at = order[np.minimum(np.searchsorted(keys, on, sorter=order), len(keys) - 1)]
-    of_facet = np.where(keys[at] == on, owner[at], -1)
+def _boundaries(data: MeshData, piece: Ints) -> dict[str, dict[int, Ints]]:
+    """Nodes of each piece on each boundary, from the piece of each tagged facet, -1 if none."""
     found: dict[str, dict[int, Ints]] = {}
     for name, tags in data.boundaries.items():
         here = np.isin(data.facet_tags, tags)
-        found[name] = {
-            int(k): np.unique(data.facets[here & (of_facet == k)])
-            for k in np.unique(of_facet[here])
-            if k >= 0
-        }
+        on = (int(k) for k in np.unique(piece[here]) if k >= 0)
+        found[name] = {k: np.unique(data.facets[here & (piece == k)]) for k in on}
     return found
 
 
-def _normals(data: MeshData, name: str, keys: Ints, on: Ints, inside: Floats) -> Floats:
+def _normals(data: MeshData, name: str, cell: Ints, middles: Floats) -> Floats:
     """Mean normals of a boundary at all nodes (n, 3), zero off the boundary.
 
-    ``keys`` (f,) and ``inside`` (f, 3) [mm] are numbers of all exterior faces and points in their
-    cells, ``on`` the numbers of the facets of the boundaries.
+    ``cell`` is the cell of each tagged facet, -1 if none; ``middles`` are points in cells [mm].
     """
-    here = np.flatnonzero(np.isin(data.facet_tags, data.boundaries.get(name, ())))
-    here = here[np.isin(on[here], keys)]
-    order = np.argsort(keys)
-    cells = order[np.searchsorted(keys, on[here], sorter=order)]
+    here = np.isin(data.facet_tags, data.boundaries.get(name, ())) & (cell >= 0)
     facets, sums = data.facets[here], np.zeros(data.points.shape)
     at = NODES[: facets.shape[1]]
-    np.add.at(sums, facets, nodal_normals(data.points[facets], inside[cells], at))
+    np.add.at(sums, facets, nodal_normals(data.points[facets], middles[cell[here]], at))
     size = np.linalg.norm(sums, axis=1, keepdims=True)
     return np.divide(sums, size, out=sums, where=size > 0)
 

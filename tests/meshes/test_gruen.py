@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import ufl
 
-from app.case.femurs import Femur, IntactFemur
-from app.case.geometries import Blocks, Cylinders
+from app.case.femurs import Femur
 from app.mechanics.body_forms import OnBody
 from app.results.stresses import Stresses
 from app.system.timing import Timing
@@ -78,14 +77,6 @@ def test_what_the_operation_takes_is_in_no_zone() -> None:
     assert left((canal - 0.1, 0.0, -80.0), (canal + 0.1, 0.0, -80.0)) == [False, True]
     head, below_plug = (43.0, 0.0, 54.0), (0.0, 0.0, -118.0 - 10.1)
     assert left(head, below_plug) == [False, True]
-
-
-def test_only_a_femur_has_zones() -> None:
-    assert IntactFemur().has_gruen_zones
-    block = {"name": "a", "size": "[1, 1, 1] mm"}
-    assert Blocks.model_validate({"blocks": [block]}).has_gruen_zones is False
-    sizes = dict.fromkeys(("stem_radius", "cement_thickness", "bone_thickness", "length"), "5 mm")
-    assert Cylinders.model_validate(sizes).has_gruen_zones is False
 
 
 # Bone along a tilted fibre beside cement, sheared, pressed and partly let free by an eigenstrain.

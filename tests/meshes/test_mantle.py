@@ -86,17 +86,6 @@ def test_what_is_below_the_tip_is_a_plug() -> None:
     assert mantle.describe(squeezed, THICKNESS, 0.5 * LENGTH)["thickness"]["min"] > 3.8
 
 
-def test_a_mesh_cached_before_it_was_noted_has_it_too(
-    tmp_path: object, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    options = MeshOptions(size="3 mm", far_size="6 mm", curved=True)
-    with monkeypatch.context() as older:
-        older.setattr(meshes, "_describe_mantle", lambda data, geometry: {})
-        assert "mantle" not in meshes.build(ROD, options, tmp_path).notes  # type: ignore[arg-type]
-    cached = meshes.build(ROD, options, tmp_path)  # type: ignore[arg-type]
-    assert cached.notes["mantle"] == mesh().notes["mantle"]
-
-
 @pytest.mark.parametrize("curved", [True, False])
 def test_a_section_is_filled_and_its_outlines_are_closed(curved: bool) -> None:
     polygons, outlines, owner = picture.section(mesh(curved=curved), 2, 0.37 * LENGTH)

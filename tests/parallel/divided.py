@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from app import cli
 from app.simulation import model
-from meshes.data import MeshData, face_neighbours
+from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
 
 Ints = np.ndarray
@@ -24,7 +24,7 @@ Ints = np.ndarray
 
 def between(data: MeshData) -> Ints:
     """Cells on either side of each facet between regions (n, 2)."""
-    neighbours = face_neighbours(data.cells)
+    neighbours = data.neighbours
     cell = np.repeat(np.arange(len(data.cells)), 4)
     other = neighbours.ravel()
     on = (other >= 0) & (data.cell_tags[cell] != data.cell_tags[other])
@@ -69,7 +69,7 @@ WAYS: dict[str, Callable[[MeshData, int], Ints]] = {"board": board, "bodies": bo
 
 def destinations(data: MeshData, owner: Ints) -> AdjacencyList_int32:
     """Where each cell goes: to its owner first, and to the owners of its neighbours."""
-    neighbours = face_neighbours(data.cells)
+    neighbours = data.neighbours
     rows = []
     for mine, others in zip(owner, np.where(neighbours >= 0, owner[neighbours], -1), strict=True):
         rows.append([mine, *sorted(set(others) - {mine, -1})])

@@ -22,7 +22,8 @@ from app.numerics.sparse import from_triplets
 from app.schema import unit_conversion
 from app.system import folders
 from meshes import cache
-from meshes.contact_faces import _connected, distinct_rows
+from meshes.contact_faces import distinct_rows
+from meshes.data import connected
 from tests import support
 
 
@@ -75,7 +76,7 @@ def test_labels_are_those_of_a_graph() -> None:
         a, b = rng.integers(0, n, (2, pairs))
         graph = coo_array((np.ones(pairs), (a, b)), shape=(n, n))
         _, expected = connected_components(graph, directed=False)
-        np.testing.assert_array_equal(_connected(n, a, b), expected)
+        np.testing.assert_array_equal(connected(n, a, b), expected)
 
 
 def test_triplets_at_one_place_are_summed() -> None:
