@@ -28,8 +28,8 @@ MUSCLES: dict[str, Point3] = {
 # thickness of the mantle less the widening of the canal (mm).
 FILLED = (0.0, 0.05, 0.4, 0.64, 0.7, 0.74, 0.8, 0.85, 0.9)
 FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
-# Mean widths of cement, cancellous and cortical bone along the lines (mm).
-WIDTHS = (2.6, 6.0, 5.5)
+# Mean widths of cancellous and cortical bone along the lines (mm).
+WIDTHS = (5.6, 5.2)
 # Least fraction of the stem in the bone; range of the angle between neck and shaft (deg).
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
 
@@ -203,9 +203,10 @@ class _Femur(Shape):
         core = 3.0 * max(around - 2.0, 0.085 * around**2 + around - 4.0)
         filled = self.cement_thickness - self.canal_widening
         open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
+        widths = (1.4 + 0.4 * self.cement_thickness, *WIDTHS)
         cement, cancellous, cortical = (
             min(cells, max(1.0, width / (length * mesh.size)))
-            for cells, width, length in zip(most, WIDTHS, grid.THROUGH, strict=True)
+            for cells, width, length in zip(most, widths, grid.THROUGH, strict=True)
         )
         layers = stem * (cement + cortical + cancellous * open_)
         layers += below * (cement + cortical + cancellous * free)
@@ -249,7 +250,7 @@ class Femur(_Femur):
         return 2.0 * flanks + 2.0 * math.pi * self.cement_thickness * self.stem_length
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
-        """Estimated number of tetrahedra, to 10 %."""
+        """Estimated number of tetrahedra, to 12 %."""
         cells, core, _ = self._cells(mesh)
         length = self.head_offset / math.sin(self.neck_angle)
         above = grid.steps(0.4 * length, mesh.size) + grid.steps(0.6 * length, mesh.size)
@@ -272,7 +273,7 @@ class IntactFemur(_Femur):
     """Radius of the femoral head, 18 to 30 mm; the neck has about two thirds of it."""
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
-        """Estimated number of tetrahedra, to 10 %."""
+        """Estimated number of tetrahedra, to 12 %."""
         cells, _, whole = self._cells(mesh)
         length = self.head_offset / math.sin(self.neck_angle)
         neck = grid.steps(length - 1.07 * self.head_radius, mesh.size)

