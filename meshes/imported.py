@@ -12,7 +12,7 @@ import numpy as np
 from app.arrays import Ints
 from app.errors import GeometryError
 from meshes.curving import bent, untangle
-from meshes.data import MeshData, cell_volumes, exterior_facets, same_triangles
+from meshes.data import MeshData, cell_volumes, exterior_facets, interface_facets, same_triangles
 from meshes.gmsh_child import MILLIMETRES, read, session
 from meshes.quality import overlapping, places
 from meshes.tags import assemble, number
@@ -112,7 +112,7 @@ def _rows_of(path: Path, node_tags: Ints) -> Callable[[Ints], Ints]:
 
 
 def write(data: MeshData, path: Path) -> None:
-    """Write a binary gmsh 4.1 file [mm] whose physical names are the regions and boundaries.
+    """Write a binary gmsh 4.1 file [mm] with physical names of regions, boundaries, interfaces.
 
     Text would take five times as long and not keep every bit of the coordinates. A patch of
     several boundaries is in several groups.
@@ -132,14 +132,18 @@ def write(data: MeshData, path: Path) -> None:
             model.mesh.addElementsByType(
                 tag, tet, [], data.cells[data.cell_tags == tag].ravel() + 1
             )
-        for tag in sorted({t for tags in data.boundaries.values() for t in tags}):
+        patches = {int(tag): data.facets[data.facet_tags == tag] for tag in set(data.facet_tags)}
+        surfaces = {name: list(tags) for name, tags in data.boundaries.items()}
+        for name in data.interfaces:
+            surfaces[name] = [max(patches, default=0) + 1]
+            patches |= {surfaces[name][0]: interface_facets(data, name)[0]}
+        for tag, facets in sorted(patches.items()):
             model.addDiscreteEntity(2, tag)
-            own = data.facets[data.facet_tags == tag]
-            model.mesh.addElementsByType(tag, triangle, [], own.ravel() + 1)
+            model.mesh.addElementsByType(tag, triangle, [], facets.ravel() + 1)
         for name, tag in data.regions.items():
             model.addPhysicalGroup(3, [tag], name=name)
-        for name, tags in data.boundaries.items():
-            model.addPhysicalGroup(2, list(tags), name=name)
+        for name, tags in surfaces.items():
+            model.addPhysicalGroup(2, tags, name=name)
         gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
         gmsh.option.setNumber("Mesh.Binary", 1)
         gmsh.option.setNumber("Mesh.SaveAll", 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from meshes import (
     quality,
     reference_body,
     swept,
+    write_msh,
 )
 from meshes.data import (
     MeshData,
@@ -30,6 +32,7 @@ from meshes.data import (
     jacobians,
 )
 from meshes.femur_surfaces import FemurSurfaces as Surfaces
+from meshes.gmsh_child import session
 from tests import support
 from tests.meshes.test_meshes import digest
 
@@ -203,6 +206,20 @@ def test_no_femur_without_gmsh() -> None:
         "except ImportError as error: print('none:', error)"
     )
     assert support.python("-c", program).stdout.startswith("none:")
+
+
+def test_gmsh_opens_the_mesh_with_its_groups(tmp_path: Path) -> None:
+    data = built(8.0)
+    write_msh(data, tmp_path / "hip.msh")
+    with session("hip") as gmsh:
+        gmsh.merge(str(tmp_path / "hip.msh"))
+        groups = {
+            gmsh.model.getPhysicalName(dim, tag): gmsh.model.mesh.getNodesForPhysicalGroup(dim, tag)
+            for dim, tag in gmsh.model.getPhysicalGroups()
+        }
+    assert set(groups) == {*data.regions, *data.boundaries, *data.interfaces}
+    for name in data.interfaces:
+        assert len(groups[name][0]) == len(np.unique(interface_facets(data, name)[0]))
 
 
 # ------------------------------------------------------------------------------ shared shaft
