@@ -118,7 +118,7 @@ class MeshOptions(Section):
     least up to a size of 10 mm."""
     through_cement: Annotated[int, Plain(integer=True, at_least=1, at_most=100)] | None = None
     """Cells through the cement of a femur, 1 to 100; by default from its thickness over `size`, and
-    at least 2 at first order."""
+    at least 2."""
 
     @property
     def far(self) -> float:
