@@ -115,8 +115,8 @@ class FemurSurfaces:
         normal, level = femur_bone.resection(geometry)
         self._top, self._steepest = level / normal[2], normal[0] / normal[2]
         plug = geometry.stem_tip_z - geometry.plug_length
-        below = np.array(grid.graded(plug - geometry.distal_cut_z, mesh, grid.BELOW))
-        above = np.array(grid.graded(self._top - geometry.stem_tip_z, mesh, grid.STEM))
+        below = grid.distances(plug - geometry.distal_cut_z, mesh, grid.BELOW)
+        above = grid.distances(self._top - geometry.stem_tip_z, mesh, grid.STEM)
         parts = [_even(plug, geometry.stem_tip_z, self.size), (self._top - above)[-2::-1]]
         self._zeta = np.concatenate([(plug - below)[::-1], *parts])
         start = len(below) - 1

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from app.arrays import Floats
+
 LINES, COMPANION, COARSE = 8, 4, 10.0  # least number of lines around; above this size [mm]
 # Least length of a cell through cement, cancellous and cortical bone over the mesh size: in bone
 # there are as many as have room, in cement at most as many as `through_cement`. Widest bone [mm].
@@ -52,12 +54,30 @@ def steps(length: float, size: float) -> int:
     return max(1, round(length / size))
 
 
-def graded(length: float, mesh: Any, grading: tuple[float, float, float]) -> list[float]:
-    """Distances from 0 to a length in steps that grow, as in `BELOW` and `STEM` [mm]."""
+def graded(
+    length: float, mesh: Any, grading: tuple[float, float, float]
+) -> tuple[list[float], int, float]:
+    """Divide a length [mm] into steps that grow, as in `BELOW` and `STEM`.
+
+    Returns:
+        Distances from 0 where steps grow, and the number and size of equal steps after them.
+    """
     first, longest, growth = grading
+    largest = min(longest * mesh.size, mesh.far)
     at = [0.0]
-    while at[-1] < length:
-        at.append(at[-1] + min(first * mesh.size + growth * at[-1], longest * mesh.size, mesh.far))
-    if len(at) > 2 and at[-1] - length > 0.5 * (at[-1] - at[-2]):
-        at.pop()
-    return [distance * length / at[-1] for distance in at]
+    while (step := first * mesh.size + growth * at[-1]) < largest and at[-1] + 0.5 * step < length:
+        at.append(at[-1] + step)
+    return at, max(round((length - at[-1]) / largest), int(len(at) == 1)), largest
+
+
+def distances(length: float, mesh: Any, grading: tuple[float, float, float]) -> Floats:
+    """Distances from 0 to a length in steps that grow [mm]."""
+    at, count, step = graded(length, mesh, grading)
+    every = np.concatenate([at, at[-1] + step * np.arange(1, count + 1)])
+    return np.asarray(every * length / every[-1])
+
+
+def graded_steps(length: float, mesh: Any, grading: tuple[float, float, float]) -> int:
+    """Number of steps that grow in a length."""
+    at, count, _ = graded(length, mesh, grading)
+    return len(at) - 1 + count

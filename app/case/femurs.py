@@ -182,11 +182,11 @@ class _Femur(Shape):
         perimeter = 4.0 * (half + depth - 2.0 * corner)
         perimeter += 2.0 * math.pi * (corner + 0.5 * self.cement_thickness)
         plug = self.stem_tip_z - self.plug_length
-        stem = len(grid.graded(self._cut - self.stem_tip_z, mesh, grid.STEM)) - 1
+        stem = grid.graded_steps(self._cut - self.stem_tip_z, mesh, grid.STEM)
         return {
             "lines around": grid.lines_around(perimeter, mesh),
             "steps along the stem": stem + grid.steps(self.plug_length, mesh.size),
-            "steps below": len(grid.graded(plug - self.distal_cut_z, mesh, grid.BELOW)) - 1,
+            "steps below": grid.graded_steps(plug - self.distal_cut_z, mesh, grid.BELOW),
             "cells through cement, cancellous and cortical bone": grid.cells_through(
                 self.cement_thickness, mesh
             ),
