@@ -141,16 +141,14 @@ def run(
     """Solve a case in this process and write its results; under mpirun, all ranks call it together.
 
     Args:
-        case: What `load` gives.
+        case: As `load` returns it.
         output: The folder for the results; ``out/<name of the case file>`` by default.
-        progress: Called on every rank after each accepted step, with a record of it: number, stage,
-            time, wall seconds and the row of history.csv.
+        progress: Called on every rank after each accepted step: number, time, row of history.csv.
         force: Replace results in the folder, which otherwise stay if they are finished with this
             very configuration; take a checkpoint of another configuration.
         restart: Go on from a checkpoint: ``auto`` for the newest in the folder, or a file.
         walltime: Stop in time with the state saved [s].
-        signals: Have SIGINT, SIGTERM, SIGHUP and SIGUSR1 stop the run, state saved. They do nothing
-            else afterwards. Without it, Ctrl-C is the KeyboardInterrupt that Python makes of it.
+        signals: SIGINT, SIGTERM, SIGHUP and SIGUSR1 save the state and stop the run.
         petsc_options: Raw options, as after ``--`` on the command line.
 
     Returns:

@@ -46,7 +46,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     masks = {
         "distal_cut": made.on(facets, s=0),
         "bone_surface": made.on(facets, rho=4),
-        "stem_trunnion": made.on(facets, s=surfaces.top),
+        "stem_trunnion": made.on(facets, s=surfaces.cut + surfaces.segments[-1].steps),
         "resection": bone & made.on(facets, s=surfaces.cut),
     }
     masks |= patches(made.nodes.x, facets, masks["bone_surface"])

@@ -101,7 +101,6 @@ class FemurSurfaces:
             in one continue below and above.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
         tip: Station of the stem's tip.
-        cut: Station of the neck cut.
     """
 
     mirrored = range(0)
@@ -121,8 +120,7 @@ class FemurSurfaces:
         self._zeta = np.concatenate([(plug - below)[::-1], *parts])
         start = len(below) - 1
         self.tip = start + len(parts[0])
-        self.cut = len(self._zeta) - 1
-        self.mantle = (start, self.cut)
+        self.mantle = (start, len(self._zeta) - 1)
         self._middle = 0.25 * geometry.stem_tip_z + 0.75 * self._top
         a, b, r = self._body.section(self._middle)
         t = 0.5 * geometry.cement_thickness
@@ -131,6 +129,11 @@ class FemurSurfaces:
         self.cement = grid.through_cement(geometry.cement_thickness, mesh)
         self._refuse()
         self._continue(geometry)
+
+    @property
+    def cut(self) -> int:
+        """Station of the neck cut."""
+        return self.mantle[1]
 
     def _continue(self, geometry: Any) -> None:
         """Divide the stem above the cut."""
@@ -141,7 +144,6 @@ class FemurSurfaces:
         cone = float(np.linalg.norm(self._neck.head - self._neck.ring))
         self._above = np.cumsum([0, out, grid.steps(blend, self.size), grid.steps(cone, self.size)])
         bone = ("cancellous_bone", "cortical_bone")
-        self.top = self.cut + int(self._above[-1])
         self.segments: tuple[Segment, ...] = (
             Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
             Segment(self.tip - self.mantle[0], ("cement", "cement", *bone)),
