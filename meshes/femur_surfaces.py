@@ -122,11 +122,10 @@ class FemurSurfaces:
         self.tip = start + len(parts[0])
         self.mantle = (start, len(self._zeta) - 1)
         self._middle = 0.25 * geometry.stem_tip_z + 0.75 * self._top
-        a, b, r = self._body.section(self._middle)
-        t = 0.5 * geometry.cement_thickness
-        self.around = grid.lines_around(4 * (a + b - 2 * r) + 2 * math.pi * (r + t), mesh)
-        self.through = grid.cells_through(geometry.cement_thickness, mesh)
-        self.cement = grid.through_cement(geometry.cement_thickness, mesh)
+        thickness = geometry.cement_thickness
+        self.around = grid.lines_around(self._body.section(self._middle), thickness, mesh)
+        self.through = grid.cells_through(thickness, mesh)
+        self.cement = grid.through_cement(thickness, mesh)
         self._refuse()
         self._continue(geometry)
 

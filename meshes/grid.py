@@ -23,8 +23,13 @@ BELOW = (1.0, 1.4, 0.2)
 STEM = (0.6, 1.0, 0.06)
 
 
-def lines_around(perimeter: float, mesh: Any) -> int:
-    """Lines around a stem of this perimeter, half-way through the mantle below the cut [mm]."""
+def lines_around(section: tuple[float, float, float], cement: float, mesh: Any) -> int:
+    """Lines around a rounded rectangle, by its perimeter half-way through the mantle.
+
+    ``section`` is half-width, half-depth and corner radius, ``cement`` the mantle's thickness [mm].
+    """
+    half, depth, corner = section
+    perimeter = 4.0 * (half + depth - 2.0 * corner) + 2.0 * math.pi * (corner + 0.5 * cement)
     least = LINES if mesh.size <= COARSE else COMPANION
     return int(mesh.around or max(least, round(perimeter / mesh.size)))
 

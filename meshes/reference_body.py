@@ -3,7 +3,7 @@
 The cross-section is a polygon, the *core*, in rings between larger ones of the same shape; gmsh
 triangulates the core, divides the rings and extrudes all of it in layers. A segment of layers may
 end at an inner ring: the stem goes on alone above the neck cut. Each volume is in the physical
-group of its region. `layers` makes an anatomy of it.
+group of its region. `swept` makes an anatomy of it.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def make(outline: Floats, through: Sequence[int], segments: Sequence[Segment]) -
     Args:
         outline: The core's corners, one a line, around 0 (around, 2) [mm].
         through: Cells through each ring, from the core outwards.
-        segments: Blocks from the bottom up; the first has all rings.
+        segments: From the bottom up; the first has all rings.
     """
     corners = outline + np.outer(outline[:, 1], [SHEAR, 0.0])
     names = tuple(dict.fromkeys(name for segment in segments for name in segment.regions))

@@ -1,4 +1,4 @@
-"""Meshes of nested layers: the reference body by gmsh, its image by the map of `layers`.
+"""Meshes of nested layers: the reference body by gmsh, its image by one map.
 
 gmsh's prisms are split by the ranks of their columns, both sides of a face alike. Along a line
 where two layers would be thinner than a floor, the two surfaces are one: the nodes between them are

@@ -172,19 +172,17 @@ class _Femur(Shape):
 
     def grid(self, mesh: MeshOptions) -> dict[str, Any]:
         """Lines around, steps along the stem and below it, cells through the layers."""
-        # The perimeter half-way through the mantle, a quarter of the way from the cut to the tip.
+        # The section a quarter of the way from the cut to the tip.
         middle = 0.75 * (self._cut - self.stem_tip_z)
         part = middle / (self.stem_section_z - self.stem_tip_z)
         half, depth, corner = (
             (1.0 - part) * getattr(self, f"stem_tip_{name}") + part * getattr(self, f"stem_{name}")
             for name in ("half_width", "half_depth", "corner_radius")
         )
-        perimeter = 4.0 * (half + depth - 2.0 * corner)
-        perimeter += 2.0 * math.pi * (corner + 0.5 * self.cement_thickness)
         plug = self.stem_tip_z - self.plug_length
         stem = grid.graded_steps(self._cut - self.stem_tip_z, mesh, grid.STEM)
         return {
-            "lines around": grid.lines_around(perimeter, mesh),
+            "lines around": grid.lines_around((half, depth, corner), self.cement_thickness, mesh),
             "steps along the stem": stem + grid.steps(self.plug_length, mesh.size),
             "steps below": grid.graded_steps(plug - self.distal_cut_z, mesh, grid.BELOW),
             "cells through cement, cancellous and cortical bone": grid.cells_through(
