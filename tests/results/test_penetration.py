@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.arrays import Floats, Ints
-from app.results.penetration import LATTICE, gaps
+from app.results.interface_numbers import LATTICE, gaps
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 from tests.support import STEM, Solved, solve
 
