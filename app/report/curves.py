@@ -131,7 +131,8 @@ def _draw(axes: Any, panel: Panel) -> None:
     for k, line in enumerate(panel.lines):
         # Side by side, so that bars of equal numbers can both be seen.
         _line(axes, line, apart * (k - 0.5 * (len(panel.lines) - 1)))
-    values = [v for line in panel.lines for v in _values(line)]
+    values = [n.value for of in panel.lines for n in (*of.numbers.values(), *of.peaks.values())]
+    values += [v for line in panel.lines for _, v in line.stars]
     if values and panel.y in ROUNDED and max(map(abs, values)) < ROUNDED[panel.y]:
         axes.set_ylim(-0.05, 1)
         axes.text(0.5, 0.5, "zero to rounding", transform=axes.transAxes, ha="center", color="0.4")
@@ -157,11 +158,6 @@ def _labels(line: Line) -> tuple[str, str, str]:
     paper = f"{line.label}, paper" if line.own_stars else "paper"
     curve = f"{line.label}, percentile" if line.own_stars and line.peaks else line.label
     return curve, f"{line.label}, max", paper
-
-
-def _values(line: Line) -> list[float]:
-    numbers = [n.value for n in (*line.numbers.values(), *line.peaks.values())]
-    return numbers + [v for _, v in line.stars]
 
 
 def _line(axes: Any, line: Line, shift: float) -> None:

@@ -92,9 +92,9 @@ class CureRecord:
         return result
 
     def _range(self, r: _CuringRegion) -> tuple[float, float]:
-        ends = np.array([-r.degree.min(initial=np.inf), r.degree.max(initial=-np.inf)])
-        self._comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
-        return -float(ends[0]), float(ends[1])
+        low, high = -r.degree.min(initial=np.inf), r.degree.max(initial=-np.inf)
+        low, high = np.max(self._comm.allgather((low, high)), axis=0)
+        return -float(low), float(high)
 
 
 def _crossing(level: float, start: Floats, end: Floats, before: Floats, after: Floats) -> Floats:

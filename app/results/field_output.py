@@ -225,14 +225,13 @@ class MechanicalFields:
         """
         dofs, X = self.space.dofmap.list, self.space.element.interpolation_points()
         found = np.zeros((len(nodes.dof), len(COMPONENTS)))
-        regions: dict[int, list[str]] = {}
-        for region in self._stresses.cells:
-            regions.setdefault(int(self.bodies.of_region[region]), []).append(region)
         for body in range(len(self.bodies.names)):
             sums = self._sums.array.reshape(-1, len(COMPONENTS) + 1)
             sums[:] = 0.0
-            for region in regions.get(body, ()):
-                cells, σ = self._stresses.cells[region], self._stresses.evaluate(region)
+            for region, cells in self._stresses.cells.items():
+                if self.bodies.of_region[region] != body:
+                    continue
+                σ = self._stresses.evaluate(region)
                 nodes_of = np.broadcast_to(X, (len(cells), *X.shape))
                 σ = _components(extrapolated(σ, self._stresses.points[region], nodes_of))
                 volume = self._stresses.places(region)[1].sum(axis=1)

@@ -74,13 +74,10 @@ class RegionCells:
         f = self._at_corners(dof, level, -1.0)
         depth = 0.0
         ends, x = f[:, _EDGES], self._x[:, _EDGES]
-        low, high = ends.min(axis=2), ends.max(axis=2)
         # Where edges leave the volume.
-        cut = (high >= 0) & (low < 0)
-        share = np.divide(high, high - low, out=np.zeros_like(high), where=cut)
-        first = np.take_along_axis(x, np.argmax(ends, axis=2)[:, :, None, None], axis=2)[:, :, 0]
-        second = np.take_along_axis(x, np.argmin(ends, axis=2)[:, :, None, None], axis=2)[:, :, 0]
-        points = (first + share[:, :, None] * (second - first))[cut]
+        cut = (ends.max(axis=2) >= 0) & (ends.min(axis=2) < 0)
+        (a, b), (first, second) = ends[cut].T, x[cut].swapaxes(0, 1)
+        points = first + (a / (a - b))[:, None] * (second - first)
         points = np.concatenate([points, self._x[f >= 0]])
         if len(points):
             depth = float(distance(np.unique(points, axis=0), surface).max())

@@ -246,7 +246,13 @@ class ThermalRecord:
     def summary(self) -> dict[str, Any]:
         """Section ``thermal`` of the summary; collective."""
         comm, cells = self._comm, {name: RegionCells(self._forms, name) for name in self._nodes}
-        surface = self._bone_surface(cells)
+        # Surface of all bone towards other regions, as triangles (f, 3, 3) [mm]; on every rank.
+        faces = [
+            cells[region].faces(self._nodes[region].dof[rows])
+            for side in self._bone_sides
+            for region, rows in side.items()
+        ]
+        surface = np.concatenate([np.zeros((0, 3, 3)), *faces])
         regions = {name: r.temperatures(comm, cells[name]) for name, r in self.regions.items()}
         result: dict[str, Any] = {
             "regions": regions,
@@ -260,13 +266,6 @@ class ThermalRecord:
         for name in self.bone:
             regions[name] |= self.regions[name].dead(comm, cells[name], surface)
         return result
-
-    def _bone_surface(self, cells: Mapping[str, RegionCells]) -> Floats:
-        """Surface of all bone towards other regions, as triangles (f, 3, 3) [mm]; on every rank."""
-        found: list[Floats] = [np.zeros((0, 3, 3))]
-        for side in self._bone_sides:
-            found += [cells[r].faces(self._nodes[r].dof[rows]) for r, rows in side.items()]
-        return np.concatenate(found)
 
     def _interface(self, name: str) -> dict[str, Any]:
         result: dict[str, Any] = {}

@@ -125,13 +125,10 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why a solve failed.
+    """Why a solve failed, in sentences.
 
-    Attributes:
-        free: Sentences on free bodies.
-        friction: Sentences on bodies that friction barely holds, and on friction beyond which
-            solutions need not be unique.
-        places: Sentences on the largest residual and on oscillating points.
+    They are on free bodies; on bodies that friction barely holds, and friction beyond which
+    solutions need not be unique; on the places of the largest residual and of oscillating points.
     """
 
     outcome: NewtonResult
