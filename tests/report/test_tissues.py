@@ -16,7 +16,7 @@ from app.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.report.paper import bone_peak
 from app.report.sweep_results import SweptCase
-from app.results.stem_motion import stem_motion
+from app.results.hip import stem_motion
 from app.results.thermal_record import ThermalRecord
 from app.system.timing import Timing
 from tests import support
