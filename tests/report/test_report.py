@@ -11,14 +11,7 @@ from typing import Any
 import pytest
 
 from app.cli import main
-from app.report import (
-    gruen,
-    paper,
-    paper_claims,
-    paper_numbers,
-    sweep_figures,
-    sweep_report,
-)
+from app.report import gruen, paper, paper_claims, paper_numbers, sweep_figures, sweep_report
 from app.report import sweep_results as rs
 from app.report.paper_claims import CONFIRMED, NOT_CONFIRMED, UNDECIDED
 from app.report.sweep_results import PERCENTILES, Number
