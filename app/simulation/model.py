@@ -244,8 +244,9 @@ class Model:
         steppers = self._steppers = load_stepper, heat_stepper
         run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume())
         total = Summary()
-        for part in filter(None, steppers):
-            total.add(part.total)
+        for part in steppers:
+            if part is not None:
+                total.add(part.total)
         return total
 
     def saved_parts(self) -> dict[str, Any]:

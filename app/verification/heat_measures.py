@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.results.reading import Run
@@ -19,7 +20,7 @@ from app.verification.measures import by_region, in_l2, relative
 CEMENT, BONE = (0.2, 1.74), (0.58, 2.331)
 KELVIN = 273.15
 # Temperature (n,) [degC] of a region at points (n, 3) at a time [s].
-HeatField = Callable[[Floats, float], Floats]
+HeatField = Callable[[Floats, float], NDArray[np.floating]]
 
 
 def temperatures(
@@ -37,7 +38,7 @@ def temperatures(
     samples = []
     for step, seconds in _written(run, ends, since):
         T = run.temperature(step)
-        for region, field in zip(np.unique(run.region), fields, strict=True):
+        for region, field in enumerate(fields, start=1):
             nodes = run.nodes_of(region)
             should = field(run.points[nodes], seconds)
             off = np.abs(T[nodes] - should) / scale

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from app.arrays import Bools, Field, Floats, Ints
 from app.case import quantities
@@ -28,9 +28,9 @@ def relative(value: float, reference: float) -> Sample:
     return Sample(abs(value / reference - 1), value, reference)
 
 
-def by_region(region: Ints, values: Sequence[Floats]) -> Floats:
+def by_region(region: Ints, values: Sequence[NDArray[np.floating]]) -> Floats:
     """Of the values (n, k) for each region those of each point (n, k); the last for all others."""
-    return np.choose(np.minimum(region, len(values))[:, None] - 1, values)
+    return np.asarray(np.choose(np.minimum(region, len(values))[:, None] - 1, values))
 
 
 def in_l2(run: Run, fields: Sequence[Field]) -> Sample:
