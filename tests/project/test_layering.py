@@ -202,8 +202,6 @@ def test_nobody_asks_an_interface_a_load_or_a_support_for_its_kind(path: Path) -
     if package_of(module(path)) in solving or module(path) in (
         "app.scene.bodies",
         "app.results.balance",
-        "app.results.heat_balance",
-        "app.results.interface_heat",
         "app.results.interface_numbers",
         "app.results.region_temperatures",
         "app.results.thermal_record",
