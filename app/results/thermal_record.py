@@ -17,7 +17,7 @@ from dolfinx import fem
 
 from app.arrays import Floats
 from app.heat.heat_forms import HeatForms
-from app.heat.nodes import InterfaceNodes, ProbedPoint, Probes, Side, region_nodes
+from app.heat.nodes import InterfaceNodes, Probe, Probes, Side, region_nodes
 from app.numerics.saved_state import node_keys
 from app.results.interface_heat import Exchanges, InterfaceExtremes
 from app.results.level_sets import RegionCells
@@ -70,7 +70,7 @@ class ThermalRecord:
         of_region: Mapping[str, int],
         interfaces: Interfaces,
         bone: Sequence[str],
-        probes: Sequence[ProbedPoint],
+        probes: Mapping[str, Probe],
     ) -> None:
         self._comm, self._forms = forms.comm, forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
