@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 
 import pytest
 
-from app.cli import main
+import mantle
+from app.case.case import load
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.stepping import load_steps
@@ -75,10 +75,8 @@ def test_the_middle_one_of_three_states_is_told(start: float, state: int, tmp_pa
         "stages=[{name: gap}, {name: rest, steady: true}]",
         f"regions.cement.thermal.initial_temperature={start} degC",
     )
-    case = str(support.CONFIGS / "verification/heated_walls.yaml")
-    options = [word for change in changes for word in ("--set", change)]
-    assert main(["run", case, "-o", str(tmp_path / "out"), *options]) == 0
-    summary = json.loads((tmp_path / "out/summary.json").read_text())
+    case = load(support.CONFIGS / "verification" / "heated_walls.yaml", changes)
+    summary = mantle.run(case, tmp_path).summary
     pressure = summary["interfaces"]["metal_cement"]["pressure_mean"]
     assert pressure == pytest.approx(WALLS.states()[state].pressure, rel=1e-6, abs=1e-9)
     notes = [n for n in summary["notes"] if "stage 'rest' is not stable" in n]
