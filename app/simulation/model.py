@@ -26,12 +26,10 @@ from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results import gruen
 from app.results.balance import Balance
-from app.results.bond_strength import bonds
-from app.results.field_output import FieldGroup, HeatFields
+from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.interface_numbers import ContactSamples
-from app.results.mechanical_fields import MechanicalFields
 from app.results.stem_motion import stem_motion
-from app.results.stresses import Stresses
+from app.results.stresses import Stresses, bonds
 from app.scene.build import build_scene
 from app.scene.scene import Scene, Stage
 from app.simulation import coarser_case

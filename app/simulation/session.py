@@ -33,7 +33,7 @@ from app.simulation import checkpoint, finished_runs, variations
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model, Observer
 from app.simulation.recorder import OnAccepted, Recorder
-from app.soundness import plausibility, well_posedness
+from app.soundness import preview, well_posedness
 from app.stepping.load_steps import Summary
 from app.system import blas_check, form_cache, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
@@ -128,7 +128,7 @@ def run(
     late = str if walltime is None else stopping.WallTime(begin, walltime)
     options, asked = raw_options(petsc_options), (progress, restart, force)
     setup = Setup(comm, case, options, lambda: signalled() or late(), *asked, begin, started)
-    setup.note(plausibility.warnings(case.config))
+    setup.note(preview.warnings(case.config))
     with case.file.placing(), ExitStack() as held:
         on_root(comm, lambda: held.enter_context(claim(output)), share=False)
         if case.config.variations:
@@ -223,7 +223,7 @@ class _CaseRun:
             found = checkpoint.find(comm, setup.restart, output, case, setup.force)
         model = Model(case, comm, setup.options, setup.timing, setup.stop, setup.model)
         self._model = setup.model = model
-        self._notes = [*plausibility.warnings(case), *model.judge()]
+        self._notes = [*preview.warnings(case), *model.judge()]
         setup.note(self._notes)
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",

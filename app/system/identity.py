@@ -19,7 +19,7 @@ from app.version import __version__
 
 # Modules that no number of a run depends on: changing them leaves finished runs valid.
 OUTSIDE = re.compile(
-    r"app/(cli|(campaigns|command_line|report|verification)/.*|results/(reading|unrolled)"
+    r"app/(cli|(campaigns|command_line|report|verification)/.*|results/reading"
     r"|case/(explain|keys|new_case|study|sweep)|system/doctor|version)\.py"
 )
 MISSING = "missing"

@@ -179,7 +179,7 @@ def locking(run: Run, poisson_ratio: float) -> Sample:
 
 def klarbring(runs: Sequence[Run]) -> Sample:
     """Friction beyond which Klarbring's particle has several equilibria."""
-    from app.soundness.uniqueness import critical_friction  # brings the whole solver
+    from app.soundness.failure import critical_friction  # brings the whole solver
 
     K = np.diag([1.0, 1.0, 2.0])
     K[0, 2] = K[2, 0] = 0.8
