@@ -601,11 +601,11 @@ def test_a_stiffer_stem_bends_less_on_the_same_mesh(coarsened: Coarsened) -> Non
     assert min(s["stem"]["subsidence"] for s in (titanium, cobalt)) > 0
 
 
-SLOW = ("stance_cocr.yaml", "thermal_100C.yaml", "cure.yaml", "residual.yaml", "thermal_rings.yaml")
+QUICK = ("blocks.yaml", "cylinders.yaml", "stance.yaml")
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in COARSE]
+    "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in COARSE]
 )
 def test_shipped_configuration(name: str, coarsened: Coarsened) -> None:
     out, stderr = coarsened(name)
