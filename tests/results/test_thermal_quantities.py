@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import Bodies, bodies_of
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
-from tests import coupled, support
+from tests import coupled, frozen, support
 
 ZERO = 273.15
 BODIES = Bodies(("bone", "cement"), {"bone": 0, "cement": 1}, np.array([-1, 0, 1]))
@@ -346,17 +346,8 @@ def test_ranks_agree(ranks: int, tmp_path: Path) -> None:
     for n in (1, ranks):
         out = tmp_path / f"{n}.json"
         support.on_ranks(n, __file__, out)
-        found.append(dict(flat(json.loads(out.read_text()))))
+        found.append(dict(frozen.leaves(json.loads(out.read_text()), "")))
     assert found[1] == pytest.approx(found[0], rel=1e-9, abs=1e-12)
-
-
-def flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(value, dict | list):
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, inner in items:
-            yield from flat(inner, f"{name}.{key}")
-    else:
-        yield name, value
 
 
 def main(path: str) -> None:
