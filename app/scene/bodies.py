@@ -198,8 +198,7 @@ def contact_facets(
         own = np.full(len(numbers), i), numbers, bodies.of_tag[sides], dofs, x, inside
         rows.append((*own, stiffness[sides]))
     interface, numbers, of, dofs, x, inside, stiff = map(np.concatenate, zip(*rows, strict=True))
-    both = dofs[:, :3], dofs[:, 3:]
-    return sorted_facets(comm, interface, numbers, of, both, x, inside, stiff)
+    return sorted_facets(comm, interface, numbers, of, dofs, x, inside, stiff)
 
 
 def _at_facets(values: NDArray, f: FacetCells) -> NDArray:

@@ -19,8 +19,14 @@ from app.laws.supports import Support
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes, held_vertices
 from app.scene.scene import Scene
 from app.system.layout import point_text
-from meshes.contact_faces import projectors
-from meshes.contact_facets import NODES, InterfaceFacets, gather, nodal_normals, shape_functions
+from meshes.contact_facets import (
+    NODES,
+    InterfaceFacets,
+    gather,
+    nodal_normals,
+    projectors,
+    shape_functions,
+)
 from meshes.contact_points import Holds
 from meshes.distribute import TaggedMesh
 
@@ -84,7 +90,7 @@ def held_at(
     holds = held_vertices(tagged, bodies, space, supports, numbers)
     if frames is None:
         return holds, {}
-    dof = facets.vertex_dofs.ravel()[first][np.searchsorted(numbers, holds.vertex)]
+    dof = facets.dofs[:, :3].ravel()[first][np.searchsorted(numbers, holds.vertex)]
     rows = np.flatnonzero(np.isin(dof, frames.node))
     places, held = np.searchsorted(frames.node, dof[rows]), holds.support.copy()
     order = sorted(range(len(supports)), key=lambda s: supports[s].stages is None)
