@@ -11,7 +11,7 @@ import numpy as np
 from app.arrays import Floats
 from app.errors import GeometryError
 from meshes.data import MeshData, exterior_facets
-from meshes.gmsh_child import extract, generate, grade, session
+from meshes.gmsh_child import grade, session, tetrahedra
 from meshes.tags import assemble, number
 
 
@@ -47,8 +47,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         cosine = math.cos(geometry.tilt)
         distances = [f"((z-{level})-({slope})*(x-{lx / 2}))*{cosine}" for level in levels[1:-1]]
         grade(gmsh, distances, mesh.size, far_size if distances else mesh.size)
-        generate(gmsh, mesh.curved)
-        points, cells, entity = extract(gmsh)
+        points, cells, entity = tetrahedra(gmsh, mesh.curved)
     exterior = exterior_facets(cells)
     names = [block.name for block in blocks]
     boundaries = _boundaries(

@@ -10,7 +10,7 @@ import numpy as np
 from app.arrays import Floats
 from app.errors import GeometryError
 from meshes.data import MeshData, exterior_facets
-from meshes.gmsh_child import extract, generate, grade, session
+from meshes.gmsh_child import grade, session, tetrahedra
 from meshes.quality import POOR, sicn
 from meshes.tags import assemble, number
 
@@ -84,8 +84,7 @@ def _tetrahedra(geometry: Any, mesh: Any, radii: Radii, swept: bool) -> tuple[Fl
             f"(sqrt(x*x+y*y)-{radius}-({slope})*(z-{geometry.length / 2}))" for radius in radii[:2]
         ]
         grade(gmsh, distances, mesh.size, mesh.far_size or 4 * mesh.size)
-        generate(gmsh, mesh.curved)
-        return extract(gmsh)
+        return tetrahedra(gmsh, mesh.curved)
 
 
 def _solids(gmsh: Any, radii: Radii, rise: float, length: float, angle: float) -> None:
