@@ -54,11 +54,7 @@ def _full_disk(what: str) -> Iterator[None]:
 
 
 def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
-    """Write on rank 0; a failure stops every rank.
-
-    Raises:
-        StoppedError: The disk is full or the folder cannot be written.
-    """
+    """Write on rank 0; a full disk or a folder without rights stops every rank."""
 
     def guarded() -> None:
         with _full_disk(what):

@@ -135,9 +135,7 @@ class BodiesOnMesh:
     ) -> tuple[Floats, Floats]:
         """Resistance of contact, and of each body where all is bonded (6 n, 6 n) [mm2].
 
-        Args:
-            shears: Whether each interface resists sliding; None: all do.
-            absent: Open interfaces.
+        All interfaces resist sliding, or those of ``shears``; ``absent`` ones are open.
         """
         n = 6 * len(self._groups)
         K, M = np.zeros((n, n)), np.zeros((n, n))
