@@ -67,7 +67,6 @@ def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
 
 
 def sorted_facets(
-    comm: MPI.Comm,
     interface: Ints,
     vertices: Ints,
     bodies: Ints,
@@ -76,14 +75,11 @@ def sorted_facets(
     inside_slave: Floats,
     stiffness: Floats,
 ) -> InterfaceFacets:
-    """Gather the facets of every rank and put them in canonical order.
+    """Put the facets of all ranks in canonical order.
 
     Arguments are those of `InterfaceFacets` in any order of the facets and of the vertices in them,
     and a point inside each slave cell (f, 3) [mm].
     """
-    interface, vertices, bodies, dofs, nodes, inside_slave, stiffness = gather(
-        comm, interface, vertices, bodies, dofs, nodes, inside_slave, stiffness
-    )
     # The three vertices of a facet in rising order, then the facets by interface and vertices.
     order = np.argsort(vertices, axis=1)
     vertices = np.take_along_axis(vertices, order, axis=1)
@@ -140,13 +136,13 @@ def shape_functions(at: Floats, nodes: int) -> Floats:
     return np.concatenate([at * (2 * at - 1), middles], axis=1)
 
 
-def faces_around(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, Floats, Ints]:
+def faces_around(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, Ints, Floats]:
     """Group the facets around each of n points into faces.
 
     ``point`` is the contact point of each facet corner, -1 where not enforced (3 f,).
 
     Returns:
-        Normals (n, 3, 3), areas (n, 3) [mm2] and number of faces (n,).
+        Normals (n, 3, 3) and number of faces (n,), total area (n,) [mm2].
     """
     label = _smooth_groups(facets)
     used = point >= 0
@@ -156,14 +152,15 @@ def faces_around(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, 
     np.add.at(area, group, corner_area)
     np.add.at(normal, group, corner_area[:, None] * corner_normal)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    normals, areas, faces = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.ones(n, dtype=np.int64)
+    normals, faces, weight = np.zeros((n, 3, 3)), np.ones(n, dtype=np.int64), np.zeros(n)
     owner = groups[:, 0]
-    normals[owner, 0], areas[owner, 0] = normal, area
+    normals[owner, 0] = normal
+    np.add.at(weight, owner, area)
     for rows in shared(owner):
-        p = owner[rows[0]]
-        ns, areas_p = _distinct(normal[rows], area[rows])
-        normals[p, : len(ns)], areas[p, : len(ns)], faces[p] = ns, areas_p, len(ns)
-    return normals, areas, faces
+        ns = _distinct(normal[rows], area[rows])
+        p, faces[p] = owner[rows[0]], len(ns)
+        normals[p, : len(ns)] = ns
+    return normals, faces, weight
 
 
 def _smooth_groups(facets: InterfaceFacets) -> Ints:
@@ -187,45 +184,37 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
     return connected(3 * f, one.ravel(), two.ravel())
 
 
-def _distinct(normals: Floats, areas: Floats) -> tuple[Floats, Floats]:
+def _distinct(normals: Floats, areas: Floats) -> Floats:
     """At most three independent faces: the largest kept, the others merged into the nearest."""
     order = np.lexsort((normals[:, 2], normals[:, 1], normals[:, 0], -np.round(areas, 9)))
     ns: list[Floats] = []
     sums: list[Floats] = []
-    sizes: list[float] = []
     for n, area in zip(normals[order], areas[order], strict=True):
         candidate = np.array([*ns, n])
         if len(ns) < MAX_FACES and np.linalg.det(candidate @ candidate.T) > INDEPENDENT:
             ns.append(n)
             sums.append(area * n)
-            sizes.append(area)
             continue
         k = int(np.argmax(np.array(ns) @ n))
-        sizes[k] += area
         if ns[k] @ n > 0:
             sums[k] = sums[k] + area * n
             ns[k] = sums[k] / np.linalg.norm(sums[k])
-    return np.array(ns), np.array(sizes)
+    return np.array(ns)
 
 
-def drop_held(normals: Floats, areas: Floats, faces: Ints, held: Floats) -> None:
+def drop_held(normals: Floats, faces: Ints, held: Floats) -> None:
     """Project constrained directions out of the normals, in place; empty faces are dropped.
 
-    Args:
-        normals: Of the faces of each point (n, 3, 3).
-        areas: Of the faces (n, 3) [mm2].
-        faces: Their number (n,).
-        held: Projectors on constrained directions (n, 3, 3).
+    ``held`` are projectors on the constrained directions of each point (n, 3, 3).
     """
     for p in np.flatnonzero(held.any(axis=(1, 2))):
         ns = normals[p, : faces[p]] @ (np.eye(3) - held[p])
         size = np.linalg.norm(ns, axis=1)
         left = size > INDEPENDENT
-        normals[p], areas[p], faces[p] = 0, [areas[p].sum(), 0, 0], 0
+        normals[p], faces[p] = 0, 0
         if left.any():
-            kept, shares = _distinct(ns[left] / size[left, None], np.ones(left.sum()))
+            kept = _distinct(ns[left] / size[left, None], np.ones(left.sum()))
             normals[p, : len(kept)], faces[p] = kept, len(kept)
-            areas[p, : len(kept)] = areas[p, 0] * shares / shares.sum()
 
 
 def projectors(axes: Floats, which: Bools | Floats) -> Floats:

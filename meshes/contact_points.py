@@ -3,7 +3,7 @@
 A contact point is a mesh vertex seen from one interface. It carries the jump of that interface (the
 displacement of the slave side minus that of the master side), the normals of its faces (facets that
 meet at less than 30 degrees are one face; a vertex on an edge has two faces, on a corner three) and
-their areas: for each facet around it the integral of its linear shape function, a third of the
+its area: for each facet around it the integral of its linear shape function, a third of the
 facet where it is flat. On curved cells normals are those of the curved facets, so that a smooth
 surface is one face however coarse the mesh.
 
@@ -71,7 +71,6 @@ class ContactPoints:
         bodies: Bodies (master, slave) (n, 2).
         faces: Number of faces, 1 to 3, or 0 where supports hold every component (n,).
         normals: Unit normals of the faces, zero beyond ``faces`` (n, 3, 3).
-        areas: Area of each face (n, 3) [mm2].
         weight: Area of the point (n,) [mm2].
         given: Supports (master, slave) that fix each component of the jump, -1 where it is free
             (n, 3, 2).
@@ -87,7 +86,6 @@ class ContactPoints:
     bodies: Ints
     faces: Ints
     normals: Floats
-    areas: Floats
     weight: Floats
     given: Ints
     axes: Floats
@@ -98,11 +96,6 @@ class ContactPoints:
     def held(self) -> Bools:
         """Components of the jump prescribed by supports (n, 3)."""
         return self.given[:, :, 0] >= 0
-
-    @property
-    def held_part(self) -> Floats:
-        """Projectors on the prescribed part of the jump (n, 3, 3)."""
-        return projectors(self.axes, self.held)
 
 
 @dataclass(frozen=True)
@@ -143,14 +136,14 @@ def contact_points(
     bodies, n = every[kept, 2:], len(vertex)
     corner_point = np.where(kept, np.cumsum(kept) - 1, -1)[of]
     triangles = corner_point.reshape(-1, 3)
-    normals, areas, faces = faces_around(facets, corner_point, n)
+    normals, faces, weight = faces_around(facets, corner_point, n)
     stiffness = np.zeros((len(every), 2))
     np.maximum.at(stiffness, of, facets.stiffness[facet])
     given, signs = _jumps_at_vertices(vertex, bodies, stiffness[kept], holds)
     local_axes = np.tile(np.eye(3), (n, 1, 1))
     for p in np.flatnonzero(np.isin(vertex, list(axes))):
         local_axes[p] = axes[int(vertex[p])]
-    drop_held(normals, areas, faces, projectors(local_axes, given[:, :, 0] >= 0))
+    drop_held(normals, faces, projectors(local_axes, given[:, :, 0] >= 0))
     whole = (triangles >= 0).all(axis=1)
     of_interface = [np.flatnonzero(whole & (facets.interface == i)) for i in range(interfaces)]
     points = ContactPoints(
@@ -161,8 +154,7 @@ def contact_points(
         bodies=bodies,
         faces=faces,
         normals=normals,
-        areas=areas,
-        weight=areas.sum(axis=1),
+        weight=weight,
         given=given,
         axes=local_axes,
         triangles=tuple(triangles[f] for f in of_interface),
@@ -270,10 +262,8 @@ def _at_edges(
     is exact for translations, for rotations and for a widening in the plane of the edge. Without
     it, the opening of a cylinder is lost between its nodes at second order.
 
-    Takes the moves of the vertices by body and point, as (3, 3) blocks.
-
-    Returns:
-        Body, dof of the edge, point and block of each move.
+    Takes body, point and (3, 3) block of each move of a vertex; returns body, dof of the edge,
+    point and block of each move of an edge node.
     """
     # Every (edge, body) of the interfaces once, with both ends; vertices are sorted, so that an
     # edge runs the same way in every facet.
