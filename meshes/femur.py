@@ -14,10 +14,9 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from meshes import femur_bone, swept
-from meshes.data import MeshData, facet_areas
+from meshes.data import MeshData, assemble, facet_areas, number
 from meshes.femur_bone import PATCH_RADIUS
 from meshes.femur_surfaces import FemurSurfaces
-from meshes.tags import assemble, number
 
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
 INTERFACES = {
@@ -50,15 +49,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "resection": bone & made.on(facets, s=surfaces.cut),
     }
     masks |= patches(made.nodes.x, facets, masks["bone_surface"])
-    data = assemble(
-        made.nodes.x,
-        made.cells,
-        tags,
-        regions,
-        INTERFACES,
-        masks,
-        (facets, owner),
-    )
+    data = assemble(made.nodes.x, made.cells, tags, regions, INTERFACES, masks, facets)
     head = [geometry.head_offset, 0.0, geometry.head_height]
     notes = {"head_centre": head, "layers": made.describe()}
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)

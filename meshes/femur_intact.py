@@ -20,12 +20,11 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from meshes import swept
-from meshes.data import MeshData
+from meshes.data import MeshData, assemble, number
 from meshes.femur import patches
 from meshes.femur_surfaces import SPREAD, FemurSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
-from meshes.tags import assemble, number
 
 REGIONS = ("cortical_bone", "cancellous_bone")
 # Radius of the neck at the axis of the shaft and at the head's centre, over that of the head.
@@ -180,13 +179,11 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     made = swept.mesh(surfaces, mesh.curved)
     regions = number(REGIONS)
     tags = np.array([regions[name] for name in made.names])[made.region]
-    facets, owner = made.facets
+    facets, _ = made.facets
     distal, head = made.on(facets, s=0), made.above(facets, surfaces.neck)
     masks = {"distal_cut": distal, "bone_surface": ~distal, "head": head}
     masks |= patches(made.nodes.x, facets, made.on(facets, rho=4) & ~head)
-    data = assemble(
-        made.nodes.x, made.cells, tags.astype(np.int32), regions, {}, masks, (facets, owner)
-    )
+    data = assemble(made.nodes.x, made.cells, tags, regions, {}, masks, facets)
     head_centre = [geometry.head_offset, 0.0, geometry.head_height]
     notes = {"head_centre": head_centre, "layers": made.describe()}
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
