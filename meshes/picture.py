@@ -68,32 +68,30 @@ def cut(points: Floats, cells: Ints, axis: int, at: float) -> list[tuple[Floats,
     ]
 
 
-def straight(data: MeshData) -> tuple[Floats, Ints, Ints]:
-    """Nodes, straight cells (m, 4) and the cells that they are of (m,): eight of a curved one."""
-    parts = np.array(PARTS if data.curved else [(0, 1, 2, 3)])
-    cells = data.cells[:, parts].reshape(-1, 4)
-    return data.points, cells, np.repeat(np.arange(len(data.cells)), len(parts))
-
-
-def section(
-    points: Floats, cells: Ints, whole: Ints, axis: int, at: float
-) -> tuple[list[tuple[Floats, Ints]], Floats, Ints]:
-    """Cut tetrahedra by a plane as `cut`; some may be parts of a ``whole`` (m,).
+def section(data: MeshData, axis: int, at: float) -> tuple[list[tuple[Floats, Ints]], Floats, Ints]:
+    """Cut cells by a plane as `cut`, curved ones as the eight straight ones that share their nodes.
 
     Returns:
-        Corners of polygons and the wholes they are of; the edges of the wholes' sections (n, 2, 3)
-        and the whole of each (n,).
+        Corners of polygons and their cells; the edges of the cells' sections (n, 2, 3) and the cell
+        of each (n,).
     """
-    polygons = [(corners, whole[part]) for corners, part in cut(points, cells, axis, at)]
+    parts = np.array(PARTS if data.curved else [(0, 1, 2, 3)])
+    cut_parts = cut(data.points, data.cells[:, parts].reshape(-1, 4), axis, at)
+    polygons = [(corners, part // len(parts)) for corners, part in cut_parts]
+    return polygons, *outlines(polygons)
+
+
+def outlines(polygons: Iterable[tuple[Floats, Ints]]) -> tuple[Floats, Ints]:
+    """Edges (n, 2, 3) around the polygons (k, corners, 3) of each owner (k,), and their owners."""
     edges = [np.stack([x, np.roll(x, -1, axis=1)], axis=2).reshape(-1, 2, 3) for x, _ in polygons]
     ends = np.concatenate(edges)
     owner = np.concatenate([np.repeat(of, x.shape[1]) for x, of in polygons])
-    # Edges shared by two parts are inside the whole.
+    # An edge that two polygons share is inside.
     span = np.abs(ends[:, 1] - ends[:, 0])
     keys = np.column_stack([owner, np.round(ends.sum(axis=1), 6), np.round(span, 6)])
     _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
     outer = first[times == 1]
-    return polygons, ends[outer], owner[outer]
+    return ends[outer], owner[outer]
 
 
 def picture(data: MeshData, path: Path) -> None:
@@ -137,10 +135,9 @@ def _sections(
 
     colours = colours_of(data.regions)
     shown = {tag: colours[name] for name, tag in data.regions.items()}
-    parts = straight(data)
     for ax, (place, axis, at) in zip(axes, planes, strict=True):
         u, v = (i for i in range(3) if i != axis)
-        polygons, outlines, _ = section(*parts, axis, at)
+        polygons, outlines, _ = section(data, axis, at)
         for x, cell in polygons:
             face, flat = [shown[int(tag)] for tag in data.cell_tags[cell]], list(x[:, :, [u, v]])
             ax.add_collection(PolyCollection(flat, color=face, linewidths=0.3))

@@ -31,7 +31,7 @@ from app.system.folders import csv_text, saved, write_json, write_text
 from app.version import __version__
 from meshes.distribute import TaggedMesh
 
-UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
+UNITS = {what.partition(" ")[2]: unit for unit, what in quantities.UNITS.items() if unit != "-"}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
 SECTION = "temperature_section.png"
 # Files written at the end, and all of a run directory.
@@ -54,11 +54,7 @@ def _full_disk(what: str) -> Iterator[None]:
 
 
 def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
-    """Write on rank 0; a failure stops every rank.
-
-    Raises:
-        StoppedError: The disk is full or the folder cannot be written.
-    """
+    """Write on rank 0; a full disk or a folder without rights stops every rank."""
 
     def guarded() -> None:
         with _full_disk(what):

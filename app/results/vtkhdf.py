@@ -190,11 +190,7 @@ def write_last_step(path: Path, target: Path) -> None:
 
 
 def _cut(path: Path, points: int, cells: int, steps: int) -> None:
-    """Truncate a file to some steps.
-
-    Raises:
-        OSError: It is not there, damaged, of another grid, or has too few.
-    """
+    """Truncate a file to some steps; OSError if it is damaged, of another grid, or has too few."""
     try:
         with _edit(path, 0) as root:
             known = int(root["Steps"].attrs["NSteps"])
@@ -239,11 +235,7 @@ def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> 
 
 @contextmanager
 def _edit(path: Path, size: int) -> Iterator[h5py.Group]:
-    """Open the file to add arrays of some bytes.
-
-    Raises:
-        OSError: There is no room, or the file cannot be written.
-    """
+    """Open the file to add arrays of some bytes; OSError if there is no room for them."""
     with path.open("r+b") as plain:
         end = plain.seek(0, os.SEEK_END)
         try:

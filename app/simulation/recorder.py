@@ -23,7 +23,7 @@ from app.results.interface_numbers import ContactSamples
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import Stage
 from app.simulation.model import Model
-from app.soundness import uniqueness
+from app.soundness import failure
 from app.stepping.heat_state import HeatStep
 from app.stepping.load_steps import LoadStep, Summary
 from app.system.timing import Timing, peak_memory
@@ -96,7 +96,9 @@ class Recorder:
         if m := model.mechanics:
             with timing.phase("assemble"):
                 self._balance = m.balance(about)
-                self._critical = uniqueness.check(m.problem)
+                self._critical, beyond = failure.beyond_critical(m.problem)
+            for sentence in beyond:
+                log.warning("%s", sentence)
             probes = case.output.probes
             points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
             p = m.problem

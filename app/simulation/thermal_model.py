@@ -8,10 +8,9 @@ from app.case.case import Case
 from app.heat.flows import stored, through
 from app.heat.initial_jump import InitialJump
 from app.heat.nodes import ProbedPoint
+from app.results.balance import HeatBalance
 from app.results.cure_record import CureRecord
-from app.results.heat_balance import HeatBalance
-from app.results.interface_heat import exchange
-from app.results.thermal_record import ThermalRecord
+from app.results.thermal_record import ThermalRecord, exchange
 from app.stepping.heat_state import HeatState, HeatStep
 
 # Heat below this multiple of its rounding error in a step counts as zero.

@@ -9,7 +9,7 @@ import pytest
 from dolfinx import fem
 
 from app.arrays import Floats
-from app.results.bond_strength import bonds
+from app.results.stresses import bonds
 from tests import support
 from tests.heated import Heated, expanding
 

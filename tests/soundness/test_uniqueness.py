@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
 import pytest
 
 from app.arrays import Floats
-from app.soundness import uniqueness
-from app.soundness.uniqueness import critical_friction
+from app.soundness.failure import beyond_critical, critical_friction
 from tests import support
 
 # Relative distance from the critical coefficient at which sides are told apart.
@@ -154,19 +151,16 @@ supports:
 """
 
 
-def test_a_run_warns_beyond_it_and_only_there(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING, logger="mantle"):
-        problem, _ = support.assemble(support.case(STACK.format(friction=0.5)))
-        least = uniqueness.check(problem)["lower_upper"]
-        assert 1 < least < 10
-        assert not caplog.records
-        problem, _ = support.assemble(support.case(STACK.format(friction=least * 1.01)))
-        assert uniqueness.check(problem) == pytest.approx({"lower_upper": least})
-    (record,) = caplog.records
-    text = record.getMessage()
+def test_it_is_told_beyond_it_and_only_there() -> None:
+    def found(friction: float) -> tuple[dict[str, float], list[str]]:
+        return beyond_critical(support.assemble(support.case(STACK.format(friction=friction)))[0])
+
+    critical, told = found(0.5)
+    assert 1 < critical["lower_upper"] < 10 and not told
+    again, (text,) = found(1.01 * critical["lower_upper"])
+    assert again == pytest.approx(critical)
     assert "of its points" in text and "may not be unique" in text
-    problem, _ = support.assemble(support.case(STACK.format(friction=0)))
-    assert uniqueness.check(problem) == {}
+    assert found(0) == ({}, [])
 
 
 def test_stiffness_of_points_is_that_of_the_jump_block() -> None:

@@ -255,7 +255,7 @@ def test_heated_walls_have_one_or_three_states() -> None:
     assert several.excess(middle.pressure * 1.01) > 0 > several.excess(closed.pressure * 1.01)
     for walls, state in ((unique, only), (several, middle), (several, closed)):
         assert walls.excess(state.pressure) == pytest.approx(0, abs=1e-12)
-        h = walls.open + walls.per_pressure * state.pressure
+        h = walls.h0 + walls.h1 * state.pressure
         assert state.flux == pytest.approx(h * (state.first - state.second))
         hot = walls.temperatures[0] - state.flux * walls.lengths[0] / walls.conductivities[0]
         assert state.first == pytest.approx(hot)
