@@ -38,7 +38,7 @@ from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
-from app.stepping.heated_mechanics import HeatedMechanics, SolvedAfterHeat, SolvedWithHeat
+from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
 from app.stepping.stages import run_stages
 from app.system import folders
@@ -233,7 +233,7 @@ class Model:
                 t.update(accepted)
                 on_heat(step, accepted)
 
-            beside: HeatedMechanics | None = None
+            beside: SolvedAfterHeat | SolvedWithHeat | None = None
             if load_stepper and (coupled := t.heating.coupled):
                 beside = SolvedWithHeat(load_stepper, t.heating, coupled)
             elif load_stepper:

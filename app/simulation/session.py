@@ -24,7 +24,7 @@ from app.errors import (
     agree,
     on_root,
 )
-from app.numerics.condition import condition_number
+from app.numerics.krylov import condition_number
 from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results import error_estimate

@@ -17,7 +17,7 @@ import meshes
 from app.case.case import Case, load
 from app.cli import main
 from app.errors import ConvergenceError, GeometryError, InputError
-from app.numerics.active_set import ActiveSet
+from app.numerics.newton import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
 from app.soundness import preview, well_posedness
 from app.soundness.mesh_parts import gaps_of, groups_of
