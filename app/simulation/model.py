@@ -23,11 +23,10 @@ from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
-from app.results import gruen
 from app.results.balance import Balance
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
+from app.results.hip import by_zone, stem_motion
 from app.results.interface_numbers import ContactSamples
-from app.results.stem_motion import stem_motion
 from app.results.stresses import Stresses, bonds
 from app.scene.build import build_scene
 from app.scene.scene import Scene, Stage
@@ -302,7 +301,7 @@ class Model:
             from meshes.gruen import Zones  # brings scipy, which few runs need
 
             zones = Zones(self._case.geometry)
-            found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
+            found["gruen"] = by_zone(m.problem, m.stresses, samples, zones)
         return found
 
     def relative(self, case: Case) -> dict[str, Any]:
