@@ -32,8 +32,7 @@ from app.results.interface_numbers import ContactSamples
 from app.results.mechanical_fields import MechanicalFields
 from app.results.stem_motion import stem_motion
 from app.results.stresses import Stresses
-from app.scene.build import build_scene
-from app.scene.scene import Scene, Stage
+from app.scene.scene import Scene, Stage, build_scene
 from app.simulation import coarser_case
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, well_posedness

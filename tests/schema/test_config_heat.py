@@ -15,8 +15,7 @@ from app.errors import InputError
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import FixedTemperature
 from app.laws.values import multiplier
-from app.scene.build import build_scene
-from app.scene.scene import Scene, Stage
+from app.scene.scene import Scene, Stage, build_scene
 from app.schema import units
 from tests import support
 
