@@ -78,15 +78,20 @@ def section(data: MeshData, axis: int, at: float) -> tuple[list[tuple[Floats, In
     pieces = PIECES if data.curved else ((0, 1, 2, 3),)
     parts = cut(data.points, data.cells[:, np.array(pieces)].reshape(-1, 4), axis, at)
     polygons = [(corners, piece // len(pieces)) for corners, piece in parts]
+    return polygons, *outlines(polygons)
+
+
+def outlines(polygons: Iterable[tuple[Floats, Ints]]) -> tuple[Floats, Ints]:
+    """Edges (n, 2, 3) around the polygons (k, corners, 3) of each owner (k,), and their owners."""
     edges = [np.stack([x, np.roll(x, -1, axis=1)], axis=2).reshape(-1, 2, 3) for x, _ in polygons]
     ends = np.concatenate(edges)
-    owner = np.concatenate([np.repeat(cell, x.shape[1]) for x, cell in polygons])
-    # Facets shared by two pieces of a cell are inside it.
+    owner = np.concatenate([np.repeat(of, x.shape[1]) for x, of in polygons])
+    # An edge that two polygons share is inside.
     span = np.abs(ends[:, 1] - ends[:, 0])
     keys = np.column_stack([owner, np.round(ends.sum(axis=1), 6), np.round(span, 6)])
     _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
     outer = first[times == 1]
-    return polygons, ends[outer], owner[outer]
+    return ends[outer], owner[outer]
 
 
 def picture(data: MeshData, path: Path) -> None:

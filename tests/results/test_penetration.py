@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from app.arrays import Floats, Ints
-from app.results.penetration import LATTICE, gaps
+from app.results.interface_numbers import LATTICE, gaps
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 from tests.support import STEM, Solved, solve
 
