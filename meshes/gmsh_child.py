@@ -25,7 +25,7 @@ import numpy.typing as npt
 from app.arrays import Floats, Ints
 from app.captured import captured
 from app.errors import GeometryError, MantleError
-from meshes.curving import untangle
+from meshes.quality import untangle
 
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 LOG_LINES = 6  # of gmsh's log, quoted when it fails

@@ -11,11 +11,17 @@ import numpy as np
 
 from app.arrays import Ints
 from app.errors import GeometryError
-from meshes.curving import bent, untangle
-from meshes.data import MeshData, cell_volumes, exterior_facets, interface_facets, same_triangles
+from meshes.data import (
+    MeshData,
+    assemble,
+    cell_volumes,
+    exterior_facets,
+    interface_facets,
+    number,
+    same_triangles,
+)
 from meshes.gmsh_child import MILLIMETRES, read, session
-from meshes.quality import overlapping, places
-from meshes.tags import assemble, number
+from meshes.quality import bent, overlapping, places, untangle
 
 # Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
@@ -64,7 +70,7 @@ def _named(geometry: Any, found: Mapping[str, Any]) -> MeshData:
     negative = cell_volumes(points, cells) < 0
     cells[negative] = cells[negative][:, _MIRROR[cells.shape[1]]]
     try:
-        overlap, exterior = overlapping(cells), exterior_facets(cells)
+        overlap, (facets, _) = overlapping(cells), exterior_facets(cells)
     except ValueError as error:
         raise GeometryError(f"{path}: {error}; the mesh is not conforming") from error
     if len(overlap):
@@ -78,10 +84,10 @@ def _named(geometry: Any, found: Mapping[str, Any]) -> MeshData:
         points = untangle(points, cells)
     masks = {}
     for name, block in surfaces.items():
-        keys, wanted = same_triangles(exterior[0][:, :3], rows(block[:, :3]))
+        keys, wanted = same_triangles(facets[:, :3], rows(block[:, :3]))
         masks[name] = np.isin(keys, wanted)
     boundaries = {name: mask for name, mask in masks.items() if mask.any()}
-    data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, exterior)
+    data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
     turned = (
         f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes inside "
         "out: they are turned, and no cell overlaps its neighbours"
