@@ -33,7 +33,7 @@ from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
 from app.results.reading import Results
 from app.results.stresses import Stresses
-from app.scene.build import build_scene
+from app.scene.scene import build_scene
 from app.stepping.load_steps import LoadStep, LoadStepper
 from app.stepping.stages import run_stages
 from app.system import form_cache, ranks
