@@ -42,16 +42,10 @@ def conduction_potential(τ: Expr, h: Any) -> Expr:
     return h / 2 * τ**2
 
 
-def flux(τ: Expr, h: Any) -> Expr:
-    r"""Heat from master to slave :math:`q = -∂(\tfrac12 h τ^2)/∂τ = h (θ - θ')`, eq. 14 with +."""
-    t = variable(τ)
-    return strip_variables(expand_derivatives(-diff(conduction_potential(t, h), t)))
-
-
 def flux_and_derivatives(
     p: Expr, τ: Expr, open_: Any, per_pressure: Any, cap: Any
 ) -> tuple[Expr, Expr, Expr]:
-    """Heat from master to slave q, dq/dτ and dq/dp."""
+    """Heat from master to slave q = h (θ - θ'), eq. 14 with +; dq/dτ and dq/dp."""
     s, t = variable(p), variable(τ)
     q = -diff(conduction_potential(t, conductance(s, open_, per_pressure, cap)), t)
     # The labels of variables differ from run to run; without them compiled forms are found again.

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from app.arrays import Floats, Ints
-from meshes import femur_bone, swept
+from meshes import swept
 from meshes.data import MeshData, facet_areas
-from meshes.femur_bone import PATCH_RADIUS
 from meshes.femur_surfaces import FemurSurfaces
 from meshes.tags import assemble, number
 
+PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
 INTERFACES = {
     "stem_cement": (("stem",), ("cement",)),
@@ -30,7 +30,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     """Mesh the femur: four regions, two interfaces.
 
     Boundaries are distal_cut, bone_surface, stem_trunnion, resection and five muscle patches;
-    notes have the head centre and layers. ``mesh`` has ``size``, ``far`` [mm] and ``curved``.
+    notes have the head centre and layers. ``mesh`` are options of a case.
 
     Raises:
         GeometryError: The stem does not fit the canal (with the place), or its neck or shoulder
@@ -38,45 +38,47 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     """
     surfaces = FemurSurfaces(geometry, mesh)
     made = swept.mesh(surfaces, mesh.curved)
-    regions = number(REGIONS)
-    tags = np.array([regions[name] for name in made.names])[made.region]
     facets, owner = made.facets
-    own = tags[owner]
-    bone = np.isin(own, [regions["cortical_bone"], regions["cancellous_bone"]])
+    bone = np.array([name.endswith("bone") for name in made.names])[made.region[owner]]
     masks = {
         "distal_cut": made.on(facets, s=0),
         "bone_surface": made.on(facets, rho=4),
         "stem_trunnion": made.on(facets, s=surfaces.cut + surfaces.segments[-1].steps),
         "resection": bone & made.on(facets, s=surfaces.cut),
     }
-    masks |= patches(made.nodes.x, facets, masks["bone_surface"])
-    data = assemble(
-        made.nodes.x,
-        made.cells,
-        tags,
-        regions,
-        INTERFACES,
-        masks,
-        (facets, owner),
-    )
-    head = [geometry.head_offset, 0.0, geometry.head_height]
-    notes = {"head_centre": head, "layers": made.describe()}
+    return assembled(geometry, made, REGIONS, INTERFACES, masks)
+
+
+def assembled(
+    geometry: Any,
+    made: swept.Swept,
+    regions: tuple[str, ...],
+    interfaces: dict[str, Any],
+    masks: dict[str, Any],
+) -> MeshData:
+    """The mesh with tags, muscle patches and notes; masks are over its exterior facets."""
+    tag_of = number(regions)
+    tags = np.array([tag_of[name] for name in made.names])[made.region]
+    facets, _ = made.facets
+    masks |= _patches(geometry, made.nodes.x, facets, made.on(facets, rho=4))
+    data = assemble(made.nodes.x, made.cells, tags, tag_of, interfaces, masks, made.facets)
+    notes = {"head_centre": list(geometry.head_centre), "layers": made.describe()}
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
 
 
-def patches(points: Floats, facets: Ints, surface: Any) -> dict[str, Any]:
+def _patches(geometry: Any, points: Floats, facets: Ints, surface: Any) -> dict[str, Any]:
     """Masks over exterior facets of the bone, for each muscle attachment.
 
     A patch is the facets nearest to the insertion with the total area of a disc of `PATCH_RADIUS`,
     exact to half a facet.
     """
-    outer = femur_bone.outer(-np.inf)
-    places = femur_bone.insertions(outer)
     own = np.flatnonzero(surface)
     centre = points[facets[own][:, :3]].mean(axis=1)
     areas = facet_areas(points, facets[own])
     masks = {}
-    for name, place in places.items():
+    for name, place in geometry.points.items():
+        if name == "head_centre":
+            continue
         order = np.argsort(np.round(((centre - place) ** 2).sum(axis=1), 6), kind="stable")
         total = np.cumsum(areas[order]) - 0.5 * areas[order]
         chosen = order[: max(1, int((total <= np.pi * PATCH_RADIUS**2).sum()))]

@@ -65,16 +65,6 @@ CANAL = np.array(
     ]
 )
 TROCHANTER = (6.0, np.radians(-20.0), 0.40, 8.0)  # lesser: height, angle, spread in angle and z
-# Insertions (physics note 4.4, from the head centre of the default femur) in model coordinates;
-# vastus lateralis on the lateral shaft below the greater trochanter.
-MUSCLES = {
-    "gluteus_medius": (-30.0, -18.0, 28.0),
-    "gluteus_minimus": (-26.0, 4.0, 27.0),
-    "gluteus_maximus": (-4.0, -9.0, -49.0),
-    "psoas": (28.0, -2.0, -7.0),
-    "vastus_lateralis": (-15.0, 4.0, -25.0),
-}
-PATCH_RADIUS = 8.0
 CORTEX = 2.5  # mm of cortical bone that are left where the canal comes near the periosteum
 
 
@@ -86,13 +76,11 @@ class Tube:
         table: Rows z, lateral, medial, antero-posterior half-width, exponent.
         bump: Height, angle, angular spread, axial spread of a Gaussian bump at z = 0.
         offset: Added to the radius [mm].
-        bottom: Lowest level [mm]; the highest is the table's.
     """
 
     table: Floats
-    bump: tuple[float, float, float, float]
-    offset: float
-    bottom: float
+    bump: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
+    offset: float = 0.0
 
     @property
     def top(self) -> float:
@@ -113,45 +101,26 @@ class Tube:
             -1 / n
         )
         height, angle, spread, length = self.bump
-        if height == 0:
-            return np.asarray(r + self.offset)
         turn = np.angle(np.exp(1j * (theta - angle)))
         return r + self.offset + height * np.exp(-((turn / spread) ** 2) - (z / length) ** 2)
 
 
-def outer(bottom: float) -> Tube:
-    """The periosteal surface, from the distal cut."""
-    return Tube(OUTER, TROCHANTER, 0.0, bottom)
+PERIOSTEUM = Tube(OUTER, TROCHANTER)
 
 
-def canal(bottom: float, widening: float) -> Tube:
-    """The endosteal surface, reamed by ``widening`` [mm]."""
-    return Tube(CANAL, (0.0, 0.0, 1.0, 1.0), widening, bottom)
-
-
-def endosteum(bottom: float, widening: float) -> Callable[[Floats, Floats], Floats]:
+def endosteum(widening: float) -> Callable[[Floats, Floats], Floats]:
     """Distance of the endosteum from the z axis [mm]: reaming leaves `CORTEX` of the bone."""
-    inside, outside = canal(bottom, widening), outer(bottom)
+    inside = Tube(CANAL, offset=widening)
 
     def radius(theta: Floats, z: Floats) -> Floats:
-        return np.minimum(inside.radius(theta, z), outside.radius(theta, z) - CORTEX)
+        return np.minimum(inside.radius(theta, z), PERIOSTEUM.radius(theta, z) - CORTEX)
 
     return radius
-
-
-def insertions(bone: Tube) -> dict[str, Floats]:
-    """Muscle insertions, moved radially onto the outer surface [mm]."""
-    centres = {}
-    for name, (x, y, z) in MUSCLES.items():
-        theta = np.arctan2(y, x)
-        r = float(bone.radius(np.array(theta), np.array(z)))
-        centres[name] = np.array([r * np.cos(theta), r * np.sin(theta), z])
-    return centres
 
 
 def resection(geometry: Any) -> tuple[Floats, float]:
     """Unit normal n and level c of the resection: bone is kept where n.x < c."""
     angle = geometry.resection_angle
     normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
-    edge = outer(geometry.distal_cut_z).radius(np.array(0.0), np.array(geometry.resection_height))
+    edge = PERIOSTEUM.radius(np.array(0.0), np.array(geometry.resection_height))
     return normal, float(normal @ [float(edge), 0.0, geometry.resection_height])

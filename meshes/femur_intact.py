@@ -21,11 +21,10 @@ import numpy as np
 from app.arrays import Floats, Ints
 from meshes import swept
 from meshes.data import MeshData
-from meshes.femur import patches
+from meshes.femur import assembled
 from meshes.femur_surfaces import SPREAD, FemurSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
-from meshes.tags import assemble, number
 
 REGIONS = ("cortical_bone", "cancellous_bone")
 # Radius of the neck at the axis of the shaft and at the head's centre, over that of the head.
@@ -65,38 +64,36 @@ class Intact(FemurSurfaces):
         # From the head's centre back to where a ring is clear of the cut.
         self._back = max(self._meet, above - (CLEAR + dip) / rise)
         blend = above - self._meet
-        self.neck = self.cut + max(2, round(blend / self.size))
+        self.neck = self.cut + max(2, round(blend / self.mesh.size))
         self.mirrored = range(self.cut, self.neck)
         # The last section of the ball; beyond it the shell is closed by a lid.
         wide = WIDE * 2 * math.pi * self._radius / self.around
-        self.ball = self.neck + max(STEPS, round(ARC * self._radius / max(self.size, wide)))
+        self.ball = self.neck + max(STEPS, round(ARC * self._radius / max(self.mesh.size, wide)))
         bone = ("cancellous_bone", "cancellous_bone", "cancellous_bone", "cortical_bone")
         self.segments = (Segment(self.ball, bone), Segment(1, ("cortical_bone",) * 3))
 
-    def lines(self, phi: Floats, s: Floats) -> Lines:
-        """Lines in the sections of shaft and neck; lines of the head are not used."""
-        at = np.minimum(s, self.cut)
-        start, end, mantle, endosteum = self._across(phi, at)
+    def _beyond(self, lines: Lines, phi: Floats, s: Floats) -> None:
+        """Blend the lines at the cut into those of the neck; lines of the head are not used."""
         above = s > self.cut
-        if above.any():
-            turn, ratio = 2 * np.pi * phi[above], (mantle / endosteum)[above]
-            part = np.minimum((s[above] - self.cut) / (self.neck - self.cut), 1.0)
-            share = 1 - (1 - part) ** 2  # the neck is reached soon
-            centre, radius, cortex = self._ring(part)
-            out = np.cos(turn)[:, None] * self._medial + np.sin(turn)[:, None] * [0.0, 1.0, 0.0]
-            ring = centre + radius[:, None] * out
-            core = centre + CORE * radius[:, None] * out
-            f = share[:, None]
-            start[above] = (1 - f) * start[above] + f * core
-            end[above] = (1 - f) * end[above] + f * ring
-            inner = 1 - cortex / ((1 - CORE) * radius)
-            endosteum[above] = (1 - share) * endosteum[above] + share * inner
-            # The trochanter rises beyond the cut before it falls to the neck.
-            rise = RISE * 6.75 * part * (1 - part) ** 2 * (0.5 - 0.5 * np.cos(turn)) ** 2
-            end[above], endosteum[above] = _longer(start[above], end[above], endosteum[above], rise)
-            mantle[above] = (ratio + (SPREAD - ratio) * share) * endosteum[above]
-            endosteum[s > self.neck] = 1.0  # one cell through the shell of the head
-        return Lines(start, end, mantle, endosteum)
+        start, end, mantle, endosteum = (v[above] for v in vars(lines).values())
+        turn, ratio = 2 * np.pi * phi[above], mantle / endosteum
+        part = np.minimum((s[above] - self.cut) / (self.neck - self.cut), 1.0)
+        share = 1 - (1 - part) ** 2  # the neck is reached soon
+        f = share[:, None]
+        centre, radius, cortex = self._ring(part)
+        out = np.cos(turn)[:, None] * self._medial + np.sin(turn)[:, None] * [0.0, 1.0, 0.0]
+        ring = centre + radius[:, None] * out
+        start = (1 - f) * start + f * (centre + CORE * radius[:, None] * out)
+        inner = 1 - cortex / ((1 - CORE) * radius)
+        # The trochanter rises beyond the cut before it falls to the neck.
+        rise = RISE * 6.75 * part * (1 - part) ** 2 * (0.5 - 0.5 * np.cos(turn)) ** 2
+        end, endosteum = _longer(
+            start, (1 - f) * end + f * ring, (1 - share) * endosteum + share * inner, rise
+        )
+        lines.start[above], lines.end[above] = start, end
+        lines.mantle[above] = (ratio + (SPREAD - ratio) * share) * endosteum
+        lines.endosteum[above] = endosteum
+        lines.endosteum[s > self.neck] = 1.0  # one cell through the shell of the head
 
     def _ring(self, part: Floats) -> tuple[Floats, Floats, Floats]:
         """Centre, radius and cortical thickness of sections of the neck."""
@@ -170,23 +167,14 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     """Mesh the bone: two regions.
 
     Boundaries are distal_cut, bone_surface, head and five muscle patches, the last two parts of
-    bone_surface; notes have the head centre and layers. ``mesh`` has ``size``, ``far`` [mm] and
-    ``curved``.
+    bone_surface; notes have the head centre and layers. ``mesh`` are options of a case.
 
     Raises:
         GeometryError: The planned stem does not fit the canal.
     """
     surfaces = Intact(geometry.model_copy(update={"canal_widening": 0.0}), mesh)
     made = swept.mesh(surfaces, mesh.curved)
-    regions = number(REGIONS)
-    tags = np.array([regions[name] for name in made.names])[made.region]
-    facets, owner = made.facets
+    facets, _ = made.facets
     distal, head = made.on(facets, s=0), made.above(facets, surfaces.neck)
     masks = {"distal_cut": distal, "bone_surface": ~distal, "head": head}
-    masks |= patches(made.nodes.x, facets, made.on(facets, rho=4) & ~head)
-    data = assemble(
-        made.nodes.x, made.cells, tags.astype(np.int32), regions, {}, masks, (facets, owner)
-    )
-    head_centre = [geometry.head_offset, 0.0, geometry.head_height]
-    notes = {"head_centre": head_centre, "layers": made.describe()}
-    return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
+    return assembled(geometry, made, REGIONS, {}, masks)

@@ -23,7 +23,8 @@ from scipy.optimize.elementwise import find_root
 
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
-from meshes import femur_bone, femur_stem, grid
+from meshes import femur_bone, femur_stem
+from meshes.femur_bone import PERIOSTEUM
 from meshes.layers import DIGITS, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
 
@@ -91,7 +92,7 @@ class FemurSurfaces:
     """Nested surfaces of the operated femur as functions of angle and station, and their grid.
 
     Attributes:
-        size: Mesh size [mm].
+        mesh: Mesh options of the case.
         around: Number of lines around.
         through: Cells through each layer, at most.
         cement: Cells through the first layer; a fraction is the part, from the cut down, with one
@@ -106,26 +107,23 @@ class FemurSurfaces:
     mirrored = range(0)
 
     def __init__(self, geometry: Any, mesh: Any) -> None:
-        self.size = mesh.size  # below the plug it grows; GeometryError if lengths do not fit
+        self.mesh, thickness = mesh, geometry.cement_thickness
         self._body = femur_stem.body(geometry)
-        self._grown = self._body.offset(geometry.cement_thickness)
-        self._outer = femur_bone.outer(geometry.distal_cut_z)
-        self._canal = femur_bone.endosteum(geometry.distal_cut_z, geometry.canal_widening)
+        self._grown = self._body.offset(thickness)
+        self._canal = femur_bone.endosteum(geometry.canal_widening)
         normal, level = femur_bone.resection(geometry)
         self._top, self._steepest = level / normal[2], normal[0] / normal[2]
         plug = geometry.stem_tip_z - geometry.plug_length
-        below = grid.distances(plug - geometry.distal_cut_z, mesh, grid.BELOW)
-        above = grid.distances(self._top - geometry.stem_tip_z, mesh, grid.STEM)
-        parts = [_even(plug, geometry.stem_tip_z, self.size), (self._top - above)[-2::-1]]
-        self._zeta = np.concatenate([(plug - below)[::-1], *parts])
-        start = len(below) - 1
-        self.tip = start + len(parts[0])
+        below = _distances(mesh, plug - geometry.distal_cut_z, "below")
+        above = _distances(mesh, self._top - geometry.stem_tip_z, "stem")
+        steps, start = mesh.steps(geometry.stem_tip_z - plug), len(below) - 1
+        inside = plug + (geometry.stem_tip_z - plug) * np.arange(1, steps + 1) / steps
+        self._zeta = np.concatenate([(plug - below)[::-1], inside, (self._top - above)[-2::-1]])
+        self.tip = start + steps
         self.mantle = (start, len(self._zeta) - 1)
         self._middle = 0.25 * geometry.stem_tip_z + 0.75 * self._top
-        thickness = geometry.cement_thickness
-        self.around = grid.lines_around(self._body.section(self._middle), thickness, mesh)
-        self.through = grid.cells_through(thickness, mesh)
-        self.cement = grid.through_cement(thickness, mesh)
+        self.around = mesh.lines_around(self._body.section(self._middle), thickness)
+        self.through, self.cement = mesh.cells_through(thickness), mesh.along_cement(thickness)
         self._refuse()
         self._continue(geometry)
 
@@ -137,11 +135,11 @@ class FemurSurfaces:
     def _continue(self, geometry: Any) -> None:
         """Divide the stem above the cut."""
         self._neck, self._out = _neck(geometry, self._body, self._top, self._steepest)
-        out = 0 if self._out is None else grid.steps(self._out - self._top, self.size)
+        out = 0 if self._out is None else self.mesh.steps(self._out - self._top)
         base = self._top if self._out is None else self._out
         blend = float(np.linalg.norm(self._neck.ring - np.array([0.0, 0.0, base])))
         cone = float(np.linalg.norm(self._neck.head - self._neck.ring))
-        self._above = np.cumsum([0, out, grid.steps(blend, self.size), grid.steps(cone, self.size)])
+        self._above = np.cumsum([0, out, self.mesh.steps(blend), self.mesh.steps(cone)])
         bone = ("cancellous_bone", "cortical_bone")
         self.segments: tuple[Segment, ...] = (
             Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
@@ -163,13 +161,17 @@ class FemurSurfaces:
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
         """Lines at angles `phi` [turns] and stations `s` (n,); above the cut the stem's alone."""
-        start, end = np.zeros((len(s), 3)), np.ones((len(s), 3))
-        mantle, endosteum = np.full(len(s), 0.3), np.full(len(s), 0.6)
-        bone = s <= self.cut
-        start[bone], end[bone], mantle[bone], endosteum[bone] = self._across(phi[bone], s[bone])
-        start[~bone] = self._stem_above(phi[~bone], s[~bone])
-        end[~bone] = start[~bone] + 1.0
-        return Lines(start, end, mantle, endosteum)
+        lines = self._across(phi, np.minimum(s, self.cut))
+        if (s > self.cut).any():
+            self._beyond(lines, phi, s)
+        return lines
+
+    def _beyond(self, lines: Lines, phi: Floats, s: Floats) -> None:
+        """Replace the lines above the cut."""
+        above = s > self.cut
+        lines.start[above] = self._stem_above(phi[above], s[above])
+        lines.end[above] = lines.start[above] + 1.0
+        lines.mantle[above], lines.endosteum[above] = 0.3, 0.6
 
     def ended(self, nodes: Nodes, number: Ints, body: ReferenceBody) -> tuple[Nodes, Ints]:
         """Take nodes of a ball at the end off their lines; nodes, and what stands for each."""
@@ -179,12 +181,13 @@ class FemurSurfaces:
         """Middles of edges from a to b (n, 3) in the shell of a ball (n, 3)."""
         return 0.5 * (a + b)
 
-    def _across(self, phi: Floats, s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    def _across(self, phi: Floats, s: Floats) -> Lines:
+        """Lines at stations up to the cut."""
         zeta, slope = self.plane(s)
         theta = 2 * np.pi * phi
         c, d = np.cos(theta), np.sin(theta)
         r = root(
-            lambda r, k: self._outer.radius(theta[k], zeta[k] - slope[k] * r * c[k]) - r,
+            lambda r, k: PERIOSTEUM.radius(theta[k], zeta[k] - slope[k] * r * c[k]) - r,
             np.full(len(s), REACH),
         )
         end = np.stack([r * c, r * d, zeta - slope * r * c], axis=1)
@@ -198,11 +201,11 @@ class FemurSurfaces:
         mantle[~below] = self._meets(self._grown.radius, start[~below], end[~below])
         if below.any():
             # The mantle's outer side goes on below the plug from where it is at its end.
-            first = self.lines(phi[below], at[below])
+            first = self._across(phi[below], at[below])
             ratio = first.mantle / first.endosteum
-            ratio += (SPREAD - ratio) * np.minimum(1.0, depth[below] / (4 * self.size))
+            ratio += (SPREAD - ratio) * np.minimum(1.0, depth[below] / (4 * self.mesh.size))
             mantle[below] = ratio * endosteum[below]
-        return start, end, mantle, endosteum
+        return Lines(start, end, mantle, endosteum)
 
     def _sink(self, start: Floats, theta: Floats, zeta: Floats, depth: Floats) -> Floats:
         """Points of the innermost surface below the plug, scaled to a part of the canal."""
@@ -258,8 +261,9 @@ class FemurSurfaces:
         """Raise GeometryError where lines meet bone twice, or the stem has no room for cement."""
         along, around = np.linspace(self.tip, self.cut, 60), np.arange(72) / 72
         phi, s = (v.ravel() for v in np.meshgrid(around, along))
-        start, end, _, endosteum = self._across(phi, s)
-        for name, radius in (("periosteum", self._outer.radius), ("endosteum", self._canal)):
+        lines = self._across(phi, s)
+        start, end = lines.start, lines.end
+        for name, radius in (("periosteum", PERIOSTEUM.radius), ("endosteum", self._canal)):
             inside = np.array([self._within(radius, start + part * (end - start)) for part in WAYS])
             twice = np.flatnonzero(((inside[1:] > 0) != (inside[:-1] > 0)).sum(axis=0) > 1)
             if len(twice):
@@ -268,7 +272,7 @@ class FemurSurfaces:
                     f"geometry: a line across the bone from ({x:.0f}, {y:.0f}, {z:.0f}) mm meets"
                     f" the {name} more than once; sections must be star-shaped about the stem"
                 )
-        room = endosteum * np.sqrt(((end - start) ** 2).sum(axis=1))
+        room = lines.endosteum * lines.length
         outside = np.hypot(*start.T[:2]) - self._canal(np.arctan2(*start.T[1::-1]), start[:, 2])
         room = np.where(outside > 0, -outside, room)
         worst = int(room.argmin())
@@ -285,10 +289,11 @@ class FemurSurfaces:
         )
 
 
-def _even(low: float, high: float, size: float) -> Floats:
-    """Stations above `low` up to `high`, in steps of about `size` [mm]."""
-    steps = grid.steps(high - low, size)
-    return low + (high - low) * np.arange(1, steps + 1) / steps
+def _distances(mesh: Any, length: float, part: str) -> Floats:
+    """Distances from 0 to a length in the steps of a mesh that grow [mm]."""
+    at, count, step = mesh.graded(length, part)
+    every = np.concatenate([at, at[-1] + step * np.arange(1, count + 1)])
+    return np.asarray(every * length / every[-1])
 
 
 def _neck(

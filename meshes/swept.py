@@ -16,7 +16,7 @@ import numpy as np
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import GeometryError
-from meshes import grid, reference_body
+from meshes import reference_body
 from meshes.curving import untangle
 from meshes.data import EDGES, cell_volumes, distinct, faces_of, match_faces
 from meshes.femur_surfaces import FemurSurfaces
@@ -79,7 +79,7 @@ class Swept:
             "lines_around": surfaces.around,
             "steps_along": sum(segment.steps for segment in surfaces.segments),
             "cells_through": list(surfaces.through),
-            "least_thickness_mm": FLOOR * surfaces.size,
+            "least_thickness_mm": FLOOR * surfaces.mesh.size,
             "moved_nodes": float((moved > 10.0**-DIGITS).mean()),
             "moved_max_mm": float(moved.max(initial=0.0)),
         }
@@ -141,8 +141,9 @@ def _grid(surfaces: FemurSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     part = np.clip((np.arange(levels) - low) / (high - low), 0.0, 1.0 - 1e-9)
     most = (np.floor(surfaces.cement + part), *surfaces.through[1:])
     first = 0
-    for ring, (cells, width) in enumerate(zip(surfaces.through, widths, strict=True), start=1):
-        across = grid.across(width, ring - 1, most[ring - 1], surfaces.size)
+    layers = zip(surfaces.through, widths, surfaces.mesh.least_through, most, strict=True)
+    for ring, (cells, width, length, own) in enumerate(layers, start=1):
+        across = np.clip(np.round(width / length), 1, own)
         for k in range(1, cells + 1):
             place_of[first + k] = ring + np.minimum(k / across, 1.0)
             same[first + k] = np.where(k < across, first + k, first + cells)
@@ -205,7 +206,7 @@ def _floor(surfaces: FemurSurfaces, bone: Floats) -> Floats:
     """Least thickness of the layer within the endosteum, by line and station [mm]."""
     apart = np.sqrt(((np.roll(bone, -1, axis=0) - bone) ** 2).sum(axis=2))
     apart = np.maximum(apart, np.roll(apart, 1, axis=0))
-    floor = FLOOR * np.maximum(surfaces.size, apart)
+    floor = FLOOR * np.maximum(surfaces.mesh.size, apart)
     # Sections that turn are farther apart on the lateral side: wedges there are longer.
     low, high = surfaces.mantle
     steps = ALONG * np.sqrt((np.diff(bone[:, low : high + 1], axis=1) ** 2).sum(axis=2))

@@ -15,7 +15,7 @@ from app.scene.scene import Scene
 from app.simulation import model
 from app.simulation.model import Model, Observer
 from app.stepping.heat_state import HeatStep
-from app.stepping.load_steps import LoadStep, Summary
+from app.stepping.load_steps import LoadStep
 from app.system.timing import Timing
 from tests import support
 
@@ -58,7 +58,6 @@ class Coupled:
 
     Attributes:
         model: The model, in its last state.
-        total: What it took.
         steps: Its heat steps.
         rows: Reported temperatures at the start and after each of them.
         before: Dissipated by friction before the first of them, over all interfaces [N mm].
@@ -66,7 +65,6 @@ class Coupled:
     """
 
     model: Model
-    total: Summary
     steps: tuple[HeatStep, ...]
     rows: tuple[dict[str, float], ...]
     before: float
@@ -122,5 +120,5 @@ def solve(
         if not steps and step.stage == made.scene.stages[0].name:
             before[0] = so_far()
 
-    total = made.go(Observer(on_step, on_heat, print))
-    return Coupled(made, total, tuple(steps), tuple(rows), before[0], tuple(dissipated))
+    made.go(Observer(on_step, on_heat, print))
+    return Coupled(made, tuple(steps), tuple(rows), before[0], tuple(dissipated))

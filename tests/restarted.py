@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from app.case.case import load
 from app.simulation import checkpoint
 from app.simulation.session import run
 from app.system.folders import saved
-from tests import frozen
+from tests import frozen, support
 from tests.support import LOWER, TWO_BLOCKS
 
 # Pressed on, then dragged back and forth: what slips and how much it rubs is history.
@@ -88,8 +87,7 @@ NOTHING = 1e-9
 
 def numbers(folder: Path) -> dict[str, Any]:
     """The numbers of a run by dotted key; places of maxima, which may be several, left out."""
-    summary = json.loads((folder / "summary.json").read_text())
-    kept = {k: v for k, v in summary.items() if k not in APART}
+    kept = {k: v for k, v in support.summary(folder).items() if k not in APART}
     return {k: v for k, v in frozen.leaves(kept, "") if "_at." not in f"{k}."}
 
 

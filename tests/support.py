@@ -20,6 +20,7 @@ from mpi4py import MPI
 import numpy as np
 from ruamel.yaml import YAML
 
+import mantle
 import meshes
 from app.arrays import Floats
 from app.case.case import Case, load
@@ -29,6 +30,7 @@ from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
+from app.results.reading import Results
 from app.results.stresses import Stresses
 from app.scene.build import build_scene
 from app.stepping.load_steps import LoadStep, LoadStepper
@@ -218,6 +220,24 @@ def solve(
         interfaces=samples[-1].numbers if samples else {},
         balances=np.array(sums),
     )
+
+
+def run(text: str, folder: Path, *overrides: str) -> Results:
+    """Run a case of a folder as the command does, in this process: its results."""
+    path = folder / "case.yaml"
+    path.write_text(text)
+    return mantle.run(load(path, overrides), folder / "out")
+
+
+def sets(*changes: str) -> list[str]:
+    """Changes of a case as the command line has them."""
+    return [word for change in changes for word in ("--set", change)]
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    """The numbers of a run."""
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return found
 
 
 def difference(a: Any, b: Any, floor: float = 0.0) -> float:

@@ -172,7 +172,7 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
     """Given or extrapolated value of a quantity; None if the reference runs failed."""
     values = study.reference.values
     if values is not None:
-        return wp.ReferenceValue(study_file.known_value(name, values[name]), 0.0, None, "given")
+        return wp.ReferenceValue(quantities.known_value(name, values[name]), 0.0, None, "given")
     found = [(r, v) for r in ladder if (v := quantities.read(r.result.summary, name)) is not None]
     if found and len(ladder) == 1:
         return wp.ReferenceValue(found[0][1], 0.0, None, "of one run")

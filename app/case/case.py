@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -268,9 +269,4 @@ def dump(case: Case) -> str:
     return yaml_file.to_yaml(plain(case))
 
 
-def _renew() -> None:
-    """Rebuild the schema after a kind was added."""
-    Case.model_rebuild(force=True)
-
-
-section.RENEWALS.append(_renew)
+section.RENEWALS.append(partial(Case.model_rebuild, force=True))

@@ -11,11 +11,11 @@ from pydantic import model_validator
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
 from app.schema.section import fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
-from meshes import grid
 
 BONE = ("cortical_bone", "cancellous_bone")
 OF_BONE = dict.fromkeys(BONE, "bone")
-# Centre of each muscle's insertion on the bone (mm); as in `meshes.femur_bone`.
+# Centre of each muscle's insertion (mm): places from anatomy, moved radially onto the outer bone of
+# `meshes.femur_bone`; that of vastus lateralis is on the shaft below the greater trochanter.
 MUSCLES: dict[str, Point3] = {
     "gluteus_medius": (-25.395, -15.237, 28.0),
     "gluteus_minimus": (-30.723, 4.727, 27.0),
@@ -180,14 +180,14 @@ class _Femur(Shape):
             for name in ("half_width", "half_depth", "corner_radius")
         )
         plug = self.stem_tip_z - self.plug_length
-        stem = grid.graded_steps(self._cut - self.stem_tip_z, mesh, grid.STEM)
+        stem, more, _ = mesh.graded(self._cut - self.stem_tip_z, "stem")
+        below, equal, _ = mesh.graded(plug - self.distal_cut_z, "below")
+        through = mesh.cells_through(self.cement_thickness)
         return {
-            "lines around": grid.lines_around((half, depth, corner), self.cement_thickness, mesh),
-            "steps along the stem": stem + grid.steps(self.plug_length, mesh.size),
-            "steps below": grid.graded_steps(plug - self.distal_cut_z, mesh, grid.BELOW),
-            "cells through cement, cancellous and cortical bone": grid.cells_through(
-                self.cement_thickness, mesh
-            ),
+            "lines around": mesh.lines_around((half, depth, corner), self.cement_thickness),
+            "steps along the stem": len(stem) - 1 + more + mesh.steps(self.plug_length),
+            "steps below": len(below) - 1 + equal,
+            "cells through cement, cancellous and cortical bone": through,
         }
 
     def _cells(self, mesh: MeshOptions) -> tuple[float, float, float]:
@@ -197,14 +197,14 @@ class _Femur(Shape):
         the circumference fitted to counted meshes, there is no cancellous bone.
         """
         around, stem, below, (_, *bone) = self.grid(mesh).values()
-        most = (grid.through_cement(self.cement_thickness, mesh), *bone)
+        most = (mesh.along_cement(self.cement_thickness), *bone)
         core = 3.0 * max(around - 2.0, 0.085 * around**2 + around - 4.0)
         filled = self.cement_thickness - self.canal_widening
         open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
         widths = (1.4 + 0.4 * self.cement_thickness, *WIDTHS)
         cement, cancellous, cortical = (
-            min(cells, max(1.0, width / (length * mesh.size)))
-            for cells, width, length in zip(most, widths, grid.THROUGH, strict=True)
+            min(cells, max(1.0, width / length))
+            for cells, width, length in zip(most, widths, mesh.least_through, strict=True)
         )
         layers = stem * (cement + cortical + cancellous * open_)
         layers += below * (cement + cortical + cancellous * free)
@@ -251,7 +251,7 @@ class Femur(_Femur):
         """Estimated number of tetrahedra, to 12 %."""
         cells, core, _ = self._cells(mesh)
         length = self.head_offset / math.sin(self.neck_angle)
-        above = grid.steps(0.4 * length, mesh.size) + grid.steps(0.6 * length, mesh.size)
+        above = mesh.steps(0.4 * length) + mesh.steps(0.6 * length)
         return round(cells + above * core)
 
 
@@ -274,5 +274,5 @@ class IntactFemur(_Femur):
         """Estimated number of tetrahedra, to 12 %."""
         cells, _, whole = self._cells(mesh)
         length = self.head_offset / math.sin(self.neck_angle)
-        neck = grid.steps(length - 1.07 * self.head_radius, mesh.size)
+        neck = mesh.steps(length - 1.07 * self.head_radius)
         return round(cells + whole * (neck + max(5, 1.4 * self.head_radius / mesh.size)))

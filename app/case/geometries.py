@@ -14,9 +14,9 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from app.case.femurs import Femur, IntactFemur
-from app.case.gmsh_header import content, counts, is_script, physical_names
+from app.case.gmsh_header import content, counts, physical_names
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
-from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, fail, one_of, show
+from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, fail, not_one_of, show
 from app.schema.units import Angle, PositiveLength, SizeVector
 from app.schema.vectors import Pair
 
@@ -225,20 +225,21 @@ class MeshFile(Shape):
         for name, sides in self.interfaces.items():
             for i, side in enumerate(sides):
                 for region in side:
-                    one_of(region, self.region_names, at=("interfaces", name, i))
+                    if region not in self.region_names:
+                        fail(not_one_of(region, self.region_names), at=("interfaces", name, i))
             if set(sides[0]) & set(sides[1]):
                 fail("has the same region on both sides", at=("interfaces", name))
         return self
 
     @property
     def has_curved_surfaces(self) -> bool:
-        """True for a script: its cells are straight where the surface is flat."""
+        """Whether it is a script: its cells are straight where the surface is flat."""
         return self.is_script
 
     @property
     def coarsest_size(self) -> float:
         """Largest edge length (mm); 0 for a ``.msh`` file, which is meshed already."""
-        return 0.0 if self.path.suffix == ".msh" else math.inf
+        return math.inf if self.is_script else 0.0
 
     @property
     def region_names(self) -> tuple[str, ...]:
@@ -262,12 +263,12 @@ class MeshFile(Shape):
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Number of elements of any dimension in the file, an upper bound; 0 for a script."""
-        return counts(self.path)
+        return 0 if self.is_script else counts(self.path)
 
     @property
     def is_script(self) -> bool:
         """Whether the file is still to be meshed."""
-        return is_script(self.path)
+        return self.path.suffix == ".geo"
 
     @cached_property
     def content(self) -> str:

@@ -23,11 +23,6 @@ DIMENSIONS = {"Volume": 3, "Surface": 2}
 ALLOWED = "MANTLE_ALLOW_SCRIPTS"
 
 
-def is_script(path: Path) -> bool:
-    """Whether a file is a ``.geo`` script, still to be meshed."""
-    return path.suffix == ".geo"
-
-
 def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
     """Names of the physical groups of one dimension, in the order of the file.
 
@@ -46,13 +41,10 @@ def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
 @lru_cache(maxsize=8)
 def _groups(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
     """Dimension and name of every physical group; `modified` invalidates the cache."""
-    if is_script(path):
-        found = _groups_of_script(path)
-    elif path.suffix == ".msh":
-        found = _groups_of_mesh(path)
-    else:
+    readers = {".geo": _groups_of_script, ".msh": _groups_of_mesh}
+    if path.suffix not in readers:
         raise ValueError("is neither a .msh file nor a .geo script")
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(readers[path.suffix](path)))
 
 
 def _groups_of_mesh(path: Path) -> list[tuple[int, str]]:
@@ -93,7 +85,7 @@ def _files(path: Path) -> list[str]:
     """A file, and the files below its folder quoted in a script, recursively."""
     folder, found = path.parent.resolve(), [path.name]
     for name in found:  # it grows
-        if not is_script(Path(name)):
+        if not name.endswith(".geo"):
             continue
         text = (folder / name).read_text("utf-8", "replace")
         for quoted in QUOTED.finditer(text):
@@ -108,17 +100,15 @@ def _files(path: Path) -> list[str]:
 
 
 def counts(path: Path) -> int:
-    """Number of elements of all dimensions announced by the file; 0 if unknown."""
-    if is_script(path):
-        return 0
+    """Number of elements of all dimensions announced by a ``.msh`` file; 0 if unknown."""
     data = path.read_bytes()
-    _, found, rest = data.partition(b"$Elements\n")
+    elements = data.partition(b"$Elements\n")[2]
     try:
         version, binary = data.split(b"\n", 2)[1].split()[:2]
         if version == b"4.1" and binary == b"1":
-            return int(struct.unpack_from("<QQ", rest)[1]) if found else 0
-        fields = rest.split(b"\n", 1)[0].split()
-        announced = int(fields[1] if version == b"4.1" else fields[0]) if found else 0
+            announced = int(struct.unpack_from("<QQ", elements)[1])
+        else:
+            announced = int(elements.split(maxsplit=2)[1 if version == b"4.1" else 0])
     except (ValueError, IndexError, struct.error):
         return 0
     # An element takes at least a byte: a file that announces more is damaged.

@@ -110,8 +110,7 @@ def table(root: type[BaseModel] = Case) -> list[Keys]:
 
     def visit(path: str, name: str) -> None:
         schema = schemas[name]
-        meaning = prose(schema.get("description", "")) if name else ""
-        places[name] = Keys(path, _kind(schema) if name else "", meaning, [])
+        places[name] = Keys(path, _kind(schema), prose(schema.get("description", "")), [])
         for key, field in schema["properties"].items():
             for place, other in _sections(field, f"{path}.{key}".removeprefix(".")):
                 if other not in places:
@@ -243,19 +242,19 @@ def explained(key: str) -> str:
     asked = WITHIN.get(asked, asked)
     found = [k for k in every if _matches(k, asked)] or [k for k in every if k.name == asked]
     listed = library.listed(key).replace("`", "") if key in library.KINDS else ""
-    if not found and (listed or key in library.names()):
-        return listed or library.described(key)
+    entries = library.described()
+    if not found and (listed or key in entries):
+        return listed or entries[key]
     if not found:
         names = {re.sub(r"\.<name>|\[\]", "", k.path): None for k in every}
         ends = {name.rpartition(".")[2]: name for name in reversed(names)}
-        near = difflib.get_close_matches(asked, [*names, *library.names()], 3)
+        near = difflib.get_close_matches(asked, [*names, *entries], 3)
         near += [ends[w] for w in difflib.get_close_matches(asked.rpartition(".")[2], ends, 3)]
         nearest = ", ".join(dict.fromkeys(near)) or ", ".join(Case.model_fields)
         raise InputError(f"{key}: no key of a case; nearest: {nearest}")
     heads: dict[str, list[str]] = {}
     for k in found:
-        kind = f"  (kind {k.kind})" if k.kind else ""
-        heads.setdefault("\n".join(_body(k)), []).append(k.path + kind)
+        heads.setdefault(_body(k), []).append(k.path + (f"  (kind {k.kind})" if k.kind else ""))
     parts = ["\n".join([*own, body]) for body, own in heads.items()]
     return "\n\n".join([*parts, *([listed] if listed else [])])
 
@@ -279,26 +278,24 @@ def _matches(key: Key, asked: str) -> bool:
     return re.fullmatch(pattern, asked) is not None
 
 
-def _body(key: Key) -> Iterator[str]:
-    """Lines of an explanation below its heading."""
+def _body(key: Key) -> str:
+    """Text of an explanation below its heading."""
     said = f"{key.value} such as {key.default} {key.meaning}"
     example = re.search(r"(?:e\.g\.|such as) `([^`]*)`", said)
     rows = {
+        "": key.meaning,
         "value": key.value,
         "unit": key.unit,
         "default": key.default or "none: it is required",
-        "keys": "; ".join(f"{kind}: {', '.join(names)}" for kind, names in key.inner),
+        "keys": "; ".join(f"{k}: {', '.join(n)}".removeprefix(": ") for k, n in key.inner),
         "example": f"{key.name}: {example[1]}" if example else "",
     }
-    yield from _wrapped(key.meaning, "  ", "  ")
+    lines = []
     for name, text in rows.items():
-        if text:
-            yield from _wrapped(text.removeprefix(": "), f"  {name:<9}", " " * 11)
-
-
-def _wrapped(text: str, start: str, further: str) -> list[str]:
-    """Wrap Markdown without its marks, with indents of the first and further lines."""
-    plain = re.sub(r"\[([^\]]*)\]\(#[^)]*\)", r"\1", text).replace("`", "")
-    return textwrap.wrap(
-        plain, WIDTH, initial_indent=start, subsequent_indent=further, break_on_hyphens=False
-    )
+        plain = re.sub(r"\[([^\]]*)\]\(#[^)]*\)", r"\1", text).replace("`", "")
+        first = f"  {name:<9}" if name else "  "
+        further = " " * len(first)
+        lines += textwrap.wrap(
+            plain, WIDTH, initial_indent=first, subsequent_indent=further, break_on_hyphens=False
+        )
+    return "\n".join(lines)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from app.schema.section import show
 from app.schema.yaml_file import CaseFile, Fault
 
 SHIPPED = configs.FOLDER / "library" / "library.yaml"
+# A name and the lines below it.
+ENTRY = r"^  ([\w-]+):\n(?:    .*\n)+"
 # Keys of an entry beside its values.
 ABOUT, SOURCE = "about", "source"
 KINDS = {
@@ -49,18 +52,7 @@ def listed(kind: str) -> str:
     return "\n".join([f"{kind}: {KINDS[kind]}", *lines])
 
 
-def names() -> list[str]:
-    """The shipped names of all kinds."""
-    return [name for entries in read().data.values() for name in entries]
-
-
-def described(name: str) -> str:
-    """Text of a shipped entry with its source, as in the library."""
-    file = read()
-    texts = SHIPPED.read_text(encoding="utf-8").splitlines()
-    starts = sorted(p[1] for key, p in file.places.items() if len(key) <= 2)
-    kind = next(kind for kind in file.data if name in file.data[kind])
-    start = int(file.places[kind, name][1])
-    end = next((int(n) for n in starts if int(n) > start), len(texts) + 1)
-    kept = [t for t in texts[start - 1 : end - 1] if not t.lstrip().startswith("#")]
-    return textwrap.dedent("\n".join(kept)).strip()
+def described() -> dict[str, str]:
+    """Text of each shipped entry with its source, as in the library, by name."""
+    found = re.finditer(ENTRY, SHIPPED.read_text(encoding="utf-8"), re.MULTILINE)
+    return {entry[1]: textwrap.dedent(entry[0]).strip() for entry in found}

@@ -36,7 +36,7 @@ def write(path: Path, kind: str, stem: str = "") -> Path:
         raise InputError(f"--stem {stem}: of kind {kind} there is no stem")
     path = path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
     if kind == "file":
-        text = _own(path, path.with_suffix(".msh"))
+        text = _own(path.with_suffix(".msh"))
     else:
         text = (FOLDER / f"{kind}.yaml").read_text(encoding="utf-8")
         text = text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
@@ -50,8 +50,8 @@ def write(path: Path, kind: str, stem: str = "") -> Path:
     return path
 
 
-def _own(case: Path, mesh: Path) -> str:
-    """Case on a mesh file, with its regions and boundaries if it exists."""
+def _own(mesh: Path) -> str:
+    """Case on a mesh file beside it, with its regions and boundaries if it exists."""
     regions: tuple[str, ...] = ("NAME_OF_A_REGION",)
     boundaries: tuple[str, ...] = ("NAME_OF_A_SURFACE", "NAME_OF_ANOTHER")
     about = MISSING
@@ -65,20 +65,15 @@ def _own(case: Path, mesh: Path) -> str:
         names = f"its boundaries: {', '.join(surfaces) or 'none, which a case needs'}"
         about = textwrap.indent(textwrap.fill(names, 90, break_on_hyphens=False), "  # ") + "\n"
         boundaries = surfaces or boundaries
-    try:
-        near = mesh.resolve().relative_to(case.resolve().parent)
-    except ValueError:
-        near = mesh.resolve()
+    lines = (f"  {_word(r)}: {{material: cortical_bone, tissue: bone}}\n" for r in regions)
     return (
         (FOLDER / "file.template")
         .read_text(encoding="utf-8")
         .format(
-            title=_word(case.stem),
-            path=_word(str(near)),
+            title=_word(mesh.stem),
+            path=_word(mesh.name),
             about=about,
-            regions="".join(
-                f"  {_word(name)}: {{material: cortical_bone, tissue: bone}}\n" for name in regions
-            ),
+            regions="".join(lines),
             first=_word(boundaries[0]),
             last=_word(boundaries[-1]),
         )

@@ -15,31 +15,28 @@ from functools import partial, reduce
 from typing import Any
 
 from app.schema.section import did_you_mean, fail, show
-from app.schema.units import Dimension, Plain, TemperatureDifference
+from app.schema.units import Dimension, Plain
 
 # Orders of convergence of P1 and P2 for estimates of errors (docs/verification.md): of
 # displacements, of tractions, of stress, of temperature.
 MOTION, TRACTION, STRESS, HEAT = (0.8, 1.3), (0.8, 0.8), (0.8, 1.0), (1.5, 1.5)
-# By unit in summary.json: its dimension, and how a value of it is read.
-UNITS: dict[str, tuple[str, Dimension | Plain]] = {
-    "mm": ("length", Dimension("mm", "a length", "0.05 mm")),
-    "mm^2": ("area", Dimension("mm^2", "an area", "20 mm^2")),
-    "mm^3": ("volume", Dimension("mm^3", "a volume", "500 mm^3")),
-    "N": ("force", Dimension("N", "a force", "1800 N")),
-    "MPa": ("stress", Dimension("MPa", "a pressure", "2 MPa")),
-    "N mm": ("energy", Dimension("N*mm", "an energy", "2 N*mm")),
-    "deg": ("angle", Dimension("deg", "an angle", "0.1 deg")),
-    "s": ("time", Dimension("s", "a time", "600 s")),
-    "degC": ("temperature", Dimension("degC", "a temperature", "50 degC")),
-    "K": ("temperature difference", TemperatureDifference()),
-    "W/m^2": ("heat flux", Dimension("W/m^2", "a power per area", "200 W/m^2")),
-    "W/(m^2 K)": (
-        "entropy production",
-        Dimension("W/(m^2*K)", "an entropy production", "1 W/(m^2 K)"),
-    ),
-    "min": ("thermal dose", Dimension("min", "a time", "60 min")),
-    "1/s": ("rate", Dimension("1/s", "a rate", "0.1 1/s")),
-    "-": ("", Plain()),
+# Dimension of each unit in summary.json, with its article.
+UNITS = {
+    "mm": "a length",
+    "mm^2": "an area",
+    "mm^3": "a volume",
+    "N": "a force",
+    "MPa": "a stress",
+    "N mm": "an energy",
+    "deg": "an angle",
+    "s": "a time",
+    "degC": "a temperature",
+    "K": "a temperature difference",
+    "W/m^2": "a heat flux",
+    "W/(m^2 K)": "an entropy production",
+    "min": "a thermal dose",
+    "1/s": "a rate",
+    "-": "a number",
 }
 # Units of tables in terms of those of summary.json, and as printed.
 FACTORS = {"um": 1e3, "%": 100.0}
@@ -289,6 +286,18 @@ def titled(name: str) -> str:
     return f"{words} ({unit})" if unit else words
 
 
+def known_value(name: str, value: object) -> float:
+    """A value in a file, in the unit of its quantity.
+
+    Raises:
+        PydanticCustomError: It has another dimension.
+    """
+    unit = find(name).unit
+    plain, offset = unit == "-", unit != "K"
+    kind = Plain() if plain else Dimension(unit, UNITS[unit], f"1 {unit}", offset)
+    return float(kind.read(value))
+
+
 def numbers_of(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Section, owner and numbers of each mapping of numbers in a summary."""
     for section in TABLE:
@@ -318,5 +327,4 @@ def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | Non
 
 def computed(section: str, state: Any, of: Any) -> dict[str, float]:
     """Added numbers of an interface or a region (`Quantity.compute`)."""
-    added = (q for q in TABLE[section].values() if q.compute)
-    return {q.key: float(q.compute(state, of)) for q in added if q.compute}
+    return {q.key: float(q.compute(state, of)) for q in TABLE[section].values() if q.compute}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
@@ -47,9 +47,7 @@ class Stage(Section):
         return self.steady or self.duration is not None
 
 
-def _petsc(value: object) -> object:
-    if not isinstance(value, dict):
-        fail(f"{show(value)} is not a mapping of PETSc options to values")
+def _petsc(value: dict[str, Any]) -> object:
     for name, entry in value.items():
         if name.startswith("-"):
             fail(f"write the option without the dash: {name.lstrip('-')}", at=(name,))
@@ -69,7 +67,7 @@ class SolverOptions(Section):
     """Largest number of Newton iterations in a step."""
     linear: Literal["auto", "direct", "multigrid"] = "auto"
     """Linear solver; `auto` is direct for small models."""
-    petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc)] = Field(
+    petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc), MAPPING] = Field(
         default_factory=dict
     )
     """Raw PETSc options, without the leading dash."""

@@ -16,6 +16,15 @@ Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
 # Least size of a cell (mm), so that its powers do not underflow; a bound of the cells.
 LEAST, COUNTLESS = 1e-8, 1e40
+# Least number of lines around a femur, and that of meshes above a size (mm).
+LINES, COMPANION, COARSE = 8, 4, 10.0
+# Least length of a cell through cement, cancellous and cortical bone over the mesh size: in bone
+# there are as many as have room, in cement at most as many as `through_cement`. Widest bone (mm).
+THROUGH = (0.25, 1.0, 1.25)
+CANCELLOUS, CORTICAL = 15.0, 8.0
+# Steps along (mm): first and largest over the size, and growth per mm; from the plug down, and down
+# from the neck cut, beside whose rim the largest gaps are and where sections turn apart.
+GRADING = {"below": (1.0, 1.4, 0.2), "stem": (0.6, 1.0, 0.06)}
 
 
 @dataclass(frozen=True)
@@ -124,6 +133,58 @@ class MeshOptions(Section):
     def far(self) -> float:
         """Edge length far from the interfaces (mm)."""
         return 4.0 * self.size if self.far_size is None else self.far_size
+
+    def lines_around(self, section: tuple[float, float, float], cement: float) -> int:
+        """Lines around a stem, by its perimeter half-way through the mantle.
+
+        ``section`` is half-width, half-depth and corner radius of a rounded rectangle, ``cement``
+        the mantle's thickness (mm).
+        """
+        half, depth, corner = section
+        perimeter = 4.0 * (half + depth - 2.0 * corner) + 2.0 * math.pi * (corner + 0.5 * cement)
+        least = LINES if self.size <= COARSE else COMPANION
+        return self.around or max(least, round(perimeter / self.size))
+
+    def along_cement(self, cement: float) -> float:
+        """Cells through cement of a thickness (mm).
+
+        A fraction is the part, from the neck cut down, with one more.
+        """
+        return float(self.through_cement or max(2.0, 1.75 * cement / self.size - 0.5))
+
+    def cells_through(self, cement: float) -> tuple[int, int, int]:
+        """Cells at most through cement of a thickness (mm), cancellous and cortical bone."""
+        _, cancellous, cortical = self.least_through
+        bone = max(1, round(CANCELLOUS / cancellous)), max(1, round(CORTICAL / cortical))
+        return math.ceil(self.along_cement(cement)), *bone
+
+    @property
+    def least_through(self) -> tuple[float, float, float]:
+        """Least length of cells through cement, cancellous and cortical bone (mm)."""
+        cement, cancellous, cortical = THROUGH
+        return cement * self.size, cancellous * self.size, cortical * self.size
+
+    def steps(self, length: float) -> int:
+        """Equal steps of about the size in a length (mm)."""
+        return max(1, round(length / self.size))
+
+    def graded(self, length: float, part: str) -> tuple[list[float], int, float]:
+        """Divide a length (mm) into steps that grow, from the neck cut or from the plug down.
+
+        Args:
+            length: The length (mm).
+            part: ``stem`` or ``below``.
+
+        Returns:
+            Distances from 0 where steps grow, and the number and size of equal steps after them.
+        """
+        first, longest, growth = GRADING[part]
+        largest = min(longest * self.size, self.far)
+        at, step = [0.0], first * self.size
+        while step < largest and at[-1] + 0.5 * step < length:
+            at.append(at[-1] + step)
+            step = first * self.size + growth * at[-1]
+        return at, max(round((length - at[-1]) / largest), int(len(at) == 1)), largest
 
     def coarser(self, factor: float) -> MeshOptions:
         """The same mesh with cells that are larger by a factor, in all directions."""

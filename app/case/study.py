@@ -23,16 +23,6 @@ from app.schema.yaml_file import CaseFile, Fault
 CONDITION = "solver.condition"
 
 
-def known_value(quantity: str, value: object) -> float:
-    """A reference value in the unit of its quantity.
-
-    Raises:
-        PydanticCustomError: It has another dimension.
-    """
-    _, kind = quantities.UNITS[quantities.find(quantity).unit]
-    return float(kind.read(value))
-
-
 def _quantity(value: object) -> object:
     if not isinstance(value, str):
         fail(f"{show(value)} is not <interface>.<key>, <region>.<key> or stem.<key>")
@@ -47,7 +37,7 @@ def _values(value: object) -> object:
         if quantity in quantities.of_run():
             fail("is not compared with anything", at=(quantity,))
         try:
-            known_value(quantity, entry)
+            quantities.known_value(quantity, entry)
         except PydanticCustomError as error:
             fail((error.context or {})["text"], at=(quantity,))
     return value

@@ -66,7 +66,8 @@ class InterfaceLaw(Extensible):
         can_part: Whether the sides can move apart at all: then the interface has unknown jumps.
         can_open: Whether they can part without resistance.
         augmented: Whether its multiplier is found exactly, whatever the augmentation.
-        by_trial_force: Whether its slope is by the trial force F + r (jump + gap), else by the gap.
+        by_trial_force: Whether its slope is by the trial force F + r (jump + gap), else by the gap,
+            without the multiplier F.
         history: Shapes of what it remembers at a point, by name: () a scalar, (3,) a vector.
     """
 
@@ -92,13 +93,8 @@ class InterfaceLaw(Extensible):
 
     @property
     def friction(self) -> float:
-        """Coulomb's coefficient: the key `friction_coefficient`, 0 without it."""
+        """Coulomb's coefficient, 0 without; without friction no tangential term is compiled."""
         return getattr(self, "friction_coefficient", 0.0)
-
-    @property
-    def frictional(self) -> bool:
-        """Whether there is friction; without it no tangential term is compiled."""
-        return self.friction > 0
 
     @property
     def heated_by_friction(self) -> FrictionHeating | None:
@@ -137,7 +133,7 @@ class InterfaceLaw(Extensible):
             factor: Default ratio of the augmentation to that.
             softening: Share to which the solver reduces the stiffness.
         """
-        return softening * (factor * met), 1.0
+        return softening * (factor * met), float(self.by_trial_force)
 
 
 class Bonded(InterfaceLaw):
@@ -181,12 +177,12 @@ class Unilateral(InterfaceLaw):
     @property
     def form(self) -> Hashable:
         """With friction or without."""
-        return "contact", self.frictional
+        return "contact", self.friction > 0
 
     @property
     def values(self) -> Mapping[str, float]:
         """The friction coefficient."""
-        return {"μ": self.friction_coefficient} if self.frictional else {}
+        return {"μ": self.friction} if self.friction > 0 else {}
 
     def response(self, at: AtPoint) -> Response:
         """Law of the augmented Lagrangian at a point (eq. 65)."""
@@ -284,10 +280,6 @@ class Traction(InterfaceLaw):
         stripped = {name: strip_variables(e) for name, e in history.items()}
         force, slope, pressures, status = map(strip_variables, (force, slope, pressures, status))
         return Response(force, slope, pressures, status, stripped)
-
-    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
-        """Without the multiplier."""
-        return softening * (factor * met), 0.0
 
 
 Interface = Annotated[InterfaceLaw, Kinds()]

@@ -83,8 +83,8 @@ class Load(Extensible, Named):
 
     @property
     def resultant(self) -> tuple[float, float, float] | None:
-        """Given resultant at full amplitude [N]; None if it is not given."""
-        return None
+        """Resultant at full amplitude [N]: the key `force`, None without it."""
+        return getattr(self, "force", None)
 
 
 class Force(Load):
@@ -97,11 +97,6 @@ class Force(Load):
     """Resultant."""
     at: Point | None = None
     """Point at which the resultant acts (mm); over the boundary evenly by default."""
-
-    @property
-    def resultant(self) -> tuple[float, float, float]:
-        """The resultant at full amplitude [N]."""
-        return self.force
 
     def work(self, v: Expr, on: Any) -> Any:
         """Work of a traction that is linear over the boundary."""

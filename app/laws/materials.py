@@ -30,12 +30,11 @@ Strain6 = tuple[Number, Number, Number, Number, Number, Number]
 
 def _six(value: object) -> object:
     """Expand a single number to an isotropic strain."""
+    expected = "expected a number or six: [xx, yy, zz, yz, xz, xy]"
     if isinstance(value, list | tuple):
-        if len(value) != 6:
-            fail(f"has {len(value)} values; expected a number or six: [xx, yy, zz, yz, xz, xy]")
-        return value
+        return value if len(value) == 6 else fail(f"has {len(value)} values; {expected}")
     if isinstance(value, bool) or not isinstance(value, int | float):
-        fail(f"{show(value)} is not a strain; expected a number or six: [xx, yy, zz, yz, xz, xy]")
+        fail(f"{show(value)} is not a strain; {expected}")
     return (value, value, value, 0.0, 0.0, 0.0)
 
 

@@ -53,11 +53,6 @@ class Support(Named):
         """Axes along which it constrains the model."""
         return "xyz"
 
-    @property
-    def felt_axes(self) -> str:
-        """Axes along which it may resist motion, at least in part."""
-        return self.held_axes
-
     def values(self, x: Floats) -> Floats:
         """Displacement at points at full amplitude (n, 3) [mm], zero along free axes."""
         return 0.0 * x

@@ -44,11 +44,8 @@ class Thermal(Named):
 
     @model_validator(mode="after")
     def _complete(self) -> Thermal:
-        pair = {
-            "axial_conductivity": self.axial_conductivity,
-            "transverse_conductivity": self.transverse_conductivity,
-        }
-        given = [key for key, value in pair.items() if value is not None]
+        pair = "axial_conductivity", "transverse_conductivity"
+        given = [key for key in pair if getattr(self, key) is not None]
         either = "expected conductivity, or axial_conductivity and transverse_conductivity"
         if self.conductivity is not None and given:
             fail(f"{given[0]} beside conductivity; {either}", at=(given[0],))
@@ -61,10 +58,8 @@ class Thermal(Named):
             if not self.thermal_expansion:
                 fail("nothing expands; expected thermal_expansion", at=("reference_temperature",))
             if self.cure is not None:
-                fail(
-                    "strains of a region that cures count from where it sets: no reference",
-                    at=("reference_temperature",),
-                )
+                text = "strains of a region that cures count from where it sets: no reference"
+                fail(text, at=("reference_temperature",))
         return self
 
     @property

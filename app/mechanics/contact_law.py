@@ -92,7 +92,7 @@ class PointLaw:
                 compiled.set(**{name: each[own.interface[rows]]})
         self.history = {k: shape for law in laws for k, shape in law.history.items()}
         self.can_open = np.array([law.can_open for law in laws])[own.interface]
-        self.frictional = np.array([law.frictional for law in laws])[own.interface]
+        self.frictional = np.array([law.friction > 0 for law in laws])[own.interface]
         self.tied = np.zeros(len(own), dtype=bool)
         self._scale = 1.0
         self.update_stiffness(local_stiffness)

@@ -31,7 +31,7 @@ from app.system.folders import csv_text, saved, write_json, write_text
 from app.version import __version__
 from meshes.distribute import TaggedMesh
 
-UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
+UNITS = {what.partition(" ")[2]: unit for unit, what in quantities.UNITS.items() if unit != "-"}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
 SECTION = "temperature_section.png"
 # Files written at the end, and all of a run directory.

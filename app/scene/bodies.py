@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from app.arrays import Ints
 from app.errors import InputError
 from app.laws.materials import Rigid
-from app.laws.supports import Support
 from app.scene.scene import Interface
-from meshes.contact_facets import InterfaceFacets, gather, sorted_facets
-from meshes.contact_points import Holds
+from meshes.contact_facets import InterfaceFacets, sorted_facets
 from meshes.distribute import TaggedMesh
 
 # Nodes of each facet of a tetrahedron: vertices, then the middles of the edges opposite them.
@@ -236,33 +234,3 @@ def facet_coordinates(tagged: TaggedMesh, f: FacetCells) -> tuple[NDArray, NDArr
     geometry = tagged.mesh.geometry
     centres = geometry.x[geometry.dofmap[f.cells][:, :4]].mean(axis=1).reshape(-1, 3)
     return geometry.x[_at_facets(geometry.dofmap, f)], centres
-
-
-def held_vertices(
-    tagged: TaggedMesh,
-    bodies: Bodies,
-    space: fem.FunctionSpace,
-    supports: Sequence[Support],
-    vertices: Ints,
-) -> Holds:
-    """Supports of the given vertices, by body; collective."""
-    none = np.zeros(0, dtype=np.int64)
-    found: list[tuple[Ints, Ints, Ints]] = [(none, none, none)]
-    tags = cell_tags(tagged)
-    for s, support in enumerate(supports):
-        f = boundary_facets(tagged, support.boundary)
-        corners = facet_nodes(tagged, space, f)[0].ravel()
-        owners = np.repeat(bodies.of_tag[tags[f.cells]], 3)
-        near = np.isin(corners, vertices)
-        found.append((corners[near], owners[near], np.full(int(near.sum()), s)))
-    columns = [np.concatenate([f[k] for f in found]) for k in range(3)]
-    number, body, support_of = gather(tagged.mesh.comm, *columns)
-    keys, row = np.unique(np.stack([number, body], axis=1), axis=0, return_inverse=True)
-    held = np.full((len(keys), 3), -1, dtype=np.int64)
-    # A support active in every stage overrides one that is released.
-    for s in sorted(range(len(supports)), key=lambda s: supports[s].stages is None):
-        support = supports[s]
-        here = np.unique(row.reshape(-1)[support_of == s])
-        for c in np.flatnonzero(support.components):
-            held[here, c] = s
-    return Holds(keys[:, 0], keys[:, 1], held)

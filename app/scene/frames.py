@@ -7,7 +7,7 @@ constrains some of them. All other nodes have x, y, z.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
@@ -16,7 +16,7 @@ from dolfinx.common import IndexMap
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError
 from app.laws.supports import Support
-from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes, held_vertices
+from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes
 from app.scene.scene import Scene
 from app.system.layout import point_text
 from meshes.contact_faces import projectors
@@ -79,18 +79,34 @@ def held_at(
     supports: Sequence[Support],
     facets: InterfaceFacets,
 ) -> tuple[Holds, dict[int, Floats]]:
-    """Supports at vertices of interfaces, and local axes by vertex."""
-    numbers, first = np.unique(facets.vertices, return_index=True)
-    holds = held_vertices(tagged, bodies, space, supports, numbers)
-    if frames is None:
-        return holds, {}
-    dof = facets.vertex_dofs.ravel()[first][np.searchsorted(numbers, holds.vertex)]
-    rows = np.flatnonzero(np.isin(dof, frames.node))
-    places, held = np.searchsorted(frames.node, dof[rows]), holds.support.copy()
+    """Supports at vertices of interfaces, by body, and local axes by vertex; collective."""
+    tags = cell_tags(tagged)
+    vertices, first = np.unique(facets.vertices, return_index=True)
+    none = np.zeros(0, dtype=np.int64)
+    found: list[tuple[Ints, Ints, Ints]] = [(none, none, none)]
+    for s, support in enumerate(supports):
+        f = boundary_facets(tagged, support.boundary)
+        corners = facet_nodes(tagged, space, f)[0].ravel()
+        near = np.isin(corners, vertices)
+        owners = np.repeat(bodies.of_tag[tags[f.cells]], 3)[near]
+        found.append((corners[near], owners, np.full(len(owners), s)))
+    columns = map(np.concatenate, zip(*found, strict=True))
+    number, body, support_of = gather(tagged.mesh.comm, *columns)
+    keys, row = np.unique(np.stack([number, body], axis=1), axis=0, return_inverse=True)
+    vertex, body = keys.T
+    held = np.full((len(keys), 3), -1, dtype=np.int64)
+    # A support active in every stage overrides one that is released.
     order = sorted(range(len(supports)), key=lambda s: supports[s].stages is None)
-    held[rows] = frames.support(places, holds.body[rows], order)
-    axes = {int(v): frames.axes[p] for v, p in zip(holds.vertex[rows], places, strict=True)}
-    return replace(holds, support=held), axes
+    for s in order:
+        held[np.ix_(row.ravel()[support_of == s], supports[s].components)] = s
+    if frames is None:
+        return Holds(vertex, body, held), {}
+    dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, vertex)]
+    rows = np.flatnonzero(np.isin(dof, frames.node))
+    places = np.searchsorted(frames.node, dof[rows])
+    held[rows] = frames.support(places, body[rows], order)
+    axes = {int(v): frames.axes[p] for v, p in zip(vertex[rows], places, strict=True)}
+    return Holds(vertex, body, held), axes
 
 
 def frames_of(

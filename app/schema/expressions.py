@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import ast
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 from app.errors import InputError
 from app.schema.section import Scalar, did_you_mean, fail
-from app.schema.units import NUMBER, Dimension, finite
+from app.schema.units import LARGEST, NUMBER, Dimension
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-COORDINATES = ("x", "y", "z")
 OPERATORS = {
     ast.Add: "add",
     ast.Sub: "subtract",
@@ -41,59 +41,65 @@ FUNCTIONS: dict[str, tuple[str, int, int]] = {
 LONGEST = 1000
 
 
-def parse(expression: str) -> ast.expr:
-    """Parse and check an expression.
+def calculate(expression: str, names: Mapping[str, Any]) -> Any:
+    """Value of an expression: an array (n,) or a float.
+
+    Args:
+        expression: Its text.
+        names: Values of x, y, z, pi: arrays (n,) or floats.
 
     Raises:
         ValueError: It is no valid expression; the argument names the error and what is allowed.
     """
+    import numpy as np
+
     if len(expression) > LONGEST:
         raise ValueError(f"expression of {len(expression)} characters; at most {LONGEST}")
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # about code that is refused below
-            tree = ast.parse(expression.strip(), mode="eval").body
-        _check(tree)
+            return _value(ast.parse(expression.strip(), mode="eval").body, names)
     except (SyntaxError, RecursionError, MemoryError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else "nested too deeply"
         raise ValueError(f"{expression!r} is not an expression in x, y, z: {reason}") from error
-    return tree
 
 
-def _check(node: ast.expr) -> None:
-    """Refuse nodes outside the language."""
+def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
+    """Value of a node; nodes outside the language are refused."""
+    import numpy as np
+
     match node:
         case ast.Constant(value=bool()):
             raise ValueError("true and false are not numbers")
         case ast.Constant(value=int() | float() as value):
-            if not finite(value):
+            if value > LARGEST:
                 raise ValueError("a number in the expression is too large")
+            return np.float64(value)
         case ast.Name(id=name):
-            allowed = (*COORDINATES, "pi")
-            if name not in allowed:
-                hint = did_you_mean(name, (*allowed, *FUNCTIONS))
-                raise ValueError(f"'{name}' is not one of {', '.join(allowed)}{hint}")
+            if name not in names:
+                hint = did_you_mean(name, (*names, *FUNCTIONS))
+                raise ValueError(f"'{name}' is not one of {', '.join(names)}{hint}")
+            return names[name]
         case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
-            _check(operand)
+            return getattr(np, OPERATORS[type(op)])(_value(operand, names))
         case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
-            _check(left)
-            _check(right)
+            function = getattr(np, OPERATORS[type(op)])
+            return function(_value(left, names), _value(right, names))
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
             if name not in FUNCTIONS:
                 hint = did_you_mean(name, tuple(FUNCTIONS))
                 raise ValueError(f"'{name}' is not one of {', '.join(FUNCTIONS)}{hint}")
-            _, least, most = FUNCTIONS[name]
+            function, least, most = FUNCTIONS[name]
             if not least <= len(arguments) <= most:
                 wanted = f"{least} to {most} arguments" if most > least else f"{least} argument(s)"
                 raise ValueError(f"{name} takes {wanted}, got {len(arguments)}")
-            for argument in arguments:
-                _check(argument)
-        case _:
-            text = ast.unparse(node)
-            raise ValueError(
-                f"'{text[:40]}' is not allowed in an expression; allowed are numbers, x, y, z, pi, "
-                f"+ - * / **, parentheses and {', '.join(FUNCTIONS)}"
-            )
+            first, *others = (_value(argument, names) for argument in arguments)
+            function = getattr(np, function)
+            return reduce(function, others, first) if others else function(first)
+    raise ValueError(
+        f"'{ast.unparse(node)[:40]}' is not allowed in an expression; allowed are numbers, x, y, "
+        f"z, pi, + - * / **, parentheses and {', '.join(FUNCTIONS)}"
+    )
 
 
 def evaluate(expression: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -104,40 +110,17 @@ def evaluate(expression: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     import numpy as np
 
+    points = np.asarray(x, dtype=np.float64).reshape(-1, 3)
     try:
-        tree = parse(expression)
+        found = calculate(expression, dict(zip("xyz", points.T, strict=True), pi=np.pi))
     except ValueError as error:
         raise InputError(str(error)) from error
-    points = np.asarray(x, dtype=np.float64).reshape(-1, 3)
-    names = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "pi": np.pi}
-    with np.errstate(all="ignore"):
-        result = np.broadcast_to(_value(tree, names), points.shape[0]).astype(np.float64)
+    result = np.broadcast_to(found, len(points)).astype(np.float64)
     bad = np.flatnonzero(~np.isfinite(result))
     if bad.size:
         place = ", ".join(f"{c:g}" for c in points[bad[0]])
         raise InputError(f"expression {expression!r} is not finite at ({place}) mm")
     return result
-
-
-def _value(node: ast.expr, names: dict[str, Any]) -> Any:
-    """Value of a checked node: an array (n,) or a float."""
-    import numpy as np
-
-    match node:
-        case ast.Constant(value=value):
-            return np.float64(value)  # type: ignore[arg-type]
-        case ast.Name(id=name):
-            return names[name]
-        case ast.UnaryOp(op=op, operand=operand):
-            return getattr(np, OPERATORS[type(op)])(_value(operand, names))  # type: ignore[index]
-        case ast.BinOp(op=op, left=left, right=right):
-            function = getattr(np, OPERATORS[type(op)])  # type: ignore[index]
-            return function(_value(left, names), _value(right, names))
-        case ast.Call(func=ast.Name(id=name), args=arguments):
-            function = getattr(np, FUNCTIONS[name][0])
-            values = [_value(argument, names) for argument in arguments]
-            return reduce(function, values) if len(values) > 1 else function(values[0])
-    raise AssertionError("the tree was not checked")
 
 
 @dataclass(frozen=True)
@@ -163,7 +146,7 @@ class Varying(Scalar):
         ):
             return self.constant.read(value)
         try:
-            parse(value)
+            calculate(value, dict.fromkeys(("x", "y", "z", "pi"), 1.0))
         except ValueError as error:
             kind = self.constant
             fail(
@@ -176,7 +159,7 @@ class Varying(Scalar):
         """The value as text that reads back to the same."""
         return value if isinstance(value, str) else self.constant.write(value)
 
-    def json_schema(self) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
         """Text."""
         kind = self.constant
         return {

@@ -67,7 +67,7 @@ def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
         case "model_type" | "model_attributes_type":
             return path, f"{value} is not a mapping; expected keys {', '.join(keys)}"
         case "literal_error" if words := re.findall("'([^']*)'", entry["ctx"]["expected"]):
-            return path, _not_one_of(entry["input"], words)
+            return path, not_one_of(entry["input"], words)
         case "union_tag_invalid":
             given, tags = entry["input"], entry["ctx"]["expected_tags"]
             kinds = re.findall(f"'{TAG}(\\w+)'", tags)
@@ -75,7 +75,7 @@ def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
                 text = f"{value} is not a mapping; expected one with kind: {' | '.join(kinds)}"
                 return path, text
             missing = f"is missing; expected one of {', '.join(kinds)}"
-            text = _not_one_of(given["kind"], kinds) if "kind" in given else missing
+            text = not_one_of(given["kind"], kinds) if "kind" in given else missing
             return (*path, "kind"), text
     return path, f"{value}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
 
@@ -181,13 +181,9 @@ class Scalar:
         """Convert a value to a form that `read` takes back to it."""
         return value
 
-    def json_schema(self) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
         """The values that are read, for editors; ``x-value`` and ``x-unit`` for the manual."""
         raise NotImplementedError
-
-    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
-        """Replace pydantic's own JSON schema."""
-        return self.json_schema()
 
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
@@ -198,17 +194,8 @@ class Scalar:
         )
 
 
-def one_of(value: object, allowed: Sequence[str], at: Path = ()) -> None:
-    """Refuse a value that is not among the allowed words.
-
-    Raises:
-        PydanticCustomError: It is not.
-    """
-    if value not in allowed:
-        fail(_not_one_of(value, allowed), at)
-
-
-def _not_one_of(value: object, allowed: Sequence[str]) -> str:
+def not_one_of(value: object, allowed: Sequence[str]) -> str:
+    """Message about a value that is not among the allowed words."""
     hint = did_you_mean(value, allowed) if isinstance(value, str) else ""
     return f"{show(value)} is not one of {', '.join(allowed)}{hint}"
 

@@ -40,12 +40,16 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
     text = unit.replace("**", "^").replace("·", "*").replace("μ", "µ")
     if not UNIT.fullmatch(text) or TOWER.search(text):
         raise LookupError(unit)
-    key = f"{text} in {internal}"
+    key, kept = f"{text} in {internal}", _kept()
     try:
-        slope, offset = map(Fraction, _kept()[key])
+        slope, offset = map(Fraction, kept[key])
     except (KeyError, TypeError, ValueError, ArithmeticError):
         slope, offset = _by_pint(unit, text, internal)
-        _keep(key, [str(slope), str(offset)])
+        kept[key] = [str(slope), str(offset)]
+        # Of concurrent additions one may be lost.
+        with suppress(OSError):
+            if folder := folders.cache("units"):
+                folders.write_json(folder / KEPT, kept)
     return slope, offset
 
 
@@ -59,14 +63,6 @@ def _kept() -> dict[str, list[str]]:
     return {}
 
 
-def _keep(key: str, conversion: list[str]) -> None:
-    """Add a conversion to the cache; concurrent additions may be lost."""
-    _kept()[key] = conversion
-    with suppress(OSError):
-        if folder := folders.cache("units"):
-            folders.write_json(folder / KEPT, _kept())
-
-
 def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
     ureg = registry()
     try:
@@ -75,13 +71,9 @@ def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
         raise LookupError(unit) from error
     target = ureg.parse_units(internal)
     # Angles and plain numbers have the same dimension for pint, but "5 %" is not an angle.
-    plain = source.dimensionless and not ANGLES.search(_names(source))
-    if source.dimensionality != target.dimensionality or (plain and "radian" in _names(target)):
+    # `_units`, because pint cannot print rational powers (Python 3.13).
+    plain = source.dimensionless and not ANGLES.search(" ".join(source._units))
+    if source.dimensionality != target.dimensionality or (plain and "radian" in target._units):
         raise ValueError(unit)
     offset = Fraction(ureg.Quantity(Fraction(0), source).to(target).magnitude)
     return Fraction(ureg.Quantity(Fraction(1), source).to(target).magnitude) - offset, offset
-
-
-def _names(unit: Any) -> str:
-    """Names in a unit; pint cannot print rational powers (Python 3.13)."""
-    return " ".join(unit._units)

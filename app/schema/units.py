@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import operator
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -29,7 +30,7 @@ NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*"
 LONGEST = 60
 # Longest number with its unit; matching takes quadratic time.
 LONGEST_VALUE = 200
-HUGE = 1e9
+HUGE, LARGEST = 1e9, sys.float_info.max
 
 # By attribute: what it asks of a value, in words, and in a JSON schema.
 BOUNDS: dict[str, tuple[Callable[[float, float], bool], str, str]] = {
@@ -42,14 +43,6 @@ SUGGESTIONS = (
     "GPa MPa kPa Pa mm um cm m nm N kN mN deg rad degC K s ms min hour N/mm N/mm^2 N/mm^3 MPa/mm "
     "kg tonne kg/m^3 W/m^2 W/m^3 J/m^3 J/mol 1/K 1/s"
 ).split()
-
-
-def finite(value: int | float) -> bool:
-    """Whether a number is finite as a float; a large integer is not."""
-    try:
-        return math.isfinite(float(value))
-    except OverflowError:
-        return False
 
 
 def bounds_in_words(schema: dict[str, Any]) -> str:
@@ -101,11 +94,13 @@ class Dimension(_Bounded):
         unit: Internal unit.
         what: Dimension in words, with its article.
         example: Value as written in a file.
+        offset: Whether a unit may have another zero: degC of a temperature, not of a difference.
     """
 
     unit: str
     what: str
     example: str
+    offset: bool = True
 
     def read(self, value: object) -> float:
         """The value in the internal unit.
@@ -114,31 +109,32 @@ class Dimension(_Bounded):
             PydanticCustomError: Not a number with a unit of this dimension, not finite, out of
                 bounds.
         """
-        expected = f"expected {self.what} such as '{self.example}'"
-        text = value if isinstance(value, str) else show(value)
+        shown, expected = show(value), f"{self.what} such as '{self.example}'"
+        text = value if isinstance(value, str) else shown
         match = NUMBER.fullmatch(text) if len(text) <= LONGEST_VALUE else None
         if match is None:
-            fail(f"{show(value)} is not {self.what} such as '{self.example}'")
+            fail(f"{shown} is not {expected}")
         number, unit = match.groups()
         if not unit:
-            example = f"{number} {self.example.split(maxsplit=1)[1]}"
-            fail(f"{show(value)} needs a unit, e.g. '{example}'")
+            fail(f"{shown} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
         try:
             slope, offset = conversion(unit, self.unit)
         except LookupError:
             hint = did_you_mean(unit, SUGGESTIONS)
-            fail(f"{show(value)}: '{unit}' is not a unit; {expected}{hint}")
+            fail(f"{shown}: '{unit}' is not a unit; expected {expected}{hint}")
         except ValueError:
-            fail(f"{show(value)} is not {self.what} such as '{self.example}'")
+            fail(f"{shown} is not {expected}")
+        if offset and not self.offset:
+            fail(f"{shown} is a temperature; expected {self.what} such as '{number} {self.unit}'")
         if len(number) > LONGEST or not math.isfinite(float(number)):
-            fail(f"{show(value)} is not finite; {expected}")
+            fail(f"{shown} is not finite; expected {expected}")
         # A number that underflows is zero; as a fraction it could take gigabytes.
         exact = Fraction(number) if float(number) != 0.0 else Fraction(0)
         try:
             result = float(exact * slope + offset)
         except OverflowError:
-            fail(f"{show(value)} is not finite in {self.unit}")
-        self.check(result, show(value), self.unit)
+            fail(f"{shown} is not finite in {self.unit}")
+        self.check(result, shown, self.unit)
         return result
 
     def write(self, value: float) -> str:
@@ -149,7 +145,7 @@ class Dimension(_Bounded):
                 return degrees
         return f"{value!r} {self.unit}"
 
-    def json_schema(self) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
         """Text that starts with a number and ends with a unit."""
         return {
             "type": "string",
@@ -181,8 +177,7 @@ class AbsoluteTemperature(Dimension):
         Raises:
             PydanticCustomError: As `Dimension.read`; a difference of temperatures; below 0 K.
         """
-        match = NUMBER.fullmatch(value) if isinstance(value, str) else None
-        if match and "delta" in match[2]:
+        if isinstance(value, str) and "delta" in value:
             fail(f"{show(value)} is a difference of temperatures; expected one such as 37 degC")
         result = super().read(value)
         if result <= 0.0:
@@ -193,27 +188,6 @@ class AbsoluteTemperature(Dimension):
         """The value in degC where that reads back to the same float, else in K."""
         celsius = f"{round(value - 273.15, 9)!r} degC"
         return celsius if self.read(celsius) == value else super().write(value)
-
-
-@dataclass(frozen=True)
-class TemperatureDifference(Dimension):
-    """Marks a difference of temperatures: 5 K, which is not 5 degC."""
-
-    unit: str = "K"
-    what: str = "a difference of temperatures"
-    example: str = "5 K"
-
-    def read(self, value: object) -> float:
-        """The value in K.
-
-        Raises:
-            PydanticCustomError: As `Dimension.read`; a temperature.
-        """
-        result = super().read(value)
-        match = NUMBER.fullmatch(str(value))
-        if match and conversion(match[2], self.unit)[1] != 0:
-            fail(f"{show(value)} is a temperature; expected {self.what} such as '{match[1]} K'")
-        return result
 
 
 @dataclass(frozen=True)
@@ -237,19 +211,20 @@ class Plain(_Bounded):
             unit = isinstance(value, str) and (m := NUMBER.fullmatch(value)) and m.group(2)
             extra = " (this value is dimensionless: no unit)" if unit else " without quotes or unit"
             fail(f"{show(value)} is not a {kind}; expected a plain {kind}{extra}")
-        if not finite(value):
+        if not abs(value) <= LARGEST:
             fail(f"{show(value)} is not finite; expected a {kind}")
         if self.integer and value != int(value):
             fail(f"{value} is not a {kind}")
         self.check(value, str(value))
         return int(value) if self.integer else float(value)
 
-    def json_schema(self) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
         """A number with its bounds."""
         return {"type": "integer" if self.integer else "number"} | self.bounds
 
 
 _length = partial(Dimension, "mm", "a length", "4 mm")
+_difference = partial(Dimension, "K", "a difference of temperatures", "5 K", offset=False)
 _time = partial(Dimension, "s", "a time", "600 s")
 _stiffness = partial(Dimension, "MPa/mm", "a stiffness per area", "100 MPa/mm")
 # Each internal unit of heat equals one in mm, N, s, K, tonne: 1 W/(m K) = 1 N/(s K).
@@ -274,7 +249,7 @@ NonNegativeTime = Annotated[float, _time(at_least=0.0)]
 PositiveTime = Annotated[float, _time(above=0.0)]
 
 Temperature = Annotated[float, AbsoluteTemperature()]
-PositiveDifference = Annotated[float, TemperatureDifference(above=0.0)]
+PositiveDifference = Annotated[float, _difference(above=0.0)]
 Conductivity = Annotated[float, Dimension("W/(m*K)", "a conductivity", "0.2 W/(m K)", above=0.0)]
 Density = Annotated[float, Dimension("tonne/mm^3", "a density", "1100 kg/m^3", above=0.0)]
 SpecificHeat = Annotated[float, _specific_heat]
@@ -301,15 +276,13 @@ SizeVector = Annotated[
 def _normalise(axis: tuple[float, float, float]) -> tuple[float, float, float]:
     if not any(axis):
         fail("is the zero vector; expected a direction")
-    # Scaled first, so that neither huge nor tiny entries overflow.
-    largest = max(abs(c) for c in axis)
-    scaled = [c / largest for c in axis]
-    length = math.hypot(*scaled)
     # A unit vector is kept as it is, so that a saved case reads back unchanged.
-    if abs(largest * length - 1.0) < 1e-12:
+    if abs(math.hypot(*axis) - 1.0) < 1e-12:
         return axis
-    x, y, z = (c / length for c in scaled)
-    return x, y, z
+    # Scaled first, so that neither huge nor tiny entries overflow.
+    x, y, z = (c / max(map(abs, axis)) for c in axis)
+    length = math.hypot(x, y, z)
+    return x / length, y / length, z / length
 
 
 Axis = Annotated[tuple[Number, Number, Number], Triple("[0, 0, 1]"), AfterValidator(_normalise)]

@@ -32,9 +32,8 @@ LARGEST, MOST_NODES, DEEPEST, LONGEST = 4 << 20, 100_000, 50, 10_000
 TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"
 # The only tags allowed on mappings and lists.
 PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
-# A message that begins with a key, and a step of the key.
+# A message that begins with a key.
 KEYED = re.compile(r"([A-Za-z_][\w-]*(?:\.[\w-]+|\[\d+\])*): (.*)", re.DOTALL)
-STEP = re.compile(r"[\w-]+")
 # Sorting key of what has no place in a file.
 LAST = (1 << 30, 0, 0)
 
@@ -110,11 +109,10 @@ class CaseFile:
 
     def _placed(self, message: str) -> str:
         """A message with its place, if it begins with a key."""
-        found = KEYED.fullmatch(message)
-        path = tuple(int(i) if i.isdigit() else i for i in STEP.findall(found[1])) if found else ()
-        if found is None or path[0] not in self.data:
+        if not (found := KEYED.fullmatch(message)):
             return message
-        return self._locate(Fault(path, found[2]))[1]
+        path = tuple(int(i) if i.isdigit() else i for i in key_parts(found[1]))
+        return self._locate(Fault(path, found[2]))[1] if path[0] in self.data else message
 
     def _locate(self, fault: Fault) -> tuple[tuple[int, int, int], str]:
         """Sorting key and message of a fault, at its key or the nearest one above."""

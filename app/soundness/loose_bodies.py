@@ -258,7 +258,7 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
         slip, touch = problem.comm.allreduce(local)
         bodies = problem.comm.allgather(set(contact.own.bodies[on].ravel().tolist()))
         loose = set().union(*bodies) - fixed
-        if term.law.frictional and touch and slip >= SLIDES * touch and loose:
+        if term.law.friction > 0 and touch and slip >= SLIDES * touch and loose:
             who = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
             found.append(
                 f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of what touches "
@@ -307,7 +307,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     spread of facet normals in the same motions: where the quotient is small, only the mesh resists.
     A slope common to all normals of an interface is no spread: a taper, however slight.
     """
-    smooth = [c.law.can_open and not c.law.frictional for c in problem.scene.contacts]
+    smooth = [c.law.can_open and c.law.friction == 0 for c in problem.scene.contacts]
     if not any(smooth):
         return ""
     contact = trial.contact

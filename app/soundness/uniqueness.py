@@ -107,7 +107,7 @@ def look(problem: Problem) -> tuple[dict[str, float], list[str]]:
         least, x = min(problem.comm.allgather(here))
         over = int((critical[on] < term.law.friction).sum())
         over = problem.comm.allreduce(over, MPI.SUM)
-        if not term.law.frictional or not np.isfinite(least):
+        if term.law.friction == 0 or not np.isfinite(least):
             continue
         found[term.name] = least
         if over:

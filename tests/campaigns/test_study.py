@@ -297,7 +297,7 @@ def test_known_values_have_the_unit_of_their_quantity(
     quantity: str, unit: str, given: str | float, value: float
 ) -> None:
     assert quantities.find(quantity).unit == unit
-    assert study_file.known_value(quantity, given) == pytest.approx(value, rel=1e-15)
+    assert quantities.known_value(quantity, given) == pytest.approx(value, rel=1e-15)
 
 
 def test_a_real_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -109,8 +109,7 @@ def test_check_tells_what_it_understood(
     absent: tuple[str, ...],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    options = [word for change in changes for word in ("--set", change)]
-    assert main(["check", str(CONFIGS / f"{name}.yaml"), *options]) == 0
+    assert main(["check", str(CONFIGS / f"{name}.yaml"), *support.sets(*changes)]) == 0
     out, err = capsys.readouterr()
     assert err == "" and size in out
     assert set(lines.splitlines()) <= set(out.splitlines())
@@ -128,7 +127,7 @@ def test_estimated_temperatures_are_those_of_the_mesh(capsys: pytest.CaptureFixt
     changes = [f"regions.{name}={conductor}" for name in ("stem", "cement", "bone")]
     changes += [f"interfaces={{stem_cement: {glued}, cement_bone: {glued}}}", "supports={}"]
     changes += ["stages=[{name: wait, duration: 1 s}]", "mesh.size=3 mm"]
-    case = [str(CONFIGS / "cylinders.yaml"), *(a for c in changes for a in ("--set", c))]
+    case = [str(CONFIGS / "cylinders.yaml"), *support.sets(*changes)]
     counts = []
     for mesh in ([], ["--mesh"]):
         assert main(["check", *case, *mesh]) == 0

@@ -88,10 +88,6 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return support.on_ranks(1, "-m", "mantle", "run", *arguments, code=None)
 
 
-def sets(*changes: str) -> list[str]:
-    return [word for change in changes for word in ("--set", change)]
-
-
 def rows(path: Path) -> list[dict[str, str]]:
     with path.open() as file:
         return list(csv.DictReader(file))
@@ -102,18 +98,15 @@ def balanced(summary: dict[str, Any]) -> bool:
     return max(v for k, v in summary["balance"].items() if k != "heat_quadrature") < 1e-8
 
 
-def read(folder: Path) -> dict[str, Any]:
-    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    return summary
-
-
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
     """A finished run: its case, its folder, what it said."""
     folder = tmp_path_factory.mktemp("run")
     case, output = folder / "small.yaml", folder / "out"
     case.write_text(STEM)
-    result = run(case, "-o", output, *sets("interfaces.cement_bone.friction_coefficient=0.8"))
+    result = run(
+        case, "-o", output, *support.sets("interfaces.cement_bone.friction_coefficient=0.8")
+    )
     assert result.returncode == 0, result.stderr
     assert result.stderr == ""
     return case, output, result.stdout
@@ -126,7 +119,9 @@ def test_what_check_notes_is_in_the_log(tmp_path: Path) -> None:
     change = "regions.upper.poisson_ratio=0.499"
     check = support.python("-m", "mantle", "check", case, "--set", change)
     press = "loads={press: {kind: pressure, boundary: top, pressure: 1 MPa}}"
-    result = run(case, "-o", tmp_path / "out", *sets(change, "stages=[{name: press}]", press))
+    result = run(
+        case, "-o", tmp_path / "out", *support.sets(change, "stages=[{name: press}]", press)
+    )
     assert "regions.upper is nearly incompressible: linear tetrahedra lock" in check.stderr
     assert result.stderr == check.stderr
 
@@ -140,7 +135,7 @@ def test_summary_means_what_it_says(done: tuple[Path, Path, str]) -> None:
 
     Names of numbers are those of the frozen ones; here is what these leave out.
     """
-    summary = read(done[1])
+    summary = support.summary(done[1])
     assert (summary["status"], summary["solver"]["steps"]) == ("converged", 3)
     assert summary["units"]["length"] == "mm" and summary["units"]["stress"] == "MPa"
     assert summary["solver"].keys() >= {"dofs", "newton_iterations", "ranks"}
@@ -166,7 +161,7 @@ def test_summary_means_what_it_says(done: tuple[Path, Path, str]) -> None:
 def test_history_has_a_row_per_step(done: tuple[Path, Path, str]) -> None:
     history = rows(done[1] / "history.csv")
     assert [float(r["time [-]"]) for r in history] == [1.0, 1.5, 2.0]
-    summary = read(done[1])
+    summary = support.summary(done[1])
     last = history[-1]
     for name, q in summary["interfaces"].items():
         for key, unit in (("gap_max", "mm"), ("pressure_max", "MPa"), ("slip_fraction", "-")):
@@ -195,7 +190,7 @@ def test_terminal_has_a_line_per_step_and_a_verdict(done: tuple[Path, Path, str]
 
 def test_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
     """Every field, with a node per body at the interfaces, against the summary."""
-    summary = read(done[1])
+    summary = support.summary(done[1])
     with h5py.File(done[1] / "fields.vtkhdf") as file:
         grid = file["VTKHDF"]
         assert grid.attrs["Type"] == b"UnstructuredGrid"
@@ -273,7 +268,7 @@ def test_what_is_finished_is_left_or_replaced(done: tuple[Path, Path, str], tmp_
     """What is of another configuration, or not complete, is run again where that is asked for."""
     case, output = done[0], tmp_path / "out"
     shutil.copytree(done[1], output)
-    same = sets("interfaces.cement_bone.friction_coefficient=0.80")
+    same = support.sets("interfaces.cement_bone.friction_coefficient=0.80")
 
     def stamps() -> dict[str, int]:
         return {p.name: p.stat().st_mtime_ns for p in output.iterdir()}
@@ -295,7 +290,7 @@ def test_what_is_finished_is_left_or_replaced(done: tuple[Path, Path, str], tmp_
     # Replaced are results alone.
     (output / "DONE").write_text("old")
     (output / "notes.txt").write_text("mine")
-    assert run(case, "-o", output, *sets("output.fields=false"), "--force").returncode == 0
+    assert run(case, "-o", output, *support.sets("output.fields=false"), "--force").returncode == 0
     kept = (FILES - {"fields.vtkhdf", "final.vtkhdf"}) | {"notes.txt"}
     assert stamps().keys() == kept and (output / "DONE").read_text() == ""
 
@@ -326,7 +321,7 @@ def test_results_of_an_older_mesh_or_another_stack_are_not_finished(tmp_path: Pa
 def test_petsc_options_reach_the_solver(tmp_path: Path) -> None:
     case = tmp_path / "case.yaml"
     case.write_text(SLIDING)
-    less = sets("loads.push.force=[5 N, 0 N, 0 N]")
+    less = support.sets("loads.push.force=[5 N, 0 N, 0 N]")
     petsc = ("--", "-snes_monitor", "-ksp_type", "gmres")
     result = run(case, "-o", tmp_path / "out", *less, *petsc)
     assert result.returncode == 0, result.stderr
@@ -347,7 +342,7 @@ def test_diverging_case_leaves_its_last_state(tmp_path: Path) -> None:
     assert f"last converged state: time 1.5 (step 2) in {output}" in message
     assert not (output / "DONE").exists()
     assert not list(output.glob("*.partial"))
-    summary = read(output)
+    summary = support.summary(output)
     assert summary["status"] == "not converged"
     # 10 N of 10.8 N were reached: the state is that one, not the failed one.
     assert summary["time"] == 1.5
@@ -381,7 +376,7 @@ variations:
 
 
 def test_a_variation_that_fails_does_not_stop_the_others(tmp_path: Path) -> None:
-    """Exit code 4, which one and why; the others are what they are alone."""
+    """Exit code 4, which one and why; what is finished is not done again."""
     case, output = tmp_path / "varied.yaml", tmp_path / "out"
     case.write_text(VARIED)
     result = run(case, "-o", output)
@@ -389,30 +384,20 @@ def test_a_variation_that_fails_does_not_stop_the_others(tmp_path: Path) -> None
     assert result.stderr.splitlines()[-1].startswith("1 of 3 variations did not converge: slides")
     assert not (output / "DONE").exists() and not (output / "slides" / "DONE").exists()
     assert "stage 'push'" in (output / "slides" / "FAILED").read_text()
-    assert read(output / "slides")["status"] == "not converged"
+    assert support.summary(output / "slides")["status"] == "not converged"
     table = json.loads((output / "variations.json").read_text())
     assert [r["status"] for r in table] == ["not converged", "converged", "converged"]
     for name in ("holds", "pressed"):
         assert {p.name for p in (output / name).iterdir()} == FILES
-        record = json.loads((output / name / "provenance.json").read_text())
-        same = sets("variations={}", *record["overrides"])
-        assert run(case, "-o", tmp_path / name, *same).returncode == 0
-        ours, theirs = read(output / name), read(tmp_path / name)
-        assert ours["interfaces"].keys() == theirs["interfaces"].keys()
-        for key in ("slip_max", "pressure_max", "shear_max", "dissipation", "slip_fraction"):
-            value = theirs["interfaces"]["lower_upper"][key]
-            assert ours["interfaces"]["lower_upper"][key] == pytest.approx(value, rel=1e-8), key
     numbers = rows(output / "variations.csv")
     assert [r["name"] for r in numbers] == ["slides", "holds", "pressed"]
-    slip = read(output / "pressed")["interfaces"]["lower_upper"]["slip_p99"]
+    slip = support.summary(output / "pressed")["interfaces"]["lower_upper"]["slip_p99"]
     assert float(numbers[2]["lower_upper.slip_p99 [mm]"]) == pytest.approx(slip, rel=1e-12)
     # Only what failed is tried again, and what has changed is run: then all of them hold, and what
     # failed before says nothing any more.
     stamps = [(output / name / "DONE").stat().st_mtime_ns for name in ("holds", "pressed")]
-    again = run(case, "-o", output, "--restart", "auto")
-    assert again.returncode == 4 and "2 of 3 variations are finished already" in again.stdout
     held = [
-        *sets(
+        *support.sets(
             "variations.slides={loads.push.force: [9 N, 0 N, 0 N]}",
             "variations.holds={loads.push.force: [7 N, 0 N, 0 N]}",
         ),
@@ -451,30 +436,6 @@ def test_an_interrupt_leaves_finished_variations(tmp_path: Path) -> None:
 
 
 # Shipped configurations, coarsened, with numbers that have to come out.
-
-
-def check_blocks(s: dict[str, Any]) -> None:
-    """2 MPa everywhere; the confined stack's laterals are ν/(1-ν) of it."""
-    for q in s["interfaces"].values():
-        assert q["pressure_max"] == pytest.approx(2, rel=1e-9)
-        assert q["stick_fraction"] == 1
-    mean = -2 * (1 + 2 * 0.3 / 0.7) / 3
-    for r in s["regions"].values():
-        assert r["mean_stress_min"] == pytest.approx(mean, rel=1e-8)
-        assert r["mean_stress_max"] == pytest.approx(mean, rel=1e-8)
-
-
-def check_cylinders(s: dict[str, Any]) -> None:
-    """The whole stem slips at the friction coefficient; the push is what the table bears."""
-    q = s["interfaces"]["stem_cement"]
-    assert q["slip_fraction"] == 1
-    assert q["shear_max"] / q["pressure_max"] == pytest.approx(0.4, rel=1e-6)
-    # Regression, on this coarse mesh.
-    assert q["force"][2] == pytest.approx(-968.1, rel=0.01)
-    # Beside each number its error, as far as it can be told: slip is known to a micrometre.
-    assert len(s["error"]["companions"]) == 3 and not s["error"]["failed"]
-    assert 0 < q["slip_p99_error"] < 1e-3 and len(q["force_error"]) == 3
-    assert "slip_max_error" not in q
 
 
 def check_variations(s: dict[str, Any]) -> None:
@@ -588,12 +549,10 @@ def check_residual(s: dict[str, Any]) -> None:
 
 
 STANCE = ["mesh.size=6 mm", "stages.0.increments=1", "output.error=false"]
-SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None], list[str]]] = {
-    "blocks.yaml": (check_blocks, ["mesh.size=3 mm"]),
-    "cylinders.yaml": (
-        check_cylinders,
-        ["mesh.size=2.5 mm", "mesh.far_size=5 mm", "output.error=true"],
-    ),
+# Numbers of the first two are those of the frozen ones, and of the patch tests.
+SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = {
+    "blocks.yaml": (None, ["mesh.size=3 mm"]),
+    "cylinders.yaml": (None, ["mesh.size=2.5 mm", "mesh.far_size=5 mm"]),
     "stance.yaml": (check_stance, STANCE),
     "stance_cocr.yaml": (check_stance, STANCE),
     "intact.yaml": (check_intact, ["mesh.size=6 mm", "output.error=false"]),
@@ -630,7 +589,7 @@ def coarsened(tmp_path_factory: pytest.TempPathFactory) -> Coarsened:
     def of(name: str) -> tuple[Path, str]:
         if name not in done:
             out = tmp_path_factory.mktemp("shipped") / "out"
-            result = run(support.CONFIGS / name, "-o", out, *sets(*COARSE[name]))
+            result = run(support.CONFIGS / name, "-o", out, *support.sets(*COARSE[name]))
             assert result.returncode == 0, result.stderr
             done[name] = out, result.stderr
         return done[name]
@@ -638,9 +597,12 @@ def coarsened(tmp_path_factory: pytest.TempPathFactory) -> Coarsened:
     return of
 
 
+@pytest.mark.slow
 def test_a_stiffer_stem_bends_less_on_the_same_mesh(coarsened: Coarsened) -> None:
     """All else is equal: its ends move less against each other."""
-    titanium, cobalt = (read(coarsened(n)[0]) for n in ("stance.yaml", "stance_cocr.yaml"))
+    titanium, cobalt = (
+        support.summary(coarsened(n)[0]) for n in ("stance.yaml", "stance_cocr.yaml")
+    )
     assert titanium["solver"]["dofs"] == cobalt["solver"]["dofs"]
     ends = [
         [s["stem"][f"{end}_displacement"] for end in ("top", "tip")] for s in (titanium, cobalt)
@@ -650,11 +612,11 @@ def test_a_stiffer_stem_bends_less_on_the_same_mesh(coarsened: Coarsened) -> Non
     assert min(s["stem"]["subsidence"] for s in (titanium, cobalt)) > 0
 
 
-HEATED = ("thermal_100C.yaml", "cure.yaml", "residual.yaml", "thermal_rings.yaml")
+SLOW = ("stance_cocr.yaml", "thermal_100C.yaml", "cure.yaml", "residual.yaml", "thermal_rings.yaml")
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow if n in HEATED else ()) for n in COARSE]
+    "name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in COARSE]
 )
 def test_shipped_configuration(name: str, coarsened: Coarsened) -> None:
     out, stderr = coarsened(name)
@@ -666,7 +628,8 @@ def test_shipped_configuration(name: str, coarsened: Coarsened) -> None:
     assert len(folders) == (8 if name == "variations.yaml" else 1)
     for folder in folders:
         assert (folder / "DONE").exists()
-        summary = read(folder) | {"name": folder.name}
+        summary = support.summary(folder) | {"name": folder.name}
         assert balanced(summary)
         assert all(q["penetration_max"] < 1e-9 for q in summary["interfaces"].values())
-        SHIPPED[name][0](summary)
+        if check := SHIPPED[name][0]:
+            check(summary)

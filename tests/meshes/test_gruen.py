@@ -72,7 +72,7 @@ def test_what_the_operation_takes_is_in_no_zone() -> None:
     medial = float(cavity.section(0.0)[0])
     assert left((medial - 0.1, 0.0, 0.0), (medial + 0.1, 0.0, 0.0)) == [False, True]
     # Where the canal has no room all of the cancellous bone goes, and none of the cortex.
-    canal = float(femur_bone.canal(-200.0, 0.0).radius(np.array(0.0), np.array(-80.0)))
+    canal = float(femur_bone.Tube(femur_bone.CANAL).radius(np.array(0.0), np.array(-80.0)))
     assert canal < cavity.section(-80.0)[0]
     assert left((canal - 0.1, 0.0, -80.0), (canal + 0.1, 0.0, -80.0)) == [False, True]
     head, below_plug = (43.0, 0.0, 54.0), (0.0, 0.0, -118.0 - 10.1)

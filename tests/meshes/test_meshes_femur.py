@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import pdist
 
+from app.case.femurs import MUSCLES
 from app.case.geometries import Femur
 from meshes import femur_bone, femur_stem
+from meshes.femur import PATCH_RADIUS
 
 GEOMETRY = Femur()
 TURN = np.linspace(-np.pi, np.pi, 361)
@@ -44,7 +47,7 @@ def test_the_offset_is_at_the_prescribed_distance(thickness: float) -> None:
 
 
 def test_the_canal_has_the_widths_of_its_source_and_lies_in_the_bone() -> None:
-    canal, outer = femur_bone.canal(-200.0, 0.0), femur_bone.outer(-200.0)
+    canal, outer = femur_bone.Tube(femur_bone.CANAL), femur_bone.PERIOSTEUM
     for z, width in ((20, 43.7), (10, 35.0), (0, 28.7), (-10, 24.0), (-20, 20.6), (-80, 13.5)):
         ends = canal.radius(np.array([0.0, np.pi]), np.array([z, z], dtype=float))
         assert ends.sum() == pytest.approx(width, abs=0.05)
@@ -53,14 +56,9 @@ def test_the_canal_has_the_widths_of_its_source_and_lies_in_the_bone() -> None:
     assert cortex.min() > 1.5
 
 
-def test_muscles_insert_near_their_places_and_apart() -> None:
-    places = femur_bone.insertions(femur_bone.outer(-200.0))
-    assert set(places) < set(GEOMETRY.boundary_names)
-    for name, place in places.items():
-        assert np.linalg.norm(place - femur_bone.MUSCLES[name]) < 9.0, name
-        np.testing.assert_allclose(GEOMETRY.points[name], place, atol=1e-3)
-    names = list(places)
-    for i, one in enumerate(names):
-        for other in names[:i]:
-            between = np.linalg.norm(places[one] - places[other])
-            assert between > 2 * femur_bone.PATCH_RADIUS, (one, other)
+def test_muscles_insert_on_the_bone_and_apart() -> None:
+    x, y, z = np.array([MUSCLES[name] for name in MUSCLES]).T
+    on_bone = femur_bone.PERIOSTEUM.radius(np.arctan2(y, x), z)
+    np.testing.assert_allclose(np.hypot(x, y), on_bone, atol=1e-3)
+    assert set(MUSCLES) < set(GEOMETRY.boundary_names)
+    assert pdist(np.array([x, y, z]).T).min() > 2 * PATCH_RADIUS

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, IntactFemur, MeshOptions
 from app.errors import GeometryError
 from meshes import (
@@ -31,6 +32,7 @@ from meshes.data import (
     interface_facets,
     jacobians,
 )
+from meshes.femur import PATCH_RADIUS
 from meshes.femur_surfaces import FemurSurfaces as Surfaces
 from meshes.gmsh_child import session
 from tests import support
@@ -73,7 +75,7 @@ def test_nodes_are_on_the_exact_surfaces(thickness: float, curved: bool) -> None
     theta, r = np.arctan2(y, x), np.hypot(x, y)
     mantle = np.minimum(
         body.offset(thickness).radius(theta, z),
-        femur_bone.endosteum(geometry.distal_cut_z, 0.0)(theta, z),
+        femur_bone.endosteum(0.0)(theta, z),
     )
     side = z > geometry.stem_tip_z - geometry.plug_length + 1e-6
     off = np.abs(r - mantle)[side]
@@ -400,10 +402,10 @@ def test_patches_have_the_area_of_discs() -> None:
     """To half a facet, at any size."""
     for size in (8.0, 6.0, 3.0):
         data = built(size)
-        for name in femur_bone.MUSCLES:
+        for name in MUSCLES:
             own = data.facets[np.isin(data.facet_tags, data.boundaries[name])]
             areas = facet_areas(data.points, own)
-            disc = np.pi * femur_bone.PATCH_RADIUS**2
+            disc = np.pi * PATCH_RADIUS**2
             assert abs(areas.sum() - disc) <= 0.75 * areas.max(), (name, size)
 
 

@@ -43,8 +43,6 @@ HIDDEN = {
     "numerics": {"configs", "forms", "meshes"},
     "case": {"forms", "meshes", "numerics"},
 }
-# Plain numbers, which the estimate of a case shares with the mesher.
-NUMBERS = {"meshes.grid"}
 STACK = {"dolfinx", "petsc4py", "ufl", "mpi4py", "basix", "ffcx", "gmsh", "h5py"}
 
 
@@ -105,7 +103,7 @@ def all_of(*folders: str) -> object:
 @all_of(*LAYERS)
 def test_imports_point_down(path: Path) -> None:
     own = package_of(module(path))
-    seen = {package_of(name) for name in imported(path) - NUMBERS} - {"", own}
+    seen = {package_of(name) for name in imported(path)} - {"", own}
     if not own:
         assert not seen or module(path) in TOP
         return

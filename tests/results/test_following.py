@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
+import tempfile
+from pathlib import Path
 from typing import Any
 
-import pytest
-
-from app.case.case import load
 from app.results import closing_lines
-from app.simulation.session import run
+from tests import support
 
 # A ring that sets around a rigid core that it is smooth on, all at body temperature.
 RING = """
@@ -50,30 +47,21 @@ SHRUNK = [
 ]
 
 
-@pytest.fixture(scope="module")
-def solve(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
-    """Solves the ring, changed: its summary."""
-    path = tmp_path_factory.mktemp("ring") / "case.yaml"
-    path.write_text(RING)
-
-    def summary(*overrides: str) -> Any:
-        folder = tmp_path_factory.mktemp("run")
-        run(load(path, overrides), folder)
-        return json.loads((folder / "summary.json").read_text())
-
-    return summary
+def solve(folder: Path, *overrides: str) -> Any:
+    """The summary of the ring, changed."""
+    return support.run(RING, Path(tempfile.mkdtemp(dir=folder)), *overrides).summary
 
 
 def pressure(summary: Any) -> float:
     return float(summary["interfaces"]["stem_cement"]["pressure_mean"])
 
 
-def test_cement_that_shrinks_on_a_core_as_it_stiffens(solve: Callable[..., Any]) -> None:
+def test_cement_that_shrinks_on_a_core_as_it_stiffens(tmp_path: Path) -> None:
     """The pressure of the set ring times the mean of its modulus since gelation."""
-    exact = pressure(solve(*SHRUNK)) * (FLOOR + (1 - FLOOR) / (POWER + 1))
+    exact = pressure(solve(tmp_path, *SHRUNK)) * (FLOOR + (1 - FLOOR) / (POWER + 1))
     errors = []
     for step in (10, 2.5):
-        found = solve(*SET, BATH, f"time={{mechanical_step: {step} K}}")
+        found = solve(tmp_path, *SET, BATH, f"time={{mechanical_step: {step} K}}")
         errors.append(abs(pressure(found) / exact - 1))
         assert all(found["balance"][k] < limit for k, limit in closing_lines.BALANCES.items())
     # The warmth of half a unit of cure, 30 K, in some 3 and 12 steps; second order.
@@ -81,8 +69,9 @@ def test_cement_that_shrinks_on_a_core_as_it_stiffens(solve: Callable[..., Any])
     assert errors[0] / errors[-1] > 8
 
 
-def test_heat_that_is_lost_to_rounding_alone_is_balanced(solve: Callable[..., Any]) -> None:
+def test_heat_that_is_lost_to_rounding_alone_is_balanced(tmp_path: Path) -> None:
     """A cure that begins at 0 begins with a step of 1e-7 s, which warms by 1e-8 K."""
-    found = solve(*SET, "interfaces.stem_cement.conductance=0 W/(m^2 K)", "stages.0.duration=1 s")
+    alone = ("interfaces.stem_cement.conductance=0 W/(m^2 K)", "stages.0.duration=1 s")
+    found = support.run(RING, tmp_path, *SET, *alone).summary
     assert found["balance"]["heat"] < 1e-7
     assert all(clause.tone != "bad" for clause in closing_lines.verdict(found))

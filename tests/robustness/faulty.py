@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -16,9 +15,9 @@ from tests import support
 
 CASE = support.CONFIGS / "blocks.yaml"
 # A run of some steps with all that is written.
-OPTIONS = (
-    *("--set", "mesh.order=1", "--set", "mesh.size=5 mm", "--set", "mesh.far_size=5 mm"),
-    *("--set", "output.checkpoint.steps=1", "--set", "stages=[{name: press, increments: 3}]"),
+OPTIONS = support.sets(
+    *("mesh.order=1", "mesh.size=5 mm", "mesh.far_size=5 mm"),
+    *("output.checkpoint.steps=1", "stages=[{name: press, increments: 3}]"),
 )
 UNSHARE = ("unshare", "-m", "--propagation", "unchanged")
 DAMAGES = ["truncated", "garbage", "zero length", "tail lost"]
@@ -53,5 +52,5 @@ def start(output: Path, *more: str, session: bool = False, **environ: str) -> su
 
 def numbers(output: Path) -> dict[str, Any]:
     """Rounded, as they depend on who comes first in a sum."""
-    q = json.loads((output / "summary.json").read_text())["interfaces"]
+    q = support.summary(output)["interfaces"]
     return {name: round(v["pressure_mean"], 8) for name, v in q.items()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 import subprocess
 from pathlib import Path
@@ -11,7 +10,7 @@ import pytest
 
 from app.system import folders
 from tests.robustness.faulty import UNSHARE, command, mounts, start
-from tests.support import environment
+from tests.support import environment, summary
 
 
 def script(lines: list[str], command: list[str], cache: Path, codes: int) -> tuple[list[str], str]:
@@ -54,7 +53,7 @@ def test_an_output_folder_with_little_room(size: int, warmed: Path, tmp_path: Pa
     if codes[0]:
         assert "No space left" in said
     kept = tmp_path / "out.kept"
-    assert (kept / "DONE").exists() and json.loads((kept / "summary.json").read_text())
+    assert (kept / "DONE").exists() and summary(kept)
     assert not list(kept.glob("*.partial"))
 
 

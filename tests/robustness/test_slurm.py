@@ -7,7 +7,6 @@ writes down what became of every call.
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import shutil
 import signal
@@ -209,7 +208,7 @@ def test_a_killed_batch_is_resumed_and_runs_nothing_twice(tmp_path: Path) -> Non
     assert others and all(line.endswith(" 0 finished") for line in others)
     for run in solved:
         folder = tmp_path / "out put" / "runs" / run
-        summary = json.loads((folder / "summary.json").read_text())
+        summary = support.summary(folder)
         assert (folder / "DONE").exists() and summary["status"] == "converged"
         assert summary["solver"]["ranks"] == RANKS
         assert "converged: " in folder.with_name(f"{run}.log").read_text()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from app.cli import main
+import mantle
+from app.case.case import load
 from app.verification.heat_measures import WALLS
 from tests.support import CONFIGS
 
@@ -19,10 +19,9 @@ def test_the_middle_one_of_three_states_is_told(start: float, state: int, tmp_pa
         "stages=[{name: gap}, {name: rest, steady: true}]",
         f"regions.cement.thermal.initial_temperature={start} degC",
     )
-    case = str(CONFIGS / "verification/heated_walls.yaml")
-    options = [word for change in changes for word in ("--set", change)]
-    assert main(["run", case, "-o", str(tmp_path / "out"), *options]) == 0
-    summary = json.loads((tmp_path / "out/summary.json").read_text())
+    summary = mantle.run(
+        load(CONFIGS / "verification" / "heated_walls.yaml", changes), tmp_path
+    ).summary
     pressure = summary["interfaces"]["metal_cement"]["pressure_mean"]
     assert pressure == pytest.approx(WALLS.states()[state].pressure, rel=1e-6, abs=1e-9)
     notes = [n for n in summary["notes"] if "stage 'rest' is not stable" in n]

@@ -249,51 +249,15 @@ PENALTIES = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.
         ([BALL.a, BALL.p0, BALL.approach], [0.676955, 104.1889, 0.0458268], 2e-6),
         ([exact.stick_half_width(1.0, 0.5 * 0.3 * 50, 50, 0.3)], [math.sqrt(0.5)], 1e-12),
         ([exact.push_up(0.1, 0.3)], [0.412371], 2e-6),
+        # Physics reference 5.7; by trying all states: `soundness/test_uniqueness.py`.
+        ([exact.particle_friction(1, w) for w in (0.8, -0.8)], [1.25, 1.25], 1e-14),
         (
             [exact.penalty_penetration(220, 0.01, r) for r in PENALTIES],
             list(PENALTIES.values()),
             3e-4,
         ),
     ],
-    ids=["Lamé", "free ends", "Hertz, line", "Hertz, ball", "Cattaneo", "incline", "penalty"],
+    ids="Lamé,free ends,line,ball,Cattaneo,incline,Klarbring,penalty".split(","),
 )
 def test_reference_values(found: list[float], reference: list[float], rel: float) -> None:
     assert found == pytest.approx(reference, rel=rel)
-
-
-def particle_solutions(k_T: float, k_N: float, w: float, friction: float) -> int:
-    """Most solutions that Klarbring's particle has under any one load.
-
-    A particle on springs [[k_T, w], [w, k_N]] rests on a rigid line with Coulomb friction
-    (Klarbring, Ingenieur-Archiv 60, 1990). It is open, stuck, or slipping either way; each state
-    takes a cone of loads (f_T, f_N) and is tried by itself. The number of states that hold changes
-    only at the edges of the cones, so that one load between each two neighbouring edges says all.
-    """
-    edges = np.array([[k_T, w], [-k_T, -w], [friction, -1.0], [-friction, -1.0]])
-    angles = np.sort(np.arctan2(edges[:, 1], edges[:, 0]))
-    between = (angles + np.append(angles[1:], angles[0] + 2 * math.pi)) / 2
-    loads = np.column_stack([np.cos(between), np.sin(between)])
-    return max(_states(f, np.array([[k_T, w], [w, k_N]]), friction) for f in loads)
-
-
-def _states(f: np.ndarray, K: np.ndarray, μ: float) -> int:
-    """Number of states with K u = f + (t, n), u_N >= 0 <= n, |t| <= μ n under a load f (2,)."""
-    is_open = np.linalg.solve(K, f)[1] > 0
-    sticks = f[1] <= 0 and abs(f[0]) <= -μ * f[1]
-    slips = 0
-    for way in (1.0, -1.0):  # u_N = 0, t = -way μ n; singular just where slip is indifferent
-        A = np.array([[K[0, 0], way * μ], [K[1, 0], -1.0]])
-        u, n = np.linalg.solve(A, f) if np.linalg.det(A) else (0.0, -1.0)
-        slips += way * u > 0 and n >= 0
-    return int(is_open) + int(sticks) + slips
-
-
-@pytest.mark.parametrize("w", [0.8, -0.8])
-def test_klarbring_particle_has_several_solutions_beyond_the_critical_friction(w: float) -> None:
-    """Unique exactly if friction |w| < k_T: 1.25 in the physics reference 5.7."""
-    limit = exact.particle_friction(1, w)
-    assert limit == 1.25
-    for friction in (0.01, 0.5, 1.2, limit * (1 - 1e-9)):
-        assert particle_solutions(1, 2, w, friction) == 1
-    for friction in (limit * (1 + 1e-9), 1.3, 3, 100):
-        assert particle_solutions(1, 2, w, friction) > 1

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import meshes
+from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, IntactFemur, MeshOptions
 from meshes import femur_bone, femur_intact, femur_stem, mantle
 from meshes.data import (
@@ -52,7 +53,7 @@ def test_the_mantle_has_the_volume_of_the_exact_clip(thickness: float) -> None:
     geometry = Femur(cement_thickness=f"{thickness} mm")
     data = femur(thickness)
     offset = femur_stem.body(geometry).offset(thickness)
-    canal = femur_bone.canal(geometry.distal_cut_z, 0.0)
+    canal = femur_bone.Tube(femur_bone.CANAL)
     low, high = geometry.stem_tip_z - geometry.plug_length, -40.0
     angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 721)[:-1], np.linspace(low, high, 800))
     clipped = np.minimum(offset.radius(angles, levels), canal.radius(angles, levels))
@@ -82,7 +83,7 @@ def test_thickness_is_reported() -> None:
 def test_the_plug_fills_the_canal_below_the_tip() -> None:
     """Its volume is that of the canal over its length: 7 mm of stem and cement find 6.2."""
     geometry, plug = Femur(), femur(4.0).notes["mantle"]["plug_volume"]
-    canal = femur_bone.canal(geometry.distal_cut_z, 0.0)
+    canal = femur_bone.Tube(femur_bone.CANAL)
     low, high = geometry.stem_tip_z - geometry.plug_length, geometry.stem_tip_z
     angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 361)[:-1], np.linspace(low, high, 100))
     exact = np.pi * (canal.radius(angles, levels) ** 2).mean() * (high - low)
@@ -100,7 +101,7 @@ def test_the_shaft_of_the_intact_femur_has_the_volume_of_its_surfaces() -> None:
     data = intact()
     assert set(data.boundaries) == set(IntactFemur().boundary_names)
     angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 361)[:-1], np.linspace(-200, -140, 100))
-    tubes = (femur_bone.outer(-200.0), femur_bone.canal(-200.0, 0.0))
+    tubes = (femur_bone.PERIOSTEUM, femur_bone.Tube(femur_bone.CANAL))
     bone, canal = (60 * np.pi * (t.radius(angles, levels) ** 2).mean() for t in tubes)
     exact = {"cortical_bone": bone - canal, "cancellous_bone": canal}
     below = (data.points[data.cells[:, :4], 2] @ mantle.LATTICE.T < -140.0).mean(axis=1)
@@ -134,7 +135,7 @@ def test_the_head_is_a_sphere_on_a_neck() -> None:
 
 def test_patches_are_on_the_bone_where_muscles_are_and_the_trunnion_is_at_the_head() -> None:
     data = femur(4.0)
-    for name, place in femur_bone.insertions(femur_bone.outer(-200.0)).items():
+    for name, place in MUSCLES.items():
         own = data.facets[np.isin(data.facet_tags, data.boundaries[name])]
         assert np.linalg.norm(data.points[own].mean(axis=(0, 1)) - place) < SIZE, name
         assert set(data.boundaries[name]) <= set(data.boundaries["bone_surface"])

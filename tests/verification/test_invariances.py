@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -42,7 +40,7 @@ def assert_same(one: Solved, other: Solved, factor: float = 1.0) -> None:
                 assert np.abs(x - y).max() < 1e-6 * scale, (i, name)
 
 
-@pytest.mark.parametrize("factor", [1e-2, 1e-1, 10.0, 100.0])
+@pytest.mark.parametrize("factor", [1e-2, 100.0])
 def test_augmentation_changes_no_answer(reference: Solved, factor: float) -> None:
     """r from 1e-2 to 100 times its default; where it is too large it is lowered by itself."""
     r = reference.case.solver.augmentation_factor * factor
@@ -88,21 +86,6 @@ def test_results_scale_with_the_load(reference: Solved, factor: float) -> None:
     ]
     other = support.solve(STEM, *overrides, tagged=reference.tagged)
     assert_same(reference, other, factor)
-
-
-def test_results_turn_with_the_load() -> None:
-    """A lateral force a quarter turn on turns the results; nearly, as the mesh does not."""
-    own = ("mesh.size=2.2 mm", "regions.cement.poisson_ratio=0.35", "solver.tolerance=1e-10")
-    x, y = (
-        support.solve(STEM, f"loads.lateral.force={force}", *own)
-        for force in ("[400 N, 0 N, 0 N]", "[0 N, 400 N, 0 N]")
-    )
-    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    for name, q in x.interfaces.items():
-        other: dict[str, Any] = y.interfaces[name]
-        np.testing.assert_allclose(turn @ q["force"], other["force"], atol=1e-6 * 900)
-        for key in ("slip_p99", "pressure_p99"):
-            assert other[key] == pytest.approx(q[key], rel=0.1), (name, key)
 
 
 # Two stages on two blocks with supports, springs, eigenstrain and pressure: every kind of work.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +10,16 @@ import pytest
 from app.case.quantities import TABLE
 from tests import support
 
-COARSE = ("--set", "stages.0.increments=1", "--set", "output.fields=false")
+COARSE = ("stages.0.increments=1", "output.fields=false")
 
 
 def stance(folder: Path, size: float, error: bool) -> dict[str, Any]:
     """The summary of the stance on a mesh of a size [mm]."""
     output = folder / f"{size:g}"
-    sizes = ("--set", f"mesh.size={size:g} mm", "--set", f"output.error={str(error).lower()}")
+    own = support.sets(*COARSE, f"mesh.size={size:g} mm", f"output.error={str(error).lower()}")
     case = support.CONFIGS / "stance.yaml"
-    support.on_ranks(1, "-m", "mantle", "run", case, "-o", output, *COARSE, *sizes)
-    return dict(json.loads((output / "summary.json").read_text()))
+    support.on_ranks(1, "-m", "mantle", "run", case, "-o", output, *own)
+    return support.summary(output)
 
 
 @pytest.mark.slow
