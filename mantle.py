@@ -91,9 +91,9 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
         GeometryError: It cannot be meshed.
         EnvironmentProblem: A package for meshing is missing.
     """
-    from app.soundness import cost, plausibility, preview
+    from app.soundness import cost, preview
 
-    size, notes = cost.estimated_size(case.config), plausibility.warnings(case.config)
+    size, notes = cost.estimated_size(case.config), preview.warnings(case.config)
     if meshed:
         data = mesh(case)
         with stack_needed():

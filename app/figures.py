@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from app.arrays import Floats
+
 
 def new(width: float, height: float) -> Any:
     """An empty figure of this size [inch], by the object interface."""
@@ -16,3 +20,28 @@ def new(width: float, height: float) -> Any:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def shaded(
+    axes: Any,
+    x: Floats,
+    values: Floats,
+    colours: str,
+    limits: tuple[float, float],
+    least: Floats | float = 1e-9,
+) -> tuple[Any, Any, Floats]:
+    """Shade triangles of corners (m, 3, 2) by values there (m, 3).
+
+    Those with no more than twice the ``least`` area are left out. Returns the shading, and the
+    triangulation with its values.
+    """
+    from matplotlib.tri import Triangulation
+
+    a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+    solid = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > least
+    x, values = x[solid], values[solid].ravel()
+    x, y = x.reshape(-1, 2).T
+    mesh = Triangulation(x, y, np.arange(values.size).reshape(-1, 3))
+    low, high = limits
+    options = {"shading": "gouraud", "cmap": colours, "vmin": low, "vmax": high}
+    return axes.tripcolor(mesh, values, rasterized=True, **options), mesh, values

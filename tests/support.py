@@ -18,6 +18,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import pytest
 from ruamel.yaml import YAML
 
 import mantle
@@ -32,7 +33,7 @@ from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
 from app.results.reading import Results
 from app.results.stresses import Stresses
-from app.scene.build import build_scene
+from app.scene.scene import build_scene
 from app.stepping.load_steps import LoadStep, LoadStepper
 from app.stepping.stages import run_stages
 from app.system import form_cache, ranks
@@ -46,6 +47,8 @@ TIMEOUT = 300.0  # of a program on ranks [s]
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = ROOT / "configs"
 
+# Numbers of ranks to run a program on.
+RANKS = [1, *(pytest.param(n, marks=pytest.mark.parallel) for n in (2, 3))]
 # Materials and contact of a stem in its cement and bone.
 MATERIALS = """\
 regions:
@@ -108,7 +111,6 @@ class Solved:
         solver: Its solver.
         steps: The converged steps.
         samples: The contact points after each step; empty without contact.
-        interfaces: Reported quantities of each interface, after the last step.
         balances: Force, moment and energy balance after each step.
     """
 
@@ -118,13 +120,17 @@ class Solved:
     solver: Solver
     steps: tuple[LoadStep, ...]
     samples: tuple[ContactSamples, ...]
-    interfaces: dict[str, dict[str, Any]]
     balances: Floats
 
     @property
     def last(self) -> ContactSamples:
         """The contact points after the last step."""
         return self.samples[-1]
+
+    @property
+    def interfaces(self) -> dict[str, dict[str, Any]]:
+        """Reported quantities of each interface, after the last step."""
+        return self.samples[-1].numbers if self.samples else {}
 
     def stress(self, region: str) -> Floats:
         """Stress at the quadrature points of a region (n, 3, 3) [MPa]."""
@@ -217,7 +223,6 @@ def solve(
         solver=solver,
         steps=tuple(steps),
         samples=tuple(samples),
-        interfaces=samples[-1].numbers if samples else {},
         balances=np.array(sums),
     )
 

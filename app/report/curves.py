@@ -92,8 +92,8 @@ def in_words(panels: Sequence[Panel]) -> str:
     )
 
 
-def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
-    """Draw panels over x in rows of some columns with a common legend, as PNG, SVG and PDF."""
+def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> list[Path]:
+    """Draw panels over x in rows of some columns with a common legend: a PNG, an SVG and a PDF."""
     columns = min(columns, len(panels))
     figure, every = style.panels(len(panels), columns, 4.7, 3.2)
     for axes, panel in zip(every, panels, strict=True):
@@ -115,9 +115,11 @@ def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
             frameon=False,
             fontsize=9,
         )
-    for suffix in (".png", ".svg", ".pdf"):
-        figure.savefig(path.with_suffix(suffix), dpi=120)
+    files = [path.with_suffix(suffix) for suffix in (".png", ".svg", ".pdf")]
+    for file in files:
+        figure.savefig(file, dpi=120)
         figure.set_layout_engine("none")  # found once: it takes longer than drawing
+    return files
 
 
 def _draw(axes: Any, panel: Panel) -> None:
@@ -129,7 +131,8 @@ def _draw(axes: Any, panel: Panel) -> None:
     for k, line in enumerate(panel.lines):
         # Side by side, so that bars of equal numbers can both be seen.
         _line(axes, line, apart * (k - 0.5 * (len(panel.lines) - 1)))
-    values = [v for line in panel.lines for v in _values(line)]
+    values = [n.value for of in panel.lines for n in (*of.numbers.values(), *of.peaks.values())]
+    values += [v for line in panel.lines for _, v in line.stars]
     if values and panel.y in ROUNDED and max(map(abs, values)) < ROUNDED[panel.y]:
         axes.set_ylim(-0.05, 1)
         axes.text(0.5, 0.5, "zero to rounding", transform=axes.transAxes, ha="center", color="0.4")
@@ -155,11 +158,6 @@ def _labels(line: Line) -> tuple[str, str, str]:
     paper = f"{line.label}, paper" if line.own_stars else "paper"
     curve = f"{line.label}, percentile" if line.own_stars and line.peaks else line.label
     return curve, f"{line.label}, max", paper
-
-
-def _values(line: Line) -> list[float]:
-    numbers = [n.value for n in (*line.numbers.values(), *line.peaks.values())]
-    return numbers + [v for _, v in line.stars]
 
 
 def _line(axes: Any, line: Line, shift: float) -> None:
@@ -226,21 +224,7 @@ def of_solver(history: History) -> Blocks:
     return page.table([*own], [[plain(float(f"{v:.3g}")) for v in row] for row in rows])
 
 
-def draw_history(folder: Path, of: Sequence[Panel], x: str) -> list[Path]:
-    """Draw the panels as files, for publications."""
-    if not of:
-        return []
-    folder.mkdir(exist_ok=True)
-    draw(folder / "curves.png", of, x, 3)
-    return [folder / f"curves.{kind}" for kind in ("png", "svg", "pdf")]
-
-
-def drawings(of: Sequence[Panel], x: str) -> Blocks:
-    """The panels as drawings inside a page."""
-    return [("drawings", {"drawings": [_drawing(panel, x) for panel in of]})] if of else []
-
-
-def _drawing(panel: Panel, x: str) -> dict[str, Any]:
+def drawing(panel: Panel, x: str) -> dict[str, Any]:
     """A panel as `page.html` draws it: ticks and points as fractions of the axes."""
     xs = [t for line in panel.lines for t in line.numbers]
     ys = [n.value for line in panel.lines for n in line.numbers.values()]

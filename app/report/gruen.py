@@ -29,9 +29,7 @@ def zones(case: SweptCase) -> dict[str, dict[str, Any]]:
 def blocks(cases: Iterable[tuple[str, SweptCase]]) -> Blocks:
     """A table below its title for each case that has zones."""
     tables = (page.titled(title, page.table(*table(case))) for title, case in cases)
-    found = [block for own in tables for block in own]
-    note = "Of each interface: largest / mean value in the zone."
-    return page.paragraph(note, "quiet") + found if found else []
+    return [block for own in tables for block in own]
 
 
 def table(case: SweptCase) -> Table:

@@ -36,12 +36,9 @@ class Figure:
 
 
 def page(title: str, sections: Sequence[tuple[str, str, Blocks]], **head: Any) -> str:
-    """The page.
+    """The page of sections (anchor, title and content); empty ones are left out.
 
-    Args:
-        title: Its title.
-        sections: Anchor, title and content of each; empty ones are left out.
-        head: Below the title: facts, a leading sentence, summary, a note and a view (markup).
+    Below its title stand facts, a leading sentence, summary, a note and a view (markup).
     """
     shown = [s for s in sections if s[2]]
     return render("page.html", title=title, sections=shown, classes=CLASSES, **head)
@@ -54,18 +51,9 @@ def render(name: str, **values: Any) -> str:
     folder = FileSystemLoader(Path(__file__).parent)
     environment = Environment(loader=folder, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.tests["number_text"] = re.compile(r"[-−]?\d").match
-    environment.filters["inert"] = _inert
+    # Text that cannot end the script around it.
+    environment.filters["inert"] = lambda t: t.replace("</", "<\\/").replace("<!--", "<\\!--")
     return environment.get_template(name).render(values)
-
-
-def _inert(text: str) -> str:
-    """Text that cannot end the script around it."""
-    return text.replace("</", "<\\/").replace("<!--", "<\\!--")
-
-
-def paragraph(text: str, kind: str = "") -> Blocks:
-    """A paragraph."""
-    return [("paragraph", {"text": text, "kind": kind})]
 
 
 def titled(title: str, content: Blocks) -> Blocks:

@@ -17,10 +17,10 @@ import numpy as np
 from app.arrays import Floats
 from app.case.case import read_geometry
 from app.errors import MantleError
+from app.report.pictures import facets
 from app.report.sweep_results import PERCENTILES, Number, SweepResults, SweptCase, magnitude
 from app.results.percentiles import percentile
 from app.results.reading import Run
-from app.results.unrolled import facets
 
 STEMS = {"titanium": 110e3, "CoCr": 200e3}  # Young's modulus [MPa]
 # Parameters of a single-limb stance where another one varies: mantle [mm], friction at the bone.

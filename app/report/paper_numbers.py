@@ -190,16 +190,6 @@ def _extremes(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
 
 # Figures
 
-HOT = (
-    "The paper's “100 degrees” read as the cement's initial temperature (cement: after 10 s, "
-    "for at the start it is 100 °C; the paper names no time) and as held. Bone, filled: the "
-    "99th percentile over the area, after 10 s or at the end of cement that is held; hollow: "
-    "the largest value at any time, which sits where bone is thinnest. Stars: the paper."
-)
-NOTE = (
-    "Filled, with bars: mantle's 99th percentile and its estimated error. Light, hollow: mantle's "
-    "largest value, which depends on the mesh. Stars: the paper."
-)
 # By number: title, parameter, quantities.
 FIGURES: dict[int, tuple[str, str, tuple[str, ...]]] = {
     3: ("Largest debonding", "thickness", ("gap",)),
@@ -238,11 +228,10 @@ def figures(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
             of = "case of hot cement" if hot else "stem"
             missing.append(f"figure {number}: no {of} at two {several}")
             continue
-        name, caption = f"figure{number}.png", HOT if hot else NOTE
+        name = f"figure{number}.png"
         draw(folder / name, panels, axis, 2)
-        drawn.append(
-            Figure(name, f"Figure {number}. {title} over {words}", caption, in_words(panels))
-        )
+        title = f"Figure {number}. {title} over {words}"
+        drawn.append(Figure(name, title, "", in_words(panels)))
     return drawn, missing
 
 

@@ -1,8 +1,16 @@
-"""Pictures of interfaces: unrolled maps, and the surfaces from three sides without WebGL."""
+"""Pictures of interfaces: maps in the plane, and the surfaces from three sides without WebGL.
+
+Maps of a stem are unrolled: over the angle about its axis, which is z in both geometries that have
+one, and the height. The angle begins behind (posterior), so that medial and lateral both lie inside
+the picture. End faces, seen edge on, are left out. Other interfaces are drawn if they are flat, in
+their own plane.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +19,16 @@ import numpy as np
 from app import figures
 from app.arrays import Floats, Ints
 from app.case.case import read_geometry
+from app.case.geometries import Sides
 from app.errors import MantleError
 from app.report.page import Figure
 from app.report.sweep_results import QUANTITIES, WORDS, SweepResults, SweptCase, named
 from app.report.viewer import INTERFACE, lengths, outsides
-from app.results import unrolled
-from app.results.reading import Run
-from app.results.unrolled import MapRow, Sheet
+from app.results.reading import FACES, Run
 
 Chosen = list[tuple[str, SweptCase]]
-Column = tuple[str, Run, Sheet]
 
+TEMPERATURE = "temperature (°C)"
 SHOWN = {"gap": "YlGnBu", "slip": "YlGnBu", "motion": "YlGnBu", "pressure": "YlOrRd"}
 SIDES = "interfaces"  # name of the picture from three sides
 # Directions to the eye and to the right: anterior is +y, medial +x, proximal +z.
@@ -32,6 +39,30 @@ VIEWS = {
 }
 ON_SIDES = {"slip": "viridis", "gap": "viridis", "pressure": "cividis"}
 LIGHT = 0.35  # how much darker facets are that are seen from the side
+# The angle runs from here by 360 degrees.
+SEAM = -90.0
+WAYS = {-90: "posterior", 0: "medial", 90: "anterior", 180: "lateral", 270: "posterior"}
+SHORT = {"posterior": "post.", "medial": "med.", "anterior": "ant.", "lateral": "lat."}
+# Facets that face up or down more than this (cosine) are end faces.
+STEEP = math.cos(math.radians(40.0))
+FLAT = 1e-6
+# Colours end at this percentile of what is shown.
+CLIP = 99.5
+LEAST = 1e-3  # of the colours' range, so that rounding has no colour
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """An interface in the plane."""
+
+    corners: Floats  # of its triangles (m, 3, 2): degrees and mm, or mm
+    nodes: Ints  # the run's, at these corners (m, 3)
+    round: bool  # whether it was unrolled; else it is flat
+
+
+Column = tuple[str, Run, Sheet]
+# Label, colours, and values at the nodes of each column's run; None where it has none.
+Row = tuple[str, str, Sequence[Floats | None]]
 
 
 def ends(sweep: SweepResults) -> list[Chosen]:
@@ -63,31 +94,30 @@ def maps(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str
                 opened.append((title, run, geometry))
         for name in dict.fromkeys(name for *_, g in opened for name in g.interface_sides):
             columns = [
-                (title, run, sheet)
+                (title, run, own)
                 for title, run, g in opened
                 if name in g.interface_sides
-                and (sheet := unrolled.sheet(run, g.kind, g.interface_sides[name], g.region_names))
+                and (own := sheet(run, g.kind, g.interface_sides[name], g.region_names))
             ]
             if not columns:
                 missing.append(f"no map of {name}: it neither surrounds a stem nor is flat")
                 continue
             file = f"map{number}_{name}.png"
-            if labels := unrolled.draw(folder / file, columns, _rows(name, columns)):
+            if labels := draw(folder / file, columns, _rows(name, columns)):
                 drawn.append(_figure(file, name, columns, labels))
     return drawn, missing
 
 
-def _rows(name: str, columns: Sequence[Column]) -> list[MapRow]:
-    rows = []
+def _rows(name: str, columns: Sequence[Column]) -> list[Row]:
+    rows: list[Row] = []
     for quantity, colours in SHOWN.items():
         unit, factor = QUANTITIES[quantity]
         values = [
             factor * lengths(run, f"{name}_{quantity}") if name in run.contacts else None
             for _, run, _ in columns
         ]
-        rows.append(MapRow(f"{WORDS[quantity]} ({unit})", colours, values))
-    hottest = [_hottest(run, sheet) for _, run, sheet in columns]
-    return [*rows, MapRow("temperature (°C)", "inferno", hottest, False)]
+        rows.append((f"{WORDS[quantity]} ({unit})", colours, values))
+    return [*rows, (TEMPERATURE, "inferno", [_hottest(run, own) for _, run, own in columns])]
 
 
 def _hottest(run: Run, sheet: Sheet) -> Floats | None:
@@ -105,11 +135,124 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
             "Unrolled about the stem's axis, cut open posteriorly; end faces are left out, grey is "
             "beyond the resection."
         )
-    if any(label.startswith("temperature") for label in labels):
+    if TEMPERATURE in labels:
         caption += " Temperature: of the second body, at the hottest step that was written."
     place = f"{named(name)} interface"
     of, to = (f"{word}{'; '.join(titles)}" if titles else "" for word in (" of ", ": "))
     return Figure(file, place + to, caption, f"{', '.join(labels)} on the {place}{of}")
+
+
+# Maps
+
+
+def facets(run: Run, side: Sequence[int], other: Sequence[int]) -> Ints:
+    """Corners of the facets of an interface (m, 3), in the cells of one side."""
+    mine, theirs = (
+        run.cells[np.isin(run.region, regions)][:, np.array(FACES)].reshape(-1, 3)
+        for regions in (side, other)
+    )
+    # Bodies that can part have nodes of their own at the same places.
+    here, there = (
+        np.round(run.points[f].mean(axis=1), 6).view("f8,f8,f8").ravel() for f in (mine, theirs)
+    )
+    return mine[np.isin(here, there)]
+
+
+def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """Angle about the z axis and height of triangles that surround it.
+
+    Returns:
+        Corners (k, 3, 2) [degrees, mm] of unbroken triangles, those across the seam on both sides
+        of it; and their nodes (k, 3). End faces are left out.
+    """
+    x = points[triangles]
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    keep = (size > 0) & (np.abs(normal[:, 2]) <= STEEP * size)
+    x, triangles = x[keep], triangles[keep]
+    angle = np.degrees(np.arctan2(x[:, :, 1], x[:, :, 0]))
+    angle = SEAM + np.mod(angle - SEAM, 360.0)
+    first = angle[:, :1]
+    angle = first + np.mod(angle - first + 180.0, 360.0) - 180.0
+    corners = np.stack([angle, x[:, :, 2]], axis=2)
+    low, high = angle.min(axis=1) < SEAM, angle.max(axis=1) > SEAM + 360.0
+    turn = np.array([360.0, 0.0])
+    corners = np.concatenate([corners, corners[low] + turn, corners[high] - turn])
+    return corners, np.concatenate([triangles, triangles[low], triangles[high]])
+
+
+def sheet(run: Run, kind: str, sides: Sides, regions: Sequence[str]) -> Sheet | None:
+    """An interface of a run in the plane; None if it neither surrounds a stem nor is flat."""
+    first, second = ([1 + regions.index(r) for r in side] for side in sides)
+    triangles = facets(run, second, first)
+    if not len(triangles):
+        return None
+    if kind in ("femur", "cylinders"):
+        corners, nodes = unroll(run.points, triangles)
+        return Sheet(corners, nodes, True) if len(nodes) else None
+    x = run.points[triangles]
+    centred = x.reshape(-1, 3) - x.reshape(-1, 3).mean(axis=0)
+    _, extent, axes = np.linalg.svd(centred, full_matrices=False)
+    if extent[2] > FLAT * extent[0]:
+        return None
+    plane = [axis * np.sign(axis[np.abs(axis).argmax()]) for axis in axes[:2]]
+    plane.sort(key=lambda axis: int(np.abs(axis).argmax()))
+    return Sheet(x @ np.stack(plane, axis=1), triangles, False)
+
+
+def draw(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
+    """Draw quantities of an interface, one below the other, cases side by side.
+
+    The colours of a row are the same in all cases, so that they can be compared. Returns the labels
+    of the rows drawn; no picture if there is none.
+    """
+    rows = [row for row in rows if any(v is not None for v in row[2])]
+    if not rows:
+        return []
+    round = all(s.round for _, _, s in columns)
+    wide, high = (3.0, 2.9) if round else (3.4, 3.0)
+    figure = figures.new(wide * len(columns) + 1.6, high * len(rows) + 0.5)
+    grid = figure.subplots(len(rows), len(columns), squeeze=False, sharey=round)
+    for axes_row, (label, colours, found) in zip(grid, rows, strict=True):
+        of = [(own, v) for (*_, own), v in zip(columns, found, strict=True)]
+        every = np.concatenate([v[own.nodes].ravel() for own, v in of if v is not None])
+        low = float(every.min()) if label == TEMPERATURE else 0.0
+        top = max(float(np.percentile(every, CLIP)), low + LEAST)
+        shade: Any = None
+        for axes, (own, v) in zip(axes_row, of, strict=True):
+            _axes(axes, own)
+            if v is None:
+                axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color="0.4")
+                continue
+            shade = figures.shaded(axes, own.corners, v[own.nodes], colours, (low, top))[0]
+        extend = "max" if every.max() > top * (1 + 1e-6) else "neither"
+        figure.colorbar(shade, ax=list(axes_row), label=label, extend=extend, pad=0.01)
+    for axes, (title, _, _) in zip(grid[0], columns, strict=True):
+        axes.set_title(title, fontsize=10)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("height (mm)" if round else "mm")
+    figure.savefig(path, dpi=110)
+    return [label for label, *_ in rows]
+
+
+def _axes(axes: Any, own: Sheet) -> None:
+    axes.set_facecolor("0.93")
+    low, high = own.corners.reshape(-1, 2).min(axis=0), own.corners.reshape(-1, 2).max(axis=0)
+    axes.set_ylim(low[1], high[1])
+    if not own.round:
+        axes.set_xlim(low[0], high[0])
+        axes.set_aspect("equal")
+        axes.set_xlabel("mm", fontsize=8)
+        return
+    axes.set_xlim(max(low[0], SEAM), min(high[0], SEAM + 360.0))
+    shown = {a: w for a, w in WAYS.items() if axes.get_xlim()[0] <= a <= axes.get_xlim()[1]}
+    names = [SHORT[way] for way in shown.values()]
+    axes.set_xticks(list(shown), names, fontsize=8)
+    for angle in (0.0, 90.0, 180.0):
+        axes.axvline(angle, color="0.5", lw=0.5, ls=":")
+
+
+# From three sides
 
 
 def sides(run: Run, folder: Path) -> list[Figure]:

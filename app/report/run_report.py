@@ -17,10 +17,9 @@ from app.case import quantities
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
 from app.report import curves, gruen, page, pictures, sentence, sweep_figures, viewer
-from app.report.page import Blocks, Figure, bullets, paragraph, table
+from app.report.page import Blocks, Figure, bullets, table
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
-from app.results import tables
 from app.results.reading import Run
 from app.system.folders import write_text
 from app.system.layout import noted, plain
@@ -98,14 +97,16 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     spent = share * summary["timing"]["total"]
     view, lacking = _view(folder) if alone or spent >= VIEW else ("", [])
     sides, maps, files = _pictures(case, spent)
-    if share == math.inf:
-        files = curves.draw_history(folder / PICTURES, panels, x) + files
+    drawn = [curves.drawing(panel, x) for panel in panels]
+    if share == math.inf and panels:
+        (folder / PICTURES).mkdir(exist_ok=True)
+        files = curves.draw(folder / PICTURES / "curves.png", panels, x, 3) + files
     case_file = _text(folder / "case.yaml")
     verbatim: Blocks = [("verbatim", {"text": case_file})] if case_file else []
     sections = [
         ("numbers", "Numbers", _numbers(summary)),
         ("sides", "From three sides", sides),
-        ("curves", "Over time", curves.drawings(panels, x)),
+        ("curves", "Over time", [("drawings", {"drawings": drawn})] if panels else []),
         ("maps", "Maps of the interfaces", maps),
         ("gruen", "Gruen zones", gruen.blocks([("", case)])),
         ("mantle", "Cement mantle", table(*gruen.mantles([case]))),
@@ -186,7 +187,7 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
     found = _tables(summary, every=False)
     found += page.titled("Peaks that still change with the mesh", _unsettled(summary))
     if note := summary.get("thermal", {}).get("note"):
-        found += paragraph(note, "quiet")
+        found += bullets([note])
     return found
 
 
@@ -199,7 +200,7 @@ def _tables(summary: dict[str, Any], every: bool) -> Blocks:
     for section in (s for s in TITLES if s in sections):
         own, named = TABLE[section], sections[section]
         added = [k for k, q in own.items() if q.compute]
-        keys = [] if every else [*tables.keys(section), *MORE.get(section, ()), *added]
+        keys = [] if every else [*text.keys(section), *MORE.get(section, ()), *added]
         rows = [
             [_label(own[k]), *(own[k].text(numbers) for numbers in named.values())]
             for k in keys or own
@@ -229,7 +230,7 @@ def _unsettled(summary: dict[str, Any]) -> Blocks:
 
 
 def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
-    bones, rows = tables.necrosis(regions)
+    bones, rows = text.necrosis(regions)
     head = ["", *(f"{name}, {what}" for name in bones for what in ("volume (mm³)", "depth (mm)"))]
     return table(head, [[in_print(words), *texts] for words, *texts in rows] if bones else [])
 

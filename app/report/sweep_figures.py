@@ -14,8 +14,7 @@ from app.report import page
 from app.report.curves import ROUNDED, Line, Panel, draw, in_words, too_few
 from app.report.page import Blocks, Figure
 from app.report.sweep_results import PERCENTILES, SweptCase, by_part, magnitude, named
-from app.schema.unit_conversion import conversion
-from app.schema.units import NUMBER
+from app.schema.units import NUMBER, conversion
 from app.system import layout
 
 MOST_PANELS = 12

@@ -5,14 +5,13 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from app.campaigns import uncertainty
 from app.case.quantities import printed
 from app.errors import StoppedError
 from app.report import gruen, page, paper, paper_claims, paper_numbers, pictures, sweep_figures
-from app.report.page import Blocks, bullets, paragraph, table
+from app.report.page import Blocks, bullets, table
 from app.report.paper_claims import Trend
 from app.report.paper_numbers import ComparedNumber
 from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, named, read
@@ -22,25 +21,10 @@ from app.system.layout import duration, noted
 PAGE, PAPER, PICTURES = "report.html", "paper.html", "report"
 # Files that an earlier report may have left in the folder of pictures.
 OURS = ("figure[3-8].*", "over_*.*", "map[0-9]_*.png", "shielding.png")
-HONESTY = (
-    "Geometry, muscle forces and bone constants of the paper (Rakotomanana and Ramaniraka) are not "
-    "published; mantle's are its own and nothing was tuned. Agreement in size and in trend is the "
-    "most that can be asked, and disagreement is reported as such."
-)
 
 
-@dataclass(frozen=True)
-class Written:
-    """Files of a report, verdicts on the paper's trends, number of cases with results."""
-
-    files: Sequence[Path]
-    trends: Sequence[Trend]
-    done: int
-    cases: int
-
-
-def run(folder: Path) -> Written:
-    """Write the report of a sweep.
+def run(folder: Path) -> tuple[list[Path], Sequence[Trend], Sequence[SweptCase]]:
+    """Write the report of a sweep; its files, verdicts on the paper's trends, and its cases.
 
     Raises:
         InputError: The folder is not that of a sweep.
@@ -77,8 +61,7 @@ def run(folder: Path) -> Written:
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     figures = (drawings / f.name for f in (*mapped, *shields, *multiples))
-    done = sum(c.done for c in sweep.cases)
-    return Written([folder / PAGE, *papers, *figures], trends, done, len(sweep.cases))
+    return [folder / PAGE, *papers, *figures], trends, sweep.cases
 
 
 def _paper(
@@ -88,16 +71,17 @@ def _paper(
     figures, missing = paper_numbers.figures(cases, folder)
     rows = paper_numbers.compare(cases)
     trends = paper_claims.judge(cases)
+    compared = {"rows": rows, "named": named, "printed": printed}
     sections = [
-        ("trends", "Trends", _trends(trends)),
+        ("trends", "Trends", [("trends", {"trends": trends})]),
         ("paper", "The paper's figures", page.figures(figures, folder) + bullets(missing)),
-        ("comparison", "Number by number", _comparison(rows)),
+        ("comparison", "Number by number", [("comparison", compared)]),
     ]
     names = {v: [t.name for t in trends if t.verdict == v] for v in paper_claims.VERDICTS}
     each = "; ".join(f"{len(own)} {v}: {', '.join(own)}" for v, own in names.items() if own)
     summary = [f"Trends that the paper reports: {each}.", *_ratios(rows)]
     title = f"{sweep.title}: the paper beside it"
-    text = page.page(title, sections, facts=_facts(sweep), summary=summary, note=HONESTY)
+    text = page.page(title, sections, facts=_facts(sweep), summary=summary)
     files = [sweep.folder / PAPER, *(folder / f.name for f in figures)]
     write_text(files[0], text)
     return files, trends
@@ -108,7 +92,7 @@ def _uncertain(sweep: SweepResults) -> Blocks:
     parts: Blocks = []
     for part, of in sweep.uncertainty.items():
         words = f"{of['samples']} samples{f' ({part})' if part else ''}"
-        parts += paragraph(words) + table(uncertainty.HEAD, uncertainty.rows(of))
+        parts += page.titled(words, table(uncertainty.HEAD, uncertainty.rows(of)))
     return parts
 
 
@@ -146,38 +130,6 @@ def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
         f"{max(peaks):.2g}; {near} within a factor of 2), its percentile "
         f"{statistics.median(settled):.2g} times."
     ]
-
-
-def _trends(trends: Sequence[Trend]) -> Blocks:
-    rows = [
-        [t.name, t.claim, t.verdict, t.peaks or "-", [f"{p.verdict}: {p.text}" for p in t.parts]]
-        for t in trends
-    ]
-    head = ["", "the paper says", "verdict", "by maxima", "because"]
-    return table(head, rows)
-
-
-def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
-    head = ["", "stem", "mm", "where", "what", "paper", "mantle, max", "mantle, percentile ± error"]
-    head += ["max / paper", "percentile / paper", "case, remarks"]
-    relations = {"exceeded": "> ", "not exceeded": "< "}
-    lines = [
-        [
-            f.id,
-            f.stem,
-            f.thickness if r.thickness is None else f"{r.thickness:g}",
-            named(f.place),
-            named(f.quantity) + f" (as {r.quantity})" * bool(r.quantity),
-            f"{relations.get(f.kind, '')}{f.value:g} {printed(f.unit)}",
-            "-" if r.peak is None else f"{r.peak:.3g}",
-            "-" if r.number is None else str(r.number),
-            *("-" if x is None else f"{x:.2g}" for x in r.ratios),
-            "; ".join(filter(None, (r.case, r.remark, f"paper: {f.remark}" * bool(f.remark)))),
-        ]
-        for r in rows
-        for f in [r.fact]
-    ]
-    return table(head, lines)
 
 
 def _parts(cases: Sequence[SweptCase]) -> Blocks:

@@ -53,13 +53,7 @@ class CureRecord:
     def update(
         self, seconds: float, degrees: Mapping[str, Floats], rates: Mapping[str, Floats]
     ) -> None:
-        """Record an accepted step.
-
-        Args:
-            seconds: Time at its end [s].
-            degrees: Degrees of cure then, as at the start.
-            rates: Their rates then [1/s].
-        """
+        """Record an accepted step: its end [s], the degrees then (n,) and their rates [1/s]."""
         step = seconds - self._seconds
         for name, r in self._regions.items():
             degree, rate = degrees[name], rates[name]
@@ -98,20 +92,15 @@ class CureRecord:
         return result
 
     def _range(self, r: _CuringRegion) -> tuple[float, float]:
-        ends = np.array([-r.degree.min(initial=np.inf), r.degree.max(initial=-np.inf)])
-        self._comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
-        return -float(ends[0]), float(ends[1])
+        low, high = -r.degree.min(initial=np.inf), r.degree.max(initial=-np.inf)
+        low, high = np.max(self._comm.allgather((low, high)), axis=0)
+        return -float(low), float(high)
 
 
 def _crossing(level: float, start: Floats, end: Floats, before: Floats, after: Floats) -> Floats:
-    """Fraction of a step after which a degree is reached (n,), a cubic in the degree.
+    """Fraction of a step (n,) after which degrees from ``start`` to ``end`` (n,) reach a level.
 
-    Args:
-        level: The degree, between start and end.
-        start: Degrees at the start (n,).
-        end: At the end (n,).
-        before: Rates at the start times the step (n,); zero: not known.
-        after: Rates at the end times the step (n,).
+    A cubic in the degree, by the rates at both ends times the step (n,); zero: not known.
     """
     change = end - start
     s = np.divide(level - start, change, out=np.ones_like(start), where=change > 0)

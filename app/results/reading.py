@@ -229,11 +229,7 @@ class Run(Results):
             return np.asarray(field[k * rows : (k + 1) * rows])
 
     def _last_of(self, stage: str) -> int:
-        """Last written step of a stage.
-
-        Raises:
-            InputError: There is none.
-        """
+        """Last written step of a stage; InputError if there is none."""
         ends = {s["name"]: k for k, s in enumerate(self.case["stages"], 1)}
         steps = [k for k, time in enumerate(self.times) if ceil(time - 1e-9) == ends.get(stage)]
         if not steps:

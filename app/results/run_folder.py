@@ -37,10 +37,7 @@ SECTION = "temperature_section.png"
 # Files written at the end, and all of a run directory.
 ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", SECTION, "report.html"),)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
-PACKAGES = (
-    *("fenics-dolfinx", "petsc4py", "fenics-ufl", "fenics-basix"),
-    *("mpi4py", "numpy", "h5py"),
-)
+PACKAGES = "fenics-dolfinx petsc4py fenics-ufl fenics-basix mpi4py numpy h5py".split()
 log = logging.getLogger("mantle")
 
 
@@ -54,11 +51,7 @@ def _full_disk(what: str) -> Iterator[None]:
 
 
 def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
-    """Write on rank 0; a failure stops every rank.
-
-    Raises:
-        StoppedError: The disk is full or the folder cannot be written.
-    """
+    """Write on rank 0; a full disk or a folder without rights stops every rank."""
 
     def guarded() -> None:
         with _full_disk(what):

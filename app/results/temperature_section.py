@@ -16,7 +16,7 @@ from app.results.necrosis import CELSIUS
 from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import cell_tags
 from meshes.distribute import TaggedMesh
-from meshes.picture import AXES, cut, middle_plane
+from meshes.picture import AXES, cut, middle_plane, outlines
 
 # Triangles thinner than this part of a section show only as shading.
 _THIN = 1e-3
@@ -24,14 +24,9 @@ DEADLY = 47.0  # degC
 
 
 def section(path: Path, operators: HeatOperators, record: ThermalRecord) -> None:
-    """Draw the temperature in two planes, when the bone was hottest; collective.
+    """Draw a PNG of the temperature when the bone was hottest; collective.
 
     The planes are y = 0 and the transverse one of the hottest place.
-
-    Args:
-        path: The PNG that rank 0 writes.
-        operators: The heat on the mesh.
-        record: Its temperatures.
 
     Raises:
         OSError: The file cannot be written (on every rank).
@@ -76,33 +71,11 @@ def _corners(
 
 
 def _cut(corners: Floats, tags: Ints, axis: int, level: float) -> tuple[Floats, Floats]:
-    """Cut cells by a plane.
-
-    Returns:
-        Corners (k, 3, 4) of triangles with temperature [degC] behind the coordinates, and their
-        edges between two regions or at the surface (s, 2, 4), from either side.
-    """
+    """Triangles of a section (k, 3, 4) [mm, degC], and the edges of its regions (s, 2, 3) [mm]."""
     cells = np.arange(4 * len(corners)).reshape(-1, 4)
-    shapes, outline, of = [], [], []
-    for polygons, cell in cut(corners.reshape(-1, 4), cells, axis, level):
-        n = polygons.shape[1]
-        shapes += [polygons[:, [0, k, k + 1]] for k in range(1, n - 1)]
-        outline += [polygons[:, [k, (k + 1) % n]] for k in range(n)]
-        of += [tags[cell]] * n
-    triangles: Floats = np.concatenate(shapes)
-    edges: Floats = np.concatenate(outline)
-    regions = np.concatenate(of)
-    ends = np.round(edges[:, :, :3], 5)
-    swap = np.array([tuple(a) > tuple(b) for a, b in ends], dtype=bool)
-    ends[swap] = ends[swap][:, ::-1]
-    _, edge = np.unique(ends.reshape(len(ends), 6), axis=0, return_inverse=True)
-    edge = edge.ravel()
-    first = np.full(edge.max(initial=-1) + 1, np.iinfo(np.int64).max)
-    last = np.full(len(first), -1)
-    np.minimum.at(first, edge, regions)
-    np.maximum.at(last, edge, regions)
-    border = (first != last) | (np.bincount(edge, minlength=len(first)) == 1)
-    return triangles, edges[border[edge]]
+    polygons = [(x, tags[cell]) for x, cell in cut(corners.reshape(-1, 4), cells, axis, level)]
+    triangles = [x[:, [0, k, k + 1]] for x, _ in polygons for k in range(1, x.shape[1] - 1)]
+    return np.concatenate(triangles), outlines([(x[..., :3], of) for x, of in polygons])[0]
 
 
 def _draw(
@@ -114,15 +87,14 @@ def _draw(
     at = record.hottest_at
     T = np.concatenate([triangles[:, :, 3].ravel() for triangles, _ in pieces])
     low, high = float(T.min()), max(float(T.max()), float(T.min()) + 0.1)
-    sizes = [
-        np.ptp(outline[:, :, _others(axis)].reshape(-1, 2), axis=0)
-        for (axis, _), (_, outline) in zip(planes, pieces, strict=True)
-    ]
-    tall = max(size[1] for size in sizes)
-    widths = [max(size[0], 0.25 * tall) for size in sizes]
-    height = 7.0
-    width = float(np.clip(height * sum(widths) / tall + 3.0, 8.0, 16.0))
-    figure = figures.new(width, height)
+    wide, tall = np.transpose(
+        [
+            np.ptp(outline[:, :, _others(axis)].reshape(-1, 2), axis=0)
+            for (axis, _), (_, outline) in zip(planes, pieces, strict=True)
+        ]
+    )
+    widths = np.maximum(wide, 0.25 * tall.max())
+    figure = figures.new(float(np.clip(7 * widths.sum() / tall.max() + 3, 8, 16)), 7.0)
     axes = figure.subplots(1, len(planes), width_ratios=widths)
     for ax, (axis, level), (triangles, outline) in zip(axes, planes, pieces, strict=True):
         shade = _panel(ax, axis, triangles, outline, (low, high))
@@ -144,23 +116,17 @@ def _panel(
 ) -> Any:
     """One section: shaded temperature, the deadly isotherm, outlines of the regions."""
     from matplotlib.collections import LineCollection
-    from matplotlib.tri import Triangulation
 
     u, v = _others(axis)
-    a, b = (triangles[:, k, [u, v]] - triangles[:, 0, [u, v]] for k in (1, 2))
-    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    x, T, lines = triangles[:, :, [u, v]], triangles[:, :, 3], outline[:, :, [u, v]]
+    a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
     longest = np.max([np.linalg.norm(e, axis=1) for e in (a, b, b - a)], axis=0)
-    size = np.ptp(outline[:, :, [u, v]].reshape(-1, 2), axis=0).max()
-    points = triangles[area > _THIN * size * longest].reshape(-1, 4)
-    mesh = Triangulation(points[:, u], points[:, v], np.arange(len(points)).reshape(-1, 3))
-    shade = ax.tripcolor(
-        mesh, points[:, 3], shading="gouraud", cmap="inferno", vmin=limits[0], vmax=limits[1]
-    )
-    if points[:, 3].min() < DEADLY < points[:, 3].max():
-        ax.tricontour(mesh, points[:, 3], levels=[DEADLY], colors="white", linewidths=1.2)
-    ax.add_collection(LineCollection(list(outline[:, :, [u, v]]), colors="0.6", linewidths=0.8))
+    thin = _THIN * np.ptp(lines.reshape(-1, 2), axis=0).max() * longest
+    shade, mesh, values = figures.shaded(ax, x, T, "inferno", limits, thin)
+    if values.min() < DEADLY < values.max():
+        ax.tricontour(mesh, values, levels=[DEADLY], colors="white", linewidths=1.2)
+    ax.add_collection(LineCollection(list(lines), colors="0.6", linewidths=0.8))
     ax.set_aspect("equal")
     ax.set_facecolor("0.95")
-    ax.set_xlabel(f"{AXES[u]} (mm)")
-    ax.set_ylabel(f"{AXES[v]} (mm)")
+    ax.set(xlabel=f"{AXES[u]} (mm)", ylabel=f"{AXES[v]} (mm)")
     return shade

@@ -1,29 +1,80 @@
 """Peak temperatures with place and time, their duration, and necrosis: section thermal.
 
-A record takes the temperatures of every accepted step (`region_temperatures`) and the heat through
-the interfaces then (`interface_heat`). Temperatures are K inside and degC in reports; the other
-units are those of ``UNITS``.
+A record takes the temperatures of every accepted step (`region_temperatures`), the heat through the
+interfaces then, and its entropy production. Temperatures are K inside and degC in reports; the
+other units are those of ``UNITS``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
 
 from app.arrays import Floats
 from app.heat.heat_forms import HeatForms
-from app.heat.nodes import InterfaceNodes, ProbedPoint, Probes, Side, region_nodes
+from app.heat.nodes import InterfaceNodes, Probe, Probes, Side, region_nodes
+from app.heat.operators import HeatOperators
 from app.numerics.saved_state import node_keys
-from app.results.interface_heat import Exchanges, InterfaceExtremes
-from app.results.level_sets import RegionCells
 from app.results.necrosis import CELSIUS
-from app.results.region_temperatures import RegionTemperatures, largest
+from app.results.region_temperatures import RegionCells, RegionTemperatures, largest
+from forms import interface_heat
 from meshes.distribute import TaggedMesh
+
+W_PER_M2 = 1e3  # W/m2 in N/(mm s), W/(m2 K) in N/(mm s K)
+# By interface, at this rank's points: heat flux from master to slave per area (n,) [N/(mm s)], and
+# entropy production per area (n,) [N/(mm s K)].
+Exchanges = Mapping[str, tuple[Floats, Floats]]
+
+
+def exchange(
+    operators: HeatOperators, x: Sequence[PETSc.Vec], temperatures: Sequence[fem.Function]
+) -> Exchanges:
+    """Heat through the interfaces of finite conductance, by temperatures of the bodies [K]."""
+    if (j := operators.jumps) is None:
+        return {}
+    table = np.stack([t.x.array[j.dof] for t in temperatures])
+    master, slave = (table[j.bodies[:, k], np.arange(len(j.dof))] for k in (0, 1))
+    q = j.flux(x[1].array)[0]
+    s = np.asarray(interface_heat.entropy_production(q, j.friction, j.share, master, slave))
+    at = {c.name: j.interface == i for i, c in enumerate(operators.scene.thermal_contacts)}
+    return {name: (q[here], s[here]) for name, here in at.items()}
+
+
+@dataclass
+class InterfaceExtremes:
+    """Largest jump and flux, and entropy production of one interface, over all ranks."""
+
+    jump: float = 0.0
+    flux: float = 0.0
+    entropy_min: float = np.inf
+    entropy_max: float = -np.inf
+
+    def take(self, comm: MPI.Comm, flux: Floats, entropy: Floats) -> None:
+        """Update from own points: flux (n,) [N/(mm s)], entropy [N/(mm s K)]; collective."""
+        ends = [np.abs(flux).max(initial=0.0), entropy.max(initial=-np.inf)]
+        most = np.array([*ends, -entropy.min(initial=np.inf)])
+        comm.Allreduce(MPI.IN_PLACE, most, MPI.MAX)
+        self.flux = max(self.flux, float(most[0]))
+        self.entropy_max = max(self.entropy_max, float(most[1]))
+        self.entropy_min = min(self.entropy_min, -float(most[2]))
+
+    def summary(self) -> dict[str, float]:
+        """Their numbers in the summary."""
+        result = {"temperature_jump_max": self.jump}
+        # Where both sides share one temperature the rest is unknown.
+        if self.entropy_min < np.inf:
+            result["heat_flux_max"] = W_PER_M2 * self.flux
+            result["entropy_production_min"] = W_PER_M2 * self.entropy_min
+            result["entropy_production_max"] = W_PER_M2 * self.entropy_max
+        return result
+
 
 Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
 SIDES = ("first", "second")
@@ -70,7 +121,7 @@ class ThermalRecord:
         of_region: Mapping[str, int],
         interfaces: Interfaces,
         bone: Sequence[str],
-        probes: Sequence[ProbedPoint],
+        probes: Mapping[str, Probe],
     ) -> None:
         self._comm, self._forms = forms.comm, forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
@@ -195,7 +246,13 @@ class ThermalRecord:
     def summary(self) -> dict[str, Any]:
         """Section ``thermal`` of the summary; collective."""
         comm, cells = self._comm, {name: RegionCells(self._forms, name) for name in self._nodes}
-        surface = self._bone_surface(cells)
+        # Surface of all bone towards other regions, as triangles (f, 3, 3) [mm]; on every rank.
+        faces = [
+            cells[region].faces(self._nodes[region].dof[rows])
+            for side in self._bone_sides
+            for region, rows in side.items()
+        ]
+        surface = np.concatenate([np.zeros((0, 3, 3)), *faces])
         regions = {name: r.temperatures(comm, cells[name]) for name, r in self.regions.items()}
         result: dict[str, Any] = {
             "regions": regions,
@@ -209,13 +266,6 @@ class ThermalRecord:
         for name in self.bone:
             regions[name] |= self.regions[name].dead(comm, cells[name], surface)
         return result
-
-    def _bone_surface(self, cells: Mapping[str, RegionCells]) -> Floats:
-        """Surface of all bone towards other regions, as triangles (f, 3, 3) [mm]; on every rank."""
-        found: list[Floats] = [np.zeros((0, 3, 3))]
-        for side in self._bone_sides:
-            found += [cells[r].faces(self._nodes[r].dof[rows]) for r, rows in side.items()]
-        return np.concatenate(found)
 
     def _interface(self, name: str) -> dict[str, Any]:
         result: dict[str, Any] = {}

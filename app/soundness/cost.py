@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from app.case.case import Case
@@ -34,18 +35,56 @@ UNKNOWN_SIZE = 3e4
 AREA_PER_NODE = 0.87
 
 
+@dataclass(frozen=True)
+class _Size:
+    """Numbers of cells, of nodes that move, of temperatures, and of the jumps of either."""
+
+    cells: float
+    nodes: float
+    jumps: float
+    temperatures: float
+    steps: float
+
+    @property
+    def unknowns(self) -> float:
+        return 3 * (self.nodes + self.jumps) + self.temperatures + self.steps
+
+
+def _size(
+    case: Case, cells: float, nodes: float, corners: float, each: Mapping[str, float]
+) -> _Size:
+    """Size of a mesh with nodes of displacements, corners of cells, and corners by interface."""
+    laws, moves, heats = case.interfaces.items(), solid(case), case.conducts
+    jumps = moves * sum(each[name] for name, law in laws if law.can_part)
+    steps = heats * sum(each[name] for name, law in laws if law.conductance is not None)
+    return _Size(cells, moves * nodes, jumps, heats * corners, steps)
+
+
+def _estimated(case: Case) -> _Size:
+    """Size from the parameters alone; no cells where it is unknown before meshing."""
+    count = case.geometry.estimate_cells(case.mesh)
+    if not count:
+        return _Size(0.0, UNKNOWN_SIZE / 3, 0.0, 0.0, 0.0)
+    corners = NODES_PER_CELL * count + 50
+    nodes = corners + (EDGES_PER_CELL * count if case.mesh.order == 2 else 0)
+    # Jumps are linear at either order; each interface has about the same share of the area.
+    areas = case.geometry.interface_area / max(1, len(case.geometry.interface_sides))
+    each = dict.fromkeys(case.interfaces, areas / (AREA_PER_NODE * case.mesh.size**2))
+    return _size(case, count, nodes, corners, each)
+
+
 def estimated_size(case: Case) -> str:
     """Cells, unknowns and memory, from the parameters alone."""
-    cells, nodes, corners, each = _estimated(case)
-    if not cells:
+    size = _estimated(case)
+    if not size.cells:
         return "size\n  not known before it is meshed: --mesh counts"
-    return _size("size (estimated; --mesh counts)", case, cells, nodes, corners, each)
+    return _told("size (estimated; --mesh counts)", case, size)
 
 
 def unknowns(case: Case) -> float:
     """Estimated unknowns of a case; 0 where they are unknown before meshing."""
-    cells, sizes = _cells_and_unknowns(case)
-    return sum(sizes) if cells else 0.0
+    size = _estimated(case)
+    return size.unknowns if size.cells else 0.0
 
 
 def seconds(case: Case, alone: bool = True) -> float:
@@ -53,29 +92,28 @@ def seconds(case: Case, alone: bool = True) -> float:
 
     A run that is not ``alone`` shares mesh, forms and matrices with an earlier one.
     """
-    return _duration(case, *_cells_and_unknowns(case), alone)
+    return _duration(case, _estimated(case), alone)
 
 
 def phases(case: Case) -> dict[str, float]:
     """Time of each phase of a first run on one core [s], by its name in `Timing`."""
-    cells, sizes = _cells_and_unknowns(case)
-    unknowns = sum(sizes)
+    size = _estimated(case)
     alone = case.model_copy(update={"output": case.output.model_copy(update={"error": False})})
     return {
-        "mesh": MESHING * cells,
+        "mesh": MESHING * size.cells,
         "stiffness": compiling(case) / 2,
         "contact": MECHANICAL_FORMS / 2,
-        "assemble": ASSEMBLE * unknowns,
-        "factorize": FACTORIZE * unknowns,
-        "output": OUTPUT * unknowns,
-        "error": _solution(case, *sizes) - _solution(alone, *sizes),
+        "assemble": ASSEMBLE * size.unknowns,
+        "factorize": FACTORIZE * size.unknowns,
+        "output": OUTPUT * size.unknowns,
+        "error": _solution(case, size) - _solution(alone, size),
     }
 
 
-def _duration(case: Case, cells: float, sizes: tuple[float, float], alone: bool = True) -> float:
+def _duration(case: Case, size: _Size, alone: bool = True) -> float:
     """Time of a run of known size on one core [s]."""
-    solution = _solution(case, *sizes)
-    return START + MESHING * cells + solution if alone else SHARED * solution
+    solution = _solution(case, size)
+    return START + MESHING * size.cells + solution if alone else SHARED * solution
 
 
 def compiling(case: Case) -> float:
@@ -85,8 +123,9 @@ def compiling(case: Case) -> float:
     return mechanical + HEAT_FORMS * case.conducts
 
 
-def _solution(case: Case, mechanical: float, thermal: float) -> float:
-    """Time of the solver alone [s], from the unknowns of mechanics and heat."""
+def _solution(case: Case, size: _Size) -> float:
+    """Time of the solver alone [s]."""
+    mechanical, thermal = 3 * (size.nodes + size.jumps), size.temperatures + size.steps
     price = PRICE[case.mesh.order] * (mechanical / 1e5) ** GROWTH
     timed = sum(1 for stage in case.stages if stage.duration)
     sets = any(r.thermal is not None and r.thermal.cure is not None for r in case.regions.values())
@@ -112,38 +151,6 @@ def solid(case: Case) -> bool:
     return any(not isinstance(region, Conductor) for region in case.regions.values())
 
 
-def _estimated(case: Case) -> tuple[float, float, float, dict[str, float]]:
-    """Cells, nodes of the displacement, nodes of the temperature, nodes by interface."""
-    count = case.geometry.estimate_cells(case.mesh)
-    corners = NODES_PER_CELL * count + 50
-    nodes = corners + (EDGES_PER_CELL * count if case.mesh.order == 2 else 0)
-    # Jumps are linear at either order; each interface has about the same share of the area.
-    areas = case.geometry.interface_area / max(1, len(case.geometry.interface_sides))
-    each = dict.fromkeys(case.interfaces, areas / (AREA_PER_NODE * case.mesh.size**2))
-    return count, nodes, corners, each
-
-
-def _cells_and_unknowns(case: Case) -> tuple[float, tuple[float, float]]:
-    """Estimated cells, 0 before meshing, and unknowns of mechanics and heat."""
-    cells, nodes, corners, each = _estimated(case)
-    return cells, _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
-
-
-def _on_interfaces(case: Case, each: Mapping[str, float]) -> tuple[float, float]:
-    """Nodes with a jump of displacement, and of temperature."""
-    laws = case.interfaces.items()
-    jumps = sum(each[name] for name, law in laws if law.can_part)
-    return jumps, sum(each[name] for name, law in laws if law.conductance is not None)
-
-
-def _unknowns(
-    case: Case, nodes: float, corners: float, each: Mapping[str, float]
-) -> tuple[float, float]:
-    """Unknowns of mechanics and heat."""
-    jumps, steps = _on_interfaces(case, each)
-    return 3 * (nodes + jumps) * solid(case), (corners + steps) * case.conducts
-
-
 def exact_size(case: Case, data: MeshData) -> str:
     """Cells, unknowns and memory of a mesh, and notes of the mesher."""
     import numpy as np
@@ -155,7 +162,7 @@ def exact_size(case: Case, data: MeshData) -> str:
     if case.mesh.order == 2:
         nodes += len(np.unique(np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0))
     each = {n: len(np.unique(interface_facets(data, n)[0][:, :3])) for n in case.interfaces}
-    lines = [_size("size", case, len(data.cells), nodes, corners, each)]
+    lines = [_told("size", case, _size(case, len(data.cells), nodes, corners, each))]
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {count(np.count_nonzero(data.cell_tags == tag))} cells")
     for name, note in sorted(data.notes.items(), key=lambda item: item[0] != "mantle"):
@@ -177,34 +184,23 @@ def _mantle(note: Mapping[str, Any]) -> str:
     )
 
 
-def _size(
-    title: str,
-    case: Case,
-    cells: float,
-    nodes: float,
-    corners: float,
-    interfaces: Mapping[str, float],
-) -> str:
-    """Lines on unknowns and memory: ``nodes`` carry displacements, ``corners`` temperatures."""
-    parts = [f"{count(cells)} cells"]
-    jumps, steps = _on_interfaces(case, interfaces)
-    if solid(case):
-        parts += [
-            f"{count(nodes)} displacement nodes",
-            f"{count(jumps)} interface nodes with a jump",
-        ]
-    if case.conducts:
-        parts += [f"{count(corners)} temperatures", f"{count(steps)} temperature jumps"]
-    sizes = _unknowns(case, nodes, corners, interfaces)
-    unknowns = sum(sizes)
+def _told(title: str, case: Case, size: _Size) -> str:
+    """Lines on cells, unknowns, memory and time."""
+    parts = [f"{count(size.cells)} cells"]
+    if size.nodes:
+        parts.append(f"{count(size.nodes)} displacement nodes")
+        parts.append(f"{count(size.jumps)} interface nodes with a jump")
+    if size.temperatures:
+        parts.append(f"{count(size.temperatures)} temperatures")
+        parts.append(f"{count(size.steps)} temperature jumps")
     # Factors of a direct solver grow as n^(4/3) in three dimensions; the rest is proportional.
-    memory = 0.4 + 2e-6 * unknowns + 25 * 8e-9 * unknowns ** (4 / 3)
-    first, others = _duration(case, cells, sizes), _duration(case, cells, sizes, alone=False)
+    memory = 0.4 + 2e-6 * size.unknowns + 25 * 8e-9 * size.unknowns ** (4 / 3)
+    first, others = _duration(case, size), _duration(case, size, alone=False)
     more = len(case.variations) - 1
     every = f", {duration(first + more * others)} for all variations" if more > 0 else ""
     return (
         f"{title}\n  {', '.join(parts)}\n"
-        f"  {count(unknowns)} unknowns, about {memory:.1f} GB with a direct solver\n"
+        f"  {count(size.unknowns)} unknowns, about {memory:.1f} GB with a direct solver\n"
         f"  about {duration(first)} on one core{every}; {compiling(case):.0f} s more where forms "
         "are compiled first"
     )

@@ -1,19 +1,120 @@
-"""Why a solve failed, in terms of the model: which interface, where, which body is free."""
+"""Why a solve failed, in terms of the model, and friction beyond which solutions are not unique.
+
+A contact point alone may have several equilibria. With A the tangential block of its stiffness and
+w its coupling row (the normal force that a slip takes), the critical friction coefficient is the
+least of t·At / |w·t| over unit vectors t of the tangent plane, in the plane Klarbring's k_T / |w|
+(derived in `docs/theory.md`). With t = (cos θ, sin θ) in axes along and across w, [[a, b], [b, c]]
+the symmetric part of A and τ = tan θ, this is the least value of
+(a + 2 b τ + c τ²) / (|w| sqrt(1 + τ²)), stationary where c τ³ + (2 c - a) τ + 2 b = 0.
+
+A. Klarbring, Examples of non-uniqueness and non-existence of solutions to quasistatic contact
+problems with friction, Ingenieur-Archiv 60 (1990) 529-541. P. Hild, Non-unique slipping in the
+Coulomb friction model in two-dimensional linear elasticity, Q. J. Mech. Appl. Math. 57 (2004).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import numpy as np
 
+from app.arrays import Floats
 from app.errors import Reason
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
-from app.numerics.active_set import ActiveSet
-from app.numerics.newton import NewtonResult, Solver
-from app.soundness import loose_bodies, uniqueness
+from app.numerics.newton import ActiveSet, NewtonResult, Solver
+from app.soundness import loose_bodies
 from app.system.layout import point_text
+
+
+def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
+    """Friction coefficient at which each point stops having one equilibrium for every load.
+
+    Args:
+        stiffness: Stiffness that a jump meets at each point, positive definite (n, 3, 3).
+        normals: Unit normals (n, 3).
+
+    Returns:
+        Critical coefficients (n,); infinite where slip takes no normal force.
+    """
+    n = normals
+    row = np.einsum("pi,pij->pj", n, stiffness)
+    w = row - np.einsum("pi,pi->p", row, n)[:, None] * n
+    size = np.linalg.norm(w, axis=1)
+    bound = np.linalg.norm(row, axis=1)
+    coupled = size > np.finfo(float).eps * bound
+    critical = np.full(len(n), np.inf)
+    K, n, w, size = stiffness[coupled], n[coupled], w[coupled], size[coupled]
+    along = w / size[:, None]
+    across = np.cross(n, along)
+    a = np.einsum("pi,pij,pj->p", along, K, along)
+    b = np.einsum("pi,pij,pj->p", along, (K + K.transpose(0, 2, 1)) / 2, across)
+    c = np.einsum("pi,pij,pj->p", across, K, across)
+    companion = np.zeros((len(n), 3, 3))
+    companion[:, 1, 0] = companion[:, 2, 1] = 1
+    companion[:, 0, 2] = -2 * b / c
+    companion[:, 1, 2] = -(2 * c - a) / c
+    # The real part of a complex root is just one more direction, of no smaller value.
+    τ = np.linalg.eigvals(companion).real
+    value = (a[:, None] + 2 * b[:, None] * τ + c[:, None] * τ**2) / np.sqrt(1 + τ**2)
+    critical[coupled] = value.min(axis=1) / size
+    return critical
+
+
+def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
+    """Least critical coefficient of the faces of each own point, all else held (n,).
+
+    An estimate, local and on the safe side. With the stiffness that a point meets while the bodies
+    give way around it and its neighbours stick, friction below the critical would be necessary for
+    uniqueness (not sufficient), but each point takes a solve: on the shipped cases, coarsened, the
+    least such value is 20 to 85 % above the least found here.
+    """
+    stiffness = contact.coupling.local_stiffness()
+    # A point does not move where supports hold it: nothing couples there, and it is stiff.
+    free = np.eye(3) - contact.own.projector
+    stiffness = free @ stiffness @ free
+    stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.own.projector
+    critical = np.full(len(contact.own), np.inf)
+    for k in range(contact.own.normals.shape[1]):
+        on = contact.own.faces > k
+        critical[on] = np.minimum(
+            critical[on], critical_friction(stiffness[on], contact.own.normals[on, k])
+        )
+    return critical
+
+
+def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[str]]:
+    """Least critical coefficient of each frictional interface, and what exceeds it; collective."""
+    found: dict[str, float] = {}
+    sentences: list[str] = []
+    contact = problem.contact
+    if contact is None:
+        return found, sentences
+    critical = critical_friction_of_points(contact)
+    for i, term in enumerate(problem.scene.contacts):
+        on = np.flatnonzero(contact.own.interface == i)
+        k = on[np.argmin(critical[on])] if len(on) else 0
+        here = (float(critical[k]), tuple(contact.own.x[k])) if len(on) else (np.inf, ())
+        least, x = min(problem.comm.allgather(here))
+        over = int((critical[on] < term.law.friction).sum())
+        over = problem.comm.allreduce(over, MPI.SUM)
+        if term.law.friction == 0 or not np.isfinite(least):
+            continue
+        found[term.name] = least
+        if over:
+            sentences.append(
+                f"interface '{term.name}': friction coefficient {term.law.friction:g} "
+                f"exceeds the critical one of {over} of its points (least {least:.3g}, at "
+                f"{point_text(x)}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
+            )
+    return found, sentences
+
+
+# Why a solve failed
+
 
 # States of a contact point, by status.
 STATES = ("open", "stick", "slip")
@@ -23,13 +124,10 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why a solve failed.
+    """Why a solve failed, in sentences.
 
-    Attributes:
-        free: Sentences on free bodies.
-        friction: Sentences on bodies that friction barely holds, and on friction beyond which
-            solutions need not be unique.
-        places: Sentences on the largest residual and on oscillating points.
+    They are on free bodies; on bodies that friction barely holds, and friction beyond which
+    solutions need not be unique; on the places of the largest residual and of oscillating points.
     """
 
     outcome: NewtonResult
@@ -53,13 +151,7 @@ class Explanation:
         return f"the residual stays at {outcome.residuals[-1]:.1e} times the forces"
 
     def text(self, stage: str, reach: float, steps: Sequence[float]) -> str:
-        """The message for the user.
-
-        Args:
-            stage: Name of the stage.
-            reach: Part of it at which the solve failed.
-            steps: Halved steps tried before, as parts of the stage.
-        """
+        """The message: a solve failed at a part of a stage, after halved steps (parts of it)."""
         code = f" [{Reason.LOOSE_BODY}]" if self.free else ""
         tail = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
         advice = "more increments, a finer mesh at the interface, or a smaller load"
@@ -88,18 +180,13 @@ def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanat
     contact = trial.contact
     free = loose_bodies.free_bodies(problem, trial)
     friction = [] if free else loose_bodies.sliding(problem, contact)
-    friction += uniqueness.look(problem)[1]
+    friction += beyond_critical(problem)[1]
     places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
     return Explanation(outcome, free, friction, places)
 
 
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:
-    """List the attempts of the solver, in words.
-
-    Args:
-        tried: Changes of the solver, and the residuals they reached.
-        steps: Halved steps tried before, as parts of the stage.
-    """
+    """Changes of the solver with the residuals they reached, and halved steps of the stage."""
     words = [f"{what}: {residual:.1e}" for what, residual in tried]
     text = f"{'; '.join(words)} (with final residuals)" if words else "plain Newton only"
     halved = f"; steps of {', '.join(f'{s:.3g}' for s in steps)} of the stage" if steps else ""

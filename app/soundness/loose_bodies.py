@@ -22,13 +22,12 @@ from app.numerics.rigid_motions import DIRECTIONS, add_relative, describe, rigid
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, holds, law_between
 from app.system.layout import point_text
 from forms.contact import OPEN
-from meshes.contact_faces import spread_of_normals
+from meshes.contact_facets import spread_of_normals
 from meshes.pieces import Parts, Piece
 
-if TYPE_CHECKING:
-    from app.mechanics.contact import ContactInterfaces
-from app.mechanics.contact import TrialState
-from app.mechanics.problem import Problem
+if TYPE_CHECKING:  # dolfinx, which checks of a case do without
+    from app.mechanics.contact import ContactInterfaces, TrialState
+    from app.mechanics.problem import Problem
 
 # A motion is free if its resistance is below this part of the largest. Contact without friction
 # barely resists a motion that it is sloped against by less than so many degrees in the mean, or
@@ -135,9 +134,7 @@ class BodiesOnMesh:
     ) -> tuple[Floats, Floats]:
         """Resistance of contact, and of each body where all is bonded (6 n, 6 n) [mm2].
 
-        Args:
-            shears: Whether each interface resists sliding; None: all do.
-            absent: Open interfaces.
+        All interfaces resist sliding, or those of ``shears``; ``absent`` ones are open.
         """
         n = 6 * len(self._groups)
         K, M = np.zeros((n, n)), np.zeros((n, n))
@@ -376,7 +373,7 @@ def _against_spread(
 
 def _held(problem: Problem) -> dict[int, Floats]:
     """Part of each direction that supports and foundations hold, by body (3, 3)."""
-    from app.scene.bodies import bodies_at  # brings dolfinx, which checks of a case do without
+    from app.scene.bodies import bodies_at  # brings dolfinx
 
     scene, frames = problem.scene, problem.stiffness.frames
     conditions = [

@@ -135,16 +135,13 @@ def check(file: CaseFile, case: Case) -> None:
     )
     if isinstance(case.geometry, MeshFile):
         file.raise_all([Fault(("geometry", "path"), text)])
-    size = case.mesh.size
-    while needed(_with_size(case, size)) > memory:
-        size *= 1.02
+    size, other = case.mesh.size, case
+    while needed(other) > memory:
+        size *= 1.02  # in proportion far from the interfaces
+        mesh = case.mesh.coarser(size / case.mesh.size)
+        other = case.model_copy(update={"mesh": mesh})
     # Two digits, a few tenths too large at most.
     digit = 10.0 ** (math.floor(math.log10(size)) - 1)
     larger = float(f"{digit * math.ceil(size / digit):.2g}")
     hint = f"; {larger:g} mm would do" if larger <= min(case.geometry.coarsest_size, ABSURD) else ""
     file.raise_all([Fault(("mesh", "size"), f"{case.mesh.size:g} mm {text}{hint}")])
-
-
-def _with_size(case: Case, size: float) -> Case:
-    """The case with another mesh size, in proportion far from the interfaces."""
-    return case.model_copy(update={"mesh": case.mesh.coarser(size / case.mesh.size)})

@@ -16,7 +16,7 @@ from app.case.case import load
 from app.cli import main
 from app.command_line.parser import REMOVED
 from app.errors import ConvergenceError
-from app.soundness import plausibility
+from app.soundness import preview
 from app.system import ranks
 from tests import support
 from tests.support import CONFIGS, ROOT
@@ -152,8 +152,8 @@ def test_estimated_temperatures_are_those_of_the_mesh(capsys: pytest.CaptureFixt
 )
 def test_data_that_no_material_has_are_asked_about(change: str) -> None:
     cure = CONFIGS / "cure.yaml"
-    assert plausibility.warnings(load(cure).config) == []
-    (note,) = plausibility.warnings(load(cure, [change]).config)
+    assert preview.warnings(load(cure).config) == []
+    (note,) = preview.warnings(load(cure, [change]).config)
     assert note.startswith(f"{change.partition('=')[0]} is ")
     assert note.endswith(": a wrong unit?")
 
@@ -192,11 +192,11 @@ BONE = (
 )
 def test_locking_is_told(region: str, locks: bool) -> None:
     changes = [f"regions.cement={region}", "interfaces={}"]
-    told = plausibility.warnings(load(CONFIGS / "blocks.yaml", changes).config)
+    told = preview.warnings(load(CONFIGS / "blocks.yaml", changes).config)
     assert [m.split(" is ")[0] for m in told] == (["regions.cement"] if locks else [])
     assert all("lock" in m and "mesh.order: 2" in m for m in told)
     second = load(CONFIGS / "blocks.yaml", [*changes, "mesh.order=2"]).config
-    assert plausibility.warnings(second) == []
+    assert preview.warnings(second) == []
 
 
 def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -246,7 +246,7 @@ def test_a_press_fit_acts_by_penalty_too() -> None:
     ]
     for value, told in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
         case = load(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"]).config
-        assert any("nothing acts" in note for note in plausibility.warnings(case)) == told
+        assert any("nothing acts" in note for note in preview.warnings(case)) == told
 
 
 @pytest.mark.parametrize("words", sorted(REMOVED))
@@ -330,7 +330,7 @@ def test_one_rank_speaks(
 def test_states_that_depend_on_the_start_are_told() -> None:
     """Bars between heated walls have three: with a gap closed by expansion, and without."""
     walls = CONFIGS / "verification" / "heated_walls.yaml"
-    (note,) = plausibility.warnings(load(walls).config)
+    (note,) = preview.warnings(load(walls).config)
     assert "interfaces.metal_cement" in note and "initial temperatures decide" in note
     stiff = ["interfaces.metal_cement.conductance=10 W/(m^2 K)"]
-    assert plausibility.warnings(load(walls, stiff).config) == []
+    assert preview.warnings(load(walls, stiff).config) == []

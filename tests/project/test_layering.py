@@ -149,9 +149,10 @@ def test_every_package_is_installed_and_says_what_it_is() -> None:
         assert text and len(text.splitlines()) <= 6, name
 
 
-@all_of("app/schema")
-def test_a_case_is_read_without_the_solver_stack(path: Path) -> None:
-    assert not STACK & set(map(top, imported(path)))
+@all_of("app/schema", "meshes")
+def test_cases_are_read_and_meshed_without_the_solver(path: Path) -> None:
+    unseen = {"dolfinx", "petsc4py", "ufl"} if package_of(module(path)) == "meshes" else STACK
+    assert path.name == "distribute.py" or not unseen & set(map(top, imported(path)))
 
 
 def test_only_reports_know_the_paper() -> None:
@@ -178,13 +179,6 @@ def test_meshes_know_nothing_of_the_application(path: Path) -> None:
     assert own <= {"app.errors", "app.arrays", "app.captured", "app.figures", "app.files"}
 
 
-@all_of("meshes")
-def test_only_distribution_needs_the_solver(path: Path) -> None:
-    if path.name == "distribute.py":
-        return
-    assert not {"dolfinx", "petsc4py", "ufl"} & set(map(top, imported(path)))
-
-
 @all_of("app")
 def test_nobody_asks_an_interface_a_load_or_a_support_for_its_kind(path: Path) -> None:
     """They answer for themselves; what a law needs of the solver stack it imports when asked."""
@@ -202,8 +196,6 @@ def test_nobody_asks_an_interface_a_load_or_a_support_for_its_kind(path: Path) -
     if package_of(module(path)) in solving or module(path) in (
         "app.scene.bodies",
         "app.results.balance",
-        "app.results.heat_balance",
-        "app.results.interface_heat",
         "app.results.interface_numbers",
         "app.results.region_temperatures",
         "app.results.thermal_record",

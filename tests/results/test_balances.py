@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from app.results.balance import HeatBalance
 from app.results.closing_lines import BALANCES
-from app.results.heat_balance import HeatBalance
 from tests import support
 
 # A stem pressed in and let go: friction holds it, and reactions vanish.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from app.results import closing_lines, tables
+from app.results import closing_lines
 
 CHANGE = "peaks that still change with the mesh"
 
@@ -107,8 +107,8 @@ def heat() -> dict[str, Any]:
 
 
 def test_every_number_of_heat_has_its_place() -> None:
-    assert list(tables.lines({"interfaces": {}, "regions": {}, "stem": {}})) == []
-    lines = list(tables.lines(heat()))
+    assert list(closing_lines.lines({"interfaces": {}, "regions": {}, "stem": {}})) == []
+    lines = list(closing_lines.lines(heat()))
     hottest = next(line for line in lines if line.startswith("bone"))
     assert "54.9 ± 1.6" in hottest and "52.0" in hottest
     sides = next(line for line in lines if line.startswith("cement_bone"))

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from app.results import temperature_section, unrolled
+from app.report import pictures
+from app.results import temperature_section
 from app.results.reading import Run
 from tests.results.test_thermal_quantities import BODIES, ZERO, two_blocks
 
@@ -38,7 +39,7 @@ def cylinder(turn: float) -> tuple[Any, Any]:
 def test_a_cylinder_is_unrolled_exactly(turn: float) -> None:
     """Without holes or smears at the seam: each place in the window is in one triangle."""
     points, triangles = cylinder(turn)
-    corners, nodes = unrolled.unroll(points, triangles)
+    corners, nodes = pictures.unroll(points, triangles)
     x = points[nodes]
     assert corners[:, :, 1] == pytest.approx(x[:, :, 2], abs=1e-12)
     angle = corners[:, :, 0]
@@ -47,7 +48,7 @@ def test_a_cylinder_is_unrolled_exactly(turn: float) -> None:
     # The cap is seen edge on and left out.
     assert len(points) - 1 not in nodes
     assert np.ptp(angle, axis=1) == pytest.approx(360.0 / N)
-    low, high = unrolled.SEAM, unrolled.SEAM + 360.0
+    low, high = pictures.SEAM, pictures.SEAM + 360.0
     # One that ends at the seam may be there on its other side too, by rounding.
     assert angle.min(axis=1).max() < high + 1e-9 and angle.max(axis=1).min() > low - 1e-9
     rng = np.random.default_rng(1)
@@ -75,7 +76,7 @@ def two_bodies(order: int) -> Any:
 @pytest.mark.parametrize("order", [1, 2])
 def test_facets_are_those_between_the_bodies(order: int) -> None:
     run = two_bodies(order)
-    triangles = unrolled.facets(run, [2], [1])
+    triangles = pictures.facets(run, [2], [1])
     assert (triangles >= len(run.points) // 2).all()
     x = run.points[triangles]
     assert x[:, :, 2] == pytest.approx(0.0)
@@ -85,29 +86,29 @@ def test_facets_are_those_between_the_bodies(order: int) -> None:
 
 def test_a_flat_interface_is_drawn_in_its_own_plane() -> None:
     run = two_bodies(1)
-    sheet = unrolled.sheet(run, "blocks", (("lower",), ("upper",)), ("lower", "upper"))
+    sheet = pictures.sheet(run, "blocks", (("lower",), ("upper",)), ("lower", "upper"))
     assert sheet is not None and not sheet.round
     a, b, c = sheet.corners[0]
     lengths = sorted(float(np.linalg.norm(e)) for e in (b - a, c - b, a - c))
     assert lengths == pytest.approx([2.0, 2.0, np.sqrt(8.0)])
     # Bodies that do not meet have no map.
     run.points[4:] += 1.0
-    assert unrolled.sheet(run, "blocks", (("a",), ("b",)), ("a", "b")) is None
+    assert pictures.sheet(run, "blocks", (("a",), ("b",)), ("a", "b")) is None
 
 
 def test_a_picture_has_the_rows_that_there_are(tmp_path: Path) -> None:
     points, triangles = cylinder(0.0)
-    corners, nodes = unrolled.unroll(points, triangles)
+    corners, nodes = pictures.unroll(points, triangles)
     run: Run = SimpleNamespace()  # type: ignore[assignment]
-    sheet = unrolled.Sheet(corners, nodes, True)
-    rows = [
-        unrolled.MapRow("height (mm)", "viridis", [points[:, 2]] * 2),
-        unrolled.MapRow("nothing", "viridis", [None] * 2),
+    sheet = pictures.Sheet(corners, nodes, True)
+    rows: list[pictures.Row] = [
+        ("height (mm)", "viridis", [points[:, 2]] * 2),
+        ("nothing", "viridis", [None] * 2),
     ]
     path = tmp_path / "map.png"
-    assert unrolled.draw(path, [("one", run, sheet), ("two", run, sheet)], rows) == ["height (mm)"]
+    assert pictures.draw(path, [("one", run, sheet), ("two", run, sheet)], rows) == ["height (mm)"]
     assert path.read_bytes().startswith(b"\x89PNG")
-    assert unrolled.draw(tmp_path / "none.png", [("one", run, sheet)], rows[1:]) == []
+    assert pictures.draw(tmp_path / "none.png", [("one", run, sheet)], rows[1:]) == []
     assert not (tmp_path / "none.png").exists()
 
 

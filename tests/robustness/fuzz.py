@@ -31,8 +31,8 @@ from app.case import sweep as sweep_file
 from app.case.case import dump, load
 from app.errors import InputError
 from app.schema import yaml_file
-from app.schema.unit_conversion import registry
-from app.soundness import cost, plausibility, preview
+from app.schema.units import registry
+from app.soundness import cost, preview
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SECONDS = 2.0
@@ -201,7 +201,7 @@ def read(path: Path, overrides: list[str]) -> None:
         loaded = load(path, overrides)
         case = loaded.config
         text = preview.describe(case, loaded.file.data) + cost.estimated_size(case)
-        text += "".join(plausibility.warnings(case)) + dump(case) + str(cost.seconds(case))
+        text += "".join(preview.warnings(case)) + dump(case) + str(cost.seconds(case))
         text.encode()
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
 import pytest
 
 from app.arrays import Floats
-from app.soundness import uniqueness
-from app.soundness.uniqueness import critical_friction
+from app.case.case import Case
+from app.soundness.failure import beyond_critical, critical_friction
 from tests import support
 
 # Relative distance from the critical coefficient at which sides are told apart.
@@ -136,42 +134,35 @@ def test_no_coupling_no_limit() -> None:
     assert np.isinf(critical_friction(K, np.array([[0.0, 0.0, 1.0]]))).all()
 
 
-STACK = """
-geometry:
-  kind: blocks
-  blocks:
-    - {{name: lower, size: [6 mm, 6 mm, 3 mm]}}
-    - {{name: upper, size: [6 mm, 6 mm, 3 mm]}}
-mesh: {{order: 1, size: 2 mm, far_size: 2 mm}}
-regions:
+STACK = f"""{support.TWO_BLOCKS}regions:
   lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
   upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.3}}
-interfaces:
-  lower_upper: {{kind: contact, friction_coefficient: {friction}}}
 supports:
   floor: {{kind: fixed, boundary: bottom}}
   side: {{kind: roller, boundary: x_min, axis: x}}
 """
 
 
-def test_a_run_warns_beyond_it_and_only_there(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING, logger="mantle"):
-        problem, _ = support.assemble(support.case(STACK.format(friction=0.5)))
-        least = uniqueness.check(problem)["lower_upper"]
-        assert 1 < least < 10
-        assert not caplog.records
-        problem, _ = support.assemble(support.case(STACK.format(friction=least * 1.01)))
-        assert uniqueness.check(problem) == pytest.approx({"lower_upper": least})
-    (record,) = caplog.records
-    text = record.getMessage()
+def stack(friction: float) -> Case:
+    law = f"{{kind: contact, friction_coefficient: {friction}}}"
+    return support.case(STACK, f"interfaces.lower_upper={law}")
+
+
+def test_it_is_told_beyond_it_and_only_there() -> None:
+    def found(friction: float) -> tuple[dict[str, float], list[str]]:
+        return beyond_critical(support.assemble(stack(friction))[0])
+
+    critical, told = found(0.5)
+    assert 1 < critical["lower_upper"] < 10 and not told
+    again, (text,) = found(1.01 * critical["lower_upper"])
+    assert again == pytest.approx(critical)
     assert "of its points" in text and "may not be unique" in text
-    problem, _ = support.assemble(support.case(STACK.format(friction=0)))
-    assert uniqueness.check(problem) == {}
+    assert found(0) == ({}, [])
 
 
 def test_stiffness_of_points_is_that_of_the_jump_block() -> None:
     """A unit jump of one component meets the forces of its column."""
-    problem, solver = support.assemble(support.case(STACK.format(friction=0.5)))
+    problem, solver = support.assemble(stack(0.5))
     j = problem.contact
     u, q = solver.u_and_q(solver.x.duplicate())
     u.set(0)

@@ -68,7 +68,7 @@ forms/interface_heat.py
     eq66_sign_of_the_pressure: conditional(gt(p, 0), p, 0 * p) -> conditional(gt(p, 0), -p, 0 * p)
   rubbing_energy
     eq68_no_net_heat_of_friction: (1 - share) * D, share * D -> -share * D, share * D
-app/scene/build.py
+app/scene/scene.py
   rubbing_split
     share_of_the_other_side: e_s / (e_s + e_m) -> e_m / (e_s + e_m)
   rubbing_given
@@ -83,7 +83,7 @@ forms/heat.py
 app/heat/heat_forms.py
   heat_cylinder
     capacity: += c.capacity * -> += 1.1 * c.capacity *
-app/heat/cure_heat.py
+app/heat/curing.py
   cure_heat
     heat_of_cure: c.heat * volume[dof] -> 0.9 * c.heat * volume[dof]
     sign_of_the_cure: (d.degree - a) -> (a - d.degree)
