@@ -13,7 +13,7 @@ from app.numerics.newton import Solver
 from app.scene.build import build_scene
 from app.scene.scene import Scene
 from app.simulation import model
-from app.simulation.model import Model, Observer
+from app.simulation.model import Model
 from app.stepping.heat_state import HeatStep
 from app.stepping.load_steps import LoadStep
 from app.system.timing import Timing
@@ -120,5 +120,5 @@ def solve(
         if not steps and step.stage == made.scene.stages[0].name:
             before[0] = so_far()
 
-    made.go(Observer(on_step, on_heat, print))
+    made.go(on_step, on_heat, print)
     return Coupled(made, tuple(steps), tuple(rows), before[0], tuple(dissipated))

@@ -18,6 +18,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import pytest
 from ruamel.yaml import YAML
 
 import mantle
@@ -46,6 +47,8 @@ TIMEOUT = 300.0  # of a program on ranks [s]
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = ROOT / "configs"
 
+# Numbers of ranks to run a program on.
+RANKS = [1, *(pytest.param(n, marks=pytest.mark.parallel) for n in (2, 3))]
 # Materials and contact of a stem in its cement and bone.
 MATERIALS = """\
 regions:

@@ -203,14 +203,14 @@ def _report(options: argparse.Namespace) -> int:
         for path in run_report.write(folder):
             print(path)
         return 0
-    written = sweep_report.run(folder)
-    wide = max((len(t.name) for t in written.trends), default=0)
-    for t in written.trends:
+    files, trends, cases = sweep_report.run(folder)
+    wide = max((len(t.name) for t in trends), default=0)
+    for t in trends:
         by_maxima = f" (by maxima {t.peaks})" if t.peaks else ""
         claim = textwrap.shorten(t.claim, 90, placeholder=" ...")
         print(f"{t.name:<{wide}}  {t.verdict + by_maxima:<32}  {claim}")
-    print(f"{written.done} of {written.cases} cases have results")
-    page, *others = written.files
+    print(f"{sum(c.done for c in cases)} of {len(cases)} cases have results")
+    page, *others = files
     print(f"{page}, and {len(others)} files in {page.parent / sweep_report.PICTURES}")
     return 0
 

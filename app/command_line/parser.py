@@ -33,31 +33,16 @@ COMMANDS = {
     "init": ("write a short case to start from; it runs as it is", "name --kind --stem"),
     "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error -v"),
     "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh"),
-    "mesh": (
-        "make the mesh of a case, a .msh file, and pictures of it",
-        f"{CASE} -o",
-    ),
+    "mesh": ("make the mesh of a case, a .msh file, and pictures of it", f"{CASE} -o"),
     "study": ("error against run time of a case, by a study file", f"{CASE} {SUITE}"),
     "sweep": (
         "run many cases of one base case, and compare them",
         f"sweep --set --allow-scripts {MANY}",
     ),
-    "report": (
-        "the page of a run or a sweep, or of several runs side by side",
-        "folders -o",
-    ),
-    "verify": (
-        "solve the verification problems and compare with what is known",
-        f"{MANY} -k --tier",
-    ),
-    "stress": (
-        "stiff and extreme cases: right, refused with a reason, or wrong",
-        f"{MANY} -k --tier",
-    ),
-    "bench": (
-        "measure what contact costs, from 20 000 unknowns up (20 minutes)",
-        f"{MANY} -k --tier",
-    ),
+    "report": ("the page of a run or a sweep, or of several runs side by side", "folders -o"),
+    "verify": ("solve the verification problems and compare with what is known", SUITE),
+    "stress": ("stiff and extreme cases: right, refused with a reason, or wrong", SUITE),
+    "bench": ("measure what contact costs, from 20 000 unknowns up (20 minutes)", SUITE),
     "explain": ("tell what a key of a case, or a name of the library, means", "key --schema"),
     "doctor": ("tell what mantle finds on this machine: MPI, BLAS, compiler, threads", ""),
 }
@@ -129,9 +114,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         help="what the stem is made of (default titanium)",
     ),
     "--cores": dict(
-        type=int,
-        metavar="N",
-        help="cores to use (default: all that this process may)",
+        type=int, metavar="N", help="cores to use (default: all that this process may)"
     ),
     "--dry-run": dict(action="store_true", help="list the runs and what they would cost"),
     "--slurm": dict(

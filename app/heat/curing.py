@@ -1,14 +1,15 @@
-"""Degree of cure: a state of every node of a curing region, advanced node by node.
+"""Degree of cure: a state of every node of a curing region, advanced node by node; its heat.
 
-A time integration asks for the degree of cure at the end of an implicit step, a = a* + h f(a, T),
-with its derivative by the temperature there; the heat released is that of a - a*, so none is lost.
-`FreeStrain` holds the strains of cure.
+The degree of cure at the end of an implicit step follows from the temperature there,
+a(T) = a* + h f(a, T). A node that stands for the volume V releases Q V (a(T) - a*)/h: whatever the
+step, the heat released is that of the change of a.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
@@ -18,9 +19,12 @@ from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
 from app.arrays import Floats, Ints
+from app.heat.heat_forms import HeatForms
 from app.laws.cure import Autocatalytic, Cure, Prescribed
 from app.laws.values import multiplier
 from app.numerics.pointwise import Pointwise
+from app.scene.bodies import Bodies
+from app.scene.scene import Scene
 from forms import cure as forms
 
 # A reaction ends this far below its limit. The rest would take ever longer and warm by less than
@@ -104,10 +108,10 @@ class AutocatalyticKinetics:
             # Labels of variables differ from run to run: without them compiled code is found again.
             return [strip_variables(expand_derivatives(e)) for e in found]
 
-        constants = orders | knots | levels
+        constants: dict[str, Any] = orders | knots | levels
         self._limited = bool(pairs)
         self._laws = Pointwise(comm, nodes, dict.fromkeys(["a", "T", *constants], 1), laws)
-        self._laws.set(**{k: np.full(nodes, v) for k, v in constants.items()})
+        self._laws.set(**constants)
         # Mean rates of the last step, with their temperatures and derivatives: close to the next.
         self._mean, self._temperature, self._growth = np.zeros((3, nodes))
 
@@ -235,8 +239,8 @@ def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
     return np.divide(left, 1 - gelled, out=np.ones_like(left), where=gelled < 1)
 
 
-class FreeStrain:
-    """Stress-free strain by cure and temperature at the nodes of one region [-].
+def free_strain(comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> Pointwise:
+    """Compiled stress-free strain (n,) [-] of a step from (a_old, T_old) to (a, T [K]).
 
     Args:
         comm: Communicator of the mesh.
@@ -244,26 +248,116 @@ class FreeStrain:
         expansion: Its coefficient of thermal expansion [1/K].
         nodes: Number of its nodes on this rank.
     """
+    constants: dict[str, Any] = {
+        "gel": cure.gel,
+        "expansion": expansion,
+        "shrinkage": cure.shrinkage,
+    }
+    names = ("a_old", "T_old", "a", "T", *constants)
 
-    def __init__(self, comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> None:
-        names = ("a_old", "T_old", "a", "T", "gel", "expansion", "shrinkage")
+    def increment(x: dict[str, Expr]) -> list[Expr]:
+        return [forms.free_strain_increment(*(x[k] for k in names))]
 
-        def increment(x: dict[str, Expr]) -> list[Expr]:
-            return [forms.free_strain_increment(*(x[k] for k in names))]
-
-        self._law = Pointwise(comm, nodes, dict.fromkeys(names, 1), increment)
-        self._law.set(
-            gel=np.full(nodes, cure.gel),
-            expansion=np.full(nodes, expansion),
-            shrinkage=np.full(nodes, cure.shrinkage),
-        )
-
-    def increment(self, a_old: Floats, T_old: Floats, a: Floats, T: Floats) -> Floats:
-        """Linear strain (n,) [-] of a step from (a_old, T_old) to (a, T [K]), each (n,)."""
-        return self._law(a_old=a_old, T_old=T_old, a=a, T=T)[0]
+    law = Pointwise(comm, nodes, dict.fromkeys(names, 1), increment)
+    law.set(**constants)
+    return law
 
 
 def _logistic(s: Floats) -> Floats:
     """1 / (1 + exp(-s)) without overflow."""
     small = np.exp(-np.abs(s))
     return np.where(s < 0, small, 1.0) / (1 + small)
+
+
+@dataclass(frozen=True)
+class CuringNodes:
+    """Own nodes of a curing region.
+
+    Attributes:
+        region: Its name.
+        body: Thermal body whose temperature they have.
+        dof: Own nodes, rising (n,).
+        heat: Heat that each releases from degree 0 to 1 (n,) [N mm].
+        adiabatic_rise: Adiabatic temperature rise of the region by that heat [K].
+        kinetics: How they cure.
+    """
+
+    region: str
+    body: int
+    dof: Ints
+    heat: Floats
+    adiabatic_rise: float
+    kinetics: Kinetics
+
+
+class CureHeat:
+    """Degrees of cure and their heat in an implicit step.
+
+    Attributes:
+        nodes: Nodes of each curing region.
+        events: Times [s] that no time step should cross.
+    """
+
+    def __init__(self, scene: Scene, bodies: Bodies, forms: HeatForms) -> None:
+        self._forms = forms
+        capacity = {c.region: c.capacity for c in scene.conductors}
+        self.nodes: list[CuringNodes] = []
+        for c in scene.cures:
+            volume = forms.volumes(c.region)
+            dof = np.flatnonzero(volume > 0)
+            with forms.compiling():
+                kinetics = kinetics_of(forms.comm, c, len(dof))
+            body, rise = bodies.of_region[c.region], c.heat / capacity[c.region]
+            heat = c.heat * volume[dof]
+            self.nodes.append(CuringNodes(c.region, body, dof, heat, rise, kinetics))
+        self.events = {t for n in self.nodes for t in n.kinetics.events}
+        initial = {c.region: c.initial for c in scene.cures}
+        self._start: list[Floats] = [np.full(len(n.dof), initial[n.region]) for n in self.nodes]
+        self._h: float = np.inf
+        self._seconds = 0.0
+        self._last: tuple[list[Floats], list[Degrees]] | None = None
+
+    def begin(self, start: Sequence[Floats], h: float, seconds: float) -> bool:
+        """Prepare a step; False if it starts from inadmissible degrees; collective."""
+        self._start = [a.copy() for a in start]
+        self._h, self._seconds, self._last = h, seconds, None
+        return bool(self._forms.comm.allreduce(all(map(admissible, start)), op=MPI.LAND))
+
+    def at(self, T: Floats) -> list[Degrees]:
+        """Degrees of cure for temperatures of own nodes of each body (b, n) [K].
+
+        A steady state keeps its initial degrees: all heat of cure is already released.
+        """
+        here = [T[n.body, n.dof] for n in self.nodes]
+        if self._last is None or not all(map(np.array_equal, here, self._last[0])):
+            if np.isinf(self._h):
+                found = [Degrees(a, np.zeros_like(a)) for a in self._start]
+            else:
+                found = [
+                    n.kinetics.update(a, own, self._h, self._seconds)
+                    for n, a, own in zip(self.nodes, self._start, here, strict=True)
+                ]
+            self._last = here, found
+        return self._last[1]
+
+    def released(self, T: Floats) -> list[Floats]:
+        """Heat that nodes of each region release (n,) [N mm/s]."""
+        rate = 1 / self._h
+        return [
+            rate * n.heat * (d.degree - a)
+            for n, d, a in zip(self.nodes, self.at(T), self._start, strict=True)
+        ]
+
+    def heats(self, T: Floats) -> Floats:
+        """Heat released at own nodes of each body (b, n) [N mm/s]."""
+        total = self._forms.zeros()
+        for n, heat in zip(self.nodes, self.released(T), strict=True):
+            total[n.body, n.dof] += heat
+        return total
+
+    def growth(self, T: Floats) -> dict[int, Floats]:
+        """Derivative of released heat by temperature at own nodes of curing bodies [N mm/(s K)]."""
+        total = self._forms.zeros()
+        for n, d in zip(self.nodes, self.at(T), strict=True):
+            total[n.body, n.dof] += 1 / self._h * n.heat * d.by_temperature
+        return {b: total[b] for b in sorted({n.body for n in self.nodes})}

@@ -25,7 +25,7 @@ from app.arrays import Bools, Field, Floats, Ints
 from app.errors import everywhere
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
 from app.laws.thermal import Thermal
-from app.numerics.sparse import from_rows, matrix_sum
+from app.numerics.sparse import diagonal, matrix_sum
 from app.scene.bodies import Bodies, boundary_facets, cell_tags
 from app.system.timing import Timing
 from forms import heat
@@ -146,7 +146,8 @@ class HeatForms:
         parts: dict[int, list[PETSc.Mat]] = {}
         for c in conductors:
             parts.setdefault(self._bodies.of_region[c.region], []).append(self._conduction(c))
-        return [_with_diagonal(matrix_sum(parts[b])) for b in range(len(self._bodies.names))]
+        zero = diagonal(self.comm, np.zeros(self.owned))
+        return [matrix_sum((zero, *parts[b])) for b in range(len(self._bodies.names))]
 
     def _conduction(self, conductor: Thermal) -> PETSc.Mat:
         θ, v = fem.Function(self.space), ufl.TestFunction(self.space)
@@ -193,12 +194,3 @@ class HeatForms:
         vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         values: Floats = vector.array[: self.owned].copy()
         return values
-
-
-def _with_diagonal(A: PETSc.Mat) -> PETSc.Mat:
-    start, end = A.getOwnershipRange()
-    n = end - start
-    zero = from_rows(
-        A.comm.tompi4py(), (n, n), np.arange(n + 1), np.arange(start, end), np.zeros(n)
-    )
-    return matrix_sum((zero, A))

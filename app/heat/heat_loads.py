@@ -10,17 +10,8 @@ from app.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.temperature_jumps import TemperatureJumps
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
-from app.laws.values import Course, multiplier
+from app.laws.values import multiplier
 from app.scene.scene import Scene
-
-
-@dataclass(frozen=True)
-class HeatInput:
-    """Heat input whatever the temperature: into own nodes of bodies (b, n) [N mm/s]."""
-
-    name: str
-    course: Course | None
-    nodal: Floats
 
 
 @dataclass(frozen=True)
@@ -49,7 +40,7 @@ class HeatLoads:
     """Fluxes, sources, convection and perfusion of a scene.
 
     Attributes:
-        heating: Fluxes and sources.
+        heating: Fluxes and sources, with their heat into own nodes of bodies (b, n) [N mm/s].
         exchange: Convection and perfusion.
         per_kelvin: Heat exchanged with all surroundings at own nodes (b, n) [N mm/(s K)].
 
@@ -59,14 +50,14 @@ class HeatLoads:
 
     def __init__(self, scene: Scene, forms: HeatForms) -> None:
         self._none = forms.zeros()
-        self.heating: list[HeatInput] = []
+        self.heating: list[tuple[HeatFlux | HeatSource, Floats]] = []
         self.exchange: list[SurfaceExchange] = []
         for c in scene.heat:
             match c:
                 case HeatFlux() | HeatSource():
                     size = forms.sizes(c)
                     density = forms.values(c.values, np.flatnonzero((size > 0).any(axis=0)))
-                    self.heating.append(HeatInput(c.name, c.course, size * density))
+                    self.heating.append((c, size * density))
                 case Convection():
                     self.exchange.append(SurfaceExchange(c.name, c.ambient, forms.exchange(c)))
                 case Perfusion():
@@ -75,7 +66,7 @@ class HeatLoads:
 
     def heats(self, seconds: float) -> Floats:
         """Heat into own nodes of each body at a time (b, n) [N mm/s]."""
-        return sum((multiplier(h.course, seconds) * h.nodal for h in self.heating), self._none)
+        return sum((multiplier(c.course, seconds) * nodal for c, nodal in self.heating), self._none)
 
     def exchanged(self, T: Floats) -> Floats:
         """Heat that own nodes at temperatures [K] give to surroundings (b, n) [N mm/s]."""

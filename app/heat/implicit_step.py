@@ -20,7 +20,7 @@ from app.arrays import Floats
 from app.errors import InputError
 from app.heat.matrices import HeatMatrices
 from app.heat.operators import HeatOperators
-from app.heat.temperature_jumps import cut_off
+from app.laws.values import multiplier
 from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
 from app.numerics.system import Measure, System, size
 
@@ -31,7 +31,7 @@ ROUNDING = 2.0
 STRICTER = 1e-2
 KEPT_FACTORS: Options = {
     "pc_type": "python",
-    "pc_python_type": "app.heat.preconditioner.KeptFactors",
+    "pc_python_type": "app.heat.matrices.KeptFactors",
 }
 
 
@@ -147,14 +147,21 @@ class ImplicitStep(System):
         return operators.cure is None or operators.cure.begin(degrees, h, seconds)
 
     def _refuse_cut_off(self) -> None:
-        operators = self.operators
-        here = (operators.loads.per_kelvin > 0) | (operators.fixed.of_body >= 0)
+        """Refuse bodies that no heat path connects to a temperature set from outside."""
+        o = self.operators
+        here = (o.loads.per_kelvin > 0) | (o.fixed.of_body >= 0)
         reached = np.any(self.comm.allgather(here.any(axis=1)), axis=0)
-        lost = cut_off(operators.scene.thermal_contacts, operators.jumps, list(reached))
-        if lost:
+        group = np.arange(len(reached))
+        for i, c in enumerate(o.scene.thermal_contacts):
+            if o.jumps and max(c.law.conductances[:2]) > 0:
+                points = o.jumps.points
+                for a, b in np.unique(points.bodies[points.interface == i], axis=0):
+                    group[group == group[b]] = group[a]
+        lost = np.flatnonzero(~np.isin(group, group[reached]))
+        if len(lost):
             raise InputError(
                 f"stages: there is no steady state: nothing sets the temperature of "
-                f"'{operators.bodies.names[lost[0]]}'; allowed: a given temperature, convection or "
+                f"'{o.bodies.names[lost[0]]}'; allowed: a given temperature, convection or "
                 "perfusion on it, or an interface that conducts"
             )
 
@@ -245,3 +252,40 @@ class ImplicitStep(System):
         scale = float(norms[: len(parts)].sum())
         rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
         return [Measure(size(list(f)), STRICTER * scale, rounding, lasting=False)]
+
+    def flows(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:
+        """Heat that enters the model per time in a state, by condition [N mm/s]; collective.
+
+        Their sum is the rate at which heat is stored in the interval last begun, to the tolerance
+        of the solver.
+        """
+        here, o = self.at(x), self.operators
+        found: dict[str, float] = {}
+        for c, nodal in o.loads.heating:
+            found[c.name] = multiplier(c.course, self.seconds) * float(nodal.sum())
+        for e in o.loads.exchange:
+            found[e.name] = float((e.per_kelvin * (e.outside - here.T)).sum())
+        if o.cure:
+            for n, heat in zip(o.cure.nodes, o.cure.released(here.T), strict=True):
+                found[f"cure {n.region}"] = float(heat.sum())
+        lacking = here.lacking.copy()
+        if (j := o.jumps) and here.flux:
+            q = j.weight * here.flux[0]
+            np.add.at(lacking, (j.bodies[:, 0], j.dof), q)
+            np.add.at(lacking, (j.bodies[:, 1], j.dof), -q)
+        for s, held in enumerate(o.fixed.conditions):
+            found[held.name] = float(lacking[o.fixed.of_body == s].sum())
+        sums = self.comm.allreduce(np.array(list(found.values())))
+        every = dict(zip(found, map(float, sums), strict=True))
+        return every | (o.friction.flows if o.friction else {})
+
+    def through(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:
+        """Heat per time from the first side to the second [N mm/s]; collective.
+
+        By interface of finite conductance, without friction heat.
+        """
+        names = [c.name for c in self.operators.scene.thermal_contacts]
+        sums, flux = np.zeros(len(names)), self.at(x).flux
+        if (j := self.operators.jumps) and flux:
+            sums += np.bincount(j.interface, j.weight * flux[0], minlength=len(names))
+        return dict(zip(names, map(float, self.comm.allreduce(sums)), strict=True))

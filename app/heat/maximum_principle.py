@@ -58,7 +58,7 @@ class MaximumPrinciple:
     ) -> None:
         self._comm, self._K, self._present = K[0].comm.tompi4py(), list(K), capacity > 0
         self._edges = [_positive(self._comm, k) for k in K]
-        self._degree = np.array([_row_sums(p) for p in self._edges])
+        self._degree = np.array([p.getRowSum().array for p in self._edges])
         self._flagged = list(np.zeros(capacity.shape, dtype=bool))
         self._low, self._high = min(data), max(data)
         self._heated, self._cooled = heated, False
@@ -134,7 +134,7 @@ class MaximumPrinciple:
         K = self._K[b].copy()
         K.axpy(-1.0, self._edges[b], structure=SUBSET)
         K.axpy(1.0, kept, structure=SUBSET)
-        clear.array[:] = self._degree[b] - _row_sums(kept)
+        clear.array[:] = self._degree[b] - kept.getRowSum().array
         K.setDiagonal(clear, addv=PETSc.InsertMode.ADD_VALUES)
         return K
 
@@ -149,10 +149,3 @@ def _positive(comm: MPI.Comm, K: PETSc.Mat) -> PETSc.Mat:
     pointer = np.concatenate([[0], np.cumsum(count)])
     sizes = (end - begin, end - begin)
     return from_rows(comm, sizes, pointer, columns[edge], values[edge])
-
-
-def _row_sums(A: PETSc.Mat) -> Floats:
-    one, sums = A.createVecRight(), A.createVecLeft()
-    one.set(1.0)
-    A.mult(one, sums)
-    return np.asarray(sums.array.copy())

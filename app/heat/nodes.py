@@ -23,6 +23,9 @@ from meshes.distribute import TaggedMesh
 # Tolerance for points outside a cell, in barycentric coordinates: curved surfaces are cut.
 _OUTSIDE = 0.1
 
+# A point [mm], and the region that it belongs to; None for any region that holds it.
+Probe = tuple[tuple[float, float, float], str | None]
+
 
 @dataclass(frozen=True)
 class ThermalNodes:
@@ -93,15 +96,6 @@ class InterfaceNodes:
         return np.asarray(second - first)
 
 
-@dataclass(frozen=True)
-class ProbedPoint:
-    """A named point [mm] in a region; None for any region that holds it."""
-
-    name: str
-    at: tuple[float, float, float]
-    region: str = ""
-
-
 class Probes:
     """Temperatures or displacements at named points, by the shape functions of their cells.
 
@@ -114,13 +108,13 @@ class Probes:
         tagged: TaggedMesh,
         space: fem.FunctionSpace,
         of_region: Mapping[str, int],
-        probes: Sequence[ProbedPoint],
+        probes: Mapping[str, Probe],
     ) -> None:
-        self.names = tuple(p.name for p in probes)
+        self.names = tuple(probes)
         self._comm = tagged.mesh.comm
         self._mine: list[tuple[int, int, Ints, Floats]] = []
-        for k, probe in enumerate(probes):
-            if (found := _locate(tagged, probe)) is not None:
+        for k, (name, probe) in enumerate(probes.items()):
+            if (found := _locate(tagged, name, probe)) is not None:
                 cell, region, share = found
                 dofs = space.dofmap.list[cell].astype(np.int64)
                 table = space.element.basix_element.tabulate(0, share[None, 1:])
@@ -135,7 +129,7 @@ class Probes:
         return np.asarray(self._comm.allreduce(local, MPI.SUM))
 
 
-def _locate(tagged: TaggedMesh, probe: ProbedPoint) -> tuple[int, str, Floats] | None:
+def _locate(tagged: TaggedMesh, probed: str, probe: Probe) -> tuple[int, str, Floats] | None:
     """Cell that holds a point, its region, and the barycentric coordinates there (4,).
 
     Collective; one rank has it, the others None.
@@ -145,14 +139,14 @@ def _locate(tagged: TaggedMesh, probe: ProbedPoint) -> tuple[int, str, Floats] |
     """
     comm = tagged.mesh.comm
     tags = cell_tags(tagged)[: tagged.mesh.topology.index_map(3).size_local]
-    wanted = tagged.regions[probe.region] if probe.region else tags
-    cell, share, inside = _nearest(tagged, np.flatnonzero(tags == wanted), np.array(probe.at))
+    at, region = probe
+    wanted = tagged.regions[region] if region else tags
+    cell, share, inside = _nearest(tagged, np.flatnonzero(tags == wanted), np.array(at))
     best, rank = comm.allreduce((inside, -comm.rank), MPI.MAX)
     if best < -_OUTSIDE:
-        where = f"region '{probe.region}'" if probe.region else "the model"
+        where = f"region '{region}'" if region else "the model"
         raise InputError(
-            f"output.probes.{probe.name}: {list(probe.at)} mm is not in {where}; allowed: "
-            "a point inside"
+            f"output.probes.{probed}: {list(at)} mm is not in {where}; allowed: a point inside"
         )
     if rank != -comm.rank:
         return None

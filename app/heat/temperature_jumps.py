@@ -13,8 +13,6 @@ temperatures, the rules are those of displacement (`meshes.contact_points`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -24,7 +22,7 @@ from app.heat.heat_forms import HeatForms
 from app.numerics.pointwise import Pointwise
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import Bodies, contact_facets
-from app.scene.scene import Interface, Scene
+from app.scene.scene import Scene
 from forms import interface_heat
 from meshes.contact_facets import InterfaceFacets, gather
 from meshes.contact_points import Holds, contact_points
@@ -79,12 +77,8 @@ class TemperatureJumps:
         self.held = self.given[:, 0] >= 0
         # Temperature has one component where displacement has three.
         own = (entries.column % 3 == 0) & (entries.row >= 3 * begin) & (entries.row < 3 * end)
-        row, column, body = (
-            entries.row[own] // 3 - begin,
-            entries.column[own] // 3,
-            entries.body[own],
-        )
-        value = entries.value[own]
+        row, column = entries.row[own] // 3 - begin, entries.column[own] // 3
+        body, value = entries.body[own], entries.value[own]
         self.moves: dict[int, PETSc.Mat] = {}
         for b in map(int, np.unique(entries.body)):
             i = body == b
@@ -113,27 +107,6 @@ class TemperatureJumps:
         """
         q, by_jump, by_pressure = self._law(p=self.pressure, τ=τ)
         return q, by_jump, by_pressure
-
-
-def cut_off(
-    contacts: Sequence[Interface],
-    jumps: TemperatureJumps | None,
-    reached: Sequence[bool],
-) -> list[int]:
-    """Bodies that no heat path connects to a temperature set from outside.
-
-    Args:
-        contacts: Interfaces of finite conductance.
-        jumps: Their jumps, if there are any.
-        reached: Whether something outside sets the temperature of each body.
-    """
-    group = list(range(len(reached)))
-    for i, c in enumerate(contacts):
-        if jumps is not None and max(c.law.conductances[:2]) > 0:
-            for a, b in np.unique(jumps.points.bodies[jumps.points.interface == i], axis=0):
-                group = [group[a] if g == group[b] else g for g in group]
-    warm = {g for g, here in zip(group, reached, strict=True) if here}
-    return [b for b, g in enumerate(group) if g not in warm]
 
 
 def _holds(forms: HeatForms, facets: InterfaceFacets, held: Ints) -> Holds:

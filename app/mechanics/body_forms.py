@@ -305,10 +305,6 @@ class BodyForms:
         with self._timing.phase("compile", "forces"):
             return fem.form(form)
 
-    def assemble(self, form: Any) -> PETSc.Vec:
-        """Compile and assemble a linear form."""
-        return assembled_vector(self.form(form))
-
 
 def assembled_vector(form: fem.Form) -> PETSc.Vec:
     """Assemble a compiled linear form; collective."""

@@ -93,6 +93,7 @@ class Constraints:
     rigid region has six unknowns on rank 0 in place of its nodes.
 
     Attributes:
+        transforms: Whether P is not the identity.
         constrained: Own unknowns that supports hold (n,).
         unit: Values of the own unknowns by each support at full amplitude (s, n).
         reacting: Own nodal components through which supports act (3 own nodes,).
@@ -114,7 +115,8 @@ class Constraints:
         own = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
         self._bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None
-        if scene.rigid or frames:
+        self.transforms = bool(scene.rigid or frames)
+        if self.transforms:
             self._transform(scene, tagged, space, own, frames)
             return
         self.constrained: Bools = own.ravel() >= 0
@@ -214,11 +216,6 @@ class Constraints:
             self.modes[:, place : place + 6] = (basis.T @ whole).T
         return local @ basis, rank
 
-    @property
-    def transforms(self) -> bool:
-        """Whether P is not the identity."""
-        return self._P is not None
-
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
         """P^T K P."""
         return K.ptap(self._P) if self._P else K
@@ -237,11 +234,7 @@ class Constraints:
 
     def expand(self, u: PETSc.Vec) -> PETSc.Vec:
         """P ũ, a new vector."""
-        if not self._P:
-            return u.copy()
-        out = self._P.createVecLeft()
-        self._P.mult(u, out)
-        return out
+        return self._P * u if self._P else u.copy()
 
     def carry(self, u: PETSc.Vec, old: Constraints) -> None:
         """Transform the motions of rigid regions from the old axes to these."""

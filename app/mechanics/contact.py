@@ -211,6 +211,7 @@ class ContactInterfaces:
         facets: All interface facets, replicated.
         edge_lengths: Mean edge of the facets of each interface [mm].
         own: The points of this rank.
+        row_keys: Their keys (n,).
         coupling: Their coupling to the displacement.
         law: Their laws.
         state: Their committed state.
@@ -245,7 +246,7 @@ class ContactInterfaces:
         refuse_released(scene.supports, self.points)
         refuse_moving_rigid(scene, bodies, holds, self.points, entries)
         rows, number = owners(self.comm, space.dofmap.index_map, self.points.dof)
-        self.own = OwnPoints.of(self.points, rows)
+        self.own, self.row_keys = OwnPoints.of(self.points, rows), rows
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [float(edges[self.facets.interface == i].mean()) for i in range(parts)]
         self._by_supports = [
@@ -317,11 +318,6 @@ class ContactInterfaces:
         """As `PointLaw.scale_augmentation`."""
         self.law.scale_augmentation(factor)
 
-    @property
-    def row_keys(self) -> Ints:
-        """Keys of own contact points."""
-        return self.own.rows
-
     # Residual and Jacobian
 
     def trial(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> TrialState:
@@ -345,8 +341,9 @@ class ContactInterfaces:
         return self.own.project_free(-e / self.own.weight[:, None])
 
     def multiplier(self, e: Floats) -> Floats:
-        """As `PointLaw.multiplier`, from equilibrium (n, 3) [MPa]."""
-        return self.law.multiplier(self.forces(e), self.state.friction)
+        """Multiplier part of the trial force (n, 3) [MPa]; of a penalty the last friction alone."""
+        share = self.law.multiplier_share[:, None]
+        return share * self.forces(e) + (1 - share) * self.state.friction
 
     def evaluate(self, e: Floats, q: Floats) -> PointForces:
         """The laws at own points for equilibrium and jumps."""

@@ -162,16 +162,6 @@ class PointLaw:
 
     # Forces
 
-    def multiplier(self, force: Floats, friction: Floats) -> Floats:
-        """Multiplier part of the trial force; a penalty keeps the last friction alone.
-
-        Args:
-            force: Equilibrium force (n, 3) [MPa].
-            friction: Friction of the last converged state (n, 3) [MPa].
-        """
-        share = self.multiplier_share[:, None]
-        return share * force + (1 - share) * friction
-
     def evaluate(
         self, force: Floats, jump: Floats, gap: Floats, state: ContactState
     ) -> PointForces:

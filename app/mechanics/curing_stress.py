@@ -207,12 +207,12 @@ class CuringStress:
 
 def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:
     """Compiled modulus over the final one by degree of cure, at every vertex of this rank."""
-    constants = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
+    constants: dict[str, Any] = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
     law = Pointwise(
         comm,
         nodes,
         dict.fromkeys(("a", *constants), 1),
         lambda x: [cure.modulus_factor(*(x[k] for k in ("a", *constants)))],
     )
-    law.set(**{k: np.full(nodes, v) for k, v in constants.items()})
+    law.set(**constants)
     return law

@@ -19,7 +19,7 @@ from app.arrays import Floats
 from app.laws.loads import Load
 from app.laws.materials import Elastic
 from app.laws.values import amplitude
-from app.mechanics.body_forms import BodyForms, OnBody
+from app.mechanics.body_forms import BodyForms, OnBody, assembled_vector
 from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
 from app.scene.scene import Scene
@@ -55,14 +55,10 @@ class Forces:
             _at_full(s): found.get(_at_full(s)) or self._load(s) for s in scene.loads
         }
         self._loads = [(load.history, self._full[_at_full(load)]) for load in scene.loads]
-        self._eigenstrains: list[tuple[tuple[float, ...] | None, Action]] = (
-            known._eigenstrains
-            if known
-            else [
-                (s.history, self._eigenstrain(e, k))
-                for e in scene.elastic
-                for k, s in enumerate(e.eigenstrains)
-            ]
+        strains = [(e, k, s.history) for e in scene.elastic for k, s in enumerate(e.eigenstrains)]
+        self._eigenstrains: list[tuple[tuple[float, ...] | None, Action]]
+        self._eigenstrains = (
+            known._eigenstrains if known else [(h, self._eigenstrain(e, k)) for e, k, h in strains]
         )
         self._free: dict[str, Action] = {}
 
@@ -71,7 +67,8 @@ class Forces:
         works = {
             b: load.work(v, OnBody(self._mechanics, b)) for b in range(len(self._bodies.names))
         }
-        return self._action({b: self._mechanics.assemble(w) for b, w in works.items() if w != 0})
+        forms = {b: self._mechanics.form(w) for b, w in works.items() if w != 0}
+        return self._action({b: assembled_vector(form) for b, form in forms.items()})
 
     def _eigenstrain(self, e: Elastic, k: int) -> Action:
         """Nodal forces of an eigenstrain at full amplitude."""
@@ -79,7 +76,7 @@ class Forces:
         mechanics.set_amplitudes({(e.region, k): 1.0})
         body = self._bodies.of_region[e.region]
         energy = mechanics.body_energy(body, mechanics.u, mechanics.cells())
-        part = mechanics.assemble(ufl.derivative(energy, mechanics.u, v))
+        part = assembled_vector(mechanics.form(ufl.derivative(energy, mechanics.u, v)))
         part.scale(-1)
         return self._action({body: part})
 
@@ -87,13 +84,12 @@ class Forces:
         """Sum nodal forces on each body, on the displacement and on the jumps."""
         total = self._sum([])
         for body, part in parts.items():
-            own = PETSc.Vec().createMPI((len(total.nodal), None), comm=self.comm)
-            own.array[:] = part.array_r[: len(total.nodal)]
-            total.nodal[:] += own.array_r
+            nodal = part.array_r[: len(total.nodal)].copy()
+            total.nodal[:] += nodal
             if self._contact and body in self._contact.coupling.jump_to_displacement:
                 B = self._contact.coupling.jump_to_displacement[body]
                 moved = B.createVecRight()
-                B.multTranspose(own, moved)
+                B.multTranspose(PETSc.Vec().createWithArray(nodal, comm=self.comm), moved)
                 total.jump[:] += moved.array_r
         return total
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 from mpi4py import MPI
@@ -31,6 +30,12 @@ KEPT = 3
 RUNS, MIXED = 6, 5
 # Friction coefficient below which an interface counts as frictionless.
 LITTLE = 1e-3
+
+# Unknowns of a converged state and its causes, on this rank: nodal forces of loads, supports and
+# free strains [N], initial gaps at the contact points [mm], and the logarithm of the friction
+# coefficient of each interface (on rank 0 alone).
+Causes = tuple[Floats, Floats, Floats]
+Neighbour = tuple[PETSc.Vec, Causes]
 
 
 class Predictor(Protocol):
@@ -114,21 +119,6 @@ def same(a: PETSc.Vec, b: PETSc.Vec) -> bool:
     return bool((a - b).norm() == 0.0)
 
 
-@dataclass(frozen=True)
-class Neighbour:
-    """A converged state and its causes, on this rank.
-
-    Attributes:
-        x: Unknowns.
-        causes: Nodal forces of loads, supports and free strains [N], initial gaps at the contact
-            points [mm], and the logarithm of the friction coefficient of each interface (on rank 0
-            alone).
-    """
-
-    x: PETSc.Vec
-    causes: tuple[Floats, Floats, Floats]
-
-
 class WarmStart:
     """Initial guesses from states of other runs with the same unknowns.
 
@@ -153,8 +143,8 @@ class WarmStart:
     def predict(self, time: float) -> None:
         """Start from the nearest state of another run, or a combination of several, if better."""
         self._start = None
-        here = self._state()
-        forces, gaps, _ = self._products(here.causes, here.causes)
+        here = self._state()[1]
+        forces, gaps, _ = self._products(here, here)
         sizes = np.array([forces or 1.0, gaps or 1.0, 1.0])
         # Runs in other load steps have states at other times.
         known = [
@@ -165,8 +155,8 @@ class WarmStart:
         scaled = [self._scaled(state, here, sizes) for state in known]
         if not scaled:
             return
-        scaled.sort(key=lambda state: self._distance(state, here, sizes))
-        nearest, *others = (state.x for state in scaled[:MIXED])
+        scaled.sort(key=lambda state: self._distance(state[1], here, sizes))
+        nearest, *others = (x for x, _ in scaled[:MIXED])
         for x in (nearest, mixture(self._solver, nearest, others) if others else nearest):
             if take_better(self._solver, x):
                 self._start = x.copy()
@@ -174,27 +164,27 @@ class WarmStart:
     def commit(self, time: float) -> None:
         """Store the state."""
         state = self._now[time] = self._state()
-        self._new = self._new or self._start is None or not same(self._start, state.x)
+        self._new = self._new or self._start is None or not same(self._start, state[0])
 
     def _state(self) -> Neighbour:
         problem = self._problem
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
         friction = np.log([max(c.law.friction, LITTLE) for c in contacts])
         gaps = problem.contact.gap.ravel() if problem.contact else np.zeros(0)
-        return Neighbour(self._solver.x.copy(), (problem.f.array.copy(), gaps, friction))
+        return self._solver.x.copy(), (problem.f.array.copy(), gaps, friction)
 
-    def _scaled(self, state: Neighbour, here: Neighbour, sizes: Floats) -> Neighbour:
+    def _scaled(self, state: Neighbour, here: Causes, sizes: Floats) -> Neighbour:
         """A state times the factor that brings its loads and gaps nearest to those here."""
+        x, causes = state
         own, towards = (
-            float((self._products(state.causes, causes) / sizes)[:2].sum())
-            for causes in (state.causes, here.causes)
+            float((self._products(causes, other) / sizes)[:2].sum()) for other in (causes, here)
         )
         factor = towards / own if own > 0 and towards > 0 else 1.0
-        forces, gaps, friction = state.causes
-        return Neighbour(state.x * factor, (factor * forces, factor * gaps, friction))
+        forces, gaps, friction = causes
+        return x * factor, (factor * forces, factor * gaps, friction)
 
-    def _distance(self, a: Neighbour, b: Neighbour, sizes: Floats) -> float:
-        apart = [p - q for p, q in zip(a.causes, b.causes, strict=True)]
+    def _distance(self, a: Causes, b: Causes, sizes: Floats) -> float:
+        apart = [p - q for p, q in zip(a, b, strict=True)]
         return float(np.sqrt((self._products(apart, apart) / sizes).sum()))
 
     def _products(self, a: Sequence[Floats], b: Sequence[Floats]) -> Floats:

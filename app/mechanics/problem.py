@@ -190,11 +190,6 @@ class Problem:
         self.forces.set_eigenforces("cure", self.setting.forces())
         self.set_time(self.time)
 
-    def thermal_stiffness(self, moves: Mapping[str, PETSc.Mat]) -> list[list[PETSc.Mat | None]]:
-        """As `ThermalStrain.stiffness`; only for scenes that expand."""
-        assert self.thermal_strain is not None
-        return self.thermal_strain.stiffness(moves, self.stiffness, self.contact)
-
     def impose(self, u: PETSc.Vec) -> None:
         """Set the constrained unknowns of a displacement to their current values."""
         held = self.stiffness.constraints.constrained
@@ -254,10 +249,6 @@ class Problem:
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last updated."""
         return [self.moved.get(b, self.u) for b in range(len(self.bodies.names))]
-
-    def augmentation(self) -> dict[str, float]:
-        """Augmentation or penalty of each interface [MPa/mm]; collective."""
-        return self.contact.augmentation() if self.contact else {}
 
     def commit(self, trial: TrialState | None) -> None:
         """Commit a converged state, after `update_displacements`."""

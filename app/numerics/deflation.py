@@ -19,7 +19,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats
-from app.numerics.sparse import block_diagonal, fill, from_rows, matrix_sum
+from app.numerics.sparse import block_diagonal, diagonal, fill, matrix_sum
 
 # Motions with less than this part of the largest stiffness are left to the Krylov method; the
 # others are stiffened by a part, as the motions of small boxes may be linearly dependent.
@@ -134,14 +134,16 @@ class Deflated:
         self._Zqt.matMult(made["A Zq"], result=made["qq"])
         parts = [made[name] for name in ("uu", "uq", "qu", "qq")]
         shift = np.abs(sum(P.getDiagonal().array for P in parts))
-        largest = A.comm.tompi4py().allreduce(shift.max(initial=0.0), MPI.MAX)
+        comm = A.comm.tompi4py()
+        largest = comm.allreduce(shift.max(initial=0.0), MPI.MAX)
         # Motions without stiffness are left out.
         shift = np.where(shift <= NOTHING * largest, largest or 1.0, STIFFER * shift)
+        parts.append(diagonal(comm, shift))
         if self._sum is None:
-            self._sum = matrix_sum([*parts, _diagonal(A.comm, shift)])
+            self._sum = matrix_sum(parts)
         else:
             self._sum.zeroEntries()
-            for part in (*parts, _diagonal(A.comm, shift)):
+            for part in parts:
                 self._sum.axpy(1.0, part, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
         self._factors.setOperators(self._sum)
         self._factors.setUp()
@@ -172,10 +174,3 @@ class Deflated:
         self._rest.stateIncrease()
         self.inner.apply(self._rest, z)
         z.axpy(-1.0, self._moved)
-
-
-def _diagonal(comm: PETSc.Comm, values: Floats) -> PETSc.Mat:
-    n = len(values)
-    start = comm.tompi4py().exscan(n) or 0
-    columns = start + np.arange(n)
-    return from_rows(comm.tompi4py(), (n, n), np.arange(n + 1), columns, values)

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from petsc4py import PETSc
 
 from app.numerics.deflation import Deflated
-from app.numerics.preconditioners import INTERFACE, SWEEP, Inverse, Options
+from app.numerics.preconditioners import INTERFACE, SWEEP, Inverse, Options, configure
 from app.numerics.system import System
 from app.system.timing import Timing
 
@@ -28,6 +28,8 @@ SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative
 KEPT = ("displacement", "temperature")
 # Excess Krylov iterations that cost as much as new preconditioners; iterations per digit.
 PRICE, USUAL = 30, 8
+# Iterations of the estimate of a condition number.
+CONDITION_ITERATIONS = 20
 # Names of the blocks and methods in the log.
 BLOCKS = {
     "displacement": "bodies",
@@ -217,3 +219,30 @@ class Linear:
             for name, kind in zip(parts, kinds, strict=True)
         ]
         return "; ".join([krylov + (" with field split" if len(parts) > 1 else ""), *blocks])
+
+
+def condition_number(A: PETSc.Mat) -> float:
+    """Condition number of a Jacobian: largest over smallest singular value; collective.
+
+    Estimated to some per cent by power iteration with A^T A, and with its inverse by factors of A.
+    The matrix has displacements and jumps, unlike that of a displacement method.
+
+    Raises:
+        MemoryError: The factors do not fit into memory.
+    """
+    A = A.convert("aij", PETSc.Mat())
+    factors = PETSc.PC().create(A.comm)
+    factors.setOperators(A)
+    configure(factors, INTERFACE)
+    if factors.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
+        raise MemoryError(f"factorization of a matrix of {A.getSize()[0]:,} unknowns")
+    x, y = A.createVecs()
+    sizes = []
+    for apply, back in ((A.mult, A.multTranspose), (factors.apply, factors.applyTranspose)):
+        x.setRandom()
+        for _ in range(CONDITION_ITERATIONS):
+            x.normalize()
+            apply(x, y)
+            back(y, x)
+        sizes.append(math.sqrt(x.norm()))
+    return sizes[0] * sizes[1]

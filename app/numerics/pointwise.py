@@ -134,15 +134,15 @@ class Pointwise:
         )
         return kernel, symbol, module
 
-    def set(self, rows: Ints | None = None, **values: Floats) -> None:
-        """Set inputs, (n,) or (n, size) each, at all points or some rows; others keep theirs."""
+    def set(self, rows: Ints | None = None, **values: Floats | float) -> None:
+        """Set inputs, scalar, (n,) or (n, size), at all points or some rows; others keep theirs."""
         cells = self._cell_of_point if rows is None else self._cell_of_point[rows]
         for name, value in values.items():
             function = self._inputs[name]
             space = function.function_space
             size = space.dofmap.index_map_bs
             array = function.x.array.reshape(-1, size)
-            array[space.dofmap.list[cells, 0]] = value.reshape(len(cells), size)
+            array[space.dofmap.list[cells, 0]] = np.reshape(value, (-1, size))
 
     def __call__(self, rows: Ints | None = None, **values: Floats) -> list[Floats]:
         """Set inputs; return the values of the expressions (n, ...) at all points or some rows."""

@@ -142,12 +142,6 @@ class CoarseOrder:
         of_free.axpy(1.0, of_held, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         return of_free
 
-    def rigid(self, matrix: PETSc.Mat) -> PETSc.NullSpace:
-        """Rigid modes for algebraic multigrid of a stiffness of first order."""
-        x = self.space.tabulate_dof_coordinates()
-        own = x[: self.space.dofmap.index_map.size_local]
-        return near_null_space(matrix, rigid_modes(own).reshape(-1, 6).T)
-
 
 def near_null_space(K: PETSc.Mat, modes: Floats) -> PETSc.NullSpace:
     """The six rigid modes (6, n), orthonormal, for algebraic multigrid."""
@@ -235,7 +229,8 @@ class Inverse:
         below = self._matrix.PtAP(P)
         below.setBlockSize(3)
         below.setOption(PETSc.Mat.Option.SPD, True)
-        below.setNearNullSpace(self.lower.rigid(below))
+        x = self.lower.space.tabulate_dof_coordinates()[: below.getLocalSize()[0] // 3]
+        below.setNearNullSpace(near_null_space(below, rigid_modes(x).reshape(-1, 6).T))
         if self._made is None:
             self.pc.setType(BY_DEGREE["pc_type"])
             self.pc.setMGLevels(2)

@@ -9,14 +9,7 @@ import numpy as np
 
 from app.arrays import Floats
 
-DIRECTIONS = (
-    "move along x",
-    "move along y",
-    "move along z",
-    "turn about x",
-    "turn about y",
-    "turn about z",
-)
+DIRECTIONS = [f"{motion} {axis}" for motion in ("move along", "turn about") for axis in "xyz"]
 # Part (squared) of a named motion among the free ones from which it is free, and part outside those
 # already named from which it is named too.
 WITHIN, NEW = 0.9, 0.2

@@ -66,6 +66,13 @@ def from_rows(
     return A
 
 
+def diagonal(comm: MPI.Comm, values: Floats) -> PETSc.Mat:
+    """Diagonal matrix of own values (n,); collective."""
+    n = len(values)
+    start = comm.exscan(n) or 0  # type: ignore[attr-defined]  # mpi4py's stubs lack it
+    return from_rows(comm, (n, n), np.arange(n + 1), start + np.arange(n), values)
+
+
 def matrix_sum(matrices: Sequence[PETSc.Mat]) -> PETSc.Mat:
     """Sum of matrices that may differ in pattern, as a new one; collective."""
     first, *others = matrices

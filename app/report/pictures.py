@@ -53,17 +53,11 @@ LEAST = 1e-3  # of the colours' range, so that rounding has no colour
 
 @dataclass(frozen=True)
 class Sheet:
-    """An interface in the plane.
+    """An interface in the plane."""
 
-    Attributes:
-        corners: Of its triangles in the plane (m, 3, 2): degrees and mm, or mm.
-        nodes: The run's nodes at these corners (m, 3).
-        round: Whether it was unrolled; else it is flat.
-    """
-
-    corners: Floats
-    nodes: Ints
-    round: bool
+    corners: Floats  # of its triangles (m, 3, 2): degrees and mm, or mm
+    nodes: Ints  # the run's, at these corners (m, 3)
+    round: bool  # whether it was unrolled; else it is flat
 
 
 Column = tuple[str, Run, Sheet]

@@ -24,11 +24,24 @@ Numbers = Mapping[str, Any]
 
 def sentence(summary: Numbers, case: SweptCase) -> str:
     """Summarise summary.json in one sentence; the case supplies the loads."""
-    clauses = [*_contacts(summary), *_stem(summary), *_heat(summary), *_cure(summary)]
+    clauses = [*_contacts(summary)]
+    stem = summary.get("stem", {})
+    if abs(1e3 * stem.get("subsidence", 0.0)) > NOTHING:
+        clauses.append(f"the stem sinks by {_with_error('stem', 'subsidence', stem)}")
+    clauses += _heat(summary)
+    # Rounded down: incomplete cure never reads as 100 %.
+    clauses += [
+        f"{name} has set to {math.floor(1e3 * q['degree_min']) / 10:g} % or more"
+        for name, q in summary.get("cure", {}).items()
+    ]
     # Loads are those at the end: a run that stopped before had others.
     ended = summary["status"] not in ("stopped", "not converged")
     load = _load(case) if ended and (summary["interfaces"] or summary.get("stem")) else ""
-    clauses = clauses or list(_stresses(summary))
+    clauses = clauses or [
+        f"the stress (von Mises) in {name.replace('_', ' ')} reaches "
+        f"{_with_error('regions', 'von_mises_p99', q)}"
+        for name, q in summary.get("regions", {}).items()
+    ]
     if load and clauses:
         clauses[0] = f"{load} {clauses[0]}"
     said = "; ".join([*clauses, _errors(summary)])
@@ -79,11 +92,6 @@ def _contacts(summary: Numbers) -> Iterator[str]:
         yield f"{first} {slides} {'in' if second == 'its cement' else 'on'} {second} and {left}"
 
 
-def _stem(summary: Numbers) -> Iterator[str]:
-    if abs(1e3 * summary.get("stem", {}).get("subsidence", 0.0)) > NOTHING:
-        yield f"the stem sinks by {_with_error('stem', 'subsidence', summary['stem'])}"
-
-
 def _heat(summary: Numbers) -> Iterator[str]:
     """Peak temperature of the bone, how long it lasts, and how much bone dies."""
     regions = summary.get("thermal", {}).get("regions", {})
@@ -110,18 +118,6 @@ def _heat(summary: Numbers) -> Iterator[str]:
         f"{dead[rule]:,.0f} mm³ of bone dies by the rule of {in_print(NECROSIS[rule])}, "
         f"{min(others):,.0f} to {max(others):,.0f} mm³ by others"
     )
-
-
-def _cure(summary: Numbers) -> Iterator[str]:
-    for name, q in summary.get("cure", {}).items():
-        # Rounded down: incomplete cure never reads as 100 %.
-        yield f"{name} has set to {math.floor(1e3 * q['degree_min']) / 10:g} % or more"
-
-
-def _stresses(summary: Numbers) -> Iterator[str]:
-    for name, q in summary.get("regions", {}).items():
-        stress = _with_error("regions", "von_mises_p99", q)
-        yield f"the stress (von Mises) in {name.replace('_', ' ')} reaches {stress}"
 
 
 def _errors(summary: Numbers) -> str:

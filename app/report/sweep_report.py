@@ -5,7 +5,6 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from app.campaigns import uncertainty
@@ -24,18 +23,8 @@ PAGE, PAPER, PICTURES = "report.html", "paper.html", "report"
 OURS = ("figure[3-8].*", "over_*.*", "map[0-9]_*.png", "shielding.png")
 
 
-@dataclass(frozen=True)
-class Written:
-    """Files of a report, verdicts on the paper's trends, number of cases with results."""
-
-    files: Sequence[Path]
-    trends: Sequence[Trend]
-    done: int
-    cases: int
-
-
-def run(folder: Path) -> Written:
-    """Write the report of a sweep.
+def run(folder: Path) -> tuple[list[Path], Sequence[Trend], Sequence[SweptCase]]:
+    """Write the report of a sweep; its files, verdicts on the paper's trends, and its cases.
 
     Raises:
         InputError: The folder is not that of a sweep.
@@ -72,8 +61,7 @@ def run(folder: Path) -> Written:
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     figures = (drawings / f.name for f in (*mapped, *shields, *multiples))
-    done = sum(c.done for c in sweep.cases)
-    return Written([folder / PAGE, *papers, *figures], trends, done, len(sweep.cases))
+    return [folder / PAGE, *papers, *figures], trends, sweep.cases
 
 
 def _paper(

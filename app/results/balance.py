@@ -204,7 +204,6 @@ def _relative(value: float, scale: float) -> float:
 
 # Heat
 
-
 Flows = Mapping[str, float]
 
 

@@ -38,7 +38,6 @@ PERCENTILE = re.compile(r"_p\d+$")
 # Limits of the balances: forces to rounding, heat to its solver's tolerance.
 BALANCES: dict[str, float] = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
 
-
 # Columns of the lines of steps and of heat steps, with their widths.
 STEP = {"step": 4, "time": 7, "newton": 6, "krylov": 6, "residual": 9}
 STEP |= {"open": 6, "slip": 6, "penetration": 12, "wall": 8, "left": 8}
@@ -214,7 +213,6 @@ def peaks(summary: Mapping[str, Any]) -> list[Verdict]:
 
 
 # Tables
-
 
 Rows = Mapping[str, Mapping[str, Any]]
 

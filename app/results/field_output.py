@@ -31,19 +31,12 @@ from meshes.distribute import TaggedMesh
 
 @dataclass(frozen=True)
 class OutputNodes:
-    """Nodes of the grid that this rank writes, as one physics sees them.
+    """Nodes of the grid that this rank writes, as one physics sees them."""
 
-    Attributes:
-        body: Body of each node (n,).
-        dof: Its row in the space the grid was made from, ghosts too (n,).
-        cell: A cell that has it (n,).
-        ends: Vertices of that cell: the node's own, twice, or those of its edge (n, 2).
-    """
-
-    body: Ints
-    dof: Ints
-    cell: Ints
-    ends: Ints
+    body: Ints  # of each node (n,)
+    dof: Ints  # its row in the space the grid was made from, ghosts too (n,)
+    cell: Ints  # one that has it (n,)
+    ends: Ints  # vertices of that cell: the node's own, twice, or those of its edge (n, 2)
 
 
 class Fields:

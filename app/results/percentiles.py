@@ -7,8 +7,6 @@ import numpy as np
 from app.arrays import Floats
 
 PERCENTILE = 0.99
-# Bisections of a level, to the last digits.
-HALVINGS = 50
 
 
 def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) -> float:
@@ -54,7 +52,7 @@ class SurfaceField:
             return 0.0
         low, high = float(self._corners.min()), float(self._corners.max())
         above = (1.0 - fraction) * float(self._area.sum())
-        for _ in range(HALVINGS):
+        for _ in range(50):  # to the last digits
             middle = (low + high) / 2
             if self.area_above(middle) > above:
                 low = middle

@@ -37,10 +37,7 @@ SECTION = "temperature_section.png"
 # Files written at the end, and all of a run directory.
 ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", SECTION, "report.html"),)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
-PACKAGES = (
-    *("fenics-dolfinx", "petsc4py", "fenics-ufl", "fenics-basix"),
-    *("mpi4py", "numpy", "h5py"),
-)
+PACKAGES = "fenics-dolfinx petsc4py fenics-ufl fenics-basix mpi4py numpy h5py".split()
 log = logging.getLogger("mantle")
 
 

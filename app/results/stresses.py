@@ -27,7 +27,6 @@ from meshes.contact_facets import QUADRATURE, surface
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 STRESS_LEVELS = (5.0, 8.0, 10.0)  # MPa: PMMA endurance is 8 to 10
 
-
 # Gives the stress of a region in a displacement, by an expression that regions share.
 Law = Callable[[Elastic, fem.Function], fem.Expression]
 

@@ -19,7 +19,7 @@ from dolfinx import fem
 
 from app.arrays import Floats
 from app.heat.heat_forms import HeatForms
-from app.heat.nodes import InterfaceNodes, ProbedPoint, Probes, Side, region_nodes
+from app.heat.nodes import InterfaceNodes, Probe, Probes, Side, region_nodes
 from app.heat.operators import HeatOperators
 from app.numerics.saved_state import node_keys
 from app.results.necrosis import CELSIUS
@@ -121,7 +121,7 @@ class ThermalRecord:
         of_region: Mapping[str, int],
         interfaces: Interfaces,
         bone: Sequence[str],
-        probes: Sequence[ProbedPoint],
+        probes: Mapping[str, Probe],
     ) -> None:
         self._comm, self._forms = forms.comm, forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)

@@ -16,7 +16,7 @@ import errno
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -86,10 +86,9 @@ class GridFile:
             return
         x, nodes = self._gather(grid.points), self._gather(grid.point_keys[grid.cells])
         data = {name: self._gather(values)[cells] for name, values in grid.cell_data.items()}
-        on_root(
-            comm,
-            lambda: _create(path, x[points], np.searchsorted(keys, nodes[cells]), data, grid.texts),
-        )
+        cells = np.searchsorted(keys, nodes[cells])
+        whole = replace(grid, points=x[points], cells=cells, cell_data=data)
+        on_root(comm, lambda: _create(path, whole))
 
     def write(self, time: float, point: Mapping[str, Array], cell: Mapping[str, Array]) -> None:
         """Add one step (collective); the file is complete and closed when this returns.
@@ -134,13 +133,8 @@ class GridFile:
         return values[:0] if pieces is None else np.concatenate(pieces)
 
 
-def _create(
-    path: Path,
-    points: Array,
-    cells: Array,
-    data: Mapping[str, Array],
-    texts: Mapping[str, Sequence[str]],
-) -> None:
+def _create(path: Path, grid: Grid) -> None:
+    points, cells = grid.points, grid.cells
     with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = (2, 0)
@@ -155,9 +149,9 @@ def _create(
         for name in ("PointData", "CellData", "FieldData"):
             root.create_group(name)
             root.create_group(f"Steps/{name}Offsets")
-        for name, values in data.items():
+        for name, values in grid.cell_data.items():
             root[f"CellData/{name}"] = values
-        for name, words in texts.items():
+        for name, words in grid.texts.items():
             # VTK reads no other encoding.
             ascii_words = [word.encode("ascii", "replace") for word in words]
             kind = h5py.string_dtype("ascii")

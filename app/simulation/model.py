@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -24,11 +23,10 @@ from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
-from app.results import gruen
 from app.results.balance import Balance
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
+from app.results.hip import by_zone, stem_motion
 from app.results.interface_numbers import ContactSamples
-from app.results.stem_motion import stem_motion
 from app.results.stresses import Stresses, bonds
 from app.scene.build import build_scene
 from app.scene.scene import Scene, Stage
@@ -39,7 +37,7 @@ from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
-from app.stepping.heated_mechanics import HeatedMechanics, SolvedAfterHeat, SolvedWithHeat
+from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
 from app.stepping.stages import run_stages
 from app.system import folders
@@ -53,27 +51,6 @@ log = logging.getLogger("mantle")
 
 def _nothing(*_: Any) -> None:
     """Ignore the arguments."""
-
-
-@dataclass(frozen=True)
-class Observer:
-    """Callbacks of a run through the stages.
-
-    Attributes:
-        on_step: After each step of the mechanics.
-        on_heat: After each step of the heat, the mechanics having followed.
-        on_trouble: With the remedy tried when a step fails.
-        on_stage: Before each stage.
-        checkpoint_point: With the number of the stage, wherever `Model.saved_parts` may be saved.
-        resume: First: may restore a state, and returns its stage.
-    """
-
-    on_step: OnStep = _nothing
-    on_heat: OnHeat = _nothing
-    on_trouble: Callable[[str], None] = _nothing
-    on_stage: Callable[[Stage], None] = _nothing
-    checkpoint_point: Callable[[int], None] = _nothing
-    resume: Callable[[], int] = lambda: 0
 
 
 class Mechanical:
@@ -222,8 +199,24 @@ class Model:
             groups.append(HeatFields(t.heating, t.record, self._case.geometry.interface_sides))
         return groups
 
-    def go(self, observer: Observer) -> Summary:
+    def go(
+        self,
+        on_step: OnStep = _nothing,
+        on_heat: OnHeat = _nothing,
+        on_trouble: Callable[[str], None] = _nothing,
+        on_stage: Callable[[Stage], None] = _nothing,
+        checkpoint_point: Callable[[int], None] = _nothing,
+        resume: Callable[[], int] = lambda: 0,
+    ) -> Summary:
         """Solve all stages; returns a summary of the effort; collective.
+
+        Args:
+            on_step: Called after each step of the mechanics.
+            on_heat: After each step of the heat, the mechanics having followed.
+            on_trouble: With the remedy tried when a step fails.
+            on_stage: Before each stage.
+            checkpoint_point: With the number of the stage, wherever `saved_parts` may be saved.
+            resume: First: may restore a state, and returns its stage.
 
         Raises:
             ConvergenceError: As `run_stages`.
@@ -231,31 +224,24 @@ class Model:
         load_stepper, heat_stepper = None, None
         if m := self.mechanics:
             load_stepper = LoadStepper(
-                m.problem, m.solver, observer.on_step, observer.on_trouble, self._predictors(m)
+                m.problem, m.solver, on_step, on_trouble, self._predictors(m)
             )
         if t := self.thermal:
 
-            def on_heat(step: LoadStep, accepted: HeatStep) -> None:
+            def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
                 t.update(accepted)
-                observer.on_heat(step, accepted)
+                on_heat(step, accepted)
 
-            beside: HeatedMechanics | None = None
+            beside: SolvedAfterHeat | SolvedWithHeat | None = None
             if load_stepper and (coupled := t.heating.coupled):
                 beside = SolvedWithHeat(load_stepper, t.heating, coupled)
             elif load_stepper:
                 beside = SolvedAfterHeat(load_stepper, t.heating)
-            heat_stepper = HeatStepper(t.heating, beside, on_heat)
-        self._steppers = load_stepper, heat_stepper
-        run_stages(
-            self.scene.stages,
-            load_stepper,
-            heat_stepper,
-            observer.on_stage,
-            observer.checkpoint_point,
-            observer.resume(),
-        )
+            heat_stepper = HeatStepper(t.heating, beside, on_accepted)
+        steppers = self._steppers = load_stepper, heat_stepper
+        run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume())
         total = Summary()
-        for part in (load_stepper, heat_stepper):
+        for part in steppers:
             if part is not None:
                 total.add(part.total)
         return total
@@ -315,7 +301,7 @@ class Model:
             from meshes.gruen import Zones  # brings scipy, which few runs need
 
             zones = Zones(self._case.geometry)
-            found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
+            found["gruen"] = by_zone(m.problem, m.stresses, samples, zones)
         return found
 
     def relative(self, case: Case) -> dict[str, Any]:
@@ -327,7 +313,7 @@ class Model:
             nonlocal last
             last = trial
 
-        other.go(Observer(keep, on_trouble=lambda text: log.debug("     %s", text)))
+        other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
         m = other.mechanics
         samples = ContactSamples(m.problem, last) if m and last is not None else None
         return other.numbers(samples) | other.places(samples)

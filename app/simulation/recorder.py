@@ -15,7 +15,7 @@ from app.arrays import Ints
 from app.case.case import Case
 from app.case.quantities import TABLE
 from app.errors import StoppedError
-from app.heat.nodes import ProbedPoint, Probes
+from app.heat.nodes import Probes
 from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
@@ -99,10 +99,9 @@ class Recorder:
                 self._critical, beyond = failure.beyond_critical(m.problem)
             for sentence in beyond:
                 log.warning("%s", sentence)
-            probes = case.output.probes
-            points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
+            probes = {name: (p.at, p.region) for name, p in case.output.probes.items()}
             p = m.problem
-            self._probes = Probes(model.tagged, p.space, p.bodies.of_region, points)
+            self._probes = Probes(model.tagged, p.space, p.bodies.of_region, probes)
         self.samples: ContactSamples | None = None
         self._contact: dict[str, Any] = {}
         self.time = 0.0
@@ -240,6 +239,7 @@ class Recorder:
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
         model, counted = self._model, total or self._total
+        contact = model.mechanics and model.mechanics.problem.contact
         comm, sizes = model.tagged.mesh.comm, model.sizes()
         balance: dict[str, float] = {}
         if b := self._balance:
@@ -262,7 +262,7 @@ class Recorder:
                 "newton_iterations": counted.newton_iterations,
                 "linear_iterations": counted.linear_iterations,
                 "rejected_steps": total.rejected if total else None,
-                "augmentation": model.mechanics.problem.augmentation() if model.mechanics else {},
+                "augmentation": contact.augmentation() if contact else {},
                 "ranks": comm.size,
             },
         }

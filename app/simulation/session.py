@@ -24,14 +24,14 @@ from app.errors import (
     agree,
     on_root,
 )
-from app.numerics.condition import condition_number
+from app.numerics.krylov import condition_number
 from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, provenance
 from app.simulation import checkpoint, finished_runs, variations
 from app.simulation.checkpoint import CheckpointWriter
-from app.simulation.model import Model, Observer
+from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
 from app.soundness import preview, well_posedness
 from app.stepping.load_steps import Summary
@@ -97,17 +97,7 @@ def run(
     signals: bool = True,
     progress: OnAccepted = lambda step: None,
 ) -> None:
-    """Solve a case and write its run directory; collective.
-
-    Args:
-        case: The case.
-        output: The run directory.
-        petsc_options: Raw PETSc options from the command line.
-        restart: A checkpoint to restart from, ``auto`` or "".
-        force: Whether to accept a checkpoint of another configuration.
-        walltime: Time limit of the run [s].
-        signals: Whether SIGINT, SIGTERM, SIGHUP and SIGUSR1 stop the run, with its state saved.
-        progress: Called on every rank after each accepted step.
+    """Solve a case and write its run directory; arguments as of `mantle.run`; collective.
 
     Raises:
         MantleError: With the last converged state on disk where there is one.
@@ -190,7 +180,12 @@ def _vary(setup: Setup, output: Path) -> None:
 
 def _variation(setup: Setup, varied: Varied, folder: Path) -> dict[str, Any]:
     """Solve a variation; returns its summary, empty if it does not converge; collective."""
-    on_root(setup.comm, partial(_prepare, folder), share=False)
+
+    def prepare() -> None:
+        prepare_run(folder, force=True)
+        remove([folder / FAILED])
+
+    on_root(setup.comm, prepare, share=False)
     try:
         solving = _CaseRun(setup, varied.case, varied.overrides, folder)
         summary = solving.finish(solving.solve())
@@ -201,12 +196,6 @@ def _variation(setup: Setup, varied: Varied, folder: Path) -> dict[str, Any]:
         return {}
     text.report(summary, table=False)
     return summary
-
-
-def _prepare(folder: Path) -> None:
-    """Make the folder of a variation; remove the note of an earlier failure."""
-    prepare_run(folder, force=True)
-    (folder / FAILED).unlink(missing_ok=True)
 
 
 class _CaseRun:
@@ -249,14 +238,12 @@ class _CaseRun:
         """
         with self._last_state_kept():
             return self._model.go(
-                Observer(
-                    self._recorder.step,
-                    self._recorder.heat,
-                    lambda s: log.info("     %s", s),
-                    self._recorder.stage,
-                    self._checkpoints.mark,
-                    self._checkpoints.resume,
-                )
+                self._recorder.step,
+                self._recorder.heat,
+                lambda s: log.info("     %s", s),
+                self._recorder.stage,
+                self._checkpoints.mark,
+                self._checkpoints.resume,
             )
 
     @contextmanager

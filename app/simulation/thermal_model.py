@@ -5,9 +5,7 @@ from __future__ import annotations
 from dolfinx import fem
 
 from app.case.case import Case
-from app.heat.flows import stored, through
-from app.heat.initial_jump import InitialJump
-from app.heat.nodes import ProbedPoint
+from app.heat.operators import InitialJump
 from app.results.balance import HeatBalance
 from app.results.cure_record import CureRecord
 from app.results.thermal_record import ThermalRecord, exchange
@@ -39,7 +37,7 @@ class ThermalModel:
             operators.bodies.of_region,
             case.geometry.interface_sides,
             case.of_tissue("bone"),
-            [ProbedPoint(name, p.at, p.region or "") for name, p in case.output.probes.items()],
+            {name: (p.at, p.region) for name, p in case.output.probes.items()},
         )
         self._first_contact = InitialJump(operators)
         # Once a steady state has been reached the first instants are over.
@@ -50,7 +48,7 @@ class ThermalModel:
             nodes = operators.row_keys
             keys = {n.region: nodes[n.dof] for n in operators.cure.nodes}
             self.cure = CureRecord(operators.comm, heating.degrees(), keys)
-        self.balance = HeatBalance(stored(operators, heating.vectors()), {})
+        self.balance = HeatBalance(operators.stored(heating.vectors()), {})
         self.flows: dict[str, dict[str, float]] = {}
 
     def _reported(self, seconds: float) -> list[fem.Function]:
@@ -73,8 +71,8 @@ class ThermalModel:
         self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
         if self.cure:
             self.cure.update(accepted.seconds, heating.degrees(), heating.rates())
-        self.flows = {"into": dict(accepted.flows), "through": through(heating.step, x)}
-        heat = stored(operators, x)
+        self.flows = {"into": dict(accepted.flows), "through": heating.step.through(x)}
+        heat = operators.stored(x)
         rounding = heating.step.measure(x, heating.step.vectors())[0].rounding
         if accepted.dt == 0.0:
             # A model of one temperature lets nothing through but rounding.

@@ -25,8 +25,7 @@ from app.arrays import Floats
 from app.errors import Reason
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
-from app.numerics.active_set import ActiveSet
-from app.numerics.newton import NewtonResult, Solver
+from app.numerics.newton import ActiveSet, NewtonResult, Solver
 from app.soundness import loose_bodies
 from app.system.layout import point_text
 

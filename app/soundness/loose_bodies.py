@@ -25,10 +25,9 @@ from forms.contact import OPEN
 from meshes.contact_faces import spread_of_normals
 from meshes.pieces import Parts, Piece
 
-if TYPE_CHECKING:
-    from app.mechanics.contact import ContactInterfaces
-from app.mechanics.contact import TrialState
-from app.mechanics.problem import Problem
+if TYPE_CHECKING:  # dolfinx, which checks of a case do without
+    from app.mechanics.contact import ContactInterfaces, TrialState
+    from app.mechanics.problem import Problem
 
 # A motion is free if its resistance is below this part of the largest. Contact without friction
 # barely resists a motion that it is sloped against by less than so many degrees in the mean, or
@@ -374,7 +373,7 @@ def _against_spread(
 
 def _held(problem: Problem) -> dict[int, Floats]:
     """Part of each direction that supports and foundations hold, by body (3, 3)."""
-    from app.scene.bodies import bodies_at  # brings dolfinx, which checks of a case do without
+    from app.scene.bodies import bodies_at  # brings dolfinx
 
     scene, frames = problem.scene, problem.stiffness.frames
     conditions = [

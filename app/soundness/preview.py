@@ -124,7 +124,6 @@ def _resultant(case: Case) -> Iterable[str]:
 
 # Doubtful input
 
-
 Range = tuple[float, float]
 # Ranges of material data, in internal units: from foam to diamond and osmium. Absolute temperatures
 # between dry ice and burning.

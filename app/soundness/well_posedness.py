@@ -26,7 +26,6 @@ from meshes.pieces import Parts, parts
 if TYPE_CHECKING:
     from meshes import MeshData
 
-
 # Gaps beyond this part of the interface or of the bodies are not small, interferences beyond that
 # part of the bodies are impossible; prescribed displacements may slide a body, but not so far.
 SMALL, TOO_MUCH, FAR = 0.05, 0.25, 0.5

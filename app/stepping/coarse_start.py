@@ -56,7 +56,11 @@ class CoarseModelStart:
 
     def predict(self, time: float) -> None:
         """Start from the cheaper model's state, unless the current start is good."""
-        if self._failed or self._good():
+        solver = self._solver
+        if self._failed:
+            return
+        here = imbalance(solver, solver.x.copy())
+        if here <= GOOD * imbalance(solver, solver.vector()):
             return
         try:
             found = self._found(time)
@@ -71,12 +75,6 @@ class CoarseModelStart:
     def commit(self, time: float) -> None:
         """Store the time, through which the cheaper model has to pass when next asked."""
         self._past.append(time)
-
-    def _good(self) -> bool:
-        """Whether the current guess has a small residual already."""
-        solver, nothing = self._solver, self._solver.vector()
-        here = imbalance(solver, solver.x.copy())
-        return here <= GOOD * imbalance(solver, nothing)
 
     def _found(self, time: float) -> Floats:
         """Jumps and forces of own points at a time, interpolated (n, 6) [mm, MPa]."""

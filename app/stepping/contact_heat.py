@@ -100,7 +100,7 @@ class ContactHeat:
         """Set the pressures and the friction heat of the heat equation."""
         contact = self._contact
         pressure = np.linalg.norm(_normal(trial.law, contact.own.normals), axis=1)
-        self.friction_work = np.where(self.rubbing, _dot(*trial.rubbing()), 0.0)
+        self.friction_work = np.where(self.rubbing, np.einsum("pi,pi->p", *trial.rubbing()), 0.0)
         power = np.asarray((self.friction_work - self._before) / self._h, dtype=np.float64)
         jumps, friction = self._operators.jumps, self._operators.friction
         if jumps is not None and self.pressed is not None:
@@ -120,15 +120,12 @@ class ContactHeat:
 
     def rounding(self, trial: TrialState) -> float:
         """Rounding error of the friction power by long slips [N mm/s]; collective."""
-        contact = self._contact
+        contact, law = self._contact, self._contact.law
         slip = np.linalg.norm(trial.jump - contact.state.jump, axis=1)
         # Forces are those of equilibrium, of bodies that may have moved far.
-        met = contact.law.multiplier_share * contact.coupling.D.getDiagonal().array.reshape(
-            -1, 3
-        ).max(axis=1)
-        force = (met + contact.law.stiffness * contact.own.weight) * np.linalg.norm(
-            trial.jump, axis=1
-        )
+        met = contact.coupling.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
+        stiffness = law.multiplier_share * met + law.stiffness * contact.own.weight
+        force = stiffness * np.linalg.norm(trial.jump, axis=1)
         power = np.where(self.rubbing, force * slip, 0.0) / self._h
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
@@ -192,10 +189,6 @@ def _heats(
 def _normal(law: PointForces, normals: Floats) -> Floats:
     """Normal part of the forces of contact points (n, 3), which separates slave and master."""
     return -np.asarray(np.einsum("pk,pki->pi", law.pressures, normals))
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.einsum("pi,pi->p", a, b))
 
 
 def _times(A: PETSc.Mat, values: Floats) -> Floats:

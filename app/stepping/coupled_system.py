@@ -28,7 +28,6 @@ from app.stepping.contact_heat import ContactHeat
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
-Sizes = tuple[tuple[int, int], tuple[int, int]]
 
 
 class CoupledSystem(ContactSystem):
@@ -152,15 +151,18 @@ class CoupledSystem(ContactSystem):
         by_body = operators.jumps.moves if operators.jumps else {}
         of_region = operators.bodies.of_region.items()
         moves = {r: by_body[b] for r, b in of_region if b in by_body}
-        rows = self._problem.thermal_stiffness(moves)
-        sizes = [v.getSizes() for v in self.blocks().values()]
-        return [
-            [
-                _negative(A, self.comm, (height, width))
-                for A, width in zip(row, sizes[: self._n], strict=False)
-            ]
-            for row, height in zip(rows, sizes[self._n :], strict=True)
-        ]
+        problem, sizes = self._problem, [v.getSizes() for v in self.blocks().values()]
+        assert problem.thermal_strain is not None
+        rows = problem.thermal_strain.stiffness(moves, problem.stiffness, self.contact)
+        found: list[list[PETSc.Mat]] = []
+        for row, height in zip(rows, sizes[self._n :], strict=True):
+            found.append([])
+            for A, width in zip(row, sizes[: self._n], strict=False):
+                if A is None:
+                    A = PETSc.Mat().createAIJ((height, width), nnz=0, comm=self.comm)
+                    A.assemble()
+                found[-1].append(-1.0 * A)
+        return found
 
     def _from_heat(self) -> list[list[PETSc.Mat]]:
         """Rows of displacement and jumps, columns of the heat."""
@@ -187,7 +189,6 @@ class CoupledSystem(ContactSystem):
         self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
         """Rows of the heat: columns of the mechanics, and additions to its own columns."""
-        contact = self.contact
         power = self._point_rows(self.exchange.power_rows(trial))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
         jumps, pressed = self._heat.operators.jumps, self.exchange.pressed
@@ -198,13 +199,9 @@ class CoupledSystem(ContactSystem):
             by_pressure.array[:] = np.where(jumps.held, 0.0, -growth)
             squeezed.diagonalScale(by_pressure)
             pressure = self._point_rows(self.exchange.pressure_rows(trial))
-            rows[1] = [
-                _plus(A, squeezed.matMult(R)) for A, R in zip(rows[1], pressure, strict=True)
-            ]
-        up = [
-            [E.matMult(contact.coupling.Ct), _plus(E.matMult(contact.coupling.D), Q)]
-            for E, Q in rows
-        ]
+            rows[1] = [A + squeezed.matMult(R) for A, R in zip(rows[1], pressure, strict=True)]
+        coupling = self.contact.coupling
+        up = [[E.matMult(coupling.Ct), E.matMult(coupling.D) + Q] for E, Q in rows]
         if self._thermal is None:
             return up, []
         return up, [[E.matMult(G) for G in self._thermal[1]] for E, _ in rows]
@@ -220,23 +217,9 @@ class CoupledSystem(ContactSystem):
         ]
 
 
-def _plus(A: PETSc.Mat, B: PETSc.Mat) -> PETSc.Mat:
-    A.axpy(1.0, B, structure=DIFFERENT)
-    return A
-
-
 def _copy(new: list[list[PETSc.Mat]], kept: list[list[PETSc.Mat]]) -> None:
     """Copy values of matrices into others of the same pattern."""
     for row, places in zip(new, kept, strict=True):
         for A, place in zip(row, places, strict=True):
             if A is not place:
                 A.copy(place, structure=DIFFERENT)
-
-
-def _negative(A: PETSc.Mat | None, comm: PETSc.Comm, sizes: Sizes) -> PETSc.Mat:
-    """Minus a matrix, or an empty one of some sizes."""
-    if A is None:
-        A = PETSc.Mat().createAIJ(sizes, nnz=0, comm=comm)
-        A.assemble()
-        return A
-    return -1.0 * A

@@ -16,7 +16,6 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.heat.curing import as_temperature
-from app.heat.flows import flows
 from app.heat.implicit_step import ImplicitStep
 from app.numerics import integrator
 from app.numerics.integrator import METHODS, Method, State
@@ -138,7 +137,7 @@ class HeatState:
         self.total.count(self.outcome)
         if not self.outcome.converged:
             return None
-        self._stages.append(flows(self.step, self.vectors()))
+        self._stages.append(self.step.flows(self.vectors()))
         work = [coupled.exchange.friction_work] if coupled is not None else []
         return [*self._state(self.vectors()), *work]
 
@@ -213,7 +212,7 @@ class HeatState:
         Checked only where conductance changes with pressures that follow temperature, without cure.
         """
         system = self.coupled
-        if system is None or self.cures:
+        if system is None or self._curing:
             return
         if not system.exchange.expands or system.exchange.pressed is None:
             return
@@ -235,11 +234,6 @@ class HeatState:
             )
 
     # Queries
-
-    @property
-    def cures(self) -> bool:
-        """Whether anything cures."""
-        return bool(self._curing)
 
     @property
     def events(self) -> tuple[float, ...]:

@@ -15,12 +15,13 @@ from app.numerics.integrator import Controller
 from app.scene.scene import Stage
 from app.soundness.failure import attempts
 from app.stepping.heat_state import HeatState, HeatStep
-from app.stepping.heated_mechanics import HeatedMechanics
+from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, Summary
 
 # Least time step, as a part of its stage.
 SHORTEST = 1e-10
 
+Mechanics = SolvedAfterHeat | SolvedWithHeat
 OnHeat = Callable[[LoadStep, HeatStep], None]
 # Committed steps, the part of the stage that is done then, and whether an increment ends.
 Steps = Iterator[tuple[HeatStep, float, bool]]
@@ -39,9 +40,7 @@ class HeatStepper:
 
     saved = ("_under_way", "_begin", "_steps", "_controller", "mechanics")
 
-    def __init__(
-        self, heating: HeatState, mechanics: HeatedMechanics | None, on_heat: OnHeat
-    ) -> None:
+    def __init__(self, heating: HeatState, mechanics: Mechanics | None, on_heat: OnHeat) -> None:
         self.heating, self.mechanics, self._on_heat = heating, mechanics, on_heat
         self._under_way, self._begin, self._steps = False, 0.0, 0
         self._controller = Controller(heating.method)

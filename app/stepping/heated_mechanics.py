@@ -16,7 +16,7 @@ import numpy as np
 from dolfinx import fem
 
 from app.arrays import Floats, Ints
-from app.heat.curing import FreeStrain, since_gelation
+from app.heat.curing import free_strain, since_gelation
 from app.numerics.saved_state import node_keys
 from app.scene.scene import Stage
 from app.stepping.coupled_system import CoupledSystem
@@ -50,6 +50,7 @@ class HeatedMechanics:
     """
 
     saved: tuple[str, ...] = ("_strains", "_before")
+    _stage: Stage
 
     def __init__(self, load_stepper: LoadStepper, heating: HeatState) -> None:
         self._load_stepper, self._heating = load_stepper, heating
@@ -63,7 +64,7 @@ class HeatedMechanics:
         )
         expansion = {x.region: x.expansion for x in operators.scene.expansions}
         self._free = [
-            FreeStrain(operators.comm, cure, expansion.get(cure.region, 0.0), len(c.dof))
+            free_strain(operators.comm, cure, expansion.get(cure.region, 0.0), len(c.dof))
             for cure, c in zip(operators.scene.cures, self._curing, strict=True)
         ]
         self._last: ThermalState | None = None
@@ -84,14 +85,6 @@ class HeatedMechanics:
         if problem.setting:
             problem.setting.begin_at(problem.displacements())
 
-    def begin(self, k: int, stage: Stage, anew: bool) -> None:
-        """Begin a stage that takes time, or continue it after a restart."""
-        self._stage = stage
-
-    def follow(self, time: float, whole: bool) -> None:
-        """Solve after a heat step that ends at a time, and perhaps ends an increment."""
-        raise NotImplementedError
-
     def _now(self) -> ThermalState:
         """State of the heat, with the free strain of the step that led to it; collective."""
         degrees = list(self._heating.degrees().values())
@@ -104,12 +97,12 @@ class HeatedMechanics:
             f.x.scatter_forward()
         if (last := self._last) is not None:
             for k, c in enumerate(self._curing):
-                self._strains[k].x.array[c.dof] += self._free[k].increment(
-                    last.degrees[k][c.dof],
-                    last.temperatures[c.body][c.dof],
-                    degrees[k],
-                    self._temperatures[c.body].x.array[c.dof],
-                )
+                self._strains[k].x.array[c.dof] += self._free[k](
+                    a_old=last.degrees[k][c.dof],
+                    T_old=last.temperatures[c.body][c.dof],
+                    a=degrees[k],
+                    T=self._temperatures[c.body].x.array[c.dof],
+                )[0]
                 self._strains[k].x.scatter_forward()
         self._last = ThermalState(
             *(
@@ -179,7 +172,7 @@ class SolvedAfterHeat(HeatedMechanics):
 
     def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
-        super().begin(k, stage, anew)
+        self._stage = stage
         if anew:
             self._time, self._before = float(k), self._now()
 
@@ -205,7 +198,7 @@ class SolvedWithHeat(HeatedMechanics):
 
     def begin(self, k: int, stage: Stage, anew: bool) -> None:
         """Begin a stage that takes time, or continue it after a restart."""
-        super().begin(k, stage, anew)
+        self._stage = stage
         if anew:
             self._start = self._committed = self._heating.seconds
         self._system.begin_stage(k, stage, self._start)

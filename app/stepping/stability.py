@@ -44,15 +44,13 @@ def grows(system: System, x: list[PETSc.Vec], begin: Callable[[float], object]) 
     f = [v.duplicate() for v in x]
     M = matrix(1.0)
     A = matrix(math.inf)
-    M.axpy(-1.0, A, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    M -= A
     slowest = _factor(A, M, ITERATIONS // 3)
     if not slowest:
         return False
     for part in STEPS:
         h = part * slowest
-        B = A.copy()
-        B.axpy(1 / h, M, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-        if _factor(B, M, ITERATIONS) / h > GROWS:
+        if _factor(A + (1 / h) * M, M, ITERATIONS) / h > GROWS:
             return True
     return False
 

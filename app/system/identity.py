@@ -9,7 +9,6 @@ import ctypes
 import hashlib
 import importlib.util
 import json
-import os
 import re
 from functools import lru_cache
 from importlib import metadata
@@ -64,46 +63,32 @@ def sources() -> dict[str, Path]:
 
 
 def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return MISSING
+    return next((d.version for d in metadata.distributions(name=package)), MISSING)
 
 
 def _petsc() -> ctypes.CDLL | None:
     """Load PETSc and its dependencies without starting it; None if missing."""
     spec = importlib.util.find_spec("petsc4py")
-    folders = spec.submodule_search_locations or () if spec else ()
+    folders = (spec and spec.submodule_search_locations) or ()
     found = sorted(p for folder in folders for p in Path(folder).glob("lib/**/PETSc*.so"))
     return ctypes.CDLL(str(found[0])) if found else None
 
 
 def _version_of(petsc: ctypes.CDLL) -> str:
     """Version of the library, which may be newer than petsc4py."""
-    numbers = [ctypes.c_int() for _ in range(4)]
-    petsc.PetscGetVersionNumber(*map(ctypes.byref, numbers))
-    return ".".join(str(n.value) for n in numbers[:3])
+    numbers = (ctypes.c_int * 4)()
+    petsc.PetscGetVersionNumber(*(ctypes.byref(numbers, 4 * k) for k in range(4)))
+    return "{}.{}.{}".format(*numbers)
 
 
 def _blas(petsc: ctypes.CDLL) -> str:
     """Version and kernel of OpenBLAS; the file of any other BLAS."""
-    try:
-        tell = petsc.openblas_get_config
-    except AttributeError:
-        place = _Place()
-        function = ctypes.cast(petsc.dgemm_, ctypes.c_void_p)
-        ctypes.CDLL(None).dladdr(function, ctypes.byref(place))
-        return str(Path(os.fsdecode(place.file or b"")).resolve())
-    tell.restype = ctypes.c_char_p
-    return str(tell().decode())
-
-
-class _Place(ctypes.Structure):
-    """``Dl_info`` of ``dladdr``: the library that holds a function."""
-
-    _fields_ = (
-        ("file", ctypes.c_char_p),
-        ("start", ctypes.c_void_p),
-        ("name", ctypes.c_char_p),
-        ("address", ctypes.c_void_p),
-    )
+    if hasattr(petsc, "openblas_get_config"):
+        petsc.openblas_get_config.restype = ctypes.c_char_p
+        return str(petsc.openblas_get_config().decode())
+    address = ctypes.cast(petsc.dgemm_, ctypes.c_void_p).value or 0
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        low, high = (int(end, 16) for end in line.split()[0].split("-"))
+        if low <= address < high:
+            return line.split(maxsplit=5)[5]
+    return MISSING

@@ -30,7 +30,6 @@ _WORLD_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "SLU
 _WORLD_MARKS = ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "SLURM_STEP_ID")
 # Variables with the rank of a process, by process manager.
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
-_SCHEDULERS = ("SLURM_JOB_ID", "PBS_JOBID", "LSB_JOBID")
 # On one node only shared memory is needed; looking for a network fails audibly.
 ONE_NODE = {
     "OMPI_MCA_btl": "self,sm",
@@ -68,7 +67,7 @@ def rank(environ: Mapping[str, str] = os.environ) -> int:
 def environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
     """Environment of the ranks: one thread each, a quiet Open MPI; variables already set stay."""
     defaults = {"OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
-    if not any(name in environ for name in _SCHEDULERS):
+    if not scratch.SCHEDULERS & environ.keys():
         defaults |= ONE_NODE
     if os.geteuid() == 0:
         defaults |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
@@ -116,10 +115,9 @@ class _Stop:
     to save their state and leave.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, child: subprocess.Popen[bytes]) -> None:
         self.received: list[int] = []
-        self._first = math.inf
-        self._child: subprocess.Popen[bytes] | None = None
+        self._first, self._child = math.inf, child
 
     def __call__(self, number: int, _frame: object) -> None:
         # One Ctrl-C may arrive twice: from the terminal and passed on by whatever started this.
@@ -127,19 +125,11 @@ class _Stop:
             return
         self.received.append(number)
         self._first = min(self._first, time.monotonic())
-        if self._child is None:
-            return
         if len(self.received) == 1:
             self._child.send_signal(signal.SIGUSR1)
             tell("stopping; the state is saved first (once more: stop at once)")
         else:
             self._child.send_signal(signal.SIGTERM if len(self.received) < 4 else signal.SIGKILL)
-
-    def follow(self, child: subprocess.Popen[bytes]) -> None:
-        """Send signals to this mpirun, earlier ones included."""
-        self._child = child
-        if self.received:
-            child.send_signal(signal.SIGUSR1)
 
 
 def launch(ranks: int, command: Sequence[str]) -> int:
@@ -158,31 +148,26 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     mpirun = shutil.which("mpirun")
     if mpirun is None:
         raise EnvironmentProblem("-n needs mpirun, which is not installed (Debian: openmpi-bin)")
-    stop = _Stop()
-    for number in stop_signals():
-        signal.signal(number, stop)
     libc = ctypes.CDLL(None)
-    folder, held = _scratch()
-    child = subprocess.Popen(
-        [mpirun, "-n", str(ranks), *command],
-        env=environment() | (scratch.variables(folder) if folder else {}),
-        stdin=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        # The terminal sends Ctrl-C to the whole process group; mpirun would end the ranks at once.
-        start_new_session=True,
-        # Should this process be killed, mpirun and the ranks go too.
-        preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM),
-    )
-    stop.follow(child)
-    source, target = child.stderr, sys.stderr.buffer
-    relay = threading.Thread(
-        target=filter_messages, args=(source, target, stop.received), daemon=True
-    )
-    relay.start()
-    code = child.wait()
-    relay.join(timeout=2.0)
-    if folder:
-        scratch.remove(folder, held)
+    with scratch.variables() as own:
+        child = subprocess.Popen(
+            [mpirun, "-n", str(ranks), *command],
+            env=environment() | own,
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            # The terminal sends Ctrl-C to the whole process group, which would end mpirun at once.
+            start_new_session=True,
+            # Should this process be killed, mpirun and the ranks go too.
+            preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM),
+        )
+        stop = _Stop(child)
+        for number in stop_signals():
+            signal.signal(number, stop)
+        relayed = child.stderr, sys.stderr.buffer, stop.received
+        relay = threading.Thread(target=filter_messages, args=relayed, daemon=True)
+        relay.start()
+        code = child.wait()
+        relay.join(timeout=2.0)
     if stop.received and (code < 0 or code == 1 or code > 128):
         # The ranks did not listen yet, and there was nothing to save; or they were not let.
         once = len(stop.received) == 1
@@ -194,22 +179,10 @@ def launch(ranks: int, command: Sequence[str]) -> int:
 
 def alone() -> None:
     """Give MPI a folder of its own until this process ends, unless it is up or has other ranks."""
-    if world_size() is not None or "mpi4py.MPI" in sys.modules:
-        return
-    folder, held = _scratch()
-    if folder:
-        os.environ |= scratch.variables(folder)
-        atexit.register(scratch.remove, folder, held)
-
-
-def _scratch() -> tuple[Path | None, int]:
-    """Folder for this node; under a scheduler, whose ranks may be elsewhere, its own is used."""
-    if any(name in os.environ for name in _SCHEDULERS):
-        return None, -1
-    try:
-        return scratch.make()
-    except OSError:
-        return None, -1
+    if world_size() is None and "mpi4py.MPI" not in sys.modules:
+        process = contextlib.ExitStack()
+        atexit.register(process.close)
+        os.environ |= process.enter_context(scratch.variables())
 
 
 def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int] = ()) -> None:

@@ -10,56 +10,50 @@ import fcntl
 import os
 import shutil
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 PREFIX = "mantle-run-"
 SHARED = Path("/dev/shm")
+# Variables of the jobs of schedulers, whose ranks may be on other nodes: they have folders.
+SCHEDULERS = {"SLURM_JOB_ID", "PBS_JOBID", "LSB_JOBID"}
 
 
-def make() -> tuple[Path, int]:
-    """Make the folder of this run, and remove those of runs that are over.
+@contextmanager
+def variables() -> Iterator[dict[str, str]]:
+    """Environment variables that make MPI and compilers use a folder, which is there for the block.
 
-    Returns:
-        The folder, and a file descriptor that keeps it locked while open.
-
-    Raises:
-        OSError: No folder can be made.
+    Folders of runs that are over are removed. There are no variables under a scheduler, nor where
+    no folder can be made.
     """
+    if SCHEDULERS & os.environ.keys():
+        yield {}
+        return
     place = SHARED if os.access(SHARED, os.W_OK | os.X_OK) else Path(tempfile.gettempdir())
     for old in place.glob(f"{PREFIX}*"):
         with suppress(OSError):
             if old.stat().st_uid == os.geteuid():
-                held = _lock(old)
-                remove(old, held)
-    while True:
-        folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=place))
+                with _locked(old):
+                    shutil.rmtree(old, ignore_errors=True)
+    with ExitStack() as stack:
+        found = {}
         with suppress(OSError):
-            held = _lock(folder)
-            if folder.exists():  # nobody has taken it for an old one meanwhile
-                return folder, held
-            os.close(held)
+            folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=place))
+            stack.callback(shutil.rmtree, folder, ignore_errors=True)
+            # Another run may take it for an old one, until it is locked: then there is none.
+            stack.enter_context(_locked(folder))
+            found = {"TMPDIR": str(folder)} if folder.exists() else {}
+            if found and place == SHARED:
+                found["OMPI_MCA_btl_sm_backing_directory"] = str(folder)
+        yield found
 
 
-def remove(folder: Path, held: int) -> None:
-    """Remove a folder locked by this process."""
-    shutil.rmtree(folder, ignore_errors=True)
-    os.close(held)
-
-
-def _lock(folder: Path) -> int:
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
     held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+        yield
+    finally:
         os.close(held)
-        raise
-    return held
-
-
-def variables(folder: Path) -> dict[str, str]:
-    """Environment variables that make MPI and compilers use a folder."""
-    found = {"TMPDIR": str(folder)}
-    if folder.parent == SHARED:
-        found["OMPI_MCA_btl_sm_backing_directory"] = str(folder)
-    return found

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import product
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import groupby, product
 from statistics import median
 from time import perf_counter
 from typing import Any
@@ -56,6 +57,7 @@ SECOND, REFERENCE = "5 mm", "3 mm"
 # Phases of a run outside set-up and solution.
 APART = ("mesh", "compile", "output", "error", "total")
 ROUNDING = 1e-12  # mm
+_goal = partial(Check, group="bench", timed=True)
 
 
 def benchmarks() -> list[Check]:
@@ -72,15 +74,13 @@ def benchmarks() -> list[Check]:
     two = CheckRun("stance.yaml", largest.overrides, ranks=2)
     million = (stance("contact", LONG),)
     return [
-        _goal("stem_cpu", "CPU time [s]", stem, _median(cpu), 5.0, "quick"),
-        _goal("stem_memory", "peak memory [MB]", stem, _median(memory), 500.0, "quick"),
-        _goal("stem_penetration", "penetration [mm]", stem, _penetration, ROUNDING, "quick"),
+        _goal("stem_cpu", "CPU time [s]", stem, _median(cpu), 5.0, tier="quick"),
+        _goal("stem_memory", "peak memory [MB]", stem, _median(megabytes), 500.0, tier="quick"),
+        _goal("stem_penetration", "penetration [mm]", stem, _penetration, ROUNDING, tier="quick"),
         *_over_bonded(),
         _goal("growth_exponent", "of CPU time over unknowns", ladder, growth, 1.12),
         _goal("newton_spread", "of iterations about their middle", ladder, spread, 3.0),
-        _goal(
-            "ranks_2_over_1", "time on two ranks over one", (two, largest), _ratio(wall), 1 / 1.7
-        ),
+        _goal("ranks_2_over_1", "wall time over one rank", (two, largest), _ratio(wall), 1 / 1.7),
         _goal("variations_12", "CPU time over that of one", (middle, *twelve), _variations, 2.5),
         _goal("later_load_steps", "the longest over the first", steps, later_steps, 0.3),
         _goal(
@@ -98,10 +98,8 @@ def benchmarks() -> list[Check]:
             _start_to_finish,
             3.0,
         ),
-        _goal(
-            "million_memory", "[GB]", million, _median(lambda run: memory(run) / 1e3), 12.0, "long"
-        ),
-        _goal("million_minutes", "start to finish", million, _median(_minutes), 5.0, "long"),
+        _goal("million_memory", "[GB]", million, _median(gigabytes), 12.0, tier="long"),
+        _goal("million_minutes", "start to finish", million, _median(_minutes), 5.0, tier="long"),
     ]
 
 
@@ -114,7 +112,7 @@ def _over_bonded() -> Iterator[Check]:
             (stance("contact", rung), stance("bonded", rung)),
             _ratio(cpu),
             2.0 if rung in SMALL else 1.25,
-            {"20k": "quick", LONG: "long"}.get(rung, "default"),
+            tier={"20k": "quick", LONG: "long"}.get(rung, "default"),
         )
     for rung in STEM_RUNGS:
         yield _goal(
@@ -124,17 +122,6 @@ def _over_bonded() -> Iterator[Check]:
             _ratio(cpu),
             1.2,
         )
-
-
-def _goal(
-    name: str,
-    what: str,
-    runs: Sequence[CheckRun],
-    judge: Judge,
-    tolerance: float,
-    tier: str = "default",
-) -> Check:
-    return Check(name, what, tuple(runs), judge, tolerance, tier=tier, group="bench", timed=True)
 
 
 def stance(kind: str, rung: str) -> CheckRun:
@@ -166,9 +153,14 @@ def wall(run: Run) -> float:
     return solution(run.summary["timing"])
 
 
-def memory(run: Run) -> float:
+def megabytes(run: Run) -> float:
     """Peak memory of all ranks [MB]."""
     return float(run.summary["memory"]["peak"])
+
+
+def gigabytes(run: Run) -> float:
+    """The same [GB]."""
+    return megabytes(run) / 1e3
 
 
 def _minutes(run: Run) -> float:
@@ -185,10 +177,8 @@ def _ratio(figure: Callable[[Run], float]) -> Judge:
     """Median of ratios of two cases, run in turn: the first half of the runs over the second."""
 
     def judge(runs: Sequence[Run]) -> Sample:
-        half = len(runs) // 2
-        return Sample(
-            median(figure(a) / figure(b) for a, b in zip(runs[:half], runs[half:], strict=True))
-        )
+        figures = np.array([figure(run) for run in runs]).reshape(2, -1)
+        return Sample(median(figures[0] / figures[1]))
 
     return judge
 
@@ -201,19 +191,15 @@ def _numbers(run: Run, key: str) -> dict[str, float]:
     return {name: float(q[key]) for name, q in run.summary["interfaces"].items()}
 
 
-def _rungs(runs: Iterable[Run]) -> list[list[Run]]:
-    found: dict[int, list[Run]] = {}
-    for run in runs:
-        found.setdefault(int(run.summary["solver"]["dofs"]), []).append(run)
-    return [found[unknowns] for unknowns in sorted(found)]
+def _unknowns(run: Run) -> int:
+    return int(run.summary["solver"]["dofs"])
 
 
 def growth(runs: Sequence[Run]) -> Sample:
     """Exponent p of time ~ unknowns^p by least squares in logarithms, of median times."""
-    rungs = _rungs(runs)
-    unknowns = [rung[0].summary["solver"]["dofs"] for rung in rungs]
-    times = [median(map(cpu, rung)) for rung in rungs]
-    return Sample(fitted_order(unknowns, times), errors=tuple(times))
+    rungs = {n: list(rung) for n, rung in groupby(sorted(runs, key=_unknowns), _unknowns)}
+    times = [median(map(cpu, rung)) for rung in rungs.values()]
+    return Sample(fitted_order(list(rungs), times), errors=tuple(times))
 
 
 def spread(runs: Sequence[Run]) -> Sample:
@@ -242,14 +228,15 @@ def equal_error(runs: Sequence[Run]) -> Sample:
     smaller.
     """
     two, reference, *others = runs
-    ones = [rung[0] for rung in _rungs(others)]
+    ones = {_unknowns(run): run for run in reversed(others)}
     known = _numbers(reference, "slip_p99")
 
     def error(run: Run) -> float:
         have = _numbers(run, "slip_p99")
         return max(abs(have[name] / known[name] - 1) for name in known)
 
-    errors, times = (np.log([figure(one) for one in reversed(ones)]) for figure in (error, cpu))
+    finest_first = [ones[n] for n in sorted(ones, reverse=True)]
+    errors, times = (np.log([figure(one) for one in finest_first]) for figure in (error, cpu))
     return Sample(cpu(two) / float(np.exp(np.interp(np.log(error(two)), errors, times))))
 
 

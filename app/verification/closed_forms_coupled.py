@@ -52,14 +52,9 @@ class Layers:
     """A core and concentric rings around it without load, in plane strain.
 
     In each u_r = A r + B / r, with B = 0 in the core (Timoshenko & Goodier, section 28). A core too
-    large by δ is one of the free strain δ / (1 + ν) r.
-
-    Attributes:
-        radii: Of the outer surfaces, from inside to outside [mm].
-        materials: Of the core and the rings.
-        free_strains: Of each, the same in all directions.
-        joined: For each pair of neighbours, whether they move together and pull each other;
-            otherwise there is no traction between them.
+    large by δ is one of the free strain δ / (1 + ν) r. From inside to outside: radii of the outer
+    surfaces [mm], materials, and free strains, the same in all directions; for each pair of
+    neighbours whether they are joined, else there is no traction between them.
     """
 
     radii: Sequence[float]
@@ -122,28 +117,20 @@ class Wall:
 class HeatedWalls:
     """Two bars between fixed walls, pressed together by their own expansion; ν = 0.
 
-    The conductance between them is h₀ + h₁ p. More pressure lets more heat pass, which cools the
-    hot bar and warms the cold one: where the cold bar expands more, several states can hold, one
-    of them open (Barber, Dundurs & Comninou, J. Appl. Mech. 47, 1980).
-
-    Attributes:
-        lengths: Of the bars [mm].
-        moduli: Young's moduli [MPa].
-        expansions: [1/K].
-        conductivities: Of the bars.
-        open: h₀.
-        per_pressure: h₁ [N/(mm s K) per MPa].
-        gap: Between the bars at their reference temperature [mm].
-        temperatures: Of the hot wall, which holds the first bar, of the cold one, and without
-            strain.
+    The conductance between them is h₀ + h₁ p, h₁ in N/(mm s K) per MPa. More pressure lets more
+    heat pass, which cools the hot bar and warms the cold one: where the cold bar expands more,
+    several states can hold, one of them open (Barber, Dundurs & Comninou, J. Appl. Mech. 47, 1980).
+    Lengths [mm], Young's moduli [MPa], expansions [1/K] and conductivities are those of the bars;
+    the gap [mm] is that without strain; temperatures are those of the hot wall, which holds the
+    first bar, of the cold one, and without strain.
     """
 
     lengths: tuple[float, float]
     moduli: tuple[float, float]
     expansions: tuple[float, float]
     conductivities: tuple[float, float]
-    open: float
-    per_pressure: float
+    h0: float
+    h1: float
     gap: float
     temperatures: tuple[float, float, float]
 
@@ -151,7 +138,7 @@ class HeatedWalls:
         """The thermal state under a pressure."""
         hot, cold, _ = self.temperatures
         resistances = tuple(L / k for L, k in zip(self.lengths, self.conductivities, strict=True))
-        h = self.open + self.per_pressure * p
+        h = self.h0 + self.h1 * p
         return Wall(p, *two_bars(hot, cold, (resistances[0], resistances[1]), h))
 
     def excess(self, p: float) -> float:
@@ -166,7 +153,7 @@ class HeatedWalls:
         """All states in equilibrium, by pressure; the excess times 1 + R h is quadratic in it."""
         R = sum(L / k for L, k in zip(self.lengths, self.conductivities, strict=True))
         p = np.array([0.0, 1.0, 2.0])
-        values = [self.excess(s) * (1 + R * (self.open + self.per_pressure * s)) for s in p]
+        values = [self.excess(s) * (1 + R * (self.h0 + self.h1 * s)) for s in p]
         roots = np.roots(np.polyfit(p, values, 2))
         closed = sorted(float(s.real) for s in roots if abs(s.imag) < 1e-12 and s.real > 0)
         return tuple(map(self.state, [0.0, *closed] if self.excess(0.0) <= 0 else closed))
@@ -182,50 +169,36 @@ class WavyContact:
         T = T_m + g (below only) - q (z - H) / k,     u = (0, 0, f(x) (z - H)),
         (λ + 2 μ) f = -p + (3 λ + 2 μ) a (T_i - T_ref),   T_i = T_m + g below, T_m above,
 
-    so that neither shear nor motion is on z = H, and nothing but sliding on x = 0 and x = L. By
-    default as in wavy_contact.yaml.
-
-    Attributes:
-        length: L [mm].
-        height: H [mm].
-        pressure: p₀ and p₁ [MPa].
-        conductance: h₀ and h₁.
-        jump: g [K].
-        mean: T_m.
-        reference: T_ref.
-        conductivities: Below and above.
-        materials: Elastic, below and above.
-        expansions: [1/K], below and above.
+    so that neither shear nor motion is on z = H, and nothing but sliding on x = 0 and x = L. The
+    values are those of wavy_contact.yaml; pairs are of the block below and of that above.
     """
 
-    length: float = 2.0
-    height: float = 1.0
-    pressure: tuple[float, float] = (2.0, 1.0)
-    conductance: tuple[float, float] = (0.1, 0.1)
-    jump: float = 10.0
-    mean: float = 50.0
-    reference: float = 37.0
+    L: float = 2.0  # mm
+    H: float = 1.0  # mm
+    p: tuple[float, float] = (2.0, 1.0)  # p₀ and p₁ [MPa]
+    h: tuple[float, float] = (0.1, 0.1)  # h₀ and h₁
+    g: float = 10.0  # K
+    T_m: float = 50.0
+    T_ref: float = 37.0
     conductivities: tuple[float, float] = (0.2, 0.58)
     materials: tuple[Elastic, Elastic] = ((2200.0, 0.3), (17e3, 0.3))
-    expansions: tuple[float, float] = (80e-6, 27.5e-6)
+    expansions: tuple[float, float] = (80e-6, 27.5e-6)  # 1/K
 
     def pressures(self, x: Floats) -> Floats:
         """Pressure (n,) at points (n, 3)."""
-        return np.asarray(
-            self.pressure[0] + self.pressure[1] * np.cos(math.pi * x[:, 0] / self.length)
-        )
+        return np.asarray(self.p[0] + self.p[1] * np.cos(math.pi * x[:, 0] / self.L))
 
     def temperature(self, x: Floats, upper: bool) -> Floats:
         """Temperature (n,) at points (n, 3) of one block."""
-        q = self.jump * (self.conductance[0] + self.conductance[1] * self.pressures(x))
-        base = self.mean + (0.0 if upper else self.jump)
-        return np.asarray(base - q * (x[:, 2] - self.height) / self.conductivities[upper])
+        q = self.g * (self.h[0] + self.h[1] * self.pressures(x))
+        base = self.T_m + (0.0 if upper else self.g)
+        return np.asarray(base - q * (x[:, 2] - self.H) / self.conductivities[upper])
 
     def displacement(self, x: Floats, upper: bool) -> Floats:
         """Displacement (n, 3) at points (n, 3) of one block [mm]."""
         λ, μ = lame(self.materials[upper])
-        T = self.mean + (0.0 if upper else self.jump) - self.reference
+        T = self.T_m + (0.0 if upper else self.g) - self.T_ref
         f = (-self.pressures(x) + (3 * λ + 2 * μ) * self.expansions[upper] * T) / (λ + 2 * μ)
         u = np.zeros_like(x)
-        u[:, 2] = f * (x[:, 2] - self.height)
+        u[:, 2] = f * (x[:, 2] - self.H)
         return u

@@ -57,40 +57,30 @@ def two_rings(
 
 @dataclass(frozen=True)
 class Slab:
-    """A perfused slab 0 < x < length, heated at 0, cooled at its other side, with a source.
+    """A perfused slab 0 < x < L, heated by a flux q at 0, cooled at its other side.
 
     k T'' - w (T - T_b) + s = 0 (Pennes, J. Appl. Physiol. 1, 1948), -k T'(0) = q,
-    -k T'(L) = h (T(L) - T_a).
-
-    Attributes:
-        length: L [mm].
-        conductivity: k.
-        perfusion: w [N/(mm2 s K)].
-        blood: T_b.
-        source: s [N/(mm2 s)].
-        flux: q.
-        film: h.
-        ambient: T_a.
+    -k T'(L) = h (T(L) - T_a), with L in mm, w in N/(mm2 s K) and the source s in N/(mm2 s).
     """
 
-    length: float
-    conductivity: float
-    perfusion: float
-    blood: float
-    source: float
-    flux: float
-    film: float
-    ambient: float
+    L: float
+    k: float
+    w: float
+    T_b: float
+    s: float
+    q: float
+    h: float
+    T_a: float
 
     def temperature(self, x: Floats) -> Floats:
         """Temperature (n,) at x (n,)."""
-        k, h, L = self.conductivity, self.film, self.length
-        m = math.sqrt(self.perfusion / k)
-        far = self.blood + self.source / self.perfusion
+        k, h, L = self.k, self.h, self.L
+        m = math.sqrt(self.w / k)
+        far = self.T_b + self.s / self.w
         # T = far + A exp(m (x - L)) + B exp(-m x)
         e = math.exp(-m * L)
         rows = [[-k * m * e, k * m], [k * m + h, (h - k * m) * e]]
-        A, B = np.linalg.solve(rows, [self.flux, h * (self.ambient - far)])
+        A, B = np.linalg.solve(rows, [self.q, h * (self.T_a - far)])
         return np.asarray(far + A * np.exp(m * (x - L)) + B * np.exp(-m * x))
 
 
@@ -118,16 +108,10 @@ def effusivity(material: Conductor) -> float:
 
 @dataclass(frozen=True)
 class HalfSpaces:
-    """Two half-spaces brought into contact: x < 0 the first, x > 0 the second.
+    """Two half-spaces of given temperatures in contact: x < 0 the first, x > 0 the second.
 
-    Carslaw & Jaeger, section 2.15; with a conductance h, by Laplace's transform: the heat flux is
-    h ΔT exp(H² t) erfc(H √t) with H = h (1/e₁ + 1/e₂).
-
-    Attributes:
-        first: Conductor.
-        second: Conductor.
-        temperatures: Of both at the start.
-        conductance: Between them; infinite if perfect.
+    Carslaw & Jaeger, section 2.15; with a conductance h, infinite if perfect, by Laplace's
+    transform: the heat flux is h ΔT exp(H² t) erfc(H √t) with H = h (1/e₁ + 1/e₂).
     """
 
     first: Conductor

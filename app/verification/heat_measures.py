@@ -7,72 +7,75 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
+from app.arrays import Floats
 from app.results.reading import Run
 from app.verification import closed_forms_coupled as coupled
 from app.verification import closed_forms_heat as exact
 from app.verification.check import Sample, worst
-from app.verification.measures import in_l2, relative
+from app.verification.measures import by_region, in_l2, relative
 
 # Conductivity [N/(s K)] and capacity [N/(mm2 K)] of the cases.
 CEMENT, BONE = (0.2, 1.74), (0.58, 2.331)
 KELVIN = 273.15
-# Temperature (n,) [degC] at points (n, 3) of regions (n,), counted from 1, at a time [s].
-Field = Callable[[Floats, Ints, float], Floats]
+# Temperature (n,) [degC] of a region at points (n, 3) at a time [s].
+HeatField = Callable[[Floats, float], NDArray[np.floating]]
 
 
 def temperatures(
-    run: Run, field: Field, scale: float, ends: Sequence[float] = (), since: float = 0.0
+    run: Run,
+    fields: Sequence[HeatField],
+    scale: float,
+    ends: Sequence[float] = (),
+    since: float = 0.0,
 ) -> Sample:
     """Largest temperature error of any node at any written step, over a scale [K].
 
-    ``ends`` are seconds at the start and at the end of each stage, empty for a steady state; steps
-    before ``since`` [s] are not compared.
+    ``fields`` are one for each region, ``ends`` seconds at the start and at the end of each stage,
+    empty for a steady state; steps up to ``since`` [s] are not compared.
     """
     samples = []
-    for step, seconds in _written(run, ends):
-        if seconds < since:
-            continue
+    for step, seconds in _written(run, ends, since):
         T = run.temperature(step)
-        for region in np.unique(run.region):
+        for region, field in enumerate(fields, start=1):
             nodes = run.nodes_of(region)
-            should = field(run.points[nodes], np.full(len(nodes), region), seconds)
+            should = field(run.points[nodes], seconds)
             off = np.abs(T[nodes] - should) / scale
             at = int(np.argmax(off))
             samples.append(Sample(float(off[at]), float(T[nodes[at]]), float(should[at])))
     return worst(samples)
 
 
-def mean_square(run: Run, field: Field, zero: float, ends: Sequence[float] = ()) -> Sample:
-    """Temperatures over zero, relative in L2, at the worst written step; ``ends`` as above."""
+def mean_square(
+    run: Run, fields: Sequence[HeatField], zero: float, ends: Sequence[float] = ()
+) -> Sample:
+    """Temperatures over zero, relative in L2, at the worst written step; the rest as above."""
 
     def at(step: int, seconds: float) -> Sample:
-        def exact(x: Floats, region: Ints) -> Floats:
-            return field(x, region, seconds)[:, None] - zero
-
-        error, norm, reference = run.norms(exact, run.temperature(step)[:, None] - zero)
+        error, norm, reference = run.norms(
+            lambda x, region: by_region(region, [T(x, seconds)[:, None] - zero for T in fields]),
+            run.temperature(step)[:, None] - zero,
+        )
         return Sample(error / reference, norm, reference)
 
     return worst([at(step, seconds) for step, seconds in _written(run, ends)])
 
 
-def _written(run: Run, ends: Sequence[float]) -> list[tuple[int, float]]:
+def _written(run: Run, ends: Sequence[float], since: float = 0.0) -> list[tuple[int, float]]:
     """Written steps of stages that take time, and their seconds; the last of a steady state."""
     if not ends:
         return [(len(run.times) - 1, math.inf)]
     seconds = np.interp(run.times, np.arange(len(ends)), ends)
-    return [(k, float(s)) for k, s in enumerate(seconds) if s > 0]
+    return [(k, float(s)) for k, s in enumerate(seconds) if s > since]
 
 
-def _walls(hot: float, first: float, second: float, cold: float) -> Field:
+def _walls(hot: float, first: float, second: float, cold: float) -> list[HeatField]:
     """Temperatures of two bars of 5 mm between walls, linear in each."""
-
-    def field(x: Floats, region: Ints, t: float) -> Floats:
-        below, above = hot + (first - hot) * x[:, 2] / 5, cold + (second - cold) * (2 - x[:, 2] / 5)
-        return np.where(region == 1, below, above)
-
-    return field
+    return [
+        lambda x, t: hot + (first - hot) * x[:, 2] / 5,
+        lambda x, t: cold + (second - cold) * (2 - x[:, 2] / 5),
+    ]
 
 
 def bars(run: Run, conductance: float) -> Sample:
@@ -86,61 +89,58 @@ def bars(run: Run, conductance: float) -> Sample:
 def rings(run: Run) -> Sample:
     """Temperatures of two_rings.yaml over 37 degC, relative in L2."""
     _, hot, cold = exact.two_rings(100, 37, (10, 14, 18), (CEMENT[0], BONE[0]), 0.5)
+    fields: list[HeatField] = [
+        lambda x, t: np.full(len(x), 100.0),
+        lambda x, t: 100 + (hot - 100) * np.log(_radius(x) / 10) / math.log(14 / 10),
+        lambda x, t: 37 + (cold - 37) * np.log(18 / _radius(x)) / math.log(18 / 14),
+    ]
+    return mean_square(run, fields, 37.0)
 
-    def field(x: Floats, region: Ints, t: float) -> Floats:
-        r = np.hypot(x[:, 0], x[:, 1])
-        inner = 100 + (hot - 100) * np.log(r / 10) / math.log(14 / 10)
-        outer = 37 + (cold - 37) * np.log(18 / r) / math.log(18 / 14)
-        return np.select([region == 1, region == 2], [100.0, inner], outer)
 
-    return mean_square(run, field, 37.0)
+def _radius(x: Floats) -> Floats:
+    return np.asarray(np.hypot(x[:, 0], x[:, 1]))
 
 
 def slab(run: Run) -> Sample:
     """Temperatures of perfused_slab.yaml over 20 degC, relative in L2."""
     law = exact.Slab(10.0, 0.5, 0.02, 37.0, 0.1, 0.6, 0.05, 20.0)
-    return mean_square(run, lambda x, region, t: law.temperature(x[:, 2]), 20.0)
+    return mean_square(run, [lambda x, t: law.temperature(x[:, 2])], 20.0)
 
 
 def in_fibre(run: Run) -> Sample:
     """Temperature of fibre_heat.yaml over 310 K, relative in L2."""
     zero = 310 - KELVIN
-    return mean_square(run, lambda x, region, t: zero + x[:, 0] ** 2 + 2 * x[:, 0] * x[:, 1], zero)
+    return mean_square(run, [lambda x, t: zero + x[:, 0] ** 2 + 2 * x[:, 0] * x[:, 1]], zero)
 
 
 def cylinder(run: Run) -> Sample:
     """Temperatures of cooling_cylinder.yaml over 37 degC, relative in L2."""
 
-    def field(x: Floats, region: Ints, t: float) -> Floats:
-        return exact.cooling_cylinder(np.hypot(x[:, 0], x[:, 1]), t, 10, CEMENT, 100, 37)
+    def field(x: Floats, t: float) -> Floats:
+        return exact.cooling_cylinder(_radius(x), t, 10, CEMENT, 100, 37)
 
-    return mean_square(run, field, 37.0, (0, 60, 100, 300))
+    return mean_square(run, [field], 37.0, (0, 60, 100, 300))
 
 
 def half_spaces(run: Run, conductance: float) -> Sample:
     """Temperatures of half_spaces.yaml over 63 K."""
     law = exact.HalfSpaces(CEMENT, BONE, (100, 37), conductance)
-
-    def field(x: Floats, region: Ints, t: float) -> Floats:
-        first, second = (law.temperature(x[:, 2] - 8, t, in_first) for in_first in (True, False))
-        return np.where(region == 1, first, second)
-
-    return temperatures(run, field, 63.0, (0, 10))
+    fields: list[HeatField] = [
+        lambda x, t: law.temperature(x[:, 2] - 8, t, True),
+        lambda x, t: law.temperature(x[:, 2] - 8, t, False),
+    ]
+    return temperatures(run, fields, 63.0, (0, 10))
 
 
 def rubbed(run: Run, share: float) -> Sample:
     """Temperatures of rubbing.yaml over the rise of the hotter surface; share of the cement."""
-
-    def rises(x: Floats, t: float) -> list[Floats]:
-        sides = ((CEMENT, share), (BONE, 1 - share))
-        return [exact.heated_half_space(x, t, 75 * part, material) for material, part in sides]
-
-    def field(x: Floats, region: Ints, t: float) -> Floats:
-        cement, bone = rises(x[:, 2] - 8, t)
-        return 37 + np.where(region == 1, cement, bone)
-
-    most = float(np.max(rises(np.zeros(1), 10)))
-    return temperatures(run, field, most, (0, 0, 10), since=2.5)
+    fields: list[HeatField] = [
+        lambda x, t: 37 + exact.heated_half_space(x[:, 2] - 8, t, 75 * share, CEMENT),
+        lambda x, t: 37 + exact.heated_half_space(x[:, 2] - 8, t, 75 * (1 - share), BONE),
+    ]
+    surface = np.array([[0.0, 0.0, 8.0]])
+    most = float(np.max([field(surface, 10) for field in fields])) - 37
+    return temperatures(run, fields, most, (0, 0, 10), since=2.4)
 
 
 def rubbing_heat(run: Run) -> Sample:
@@ -229,21 +229,16 @@ WAVY = coupled.WavyContact()
 
 def wavy_temperature(run: Run) -> Sample:
     """Temperature of wavy_contact.yaml over 37 degC, relative in L2."""
-
-    def field(x: Floats, region: Ints, t: float) -> Floats:
-        return np.where(region == 1, WAVY.temperature(x, False), WAVY.temperature(x, True))
-
-    return mean_square(run, field, 37.0)
+    fields: list[HeatField] = [
+        lambda x, t: WAVY.temperature(x, False),
+        lambda x, t: WAVY.temperature(x, True),
+    ]
+    return mean_square(run, fields, 37.0)
 
 
 def wavy_displacement(run: Run) -> Sample:
     """Displacement of wavy_contact.yaml, relative in L2."""
-
-    def field(x: Floats, region: Ints) -> Floats:
-        below, above = WAVY.displacement(x, upper=False), WAVY.displacement(x, upper=True)
-        return np.where((region == 1)[:, None], below, above)
-
-    return in_l2(run, field)
+    return in_l2(run, [lambda x: WAVY.displacement(x, False), lambda x: WAVY.displacement(x, True)])
 
 
 def endured(run: Run, low: float, high: float) -> Sample:

@@ -10,7 +10,7 @@ from app.verification import closed_forms_heat as exact
 from app.verification import heat_measures as measures
 from app.verification.check import Check, CheckRun, Measure, each, ladder, problem
 from app.verification.heat_measures import BONE, CEMENT
-from app.verification.measures import number
+from app.verification.measures import SLICE, number
 
 KINETICS = (2.6397e8, 62866.0)
 PMMA = exact.ExactKinetics(*KINETICS, 0.98, 1.064)
@@ -21,10 +21,6 @@ def heat_problems() -> list[Check]:
     """All thermal problems."""
     kinds = (_steady, _transient, _rubbing, _setting, _expanding, _stiff, _stiff_contact)
     return [check for kind in kinds for check in kind()]
-
-
-# A slice of cylinders as long as its cells, a mesh of one size.
-_SLICE = ("geometry.length={} mm", "mesh.size={} mm", "mesh.far_size={} mm")
 
 
 def _steady() -> Iterator[Check]:
@@ -39,7 +35,7 @@ def _steady() -> Iterator[Check]:
     )
     what = "temperatures of two rings, relative in L2"
     sizes: tuple[float, ...] = (1, 0.5, 0.35, 0.25)
-    yield ladder("heat_rings", what, "two_rings", measures.rings, 1e-4, _SLICE, sizes)
+    yield ladder("heat_rings", what, "two_rings", measures.rings, 1e-4, SLICE, sizes)
     what = "temperatures of a perfused slab, relative in L2"
     yield problem("heat_slab", what, "perfused_slab", measures.slab, 1e-3)
     what = "temperatures with a fibre in any direction, relative in L2"
@@ -50,7 +46,7 @@ def _steady() -> Iterator[Check]:
 def _transient() -> Iterator[Check]:
     what, case = "temperatures of a cooling cylinder, relative in L2", "cooling_cylinder"
     sizes = (2, 1, 0.5, 0.3)
-    yield ladder("heat_cylinder", what, case, measures.cylinder, 0.005, _SLICE, sizes)
+    yield ladder("heat_cylinder", what, case, measures.cylinder, 0.005, SLICE, sizes)
     what = "temperatures of two half-spaces in contact, over their range"
     for name, h in (("perfect", math.inf), ("resistance", 1.0)):
         text = "perfect" if math.isinf(h) else f"{1e3 * h} W/(m^2 K)"
@@ -125,7 +121,7 @@ def _setting() -> Iterator[Check]:
 def _expanding() -> Iterator[Check]:
     what = "mean pressure of a hot stem in a cooled ring [MPa], relative"
     sizes = (1.2, 0.6, 0.3, 0.2)
-    yield ladder("hot_fit", what, "hot_fit", measures.hot_fit, 0.005, _SLICE, sizes)
+    yield ladder("hot_fit", what, "hot_fit", measures.hot_fit, 0.005, SLICE, sizes)
     what = "stresses of a mantle cooled between stem and bone [MPa], over the largest"
     stress = partial(measures.layers_stress, joined=(True, True))
     yield problem("layers_bonded", what, "cooled_layers", stress, 0.01)
@@ -147,7 +143,7 @@ def _expanding() -> Iterator[Check]:
     }
     for name, measure in fields.items():
         what = f"{name} of a manufactured contact, conductance by pressure, relative in L2"
-        yield ladder(f"wavy_{name}", what, "wavy_contact", measure, 0.005, _SLICE[1:], sizes)
+        yield ladder(f"wavy_{name}", what, "wavy_contact", measure, 0.005, SLICE[1:], sizes)
 
 
 def _cure(energy: float = 62866.0, heat: float = 1.55e8, initial: float = 1e-3) -> tuple[str, str]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from app.arrays import Floats, Ints
+from app.arrays import Bools, Field, Floats, Ints
 from app.case import quantities
 from app.results.reading import Run
 from app.verification import closed_forms as exact
@@ -18,6 +18,8 @@ from app.verification.check import Sample
 # Materials of the cases (MPa, -).
 CEMENT, TITANIUM = (2200.0, 0.3), (110e3, 0.3)
 BONE = exact.Fibrous(E_l=17000, E_t=11500, nu_l=0.31, nu_t=0.51, mu_l=3280)
+# A slice of cylinders as long as its cells, on a mesh of one size.
+SLICE = ("geometry.length={} mm", "mesh.size={} mm", "mesh.far_size={} mm")
 WOOD = exact.Fibrous(E_l=12e3, E_t=2e3, nu_l=0.4, nu_t=0.3, mu_l=1e3)
 
 
@@ -26,9 +28,14 @@ def relative(value: float, reference: float) -> Sample:
     return Sample(abs(value / reference - 1), value, reference)
 
 
-def in_l2(run: Run, field: Callable[[Floats, Ints], Floats]) -> Sample:
-    """Displacement against an exact field, relative in L2."""
-    error, norm, reference = run.norms(field)
+def by_region(region: Ints, values: Sequence[NDArray[np.floating]]) -> Floats:
+    """Of the values (n, k) for each region those of each point (n, k); the last for all others."""
+    return np.asarray(np.choose(np.minimum(region, len(values))[:, None] - 1, values))
+
+
+def in_l2(run: Run, fields: Sequence[Field]) -> Sample:
+    """Displacement against exact fields, one for each region, relative in L2."""
+    error, norm, reference = run.norms(lambda x, region: by_region(region, [u(x) for u in fields]))
     return Sample(error / reference, norm, reference)
 
 
@@ -40,11 +47,6 @@ def patch_stress(run: Run, fibre: Sequence[float]) -> Sample:
     cell, i, j = np.unravel_index(int(np.argmax(off)), off.shape)
     error = float(off.max() / np.abs(σ).max())
     return Sample(error, float(run.stress()[cell, i, j]), float(σ[i, j]))
-
-
-def ring_of_fibres(run: Run, ring: exact.FibreRing) -> Sample:
-    """Displacement of fibre_ring.yaml."""
-    return in_l2(run, lambda x, region: ring.displacement(x))
 
 
 def strains(run: Run, along_axes: Floats) -> Sample:
@@ -62,31 +64,14 @@ def number(run: Run, name: str, reference: float) -> Sample:
     return relative(math.nan if value is None else value, reference)
 
 
-def oval_displacement(run: Run, fit: exact.OvalFit) -> Sample:
-    """Displacement of a press fit of varying interference."""
-
-    def field(x: Floats, region: Ints) -> Floats:
-        core = fit.displacement(x, in_core=True)
-        return np.where((region == 1)[:, None], core, fit.displacement(x, in_core=False))
-
-    return in_l2(run, field)
-
-
 def oval_pressure(run: Run, fit: exact.OvalFit) -> Sample:
     """Pressure at the contact points of the same press fit, relative in L2 [MPa]."""
-    w = run.areas("stem_cement")
-    w = w / w.sum()
+    area = run.areas("stem_cement")
     p, should = run.at_interface("stem_cement", "pressure"), fit.pressure(run.points)
-
-    def norm(values: Floats) -> float:
-        return float(np.sqrt((w * values**2).sum()))
-
-    return Sample(norm(p - should) / norm(should), norm(p), norm(should))
-
-
-def sine(run: Run) -> Sample:
-    """Displacement of the manufactured solution."""
-    return in_l2(run, lambda x, region: exact.sine(x, 0.01, 2.0))
+    error, norm, reference = (
+        float(np.sqrt(np.average(values**2, weights=area))) for values in (p - should, p, should)
+    )
+    return Sample(error / reference, norm, reference)
 
 
 def contact_width(run: Run, reference: float, axes: int, size: float) -> Sample:
@@ -94,8 +79,12 @@ def contact_width(run: Run, reference: float, axes: int, size: float) -> Sample:
 
     The error is in cells.
     """
-    touching = run.on_interface("contact") & (run.at_interface("contact", "pressure") > 0)
-    value = float(np.linalg.norm(run.points[touching, :axes], axis=1).max(initial=0.0))
+    return _width(run, run.at_interface("contact", "pressure") > 0, reference, axes, size)
+
+
+def _width(run: Run, wanted: Bools, reference: float, axes: int, size: float) -> Sample:
+    points = run.points[run.on_interface("contact") & wanted, :axes]
+    value = float(np.linalg.norm(points, axis=1).max(initial=0.0))
     return Sample(abs(value - reference) / size, value, reference)
 
 
@@ -111,9 +100,7 @@ def stick_width(run: Run, size: float) -> Sample:
     shear, _, pressure = np.abs(run.summary["interfaces"]["contact"]["force"]) / thickness
     a = exact.hertz_line(pressure, 10.0, exact.contact_modulus(CEMENT, CEMENT)).a
     reference = exact.stick_half_width(a, shear, pressure, friction)
-    sticking = run.on_interface("contact") & (run.at_interface("contact", "status") == 1)
-    value = float(np.abs(run.points[sticking, 0]).max(initial=0.0))
-    return Sample(abs(value - reference) / size, value, reference)
+    return _width(run, run.at_interface("contact", "status") == 1, reference, 1, size)
 
 
 def step_at(run: Run, time: float) -> int:

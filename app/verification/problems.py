@@ -13,7 +13,7 @@ from app.verification import closed_forms as exact
 from app.verification import measures
 from app.verification.check import Check, each, ladder, problem
 from app.verification.heat_problems import heat_problems
-from app.verification.measures import BONE, CEMENT, TITANIUM
+from app.verification.measures import BONE, CEMENT, SLICE, TITANIUM
 
 # Some of each kind, each some seconds.
 QUICK = {
@@ -57,13 +57,14 @@ def _homogeneous() -> Iterator[Check]:
 
 def _sines() -> Iterator[Check]:
     what = "displacement of a manufactured solution, relative in L2"
+    sine = partial(measures.in_l2, fields=[partial(exact.sine, amplitude=0.01, side=2.0)])
     for order, sizes, tolerance in (
         (1, (1 / 4, 1 / 6, 1 / 8, 1 / 10, 1 / 16), 0.05),
         (2, (1 / 2, 1 / 3, 1 / 4, 1 / 6), 0.005),
     ):
         own = (f"mesh.order={order}", "mesh.size={!r} mm")
         name = f"sine_p{order}"
-        yield ladder(name, what, "sine", measures.sine, tolerance, own, sizes, order + 1.0)
+        yield ladder(name, what, "sine", sine, tolerance, own, sizes, order + 1.0)
 
 
 def _fibre_rings() -> Iterator[Check]:
@@ -73,15 +74,13 @@ def _fibre_rings() -> Iterator[Check]:
             f"fibre_ring_{lay}",
             f"displacement of a pressed ring of {lay} fibres, relative in L2",
             "fibre_ring",
-            partial(measures.ring_of_fibres, ring=ring),
+            partial(measures.in_l2, fields=[ring.displacement]),
             0.01,
             (f"regions.ring.fibre.kind={lay}", "mesh.size={} mm"),
             (1, 0.5, 0.35, 0.25),
         )
 
 
-# The slices of cylinders are as long as their cells.
-SLICE = ("geometry.length={} mm", "mesh.size={} mm", "mesh.far_size={} mm")
 _RUNGS = (1.6, 0.8, 0.4, 0.25)
 
 
@@ -114,15 +113,16 @@ def _press_fits() -> Iterator[Check]:
 
 def _oval_fits() -> Iterator[Check]:
     fit = exact.OvalFit(7, 12, TITANIUM, CEMENT, 0.01, 0.003)
+    fields = [partial(fit.displacement, in_core=core) for core in (True, False)]
     what = "displacement of a press fit of varying interference, relative in L2"
     for name, options, tolerance in (
         ("p1", ("mesh.order=1",), 0.05),
         ("p2", ("mesh.order=2", "mesh.curved=false"), 0.01),
         ("p2_curved", ("mesh.order=2", "mesh.curved=true"), 0.01),
     ):
-        moved = partial(measures.oval_displacement, fit=fit)
         own = (*options, *SLICE)
         # The jump is of first order in space whatever the displacement: order 2 for all.
+        moved = partial(measures.in_l2, fields=fields)
         rungs = ladder(f"oval_fit_{name}", what, "oval_fit", moved, 0.005, own, _RUNGS)
         yield rungs
         judge = each(partial(measures.oval_pressure, fit=fit))

@@ -19,22 +19,10 @@ from app.schema import yaml_file
 from app.schema.units import LONGEST_VALUE
 from app.soundness import cost, memory
 from tests import support
+from tests.meshes.test_scripts import LAYERS, script
 from tests.support import CONFIGS
 
 BLOCKS = CONFIGS / "blocks.yaml"
-SCRIPT = """\
-DefineConstant[ size = 1 ];
-SetFactory("OpenCASCADE");
-Box(1) = {0, 0, 0, 1, 1, 1};
-Physical Volume("cube") = {1};
-Physical Surface("bottom") = Surface In BoundingBox {-1, -1, -0.1, 2, 2, 0.1};
-"""
-CASE = """\
-geometry: {kind: file, path: script.geo}
-mesh: {size: 0.5 mm}
-regions: {cube: {youngs_modulus: 1 GPa, poisson_ratio: 0.3, tissue: other}}
-supports: {base: {kind: fixed, boundary: bottom}}
-"""
 
 
 # All that mesh a case, or say what that would be.
@@ -166,13 +154,6 @@ def test_memory_is_what_the_group_of_the_process_may_use(
 # --------------------------------------------------------------------------------- scripts
 
 
-def scripted(folder: Path, script: str) -> Path:
-    (folder / "script.geo").write_text(script)
-    path = folder / "case.yaml"
-    path.write_text(CASE)
-    return path
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_scripts_are_run_only_where_that_is_allowed(
     command: str,
@@ -182,21 +163,21 @@ def test_scripts_are_run_only_where_that_is_allowed(
 ) -> None:
     """No list of words tells what is harmless: in single quotes gmsh runs another script too."""
     monkeypatch.chdir(tmp_path)
-    scripted(tmp_path, f"{SCRIPT}Merge 'other.geo';\n")
+    script(tmp_path, f"{LAYERS}Merge 'other.geo';\n")
     Path("other.geo").write_text('SystemCall "touch PWNED";\n')
     study = CONFIGS / "studies" / "errors_hertz_line.yaml"
     Path("study.yaml").write_text(re.sub("base: .*", "base: case.yaml", study.read_text()))
     Path("sweep.yaml").write_text("base: case.yaml\ngrid: {mesh.size: [0.5 mm]}\n")
     assert main(command.split()) == 2
     said = capsys.readouterr().err
-    assert "case.yaml:1:24: geometry.path: 'script.geo': a gmsh script is a program" in said
+    assert "case.yaml:1:24: geometry.path: 'a.geo': a gmsh script is a program" in said
     assert "--allow-scripts" in said
     assert not Path("PWNED").exists()
 
 
 def test_a_script_that_is_trusted_is_run(tmp_path: Path) -> None:
     """By a case of a sweep: what is allowed on the command line holds for all that it starts."""
-    scripted(tmp_path, SCRIPT)
+    script(tmp_path, LAYERS)
     (tmp_path / "sweep.yaml").write_text(
         "base: case.yaml\nset: {output.fields: false}\ngrid: {mesh.size: [0.5 mm]}\n"
     )
@@ -209,7 +190,7 @@ def test_scripts_of_mantle_itself_are_run(tmp_path: Path) -> None:
     """By their place: a link to another is none of them."""
     case = CONFIGS / "verification" / "cook.yaml"
     assert load(case).config.geometry.region_names
-    scripted(tmp_path, SCRIPT)
+    script(tmp_path, LAYERS)
     copy = tmp_path / "configs" / "verification"
     copy.mkdir(parents=True)
     for name in ("cook.yaml", "cook.geo"):
@@ -220,9 +201,9 @@ def test_scripts_of_mantle_itself_are_run(tmp_path: Path) -> None:
 def test_options_beside_a_mesh_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """gmsh would run them: it never sees them."""
     monkeypatch.setenv(ALLOWED, "1")
-    path = scripted(tmp_path, SCRIPT)
-    (tmp_path / "script.geo.opt").write_text('Error("the options were run");')
-    case = load(path).config
+    script(tmp_path, LAYERS)
+    (tmp_path / "a.geo.opt").write_text('Error("the options were run");')
+    case = load(tmp_path / "case.yaml").config
     assert len(meshes.build(case.geometry, case.mesh).cells)
 
 
@@ -230,8 +211,9 @@ def test_a_script_is_not_meshed_by_the_nanometre(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(ALLOWED, "1")
-    case = load(scripted(tmp_path, SCRIPT), ["mesh.size=1 nm"]).config
-    with pytest.raises(GeometryError, match=r"mesh\.size: 1e-06 mm: .* 2e\+06 cells long"):
+    script(tmp_path, LAYERS)
+    case = load(tmp_path / "case.yaml", ["mesh.size=1 nm"]).config
+    with pytest.raises(GeometryError, match=r"mesh\.size: 1e-06 mm: .* 5e\+06 cells long"):
         meshes.build(case.geometry, case.mesh, None)
 
 

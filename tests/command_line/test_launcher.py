@@ -272,6 +272,9 @@ def test_a_tree_is_made_again_if_it_is_older_than_asked(tmp_path: Path) -> None:
     os.utime(tree / "etc/mantle-tree", (1e9, 1e9))
     tree, _ = made(tmp_path, EMPTY_TREE, "--update", "yesterday")
     assert set_ups(tmp_path) == 2 and not (tree / "first").exists()
+    assert "slurm-wlm" not in (tree / "etc/mantle-tree").read_text().split()
+    tree, _ = made(tmp_path, EMPTY_TREE, "--all")
+    assert "slurm-wlm" in (tree / "etc/mantle-tree").read_text().split()
 
 
 def test_a_container_client_without_an_engine_is_not_enough(tmp_path: Path) -> None:

@@ -22,10 +22,10 @@ from scipy.interpolate import CubicHermiteSpline
 from app.arrays import Floats
 from app.heat.curing import (
     UNREACTED,
-    FreeStrain,
     Kinetics,
     admissible,
     as_temperature,
+    free_strain,
     kinetics_of,
 )
 from app.laws.cure import Autocatalytic, Prescribed
@@ -424,22 +424,22 @@ def test_clock_that_jumps_is_met_in_equal_steps(method: Method, begin: float, dt
 # Strains
 
 
-def free_strain(states: Sequence[tuple[float, float]]) -> float:
+def strain_along(states: Sequence[tuple[float, float]]) -> float:
     """Strain of a path of (degree, temperature)."""
-    law = FreeStrain(MPI.COMM_SELF, CEMENT, 80e-6, 1)
+    law = free_strain(MPI.COMM_SELF, CEMENT, 80e-6, 1)
     total = 0.0
     for (a0, T0), (a1, T1) in pairwise(states):
-        total += law.increment(*(np.array([v]) for v in (a0, T0, a1, T1)))[0]
+        total += law(a_old=a0, T_old=T0, a=a1, T=T1)[0][0]
     return total
 
 
 def test_strain_counts_from_gelation() -> None:
-    assert free_strain([(0.1, 310.0), (0.85, 390.0)]) == 0
+    assert strain_along([(0.1, 310.0), (0.85, 390.0)]) == 0
     # Cured: what cooling makes; half shrunk: half the shrinkage.
-    assert free_strain([(1.0, 390.0), (1.0, 310.0)]) == pytest.approx(-80 * 80e-6)
-    assert free_strain([(0.85, 350.0), (0.925, 350.0)]) == pytest.approx(-0.02 / 3 / 2)
+    assert strain_along([(1.0, 390.0), (1.0, 310.0)]) == pytest.approx(-80 * 80e-6)
+    assert strain_along([(0.85, 350.0), (0.925, 350.0)]) == pytest.approx(-0.02 / 3 / 2)
     # A third of this step lies past gelation.
-    assert free_strain([(0.55, 310.0), (1.0, 355.0)]) == pytest.approx(80e-6 * 15 - 0.02 / 3)
+    assert strain_along([(0.55, 310.0), (1.0, 355.0)]) == pytest.approx(80e-6 * 15 - 0.02 / 3)
 
 
 def test_strain_does_not_depend_on_the_steps_of_a_straight_path() -> None:
@@ -448,7 +448,7 @@ def test_strain_does_not_depend_on_the_steps_of_a_straight_path() -> None:
         path = list(
             zip(np.linspace(0.2, 1, parts + 1), np.linspace(315, 375, parts + 1), strict=True)
         )
-        assert free_strain(path) == pytest.approx(free_strain(whole), rel=1e-12)
+        assert strain_along(path) == pytest.approx(strain_along(whole), rel=1e-12)
 
 
 def test_errors_count_as_the_heat_they_stand_for() -> None:

@@ -15,17 +15,18 @@ import pytest
 
 from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
+from app.case.run_options import TimeOptions
 from app.errors import InputError
-from app.heat.flows import flows, stored
 from app.heat.implicit_step import ImplicitStep
+from app.heat.matrices import WORTH, KeptFactors
 from app.heat.operators import HeatOperators
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import FixedTemperature, HeatCondition
 from app.laws.thermal import Thermal
-from app.numerics import remedies
-from app.numerics.integrator import METHODS, Method, State, step
+from app.numerics.integrator import METHODS
 from app.numerics.newton import Solver
 from app.scene.scene import Interface, Scene
+from app.stepping.heat_state import HeatState
 from app.system.timing import Timing
 from meshes import blocks
 from meshes.distribute import TaggedMesh, distribute
@@ -33,7 +34,6 @@ from tests import laws, support
 
 ZERO = 273.15
 PERFECT = np.inf
-SDIRK4, BACKWARD_EULER = METHODS["sdirk4"], METHODS["backward_euler"]
 
 
 @cache
@@ -56,9 +56,8 @@ def scene(
 ) -> Scene:
     """A scene without mechanics."""
     none = ((),) * 7
-    return Scene(
-        1, *none, conductors=tuple(conductors), heat=tuple(heat), thermal_contacts=tuple(contacts)
-    )
+    given = {"conductors": tuple(conductors), "heat": tuple(heat)}
+    return Scene(1, *none, **given, thermal_contacts=tuple(contacts), time=TimeOptions())
 
 
 def conductor(region: str, k: float, initial: float = 37.0, capacity: float = 2.0) -> Thermal:
@@ -80,57 +79,37 @@ def contact(h: float, name: str = "cement_bone") -> tuple[Interface, ...]:
     return (laws.interface(name, ("bone",), ("cement",), (h * 1e-3, 0.0, np.inf)),)
 
 
-class Solved:
+class Solved(HeatState):
     """A scene with its solver, at its initial state."""
 
     def __init__(self, terms: Scene, tagged: TaggedMesh, tolerance: float = 1e-11) -> None:
-        self.operators = HeatOperators(terms, tagged, Timing())
-        self.step = ImplicitStep(self.operators)
-        self.solver = Solver(self.step, tolerance, 30, "direct", {}, Timing())
-        initial = self.step.initial()
-        self.state: State = [v.array.copy() for v in initial]
-        self.n = len(initial)
-        self.state += self.step.degrees(initial)
-        for v, values in zip(self.x, initial, strict=True):
-            values.copy(v)
-        self.stages: list[dict[str, float]] = []
+        heat = ImplicitStep(HeatOperators(terms, tagged, Timing()))
+        super().__init__(terms, heat, Solver(heat, tolerance, 30, "direct", {}, Timing()), None)
 
     @property
     def x(self) -> list[PETSc.Vec]:
         return self.solver.blocks()
 
-    def solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
-        """One implicit solve."""
-        if not self.step.begin(start[: self.n], start[self.n :], h, seconds):
-            return None
-        for v, values in zip(self.x, guess, strict=False):
-            v.array[:] = values
-        if not remedies.solve(self.solver).converged:
-            return None
-        self.stages.append(flows(self.step, self.x))
-        return [v.array.copy() for v in self.x] + self.step.degrees(self.x)
+    @property
+    def flows(self) -> dict[str, float]:
+        """Heat that enters at the end of the last solve."""
+        return self._stages[-1]
 
     def steady(self) -> Solved:
         """Go to the steady state."""
-        found = self.solve(self.state, np.inf, 0.0, self.state)
-        assert found is not None
-        self.state = found
+        assert self.solve_steady() is not None
         return self
 
-    def advance(self, dt: float, seconds: float, method: Method = SDIRK4) -> float:
-        """A time step that ends at a time; heat that came in, by the integrator's sum [N mm]."""
-        self.stages = []
-        slope = [np.zeros_like(part) for part in self.state]
-        found = step(method, self.state, slope, dt, seconds - dt, self.solve)
+    def advance(self, dt: float, method: str = "sdirk4") -> float:
+        """A time step; heat that came in, by the integrator's sum [N mm]."""
+        self.method = METHODS[method]
+        found = self.attempt(dt)
         assert found is not None
-        self.state = found.state
-        return dt * sum(
-            b * sum(flows.values()) for b, flows in zip(method.a[-1], self.stages, strict=True)
-        )
+        return sum(self.accept(*found, dt).heats.values())
 
     @property
     def stored(self) -> float:
-        return stored(self.operators, self.x)
+        return self.operators.stored(self.x)
 
     def celsius(self, region: str) -> tuple[Floats, Floats]:
         """Positions (n, 3) and temperatures (n,) of the nodes of a region."""
@@ -155,8 +134,8 @@ def test_two_bars_with_resistance(h: float) -> None:
     ):
         x, T = s.celsius(region)
         assert T == pytest.approx(line(x[:, 2]), abs=1e-9)
-    assert s.stages[-1]["hot"] == pytest.approx(4 * q, rel=1e-9)
-    assert s.stages[-1]["cold"] == pytest.approx(-4 * q, rel=1e-9)
+    assert s.flows["hot"] == pytest.approx(4 * q, rel=1e-9)
+    assert s.flows["cold"] == pytest.approx(-4 * q, rel=1e-9)
     if (j := s.operators.jumps) is not None:
         # From bone, the master, to cement.
         assert j.flux(s.x[1].array)[0] == pytest.approx(-q, rel=1e-8)
@@ -183,7 +162,7 @@ def test_conduction_along_and_across_a_fibre(fibre: tuple[float, float, float]) 
     r = s.step.at(s.x).lacking[0]
     moment = r @ s.operators.forms.space.tabulate_dof_coordinates()[: s.operators.forms.owned]
     assert moment == pytest.approx(12.0 * K @ g, rel=1e-9)
-    assert sum(s.stages[-1].values()) == pytest.approx(0.0, abs=1e-9 * np.abs(K @ g).max())
+    assert sum(s.flows.values()) == pytest.approx(0.0, abs=1e-9 * np.abs(K @ g).max())
 
 
 def test_convection_in_series_with_a_bar() -> None:
@@ -198,7 +177,7 @@ def test_convection_in_series_with_a_bar() -> None:
         q = 60.0 / (6.0 / 0.4 + 1 / 0.025)
         x, T = s.celsius("bar")
         assert T == pytest.approx(80 - q * x[:, 2] / 0.4, abs=1e-8)
-        assert s.stages[-1] == pytest.approx({"hot": 4 * q, "air": -4 * q}, rel=1e-9)
+        assert s.flows == pytest.approx({"hot": 4 * q, "air": -4 * q}, rel=1e-9)
 
 
 # Given temperatures at interfaces
@@ -216,7 +195,7 @@ def test_a_region_held(h: float) -> None:
     assert s.celsius("cement")[1] == pytest.approx(100.0, abs=1e-10)
     x, T = s.celsius("bone")
     assert T == pytest.approx(37 + q * (10 - x[:, 2]) / 0.58, abs=1e-9)
-    assert s.stages[-1] == pytest.approx({"cement": 4 * q, "cold": -4 * q}, rel=1e-8)
+    assert s.flows == pytest.approx({"cement": 4 * q, "cold": -4 * q}, rel=1e-8)
 
 
 def test_both_sides_held_at_an_edge() -> None:
@@ -232,7 +211,7 @@ def test_both_sides_held_at_an_edge() -> None:
         x, T = s.celsius(region)
         assert T[x[:, 0] < 1e-9] == pytest.approx(given, abs=1e-10)
         assert 40.0 < T.mean() < 60.0
-    q = s.stages[-1]
+    q = s.flows
     assert q["warm"] > 1.0
     assert q["warm"] + q["cool"] == pytest.approx(0.0, abs=1e-10 * q["warm"])
     through = float(j.weight @ j.flux(s.x[1].array)[0])
@@ -245,7 +224,7 @@ def test_the_later_of_two_given_temperatures_holds() -> None:
     x, T = s.celsius("bar")
     both = (x[:, 0] < 1e-9) & (x[:, 2] < 1e-9)
     assert T[both] == pytest.approx(40.0)
-    assert sum(s.stages[-1].values()) == pytest.approx(0.0, abs=1e-9 * s.stages[-1]["first"])
+    assert sum(s.flows.values()) == pytest.approx(0.0, abs=1e-9 * s.flows["first"])
 
 
 def test_no_steady_state_without_anything_that_sets_a_temperature() -> None:
@@ -269,8 +248,8 @@ def test_nothing_is_lost_between_bodies(h: float, dt: float) -> None:
     reference = (100.0 + 37.0) / 2
     start = 20 * (1.752 * (100.0 - reference) + 2.52 * (37.0 - reference))
     assert s.stored == pytest.approx(start, rel=1e-11)
-    for k in range(3):
-        s.advance(dt, (k + 1) * dt)
+    for _ in range(3):
+        s.advance(dt)
         assert s.stored == pytest.approx(start, rel=1e-9)
     if h == 0.0:
         assert s.celsius("cement")[1] == pytest.approx(100.0, abs=1e-9)
@@ -280,9 +259,9 @@ def test_nothing_is_lost_between_bodies(h: float, dt: float) -> None:
         assert s.celsius("bone")[1] == pytest.approx(mixed, abs=0.1)
 
 
-@pytest.mark.parametrize("method", [SDIRK4, BACKWARD_EULER], ids=lambda m: m.name)
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("h", [300.0, PERFECT])
-def test_the_balance_closes_with_everything_at_once(h: float, method: Method) -> None:
+def test_the_balance_closes_with_everything_at_once(h: float, method: str) -> None:
     """What the conditions bring in by the sums of the integrator is what is stored."""
     course = ((0.0, 0.0), (3.0, 1.0), (8.0, 0.2))
     heat: list[HeatCondition] = [
@@ -300,29 +279,17 @@ def test_the_balance_closes_with_everything_at_once(h: float, method: Method) ->
     ]
     s = Solved(scene([CEMENT, BONE], heat, contact(h)), stack(1.0, *CEMENT_ON_BONE), 1e-10)
     before, moved = s.stored, 0.0
-    for k in range(5):
-        came = s.advance(1.5, 1.5 * (k + 1), method)
-        moved += 1.5 * max(abs(f) for flows in s.stages for f in flows.values())
+    for _ in range(5):
+        came = s.advance(1.5, method)
+        moved += 1.5 * max(abs(f) for flows in s._stages for f in flows.values())
         after = s.stored
         assert after - before == pytest.approx(came, abs=1e-9 * moved)
         before = after
     # The lamp on a side of 2 mm by 10 mm: 0.4 times the first moment of its height.
     m = np.interp(7.5, *np.array(course).T)
-    assert s.stages[-1]["lamp"] == pytest.approx(0.4 * 2 * 50 * m, rel=1e-9)
-    assert s.stages[-1]["ohmic"] == pytest.approx(0.05 * 2 * 5 * 2, rel=1e-9)
-    assert all(abs(f) > 0 for f in s.stages[-1].values())
-
-
-def test_initial_temperatures_that_meet_are_averaged_by_capacity() -> None:
-    s = Solved(scene([CEMENT, BONE]), stack(1.0, *CEMENT_ON_BONE))
-    x, T = s.celsius("bone")
-    between = T[np.abs(x[:, 2] - 5) < 1e-9]
-    assert (between > 37.0).all() and (between < 100.0).all()
-    assert T[x[:, 2] > 5 + 1e-9] == pytest.approx(37.0)
-    V = [s.operators.forms.volumes(r) for r in ("cement", "bone")]
-    shared = (V[0] > 0) & (V[1] > 0)
-    c1, c2 = 1.752 * V[0][shared], 2.52 * V[1][shared]
-    assert np.sort(between) == pytest.approx(np.sort((100 * c1 + 37 * c2) / (c1 + c2)))
+    assert s.flows["lamp"] == pytest.approx(0.4 * 2 * 50 * m, rel=1e-9)
+    assert s.flows["ohmic"] == pytest.approx(0.05 * 2 * 5 * 2, rel=1e-9)
+    assert all(abs(f) > 0 for f in s.flows.values())
 
 
 # Cure and friction
@@ -341,8 +308,8 @@ def test_heat_of_cure_is_that_of_what_cured(h: float) -> None:
     before, α = s.stored, s.state[-1].copy()
     V = s.operators.forms.volumes("cement")
     V = V[V > 0]
-    for k in range(8):
-        came = s.advance(2.0, 2.0 * (k + 1))
+    for _ in range(8):
+        came = s.advance(2.0)
         released = 155.0 * float(V @ (s.state[-1] - α))
         assert came == pytest.approx(released, rel=1e-9)
         assert s.stored - before == pytest.approx(released, rel=1e-8)
@@ -433,30 +400,16 @@ def test_temperatures_stay_between_those_of_the_data(h: float, dt: float) -> Non
     )  # fmt: skip
     terms = scene([stem, CEMENT, BONE], [fixed("outer", "bone_surface", 37.0)], contacts)
     s = Solved(terms, cylinders(), 1e-8)
-    principle = s.operators.principle
-    before, left = s.stored, False
-    for k in range(4):
-        start = s.state
-        for method in (SDIRK4, BACKWARD_EULER):
-            while True:
-                s.state = start
-                came = s.advance(dt, (k + 1) * dt, method)
-                T = s.operators.nodal(s.x)
-                if not principle.outside(T):
-                    break
-                left = True
-                if not principle.correct(T):
-                    break
-            if not principle.outside(T):
-                break
+    before = s.stored
+    for _ in range(4):
+        came = s.advance(dt)
         for region in ("stem", "cement", "bone"):
             celsius = s.celsius(region)[1]
             assert celsius.min() > 37 - 63e-9 and celsius.max() < 100 + 63e-9
         assert s.stored - before == pytest.approx(came, abs=1e-9 * abs(before))
         before = s.stored
-        principle.take_back(T)
     # On this mesh short steps do leave them unless conduction is corrected.
-    assert left == (dt <= 1.0)
+    assert (s.operators.principle.version > 0) == (dt <= 1.0)
 
 
 def test_bounds_follow_the_data() -> None:
@@ -466,10 +419,52 @@ def test_bounds_follow_the_data() -> None:
     s = Solved(scene([CEMENT, BONE], [given, warm], contact(300.0)), tagged)
     bounds = s.operators.principle
     assert (bounds.low, bounds.high) == pytest.approx((ZERO + 20.0, ZERO + 100.0))
-    s.advance(1.0, 1.0)
+    s.advance(1.0)
     assert bounds.low == pytest.approx(ZERO + 20.0) and bounds.high == np.inf
     drain = warm.named("lamp", flux=-0.1)
     s = Solved(scene([CEMENT, BONE], [given, drain], contact(300.0)), tagged)
-    s.advance(1.0, 1.0)
+    s.advance(1.0)
     bounds = s.operators.principle
     assert bounds.low == -np.inf and bounds.high == pytest.approx(ZERO + 100.0)
+
+
+# Factors of the matrix: kept while they are good, made again when they are not
+
+BOTH = pytest.mark.parametrize("h", [300.0, PERFECT], ids=["jumps", "one block"])
+
+
+def heated(h: float) -> tuple[Solved, KeptFactors]:
+    cold = [fixed("cold", "top", 20.0)]
+    s = Solved(scene([CEMENT, BONE], cold, contact(h)), stack(1.0, *CEMENT_ON_BONE))
+    principle = s.operators.principle
+    principle._heated = principle._cooled = True  # no bounds, no corrections
+    return s, s.solver.snes.getKSP().getPC().getPythonContext()
+
+
+@BOTH
+def test_equal_steps_are_factored_once_and_another_step_anew(h: float) -> None:
+    s, factors = heated(h)
+    s.advance(1.0)
+    made = factors.made
+    for _ in range(4):
+        s.advance(1.0)
+    assert factors.made == made
+    s.advance(2.0)
+    assert factors.made == made + 1
+
+
+@BOTH
+def test_old_factors_find_the_same_until_they_have_cost_as_much_as_new_ones(h: float) -> None:
+    """Steps a little longer each: less than asks for new factors at once."""
+    s, factors = heated(h)
+    other, fresh = heated(h)
+    made, solves = 0, 0
+    for k in range(12):
+        dt = 1.0 + 0.005 * k
+        s.advance(dt)
+        fresh._size = 0.0  # any change is large
+        other.advance(dt)
+        assert np.concatenate(s.state) == pytest.approx(np.concatenate(other.state), abs=1e-8)
+        made, solves = factors.made, solves + 5
+    assert 1 < made < fresh.made
+    assert made <= 2 + solves // WORTH * 2

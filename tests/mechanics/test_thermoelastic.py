@@ -158,7 +158,11 @@ def test_thermal_stiffness_is_the_change_of_the_forces() -> None:
     problem, scalars = cold.problem, cold.problem.mechanics.scalars
     f, f_q = problem.f.copy(), problem.f_q.copy()
     free = ~problem.stiffness.constraints.constrained
-    (on_u, none), (on_q, also_none) = problem.thermal_stiffness({})
+
+    def stiffness(moves: dict[str, PETSc.Mat]) -> list[list[PETSc.Mat | None]]:
+        return problem.thermal_strain.stiffness(moves, problem.stiffness, problem.contact)
+
+    (on_u, none), (on_q, also_none) = stiffness({})
     assert none is None and also_none is None and on_u is not None and on_q is not None
     T = cold.scalar(lambda x: 300 + 7 * x[0] - 3 * x[1])
     θ = on_u.createVecRight()
@@ -174,7 +178,7 @@ def test_thermal_stiffness_is_the_change_of_the_forces() -> None:
     τ, warm = B.createVecRight(), cold.scalar(300.0)
     τ.array[:] = np.linspace(1, 2, len(nodes))
     warm.x.array[nodes] += τ.array
-    (_, by_τ), (_, q_by_τ) = problem.thermal_stiffness({"cement": B})
+    (_, by_τ), (_, q_by_τ) = stiffness({"cement": B})
     for cement, bone, u, q in (
         (T, T, on_u * θ, on_q * θ),
         (warm, cold.scalar(300.0), by_τ * τ, q_by_τ * τ),

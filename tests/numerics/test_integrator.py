@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.arrays import Floats
+from app.campaigns.work_precision import fitted_order
 from app.numerics import integrator
 from app.numerics.integrator import METHODS, Controller, Method, State, start_slope, step
 
@@ -50,10 +51,6 @@ def slope_at(t: float) -> State:
     return [np.array([math.cos(t) * y[0]]), np.array([-(y[1] ** 2) / 2])]
 
 
-def fitted(steps: list[float], errors: list[float]) -> float:
-    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
-
-
 @BOTH
 def test_error_falls_with_the_order(method: Method) -> None:
     steps, errors = [], []
@@ -66,7 +63,7 @@ def test_error_falls_with_the_order(method: Method) -> None:
             y, slope = done.state, done.slope
         steps.append(dt)
         errors.append(float(np.abs(np.concatenate(y) - exact(2.0)).max()))
-    assert fitted(steps, errors) == pytest.approx(method.order, abs=0.25)
+    assert fitted_order(steps, errors) == pytest.approx(method.order, abs=0.25)
     # The slope at the end is that of the equations there.
     assert np.concatenate(slope) == pytest.approx(np.concatenate(slope_at(2.0)), abs=2 * errors[-1])
 
@@ -83,7 +80,7 @@ def test_estimate_bounds_the_error_of_a_step_and_goes_with_its_power(method: Met
         steps.append(dt)
         true.append(np.abs(np.concatenate(done.state) - exact(1.0 + dt)).max())
         estimated.append(np.abs(np.concatenate(done.error)).max())
-    assert fitted(steps, estimated) == pytest.approx(method.estimate_order, abs=0.25)
+    assert fitted_order(steps, estimated) == pytest.approx(method.estimate_order, abs=0.25)
     assert all(t < 1.5 * e for t, e in zip(true, estimated, strict=True))
 
 

@@ -46,25 +46,6 @@ def test_inverse_solves_from_any_start(options: dict[str, str]) -> None:
     assert inverse.solve(b, x, 1e-6) == 0
 
 
-def test_inverse_follows_its_matrix_and_falls_back_once() -> None:
-    A, version = laplacian(), [0]
-    inverse = Inverse(A, lambda: version[0], MULTIGRID)
-    inverse.make()
-    assert not inverse.outdated
-    A.scale(5.0)
-    version[0] = 1
-    assert inverse.outdated
-    x, b = A.createVecs()
-    b.set(1.0)
-    inverse.solve(b, x, 1e-12)
-    assert not inverse.outdated
-    assert inverse.fall_back() and not inverse.fall_back()
-    assert inverse.pc.getType() == "cholesky"
-    y = x.duplicate()
-    assert inverse.solve(b, y, 1e-12) == 1
-    np.testing.assert_allclose(y.array, x.array, rtol=1e-9)
-
-
 def test_free_directions_are_those_without_resistance() -> None:
     """Open, sticking, and slipping along x on a face normal to z with friction 0.4."""
     slip = np.array([[0.0, 0.0, 0.4], [0.0, 0.9, 0.0], [0.0, 0.0, 1.0]])

@@ -9,7 +9,7 @@ import pytest
 
 from app.errors import ConvergenceError
 from app.mechanics.predictors import take_better
-from app.numerics.condition import condition_number
+from app.numerics.krylov import condition_number
 from app.numerics.remedies import solve
 from app.numerics.system import Measure
 from meshes.distribute import TaggedMesh

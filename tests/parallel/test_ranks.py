@@ -7,7 +7,6 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -131,28 +130,11 @@ STATES = ("open_fraction", "stick_fraction", "slip_fraction")
 Summaries = dict[str, dict[str, Any]]
 
 
-@dataclass(frozen=True)
-class Compared:
-    """A case whose numbers must not depend on ranks.
-
-    Attributes:
-        text: The case, or the name of a shipped one.
-        overrides: On any number of ranks.
-        on: Further ones by number of ranks: those it runs on.
-        code: Exit code.
-        states: Whether points stick and slip by more than rounding.
-    """
-
-    text: str
-    overrides: tuple[str, ...]
-    on: dict[int, tuple[str, ...]]
-    code: int = 0
-    states: bool = True
-
-
-CASES = {
+# What must not depend on ranks: the case, or the name of a shipped one; overrides on any number of
+# ranks; further ones by number of ranks, those it runs on.
+CASES: dict[str, tuple[str, tuple[str, ...], dict[int, tuple[str, ...]]]] = {
     # The stiffness factored, or by multigrid.
-    "contact": Compared(
+    "contact": (
         STEM,
         (),
         {
@@ -161,13 +143,12 @@ CASES = {
             3: ("solver.linear=multigrid",),
         },
     ),
-    "conductance": Compared(coupled.CASE, ("stages[1].increments=2", EXACT), {1: (), 3: ()}),
-    "friction heat": Compared(coupled.CASE, (HEATING, EXACT), {1: (), 3: ()}),
-    "fibres": Compared("verification/fibre_ring.yaml", ("mesh.size=1 mm",), {1: (), 2: ()}),
-    "gruen zones": Compared("stance.yaml", (*GRUEN, EXACT, "output.fields=false"), {1: (), 2: ()}),
-    "setting": Compared(SETTING, (EXACT,), {1: (), 3: ()}),
-    "corrected": Compared(SETTING, (*SHORT, EXACT), {1: (), 3: ()}),
-    "variations": Compared(VARIATIONS, QUICKLY, {1: (), 2: ()}, code=4, states=False),
+    "conductance": (coupled.CASE, ("stages[1].increments=2", EXACT), {1: (), 3: ()}),
+    "friction heat": (coupled.CASE, (HEATING, EXACT), {1: (), 3: ()}),
+    "fibres": ("verification/fibre_ring.yaml", ("mesh.size=1 mm",), {1: (), 2: ()}),
+    "gruen zones": ("stance.yaml", (*GRUEN, EXACT, "output.fields=false"), {1: (), 2: ()}),
+    "setting": (SETTING, (EXACT,), {1: (), 3: ()}),
+    "corrected": (SETTING, (*SHORT, EXACT), {1: (), 3: ()}),
 }
 
 
@@ -185,7 +166,7 @@ def numbers(value: dict[str, Any], *path: str) -> Iterator[tuple[tuple[str, ...]
 def summaries(output: Path) -> Summaries:
     """Summaries by folder: one, or that of each variation."""
     paths = [path for path in output.glob("**/summary.json") if (path.parent / "DONE").exists()]
-    return {os.path.relpath(p.parent, output): json.loads(p.read_text()) for p in paths}
+    return {os.path.relpath(p.parent, output): support.summary(p.parent) for p in paths}
 
 
 def compare(one: Summaries, other: Summaries, ranks: int, states: bool = True) -> None:
@@ -220,17 +201,15 @@ def compare(one: Summaries, other: Summaries, ranks: int, states: bool = True) -
 
 @pytest.mark.parametrize("name", CASES)
 def test_numbers_do_not_depend_on_ranks(name: str, tmp_path: Path) -> None:
-    compared, case = CASES[name], tmp_path / "case.yaml"
-    if compared.text.endswith(".yaml"):
-        case = support.CONFIGS / compared.text
-    else:
-        case.write_text(compared.text)
+    text, overrides, on = CASES[name]
+    case = support.CONFIGS / text if text.endswith(".yaml") else tmp_path / "case.yaml"
+    if not case.exists():
+        case.write_text(text)
     found = {}
-    for ranks, more in compared.on.items():
+    for ranks, more in on.items():
         output = tmp_path / f"on-{ranks}"
-        sets = [word for o in (*compared.overrides, *more) for word in ("--set", o)]
-        command = ("-m", "mantle", "run", case, "-o", output, *sets)
-        support.on_ranks(ranks, *command, code=compared.code)
+        sets = support.sets(*overrides, *more)
+        support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", output, *sets)
         found[ranks] = summaries(output)
     one = found.pop(1)
     # All kinds of points occur, or the comparison says little.
@@ -238,23 +217,25 @@ def test_numbers_do_not_depend_on_ranks(name: str, tmp_path: Path) -> None:
     for q in first["interfaces"].values():
         assert name == "gruen zones" or q["open_fraction"] + q["slip_fraction"] > 0.02
     assert len(dict(numbers(first.get("gruen", {})))) > 200 or name != "gruen zones"
-    assert len(one) == (5 if name == "variations" else 1)
     for ranks, other in found.items():
-        compare(one, other, ranks, compared.states)
+        compare(one, other, ranks)
 
 
-def test_finished_variations_stay_on_two_ranks(tmp_path: Path) -> None:
-    """What failed is tried again; twice the load costs nothing."""
-    case, output = tmp_path / "case.yaml", tmp_path / "out"
+def test_variations_do_not_depend_on_ranks(tmp_path: Path) -> None:
+    """What failed is tried again, what is finished stays; twice the load costs nothing."""
+    case, output = tmp_path / "case.yaml", tmp_path / "2"
     case.write_text(VARIATIONS)
-    sets = [word for o in QUICKLY for word in ("--set", o)]
-    command = ("-m", "mantle", "run", case, "-o", output, *sets)
-    support.on_ranks(2, *command, code=4)
+    command = ("-m", "mantle", "run", case, *support.sets(*QUICKLY), "-o")
+    for ranks in (1, 2):
+        support.on_ranks(ranks, *command, tmp_path / str(ranks), code=4)
+    one, two = (summaries(tmp_path / str(ranks)) for ranks in (1, 2))
+    assert len(one) == 5
+    compare(one, two, 2, states=False)
     assert (output / "lifted" / "FAILED").exists() and not (output / "DONE").exists()
     rows = json.loads((output / "variations.json").read_text())
     assert rows[-1]["name"] == "twice" and rows[-1]["newton_iterations"] == 0
     before = {p: p.stat().st_mtime_ns for p in output.glob("*/DONE")}
-    again = support.on_ranks(2, *command, "--restart", "auto", code=4)
+    again = support.on_ranks(2, *command, output, "--restart", "auto", code=4)
     assert again.stdout.count("5 of 6 variations are finished already") == 1
     assert {p: p.stat().st_mtime_ns for p in output.glob("*/DONE")} == before
     table = json.loads((output / "variations.json").read_text())
@@ -280,12 +261,10 @@ def test_multigrid_is_as_good_on_ranks(order: int, tmp_path: Path) -> None:
     case, counts = tmp_path / "case.yaml", {}
     case.write_text(STEM)
     changes = (f"mesh.order={order}", f"mesh.size={2 * order} mm", "solver.linear=multigrid")
-    overrides = [word for change in changes for word in ("--set", change)]
     for ranks in (1, 2):
         output = tmp_path / str(ranks)
-        support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", output, *overrides)
-        solver = json.loads((output / "summary.json").read_text())["solver"]
-        counts[ranks] = solver["linear_iterations"]
+        support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", output, *support.sets(*changes))
+        counts[ranks] = support.summary(output)["solver"]["linear_iterations"]
     assert counts[2] < 1.4 * counts[1]
 
 
@@ -341,9 +320,9 @@ def test_a_turned_quarter_from_a_file_on_two_ranks(tmp_path: Path) -> None:
         f"loads.push.force={vector(ROTATION @ [0, 0, -900], ' N')}",
     ]
     case, files = restarted.whole(text, tmp_path, *overrides)
-    words = [word for o in overrides for word in ("--set", o)]
     output = tmp_path / "two"
-    support.on_ranks(2, "-m", "mantle", "run", case, "-o", output, *words, "--restart", files[0])
+    command = ("-m", "mantle", "run", case, "-o", output, *support.sets(*overrides))
+    support.on_ranks(2, *command, "--restart", files[0])
     restarted.assert_same(output, tmp_path / "whole")
 
 
@@ -354,7 +333,7 @@ def test_a_turned_quarter_from_a_file_on_two_ranks(tmp_path: Path) -> None:
 def shipped(name: str, ranks: int, way: str = "") -> Summaries:
     """Run a shipped case on ranks that have the cells that a way gives them."""
     program = ["-m", "tests.parallel.divided"] if way else ["-m", "mantle"]
-    sets = [word for o in COARSE[name] + COARSER.get(name, []) for word in ("--set", o)]
+    sets = support.sets(*COARSE[name], *COARSER.get(name, []))
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder, "out")
         done = subprocess.run(

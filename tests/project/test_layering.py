@@ -149,9 +149,10 @@ def test_every_package_is_installed_and_says_what_it_is() -> None:
         assert text and len(text.splitlines()) <= 6, name
 
 
-@all_of("app/schema")
-def test_a_case_is_read_without_the_solver_stack(path: Path) -> None:
-    assert not STACK & set(map(top, imported(path)))
+@all_of("app/schema", "meshes")
+def test_cases_are_read_and_meshed_without_the_solver(path: Path) -> None:
+    unseen = {"dolfinx", "petsc4py", "ufl"} if package_of(module(path)) == "meshes" else STACK
+    assert path.name == "distribute.py" or not unseen & set(map(top, imported(path)))
 
 
 def test_only_reports_know_the_paper() -> None:
@@ -176,13 +177,6 @@ def test_meshes_know_nothing_of_the_application(path: Path) -> None:
     """What belongs to no layer above apart: errors, arrays, files."""
     own = {m for m in imported(path) if top(m) == "app"}
     assert own <= {"app.errors", "app.arrays", "app.captured", "app.figures", "app.files"}
-
-
-@all_of("meshes")
-def test_only_distribution_needs_the_solver(path: Path) -> None:
-    if path.name == "distribute.py":
-        return
-    assert not {"dolfinx", "petsc4py", "ufl"} & set(map(top, imported(path)))
 
 
 @all_of("app")

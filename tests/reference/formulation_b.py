@@ -79,12 +79,10 @@ class State:
     Attributes:
         interfaces: State of each interface.
         displacement: For each body, vertex numbers (n,) and displacements (n, 3) [mm].
-        iterations: Newton iterations of the step.
     """
 
     interfaces: dict[str, InterfaceState]
     displacement: dict[str, tuple[Ints, Floats]]
-    iterations: int
 
 
 @dataclass(frozen=True)
@@ -126,9 +124,7 @@ class Interface:
         history: Amplitudes of the gap at the ends of the stages.
     """
 
-    def __init__(
-        self, case: Case, tagged: TaggedMesh, bodies: dict[str, Part], name: str, r_factor: float
-    ) -> None:
+    def __init__(self, case: Case, tagged: TaggedMesh, bodies: dict[str, Part], name: str) -> None:
         mesh, law = tagged.mesh, case.interfaces[name]
         assert isinstance(law, Coulomb)
         self.name, self.history = name, law.gap_history
@@ -170,28 +166,26 @@ class Interface:
         at = self.gap.function_space.tabulate_dof_coordinates()
         gap = evaluate(law.gap, at) if isinstance(law.gap, str) else law.gap
         self.full_gap: Floats = np.broadcast_to(gap, len(at))
-        r = r_factor * modulus[self.slave] / edge
+        r = 0.3 * modulus[self.slave] / edge
         self.r = fem.Constant(mesh, default_scalar_type(r))
         self.friction = fem.Constant(mesh, default_scalar_type(law.friction_coefficient))
 
 
-def solve(
-    case: Case, tagged: TaggedMesh, times: Sequence[float], r_factor: float = 0.3
-) -> list[State]:
+def solve(case: Case, tagged: TaggedMesh, times: Sequence[float]) -> list[State]:
     """Solve the case at each of the given times, one Newton solve each.
 
     Args:
         case: Isotropic bodies, each region one; contact on every interface.
         tagged: Its mesh, on one rank.
         times: Stage k runs from k to k + 1.
-        r_factor: Augmentation parameter over E_soft / mean edge.
 
     Raises:
         RuntimeError: Newton does not converge.
     """
     assert tagged.mesh.comm.size == 1 and case.mesh.order == 1
-    bodies = {name: _body(tagged, name) for name in case.regions}
-    interfaces = [Interface(case, tagged, bodies, name, r_factor) for name in case.interfaces]
+    cells = {name: tagged.cell_tags.find(tagged.regions[name]) for name in case.regions}
+    bodies = {name: _part(tagged, 3, own, name) for name, own in cells.items()}
+    interfaces = [Interface(case, tagged, bodies, name) for name in case.interfaces]
     assert len(interfaces) == len(tagged.interfaces)
     amplitudes: list[tuple[fem.Constant, tuple[float, ...] | None]] = []
     residual = _residual(case, tagged, bodies, interfaces, amplitudes)
@@ -215,13 +209,13 @@ def solve(
             clear = (i.full_gap > 0) & (i.history is None)
             i.gap.x.array[:] = np.where(clear, i.full_gap, grown)
         # The application's rule: no force in components that supports hold on both sides.
-        iterations = newton.solve(
+        newton.solve(
             [
                 *({d: v * _amplitude(h, time) for d, (v, h) in b.items()} for b in held),
                 *(dict.fromkeys(rows, 0.0) for rows in both_held),
             ]
         )
-        states.append(_state(bodies, interfaces, iterations))
+        states.append(_state(bodies, interfaces))
         for i in interfaces:
             i.old.x.array[:] = _jump(i, bodies).ravel()
     return states
@@ -258,10 +252,6 @@ def _part(tagged: TaggedMesh, dim: int, entities: NDArray[np.int32], name: str) 
     on = dof_of_node >= 0
     vertex[dof_of_node[on]] = np.asarray(mesh.geometry.input_global_indices)[on]
     return Part(fem.Function(space, name=name), to_parent, inverse, dof_of_node, vertex)
-
-
-def _body(tagged: TaggedMesh, region: str) -> Part:
-    return _part(tagged, 3, tagged.cell_tags.find(tagged.regions[region]), region)
 
 
 def _vertex_rule(tagged: TaggedMesh, entities: Sequence[NDArray[np.int32]]) -> Any:
@@ -490,8 +480,8 @@ class _Newton:
         f[fixed] = 0
         return f
 
-    def solve(self, fixed: list[dict[int, float]]) -> int:
-        """Solve with given values of some dofs of each block; returns the iterations.
+    def solve(self, fixed: list[dict[int, float]]) -> None:
+        """Solve with given values of some dofs of each block.
 
         Raises:
             RuntimeError: No convergence.
@@ -512,7 +502,7 @@ class _Newton:
             scale = max(scale, norm)
             history.append(norm)
             if norm <= TOLERANCE * scale and iteration:
-                return iteration
+                return
             self._A.zeroEntries()
             fem_petsc.assemble_matrix_block(self._A, self._J)
             self._A.assemble()
@@ -542,7 +532,7 @@ def _jump(i: Interface, bodies: dict[str, Part]) -> Floats:
     return u_s[i.dofs[1]] - u_m[i.dofs[0]]
 
 
-def _state(bodies: dict[str, Part], interfaces: list[Interface], iterations: int) -> State:
+def _state(bodies: dict[str, Part], interfaces: list[Interface]) -> State:
     result = {}
     for i in interfaces:
         jump, n = _jump(i, bodies), i.normal.x.array.reshape(-1, 3).copy()
@@ -553,4 +543,4 @@ def _state(bodies: dict[str, Part], interfaces: list[Interface], iterations: int
     displacement = {
         name: (part.vertex, part.u.x.array.reshape(-1, 3).copy()) for name, part in bodies.items()
     }
-    return State(result, displacement, iterations)
+    return State(result, displacement)

@@ -14,8 +14,8 @@ import mantle
 from app.case.quantities import TABLE
 from app.cli import main
 from app.report import curves, pictures, run_report, sentence, viewer
+from tests.support import CONFIGS, summary
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 COARSE = {"mesh.size": "4 mm", "mesh.far_size": "6 mm", "mesh.order": 1}
 
 
@@ -35,11 +35,6 @@ def page(folder: Path) -> str:
 def shown(html: str) -> str:
     """The text of a page."""
     return re.sub(r"<[^>]+>", " ", re.sub(r"<style>.*?</style>", "", html, flags=re.S))
-
-
-def summary(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
-    return found
 
 
 def changed(done: Path, folder: Path, numbers: dict[str, Any]) -> str:

@@ -16,7 +16,7 @@ from app.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.report.paper import bone_peak
 from app.report.sweep_results import SweptCase
-from app.results.stem_motion import stem_motion
+from app.results.hip import stem_motion
 from app.results.thermal_record import ThermalRecord
 from app.system.timing import Timing
 from tests import support
@@ -87,7 +87,7 @@ def test_heat_kills_bone_alone() -> None:
     tagged = two_blocks(MPI.COMM_SELF)
     forms = HeatForms(tagged, BODIES, Timing())
     play = Play(tagged, constant(60.0), constant(80.0))
-    play.record = ThermalRecord(tagged, forms, BODIES.of_region, SIDES, ("cement",), ())
+    play.record = ThermalRecord(tagged, forms, BODIES.of_region, SIDES, ("cement",), {})
     play.record.start(play.at(0.0))
     regions = play.through(60.0, 120.0)["regions"]
     assert regions["cement"]["necrosis_47C_1min_volume"] == pytest.approx(4 * 4 * 2)

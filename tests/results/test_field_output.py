@@ -129,17 +129,8 @@ def check_both(comm: MPI.Comm, path: Path) -> None:
         comm.barrier()
 
 
-def test_heat_alone(tmp_path: Path) -> None:
-    check_heat_alone(MPI.COMM_SELF, tmp_path / "fields.vtkhdf")
-
-
-def test_heat_and_mechanics(tmp_path: Path) -> None:
-    check_both(MPI.COMM_SELF, tmp_path / "fields.vtkhdf")
-
-
-@pytest.mark.parallel
-@pytest.mark.parametrize("ranks", [2, 3])
-def test_on_ranks(ranks: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("ranks", support.RANKS)
+def test_files_on_ranks(ranks: int, tmp_path: Path) -> None:
     support.on_ranks(ranks, __file__, tmp_path / "fields.vtkhdf")
 
 

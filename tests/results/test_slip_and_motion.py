@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.results.hip import stem_motion
 from app.results.percentiles import SurfaceField
-from app.results.stem_motion import stem_motion
 from app.results.stresses import Stresses
 from app.system.timing import Timing
 from tests import support

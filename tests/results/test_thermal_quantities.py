@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,14 @@ from scipy.integrate import quad
 
 from app.errors import InputError
 from app.heat.heat_forms import HeatForms
-from app.heat.nodes import ProbedPoint
+from app.heat.nodes import Probe
 from app.results import closing_lines
 from app.results.cure_record import CureRecord
 from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import Bodies, bodies_of
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
-from tests import coupled, support
+from tests import coupled, frozen, support
 
 ZERO = 273.15
 BODIES = Bodies(("bone", "cement"), {"bone": 0, "cement": 1}, np.array([-1, 0, 1]))
@@ -55,9 +55,7 @@ def stack() -> TaggedMesh:
 class Play:
     """Plays temperatures in degC, functions of place (n, 3) and time, to a record."""
 
-    def __init__(
-        self, tagged: TaggedMesh, bone: State, cement: State, probes: tuple[ProbedPoint, ...] = ()
-    ) -> None:
+    def __init__(self, tagged: TaggedMesh, bone: State, cement: State, **probes: Probe) -> None:
         forms = HeatForms(tagged, BODIES, Timing())
         self.space = forms.space
         self.states = (bone, cement)
@@ -268,12 +266,14 @@ def test_interfaces_that_conduct_report_their_flux(stack: TaggedMesh) -> None:
 
 
 def test_probes_see_their_own_region(stack: TaggedMesh) -> None:
-    probes = (
-        ProbedPoint("tip", (1.3, 2.2, 2.0), "bone"),
-        ProbedPoint("above", (1.3, 2.2, 2.0), "cement"),
-        ProbedPoint("anywhere", (0.2, 0.3, 3.3)),
+    play = Play(
+        stack,
+        falling,
+        lambda x, t: 60.0 + x[:, 0] - 2 * x[:, 1] + t,
+        tip=((1.3, 2.2, 2.0), "bone"),
+        above=((1.3, 2.2, 2.0), "cement"),
+        anywhere=((0.2, 0.3, 3.3), None),
     )
-    play = Play(stack, falling, lambda x, t: 60.0 + x[:, 0] - 2 * x[:, 1] + t, probes)
     play.through(1.0)
     row = play.record.row
     assert row["tip [degC]"] == pytest.approx(52.5)
@@ -286,10 +286,10 @@ def test_probes_in_curved_cells() -> None:
     assert tagged.mesh.geometry.dofmap.shape[1] == 10
     bodies = bodies_of(tagged, (), ())
     forms = HeatForms(tagged, bodies, Timing())
-    probes = [
-        ProbedPoint(f"p{a}", (10.999 * np.cos(a), 10.999 * np.sin(a), 3.1), "cement")
+    probes = {
+        f"p{a}": ((10.999 * np.cos(a), 10.999 * np.sin(a), 3.1), "cement")
         for a in (0.0, 0.5, 1.0, 1.5, 2.0)
-    ]
+    }
     record = ThermalRecord(tagged, forms, bodies.of_region, tagged.interfaces, ("bone",), probes)
     T = fem.Function(forms.space)
     x = forms.space.tabulate_dof_coordinates()
@@ -297,13 +297,13 @@ def test_probes_in_curved_cells() -> None:
     record.start([T])
     row = record.row
     # The cell bulges to the true radius, where linear functions take the value of its corners.
-    assert [row[f"{p.name} [degC]"] for p in probes] == pytest.approx(5 * [11.0], abs=0.02)
+    assert [row[f"{name} [degC]"] for name in probes] == pytest.approx(5 * [11.0], abs=0.02)
     assert row["cement_bone temperature_max_first [degC]"] == pytest.approx(11.0)
 
 
 def test_a_probe_outside_is_refused(stack: TaggedMesh) -> None:
     with pytest.raises(InputError, match=r"probes\.far: .* region 'bone'"):
-        Play(stack, falling, falling, (ProbedPoint("far", (1.0, 1.0, 3.0), "bone"),))
+        Play(stack, falling, falling, far=((1.0, 1.0, 3.0), "bone"))
 
 
 def logistic(t: np.ndarray | float, k: float = 6.82396e-3, seed: float = 1e-3) -> Any:
@@ -346,23 +346,14 @@ def test_ranks_agree(ranks: int, tmp_path: Path) -> None:
     for n in (1, ranks):
         out = tmp_path / f"{n}.json"
         support.on_ranks(n, __file__, out)
-        found.append(dict(flat(json.loads(out.read_text()))))
+        found.append(dict(frozen.leaves(json.loads(out.read_text()), "")))
     assert found[1] == pytest.approx(found[0], rel=1e-9, abs=1e-12)
-
-
-def flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(value, dict | list):
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, inner in items:
-            yield from flat(inner, f"{name}.{key}")
-    else:
-        yield name, value
 
 
 def main(path: str) -> None:
     comm = MPI.COMM_WORLD
-    probes = (ProbedPoint("tip", (1.3, 2.2, 2.0), "bone"), ProbedPoint("any", (0.2, 0.3, 3.3)))
-    play = Play(two_blocks(comm), wandering, wandering, probes)
+    tip, anywhere = ((1.3, 2.2, 2.0), "bone"), ((0.2, 0.3, 3.3), None)
+    play = Play(two_blocks(comm), wandering, wandering, tip=tip, any=anywhere)
     summary = play.through(*np.arange(10.0, 120.0, 10.0))
     summary["row"] = play.record.row
     summary["moved"] = play.record.moved({"bone": 2.0, "cement": 3.0})

@@ -105,7 +105,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     missing = [program for program in PROGRAMS if shutil.which(program) is None]
     if missing:
         pytest.skip(
-            f"no {', '.join(missing)} here; ./mantle test --all installs packages-optional.txt"
+            f"no {', '.join(missing)} here; ./mantle setup --all installs packages-optional.txt"
         )
     if subprocess.run([*NAMESPACES, "true"], capture_output=True).returncode:
         pytest.skip("this user may not open namespaces")

@@ -15,7 +15,7 @@ from app.case.case import Case, load
 from app.errors import InputError
 from app.laws.fibres import Circumferential, Radial
 from app.results.stresses import Stresses
-from app.simulation.model import Model, Observer
+from app.simulation.model import Model
 from app.soundness import well_posedness
 from app.system.timing import Timing
 from app.verification import closed_forms as exact
@@ -155,7 +155,7 @@ def test_heat_through_a_ring(lay: str, conductivity: float, overrides: tuple[str
     """2 π k L ΔT / log(b / a), of which the quarter; k that of the fibre only if it is radial."""
     case = support.case(HOT, f"regions.ring.thermal.fibre.kind={lay}", *overrides)
     model = Model(case, MPI.COMM_WORLD, {}, Timing(), lambda: "")
-    model.go(Observer(on_trouble=print))
+    model.go(on_trouble=print)
     flow = model.numbers(None)["thermal"]["flows"]["into"]["warm"]
     exactly = math.pi / 2 * conductivity * 0.5 * 10 / math.log(2)
     assert flow == pytest.approx(exactly, rel=3e-3)

@@ -15,7 +15,7 @@ from app.mechanics.contact import TrialState
 from app.numerics import remedies
 from app.numerics.newton import NewtonResult, Solver
 from app.simulation import coarser_case
-from app.simulation.model import Model, Observer
+from app.simulation.model import Model
 from app.stepping import coarse_start, load_steps
 from app.stepping.load_steps import LoadStep
 from app.system.timing import Timing
@@ -72,7 +72,7 @@ def go(*overrides: str) -> tuple[Model, list[LoadStep]]:
     def on_step(step: LoadStep, trial: TrialState | None) -> None:
         steps.append(step)
 
-    model.go(Observer(on_step, on_trouble=print))
+    model.go(on_step, on_trouble=print)
     return model, steps
 
 

@@ -18,7 +18,7 @@ from app.errors import InputError
 from app.mechanics.contact import TrialState
 from app.results.interface_numbers import ContactSamples
 from app.simulation import variations
-from app.simulation.model import Model, Observer
+from app.simulation.model import Model
 from app.stepping.load_steps import LoadStep
 from app.system.timing import Timing
 from tests import coupled, support
@@ -213,7 +213,7 @@ class Runs:
             if trial is not None:
                 last[:] = [ContactSamples(model.mechanics.problem, trial)]
 
-        model.go(Observer(keep, on_trouble=print))
+        model.go(keep, on_trouble=print)
         moved = model.mechanics.problem.displacements()
         return [u.x.array.copy() for u in moved], iterations, model.numbers(last[0])
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from app.arrays import Floats
+from app.case.case import Case
 from app.soundness.failure import beyond_critical, critical_friction
 from tests import support
 
@@ -133,27 +134,23 @@ def test_no_coupling_no_limit() -> None:
     assert np.isinf(critical_friction(K, np.array([[0.0, 0.0, 1.0]]))).all()
 
 
-STACK = """
-geometry:
-  kind: blocks
-  blocks:
-    - {{name: lower, size: [6 mm, 6 mm, 3 mm]}}
-    - {{name: upper, size: [6 mm, 6 mm, 3 mm]}}
-mesh: {{order: 1, size: 2 mm, far_size: 2 mm}}
-regions:
+STACK = f"""{support.TWO_BLOCKS}regions:
   lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
   upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.3}}
-interfaces:
-  lower_upper: {{kind: contact, friction_coefficient: {friction}}}
 supports:
   floor: {{kind: fixed, boundary: bottom}}
   side: {{kind: roller, boundary: x_min, axis: x}}
 """
 
 
+def stack(friction: float) -> Case:
+    law = f"{{kind: contact, friction_coefficient: {friction}}}"
+    return support.case(STACK, f"interfaces.lower_upper={law}")
+
+
 def test_it_is_told_beyond_it_and_only_there() -> None:
     def found(friction: float) -> tuple[dict[str, float], list[str]]:
-        return beyond_critical(support.assemble(support.case(STACK.format(friction=friction)))[0])
+        return beyond_critical(support.assemble(stack(friction))[0])
 
     critical, told = found(0.5)
     assert 1 < critical["lower_upper"] < 10 and not told
@@ -165,7 +162,7 @@ def test_it_is_told_beyond_it_and_only_there() -> None:
 
 def test_stiffness_of_points_is_that_of_the_jump_block() -> None:
     """A unit jump of one component meets the forces of its column."""
-    problem, solver = support.assemble(support.case(STACK.format(friction=0.5)))
+    problem, solver = support.assemble(stack(0.5))
     j = problem.contact
     u, q = solver.u_and_q(solver.x.duplicate())
     u.set(0)

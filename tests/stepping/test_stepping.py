@@ -1,14 +1,18 @@
-"""Steps that are cut back, and steps that end at kinks of a course."""
+"""Steps that are cut back or end at kinks of a course; steady states that nothing stays in."""
 
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
+import mantle
+from app.case.case import load
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.stepping import load_steps
+from app.verification.heat_measures import WALLS
 from tests import coupled, support
 
 
@@ -25,10 +29,7 @@ def test_a_step_that_is_cut_back_ends_where_its_increment_would(
         return dataclasses.replace(outcome, converged=outcome.converged and calls > 2)
 
     monkeypatch.setattr(load_steps, "solve", failing_twice)
-    steps = support.solve(
-        support.STEM,
-        "stages=[{name: push, increments: 3}]",
-    ).steps
+    steps = support.solve(support.STEM, "stages=[{name: push, increments: 3}]").steps
     assert [s.time for s in steps if s.whole] == pytest.approx([1 / 3, 2 / 3, 1])
     assert len(steps) > 3
 
@@ -65,3 +66,18 @@ def test_equal_steps_do_not_cross_kinks(monkeypatch: pytest.MonkeyPatch, method:
         assert released == pytest.approx(whole, rel=1e-12)
     (degree,) = run.model.thermal.heating.degrees().values()
     assert degree == pytest.approx(released / whole, rel=1e-12)
+
+
+@pytest.mark.parametrize(("start", "state"), [(37, 0), (50, 1), (60, 2)])
+def test_the_middle_one_of_three_states_is_told(start: float, state: int, tmp_path: Path) -> None:
+    """Heated walls (Barber, Dundurs and Comninou, 1980): open, closed, and one between them."""
+    changes = (
+        "stages=[{name: gap}, {name: rest, steady: true}]",
+        f"regions.cement.thermal.initial_temperature={start} degC",
+    )
+    case = load(support.CONFIGS / "verification" / "heated_walls.yaml", changes)
+    summary = mantle.run(case, tmp_path).summary
+    pressure = summary["interfaces"]["metal_cement"]["pressure_mean"]
+    assert pressure == pytest.approx(WALLS.states()[state].pressure, rel=1e-6, abs=1e-9)
+    notes = [n for n in summary["notes"] if "stage 'rest' is not stable" in n]
+    assert len(notes) == (state == 1)

@@ -138,14 +138,6 @@ def test_ring_of_fibres(radial: bool) -> None:
     assert ring.stress(np.array([5.0, 10.0]))[0] == pytest.approx([-10, 0])
 
 
-def test_isotropic_material_has_no_fibre() -> None:
-    E, ν = CEMENT
-    same = exact.Fibrous(E, E, ν, ν, E / (2 * (1 + ν)))
-    ε = points(2, (-1, -1, -1), (1, 1, 1))[0]
-    ε = np.outer(ε, ε)
-    np.testing.assert_allclose(same.stress(ε, (1, 2, 3)), same.stress(ε, (0, 0, 1)), rtol=1e-12)
-
-
 def test_oval_fit_satisfies_its_equations() -> None:
     """Equilibrium in both bodies, free outer surface, equal tractions and the jump on r = b."""
     fit = exact.OvalFit(7, 12, STEM, CEMENT, 0.01, 0.003)

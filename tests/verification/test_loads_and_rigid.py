@@ -11,6 +11,7 @@ import pytest
 from app.case.case import load
 from app.errors import InputError
 from app.mechanics.constraints import _held_motions
+from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes
 from tests import support
 
@@ -21,49 +22,48 @@ CYLINDERS = (
 )
 
 
-def nodal_moment(solved: support.Solved, about: tuple[float, float, float]) -> np.ndarray:
-    """Moment of the applied nodal forces about a point [N mm]."""
-    x = solved.problem.space.tabulate_dof_coordinates()
-    forces = solved.problem.forces.applied(solved.problem.time).nodal.reshape(-1, 3)
+def nodal_moment(problem: Problem, about: tuple[float, float, float]) -> np.ndarray:
+    """Moment of the nodal forces at the end of the first stage about a point [N mm]."""
+    x = problem.space.tabulate_dof_coordinates()
+    forces = problem.forces.applied(1.0).nodal.reshape(-1, 3)
     return np.cross(x[: len(forces)] - np.array(about), forces).sum(axis=0)
+
+
+def assembled(text: str, *overrides: str) -> Problem:
+    return support.assemble(support.case(text, *overrides))[0]
 
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_force_at_a_point_has_its_resultant_and_moment(order: int) -> None:
     """A linear traction over the patch: resultant F, no moment about the point it acts through."""
     at = (40.0, 5.0, 60.0)
-    solved = support.solve(
-        CYLINDERS,
-        f"mesh.order={order}",
-        f"loads.hip.at=[{at[0]} mm, {at[1]} mm, {at[2]} mm]",
-        "interfaces={}",
-    )
+    where = f"loads.hip.at=[{at[0]} mm, {at[1]} mm, {at[2]} mm]"
+    problem = assembled(CYLINDERS, f"mesh.order={order}", where, "interfaces={}")
     force = np.array([150.0, -80.0, -900.0])
-    np.testing.assert_allclose(
-        solved.problem.forces.resultants(solved.problem.time)[0], force, rtol=1e-11
-    )
+    np.testing.assert_allclose(problem.forces.resultants(1.0)[0], force, rtol=1e-11)
     scale = np.linalg.norm(force) * np.linalg.norm(at)
-    assert np.abs(nodal_moment(solved, at)).max() < 1e-12 * scale
+    assert np.abs(nodal_moment(problem, at)).max() < 1e-12 * scale
 
 
 def test_even_force_acts_through_the_centroid() -> None:
     """Without a point the traction is uniform: no moment about the centroid of the patch."""
-    solved = support.solve(CYLINDERS, "interfaces={}")
-    moment = nodal_moment(solved, tuple(solved.problem.mechanics.patch("stem_top").centroid))
+    problem = assembled(CYLINDERS, "interfaces={}")
+    moment = nodal_moment(problem, tuple(problem.mechanics.patch("stem_top").centroid))
     assert np.abs(moment).max() < 1e-12 * 900 * 30
 
 
 def test_pressure_and_body_force_have_their_resultants() -> None:
     """p times the area, b times the volume."""
-    solved = support.solve(
+    problem = assembled(
         CYLINDERS,
         "interfaces={}",
         "loads={p: {kind: pressure, boundary: top, pressure: 2 MPa}, "
         "g: {kind: body_force, regions: [bone], density: [0 N/mm^3, 1e-3 N/mm^3, 0 N/mm^3]}}",
     )
-    pressure, weight = solved.problem.forces.resultants(solved.problem.time)
-    data = solved.tagged.mesh.geometry
-    cells = solved.tagged.cell_tags.find(solved.tagged.regions["bone"])
+    pressure, weight = problem.forces.resultants(1.0)
+    tagged = problem.tagged
+    data = tagged.mesh.geometry
+    cells = tagged.cell_tags.find(tagged.regions["bone"])
     x = data.x[data.dofmap[cells]]
     volume = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum() / 6
     np.testing.assert_allclose(weight, [0, 1e-3 * volume, 0], atol=1e-12 * volume)
@@ -95,7 +95,7 @@ loads:
     m_x = 2 * (12 * 1.5 * 0.04 - 12 * (4**4 - 2**4) / 4)
     m_y = 2 * (8 * 4.5 * 6 - 3 * 8 * 2 * 0.02)
     m_z = 2 * (8 * 3 * 56 / 3 - 8 * 9 * 2)
-    moment = nodal_moment(solved, (0.0, 0.0, 0.0))
+    moment = nodal_moment(solved.problem, (0.0, 0.0, 0.0))
     np.testing.assert_allclose(moment, [m_x, m_y, m_z], rtol=1e-12)
     assert solved.balances.max() < 1e-9
 
@@ -104,11 +104,11 @@ def test_varying_load_is_not_evaluated_outside_its_regions() -> None:
     """Finite in the bone alone, that is enough; in the stem it is told, with the key."""
     density = "density: ['log(hypot(x, y) - 10)', 0 N/mm^3, 0 N/mm^3]"
     bone = f"loads.hip={{kind: body_force, regions: [bone], {density}}}"
-    problem, _ = support.assemble(support.case(CYLINDERS, "geometry.taper=0 deg", bone))
+    problem = assembled(CYLINDERS, "geometry.taper=0 deg", bone)
     # The middle of the bone's cells is beyond 10 mm, its inner surface at 11 mm.
-    assert np.isfinite(problem.forces.resultants(problem.time)[0]).all()
+    assert np.isfinite(problem.forces.resultants(1.0)[0]).all()
     with pytest.raises(InputError, match=r"loads\.hip\.density\[0\]: .*not finite at"):
-        support.assemble(support.case(CYLINDERS, bone.replace("[bone]", "[stem]")))
+        assembled(CYLINDERS, bone.replace("[bone]", "[stem]"))
 
 
 def test_rigid_region_is_the_limit_of_a_stiff_one() -> None:
@@ -261,9 +261,9 @@ def test_loads_of_the_stance_do_not_depend_on_the_facets_of_the_mesh(size: int) 
     case = load(
         support.CONFIGS / "stance.yaml", [f"mesh.size={size} mm", "mesh.order=1", "interfaces={}"]
     ).config
-    solved = support.solve(case)
     points = {"hip": case.geometry.head_centre, **case.geometry.points}
     arms = [points[name if name == "hip" else load.boundary] for name, load in case.loads.items()]
     forces = np.array([load.force for load in case.loads.values()])
     moment = np.cross(np.array(arms), forces).sum(axis=0)
-    np.testing.assert_allclose(nodal_moment(solved, (0, 0, 0)), moment, rtol=1e-9)
+    problem, _ = support.assemble(case)
+    np.testing.assert_allclose(nodal_moment(problem, (0, 0, 0)), moment, rtol=1e-9)

@@ -83,7 +83,7 @@ forms/heat.py
 app/heat/heat_forms.py
   heat_cylinder
     capacity: += c.capacity * -> += 1.1 * c.capacity *
-app/heat/cure_heat.py
+app/heat/curing.py
   cure_heat
     heat_of_cure: c.heat * volume[dof] -> 0.9 * c.heat * volume[dof]
     sign_of_the_cure: (d.degree - a) -> (a - d.degree)

@@ -96,7 +96,7 @@ def assert_never_negative(solved: Solved) -> None:
     assert np.mean(slips) > 0.05, slips
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 @LAWS
 @pytest.mark.parametrize(
     ("text", "moved", "interfaces"),
