@@ -32,6 +32,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as replace_state
+from functools import reduce
 from itertools import combinations
 from typing import Any
 
@@ -172,9 +173,7 @@ def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[
     nothing = _Touching((), [], 0 * S, None, None, None)
     if len(normals) == 1:
         return [*states, nothing]
-    apart = ge(dot(S, normals[0]), 0)
-    for n in normals[1:]:
-        apart = And(apart, ge(dot(S, n), 0))
+    apart = reduce(And, [ge(dot(S, n), 0) for n in normals])
     last = states[-1]
     p = [max_value(value, 0) for value in last.pressures]
     radius, sticks = _friction(μ, p, last.tangential)
@@ -198,9 +197,7 @@ def _touching(
     p = [-a for a in components(S, n)]
     S_T = dS - _combine(components(dS, n), A, normals)
     radius, sticks = _friction(μ, p, S_T)
-    condition = ge(p[0], 0)
-    for value in p[1:]:
-        condition = And(condition, ge(value, 0))
+    condition = reduce(And, [ge(value, 0) for value in p])
     others = [m for k, m in enumerate(normals) if k not in A]
     if others:
         # r times the gap vector these faces leave: what was open before, plus the slip.
@@ -261,7 +258,4 @@ def _determinant(m: list[list[Any]]) -> Any:
 
 def _combine(a: Sequence[Any], faces: Sequence[int], normals: Sequence[Expr]) -> Expr:
     """The vector a_k n_k, summed over the given faces."""
-    total = 0 * normals[0]
-    for c, k in zip(a, faces, strict=True):
-        total = total + c * normals[k]
-    return total
+    return sum((c * normals[k] for c, k in zip(a, faces, strict=True)), 0 * normals[0])

@@ -1,8 +1,8 @@
 """Geometry to mesh: blocks, cylinders, a femur with or without a stem, or a gmsh file.
 
 ``build`` runs on one rank and returns plain arrays; ``meshes.distribute.distribute`` makes
-the dolfinx mesh of them, ``meshes.picture.picture`` draws them. gmsh and dolfinx are imported when
-used, so that checking a configuration needs neither.
+the dolfinx mesh of them, ``meshes.picture.picture`` draws them. gmsh, scipy and dolfinx are
+imported when used, so that checking a configuration needs none of them.
 
 For femurs gmsh makes a straight reference body (``meshes.reference_body``), whose nodes a map puts
 on surfaces that are functions of angle and section (``meshes.swept``, ``meshes.femur_surfaces``).
@@ -14,10 +14,10 @@ mesher.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Collection
 from dataclasses import replace
 from importlib import import_module
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -36,26 +36,21 @@ from meshes.data import (
     region_facets,
     region_volumes,
 )
+from meshes.imported import write as write_msh
 from meshes.pieces import coincident
 
 __all__ = ["MeshData", "build", "write_msh"]
 
 # A mantle that fills the canal divides the cancellous bone; each piece is held by the cortex.
 DIVISIBLE = frozenset({"cancellous_bone"})
-MESHERS = {
-    "blocks": "blocks",
-    "cylinders": "cylinders",
-    "femur": "femur",
-    "intact_femur": "femur_intact",
-    "file": "imported",
-}
+MESHERS = {"intact_femur": "femur_intact", "file": "imported"}  # the others as their geometry
 
 
 def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
     """Mesh a geometry, or take the mesh from the cache; the same input gives the same mesh.
 
     ``geometry`` is one of the case's geometries, told apart by ``kind``; ``mesh`` has ``size``,
-    ``far_size`` [mm] and ``curved``. Without a ``cache`` folder nothing is read or written.
+    ``far`` [mm] and ``curved``. Without a ``cache`` folder nothing is read or written.
 
     Raises:
         GeometryError: The geometry cannot be built, a boundary, interface or region is empty or
@@ -74,7 +69,9 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
 
 
 def _make(geometry: Any, mesh: Any) -> MeshData:
-    data = canonical(_generate(geometry, mesh))
+    # Imported here: a block needs no femur, and no scipy.
+    mesher = import_module(f"meshes.{MESHERS.get(geometry.kind, geometry.kind)}")
+    data = canonical(mesher.build(geometry, mesh))
     remedy = "Try another mesh.size, or other lengths in the section geometry."
     if geometry.kind == "file":
         remedy = "Repair the mesh file." if not geometry.is_script else "Try another mesh.size."
@@ -90,43 +87,24 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
             name: float(facet_areas(data.points, interface_facets(data, name)[0]).sum())
             for name in data.interfaces
         },
-        **_describe_mantle(data, geometry),
     }
-    return replace(data, notes=notes, behind=None)  # others may change the cells
-
-
-def _describe_mantle(data: MeshData, geometry: Any) -> dict[str, Any]:
     for m in geometry.mantles:
-        from meshes import mantle  # needs scipy, which blocks do not
+        from meshes import mantle
 
-        return {"mantle": mantle.describe(data, m.thickness, m.tip)}
-    return {}
-
-
-def write_msh(data: MeshData, path: Path) -> None:
-    """Write a gmsh 4.1 file with physical names; see ``meshes.imported.write``."""
-    from meshes.imported import write
-
-    write(data, path)
-
-
-def _generate(geometry: Any, mesh: Any) -> MeshData:
-    # Imported here: each needs gmsh, and a block needs no femur.
-    mesher = import_module(f"meshes.{MESHERS[geometry.kind]}")
-    data: MeshData = mesher.build(geometry, mesh)
-    return data
+        notes["mantle"] = mantle.describe(data, m.thickness, m.tip)
+    return replace(data, notes=notes, behind=None)  # others may change the cells
 
 
 def _check_parts(data: MeshData, whole: Collection[str]) -> None:
     """Require every region, boundary and interface; regions in ``whole`` must be connected."""
     missing = [
-        f"region {n}" for n, tag in data.regions.items() if not (data.cell_tags == tag).any()
-    ]
-    missing += [f"boundary {name}" for name, area in boundary_areas(data).items() if area <= 0]
-    missing += [
-        f"interface {name} (no facet between {' and '.join('/'.join(s) for s in sides)})"
-        for name, sides in data.interfaces.items()
-        if not len(interface_facets(data, name)[0])
+        *(f"region {n}" for n, tag in data.regions.items() if not (data.cell_tags == tag).any()),
+        *(f"boundary {name}" for name, area in boundary_areas(data).items() if area <= 0),
+        *(
+            f"interface {name} (no facet between {' and '.join('/'.join(s) for s in sides)})"
+            for name, sides in data.interfaces.items()
+            if not len(interface_facets(data, name)[0])
+        ),
     ]
     if missing:
         doubled = len(coincident(data.points))
@@ -134,12 +112,9 @@ def _check_parts(data: MeshData, whole: Collection[str]) -> None:
         text = "the mesh has no " + ", no ".join(missing) + hint
         raise GeometryError(f"{text} [{Reason.MISSING_PART}]")
     component = components(data.neighbours, data.cell_tags)
-    pieces = {n: len(set(component[data.cell_tags == data.regions[n]].tolist())) for n in whole}
-    if any(n > 1 for n in pieces.values()):
-        raise GeometryError(
-            "regions in several pieces: "
-            + ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1)
-        )
+    pieces = {n: len(np.unique(component[data.cell_tags == data.regions[n]])) for n in whole}
+    if broken := ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1):
+        raise GeometryError(f"regions in several pieces: {broken}")
 
 
 def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> None:
@@ -147,22 +122,17 @@ def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> No
 
     Regions in one collection of ``joined`` are one body.
     """
+    allowed = {frozenset(p) for sides in data.interfaces.values() for p in product(*sides)}
+    allowed |= {frozenset(pair) for body in joined for pair in combinations(body, 2)}
     faces, here, there = region_facets(data)
     messages = []
-    for (a, tag), (b, other) in itertools.combinations(data.regions.items(), 2):
-        declared = any(
-            (a in first and b in second) or (b in first and a in second)
-            for first, second in data.interfaces.values()
-        )
-        if declared or any(a in body and b in body for body in joined):
+    for (a, tag), (b, other) in combinations(data.regions.items(), 2):
+        between = faces[np.isin(here, (tag, other)) & np.isin(there, (tag, other))]
+        if {a, b} in allowed or not len(between):
             continue
-        between = np.isin(here, (tag, other)) & np.isin(there, (tag, other))
-        if not between.any():
-            continue
-        area = facet_areas(data.points, faces[between]).sum()
-        centres = data.points[faces[between][:, :3]].mean(axis=1)
-        nearest = np.linalg.norm(centres - centres.mean(axis=0), axis=1).argmin()
-        x, y, z = centres[nearest]
+        area = facet_areas(data.points, between).sum()
+        centres = data.points[between[:, :3]].mean(axis=1)
+        x, y, z = centres[np.linalg.norm(centres - centres.mean(axis=0), axis=1).argmin()]
         messages.append(
             f"{a} meets {b} where no interface is declared, on {area:.3g} mm2 about "
             f"({x:.1f}, {y:.1f}, {z:.1f}) mm"

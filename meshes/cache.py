@@ -42,13 +42,8 @@ def key(geometry: Any, mesh: Any) -> str:
 def _gmsh_version() -> str:
     """Version of gmsh, read from its text: importing it takes longer than reading a mesh."""
     spec = find_spec("gmsh")
-    if spec is not None and spec.origin:
-        found = re.search(r'^GMSH_API_VERSION = "(.+)"', Path(spec.origin).read_text(), re.M)
-        if found:
-            return found[1]
-    import gmsh
-
-    return str(gmsh.__version__)
+    text = Path(spec.origin).read_text() if spec and spec.origin else ""
+    return "".join(re.findall(r'^GMSH_API_VERSION = "(.+)"', text, re.M))
 
 
 # Parts of a mesh in the cache.
@@ -62,13 +57,9 @@ def load(path: Path) -> MeshData | None:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
             names = json.loads(str(stored["names"]))
             arrays = {k: stored[k] for k in ARRAYS}
-        return MeshData(
-            **arrays,
-            regions=names["regions"],
-            boundaries={k: tuple(v) for k, v in names["boundaries"].items()},
-            interfaces={k: (tuple(a), tuple(b)) for k, (a, b) in names["interfaces"].items()},
-            notes=names["notes"],
-        )
+        names["boundaries"] = {k: tuple(v) for k, v in names["boundaries"].items()}
+        names["interfaces"] = {k: (tuple(a), tuple(b)) for k, (a, b) in names["interfaces"].items()}
+        return MeshData(**arrays, **names)
     except Exception:  # of a damaged archive there is no telling which
         return None
 
@@ -88,10 +79,10 @@ def lock(path: Path) -> Iterator[None]:
 
 def store(data: MeshData, path: Path) -> None:
     """Write the mesh under another name and rename it; skipped where the folder is not writable."""
-    names = {name: dict(getattr(data, name)) for name in NAMES}
+    names = json.dumps({name: getattr(data, name) for name in NAMES})
     arrays: dict[str, Any] = {name: getattr(data, name) for name in ARRAYS}
     content = io.BytesIO()
-    np.savez(content, **arrays, names=np.array(json.dumps(names)))
+    np.savez(content, **arrays, names=np.array(names))
     try:
         files.write_bytes(path, content.getvalue(), 0o600)
     except OSError as error:

@@ -1,17 +1,28 @@
-"""Facets of contact interfaces, on every rank in the same order for any partition."""
+"""Facets of contact interfaces, and the faces that they form around contact points.
+
+Facets are on every rank in the same order for any partition. A face is facets that meet smoothly,
+with one normal and one area.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
+from app.arrays import Bools, Floats, Ints
+from meshes.data import connected
 
 if TYPE_CHECKING:
     from mpi4py import MPI
+
+FACE_ANGLE = np.deg2rad(30.0)
+MAX_FACES = 3
+# Faces are independent while the Gram determinant of their normals stays above this.
+INDEPENDENT = 0.05
 
 # Three points that integrate second-order polynomials on a triangle (barycentric, equal weights).
 QUADRATURE = np.full((3, 3), 1 / 6) + np.eye(3) / 2
@@ -25,36 +36,28 @@ class InterfaceFacets:
 
     Attributes:
         interface: Index of the interface (f,).
-        vertices: Vertex numbers of the mesh file (f, 3).
-        master: Body on the master side (f,).
-        slave: Body on the slave side (f,).
-        vertex_dofs: Global blocked dof at each vertex (f, 3).
-        edge_dofs: Global blocked dof at each edge (f, 3), edge k opposite vertex k; (f, 0) for P1.
-        x: Vertex coordinates (f, 3, 3) [mm].
+        vertices: Vertex numbers of the mesh file, rising (f, 3).
+        bodies: Bodies on the master and on the slave side (f, 2).
+        dofs: Global blocked dofs at the vertices, then at the edges opposite them (f, 3 or 6).
+        nodes: Coordinates of the vertices, then of the middles of curved edges (f, 3 or 6, 3) [mm].
         normal: Unit normal from master to slave at each vertex (f, 3, 3).
         area: Integral of the linear shape function of each vertex (f, 3) [mm2].
-        bend: Offset of the middle of each edge, opposite vertex k, from its chord (f, 3, 3) [mm];
-            (f, 0, 3) for flat facets.
         stiffness: Moduli of the master and the slave cell (f, 2) [MPa].
     """
 
     interface: Ints
     vertices: Ints
-    master: Ints
-    slave: Ints
-    vertex_dofs: Ints
-    edge_dofs: Ints
-    x: Floats
+    bodies: Ints
+    dofs: Ints
+    nodes: Floats
     normal: Floats
     area: Floats
-    bend: Floats
     stiffness: Floats
 
     @property
-    def nodes(self) -> Floats:
-        """Coordinates of the nodes (f, 3 or, where facets are curved, 6, 3) [mm]."""
-        chords = (self.x[:, [1, 2, 0]] + self.x[:, [2, 0, 1]]) / 2
-        return np.concatenate([self.x, chords[:, : self.bend.shape[1]] + self.bend], axis=1)
+    def x(self) -> Floats:
+        """Coordinates of the vertices (f, 3, 3) [mm]."""
+        return self.nodes[:, :3]
 
 
 def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
@@ -64,58 +67,37 @@ def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
 
 
 def sorted_facets(
-    comm: MPI.Comm,
     interface: Ints,
     vertices: Ints,
     bodies: Ints,
-    dofs: tuple[Ints, Ints],
-    x: Floats,
+    dofs: Ints,
+    nodes: Floats,
     inside_slave: Floats,
     stiffness: Floats,
 ) -> InterfaceFacets:
-    """Gather the facets of every rank and put them in canonical order.
+    """Put the facets of all ranks in canonical order.
 
-    Args:
-        comm: Communicator.
-        interface: Index of the interface (f,).
-        vertices: Vertex numbers of the mesh file (f, 3).
-        bodies: Bodies on the master and on the slave side (f, 2).
-        dofs: Global blocked dofs at the vertices (f, 3) and at the edges opposite them (f, 3) or
-            (f, 0).
-        x: Coordinates of the vertices (f, 3, 3), and where cells are curved of the middles of the
-            edges opposite them (f, 6, 3) [mm].
-        inside_slave: A point inside the slave cell (f, 3) [mm].
-        stiffness: Modulus of the master and of the slave cell (f, 2) [MPa].
+    Arguments are those of `InterfaceFacets` in any order of the facets and of the vertices in them,
+    and a point inside each slave cell (f, 3) [mm].
     """
-    interface, vertices, bodies, vertex_dofs, edge_dofs, x, inside_slave, stiffness = gather(
-        comm, interface, vertices, bodies, *dofs, x, inside_slave, stiffness
-    )
     # The three vertices of a facet in rising order, then the facets by interface and vertices.
     order = np.argsort(vertices, axis=1)
     vertices = np.take_along_axis(vertices, order, axis=1)
-    vertex_dofs = np.take_along_axis(vertex_dofs, order, axis=1)
-    if edge_dofs.shape[1]:
-        edge_dofs = np.take_along_axis(edge_dofs, order, axis=1)
-    both = np.concatenate([order + k for k in range(0, x.shape[1], 3)], axis=1)
-    x = np.take_along_axis(x, both[:, :, None], axis=1)
-    rows = np.lexsort((vertices[:, 2], vertices[:, 1], vertices[:, 0], interface))
-    vertices, x, inside_slave = vertices[rows], x[rows], inside_slave[rows]
+    rows = np.lexsort((*vertices.T[::-1], interface))
+    order, vertices = np.concatenate([order, order + 3], axis=1)[rows], vertices[rows]
+    dofs = np.take_along_axis(dofs[rows], order[:, : dofs.shape[1]], axis=1)
+    x = np.take_along_axis(nodes[rows], order[:, : nodes.shape[1], None], axis=1)
     flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    towards = np.sign(np.einsum("fi,fi->f", flat, inside_slave - x[:, 0]))
-    at_corners, _ = surface(x, np.eye(3))
-    chords = (x[:, [1, 2, 0]] + x[:, [2, 0, 1]]) / 2
+    towards = np.sign(np.einsum("fi,fi->f", flat, inside_slave[rows] - x[:, 0]))
     _, area = surface(x, QUADRATURE)
     return InterfaceFacets(
         interface=interface[rows],
         vertices=vertices,
-        master=bodies[rows, 0],
-        slave=bodies[rows, 1],
-        vertex_dofs=vertex_dofs[rows],
-        edge_dofs=edge_dofs[rows],
-        x=x[:, :3],
-        normal=at_corners * towards[:, None, None],
+        bodies=bodies[rows],
+        dofs=dofs,
+        nodes=x,
+        normal=surface(x, np.eye(3))[0] * towards[:, None, None],
         area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
-        bend=x[:, 3:] - chords[:, : x.shape[1] - 3],
         stiffness=stiffness[rows],
     )
 
@@ -155,3 +137,133 @@ def shape_functions(at: Floats, nodes: int) -> Floats:
         return at
     middles = 4 * at[:, [1, 2, 0]] * at[:, [2, 0, 1]]
     return np.concatenate([at * (2 * at - 1), middles], axis=1)
+
+
+def faces_around(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, Ints, Floats]:
+    """Group the facets around each of n points into faces.
+
+    ``point`` is the contact point of each facet corner, -1 where not enforced (3 f,).
+
+    Returns:
+        Normals (n, 3, 3) and number of faces (n,), total area (n,) [mm2].
+    """
+    label = _smooth_groups(facets)
+    used = point >= 0
+    groups, _, group = distinct_rows(np.stack([point[used], label[used]], axis=1))
+    corner_area, corner_normal = facets.area.ravel()[used], facets.normal.reshape(-1, 3)[used]
+    area, normal = np.zeros(len(groups)), np.zeros((len(groups), 3))
+    np.add.at(area, group, corner_area)
+    np.add.at(normal, group, corner_area[:, None] * corner_normal)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normals, faces, weight = np.zeros((n, 3, 3)), np.ones(n, dtype=np.int64), np.zeros(n)
+    owner = groups[:, 0]
+    normals[owner, 0] = normal
+    np.add.at(weight, owner, area)
+    for rows in shared(owner):
+        ns = _distinct(normal[rows], area[rows])
+        p, faces[p] = owner[rows[0]], len(ns)
+        normals[p, : len(ns)] = ns
+    return normals, faces, weight
+
+
+def _smooth_groups(facets: InterfaceFacets) -> Ints:
+    """Label facet corners (3 f,): equal where facets around a vertex join by smooth edges."""
+    f = len(facets.area)
+    local = np.array([[1, 2], [0, 2], [0, 1]])
+    edges = facets.vertices[:, local].reshape(-1, 2)
+    side = np.repeat(np.column_stack([facets.interface, facets.bodies]), 3, axis=0)
+    _, _, edge = distinct_rows(np.column_stack([side, edges]))
+    count = np.bincount(edge)
+    order = np.argsort(edge, kind="stable")
+    start = (np.cumsum(count) - count)[count == 2]
+    a, b = order[start], order[start + 1]
+    # Normals in the middle of the edge, from those at its ends.
+    ends = facets.normal[np.arange(f)[:, None, None], local].sum(axis=2).reshape(-1, 3)
+    ends /= np.linalg.norm(ends, axis=1, keepdims=True)
+    smooth = np.einsum("ei,ei->e", ends[a], ends[b]) > np.cos(FACE_ANGLE)
+    a, b = a[smooth], b[smooth]
+    # Corner numbers of the two ends of the edge in either facet (vertices are sorted: ends agree).
+    one, two = 3 * (a // 3)[:, None] + local[a % 3], 3 * (b // 3)[:, None] + local[b % 3]
+    return connected(3 * f, one.ravel(), two.ravel())
+
+
+def _distinct(normals: Floats, areas: Floats) -> Floats:
+    """At most three independent faces: the largest kept, the others merged into the nearest."""
+    order = np.lexsort((normals[:, 2], normals[:, 1], normals[:, 0], -np.round(areas, 9)))
+    ns: list[Floats] = []
+    sums: list[Floats] = []
+    for n, area in zip(normals[order], areas[order], strict=True):
+        candidate = np.array([*ns, n])
+        if len(ns) < MAX_FACES and np.linalg.det(candidate @ candidate.T) > INDEPENDENT:
+            ns.append(n)
+            sums.append(area * n)
+            continue
+        k = int(np.argmax(np.array(ns) @ n))
+        if ns[k] @ n > 0:
+            sums[k] = sums[k] + area * n
+            ns[k] = sums[k] / np.linalg.norm(sums[k])
+    return np.array(ns)
+
+
+def drop_held(normals: Floats, faces: Ints, held: Floats) -> None:
+    """Project constrained directions out of the normals, in place; empty faces are dropped.
+
+    ``held`` are projectors on the constrained directions of each point (n, 3, 3).
+    """
+    for p in np.flatnonzero(held.any(axis=(1, 2))):
+        ns = normals[p, : faces[p]] @ (np.eye(3) - held[p])
+        size = np.linalg.norm(ns, axis=1)
+        left = size > INDEPENDENT
+        normals[p], faces[p] = 0, 0
+        if left.any():
+            kept = _distinct(ns[left] / size[left, None], np.ones(left.sum()))
+            normals[p, : len(kept)], faces[p] = kept, len(kept)
+
+
+def projectors(axes: Floats, which: Bools | Floats) -> Floats:
+    """Sums (n, 3, 3) of projectors on axes, which are columns (n, 3, 3), by weights (n, 3)."""
+    return np.asarray(np.einsum("nic,nc,njc->nij", axes, which, axes))
+
+
+def distinct_rows(rows: Ints) -> tuple[Ints, Ints, Ints]:
+    """Distinct rows in rising order, index of the first of each, and inverse.
+
+    As `np.unique` with ``axis=0`` of numbers that are not negative, ten times as fast.
+    """
+    order = np.lexsort(rows.T[::-1])
+    new = np.diff(rows[order], axis=0, prepend=-1).any(axis=1)
+    number = np.empty(len(rows), dtype=np.int64)
+    number[order] = np.cumsum(new) - 1
+    return rows[order[new]], order[new], number
+
+
+def shared(vertex: Ints) -> list[Ints]:
+    """Rows of each vertex that occurs in more than one row."""
+    order = np.argsort(vertex, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(vertex[order])) + 1)
+    return [rows for rows in parts if len(rows) > 1]
+
+
+def spread_of_normals(x: Floats, normals: Floats, triangles: Sequence[Ints]) -> Floats:
+    """Covariance of facet normals about the normals of their points (n, 3, 3) [-].
+
+    A facet counts for the face of its point with the closest normal.
+
+    Args:
+        x: Points (n, 3).
+        normals: Unit normals of their faces (n, k, 3).
+        triangles: Points of the facets (f, 3), by interface.
+    """
+    total, area = np.zeros((len(x), 3, 3)), np.zeros(len(x))
+    for corners in triangles:
+        a, b, c = x[corners].transpose(1, 0, 2)
+        n = np.cross(b - a, c - a)
+        size = np.linalg.norm(n, axis=1)
+        n = n / size[:, None]
+        for corner in corners.T:
+            along = np.einsum("fki,fi->fk", normals[corner], n)
+            rows, best = np.arange(len(n)), np.abs(along).argmax(axis=1)
+            off = n * np.sign(along[rows, best])[:, None] - normals[corner, best]
+            np.add.at(total, corner, size[:, None, None] * off[:, :, None] * off[:, None, :])
+            np.add.at(area, corner, size)
+    return total / np.where(area > 0, area, 1.0)[:, None, None]

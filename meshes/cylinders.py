@@ -7,17 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import GeometryError
-from meshes.data import MeshData, exterior_facets
-from meshes.gmsh_child import extract, generate, grade, session
+from app.arrays import Floats, Ints
+from meshes.data import MeshData, assemble, exterior_facets, number
+from meshes.gmsh_child import grade, session, tetrahedra
 from meshes.quality import POOR, sicn
-from meshes.tags import assemble, number
 
-REGIONS = ("stem", "cement", "bone")
 SLICE = 2.0  # mesh sizes: shorter cylinders may be swept
 Radii = tuple[float, float, float]  # of the stem, the cement and the bone [mm]
-ANGLES = {"full": 2 * math.pi, "half": math.pi, "quarter": math.pi / 2}
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:
@@ -29,26 +25,13 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         geometry: ``stem_radius``, ``cement_thickness``, ``bone_thickness``, ``length`` [mm];
             ``taper`` [rad], the half-angle of the two cones, narrower distally, whose radii hold
             at mid height; ``sector`` full, half (y >= 0) or quarter (x, y >= 0).
-        mesh: ``size``, ``far_size`` [mm], ``curved``.
+        mesh: ``size``, ``far`` [mm], ``curved``.
 
     Raises:
-        GeometryError: A cone closes or leaves the bone, or gmsh fails.
+        GeometryError: gmsh fails.
     """
-    inner = geometry.stem_radius
-    middle = inner + geometry.cement_thickness
-    rise = math.tan(geometry.taper) * geometry.length / 2
-    if abs(rise) >= inner:
-        raise GeometryError(
-            f"geometry.taper: a half-angle of {math.degrees(geometry.taper):g} deg closes the stem"
-            f" (radius {inner:g} mm, length {geometry.length:g} mm); taper less or shorten it"
-        )
-    if abs(rise) >= geometry.bone_thickness:
-        raise GeometryError(
-            f"geometry.taper: the cement ({rise:.3g} mm wider at the end) leaves the bone"
-            f" ({geometry.bone_thickness:g} mm thick); taper less or thicken the bone"
-        )
-    radii = (inner, middle, middle + geometry.bone_thickness)
-    slope = math.tan(geometry.taper)
+    middle = geometry.stem_radius + geometry.cement_thickness
+    radii = (geometry.stem_radius, middle, middle + geometry.bone_thickness)
     points, cells, entity = _tetrahedra(geometry, mesh, radii, swept=False)
     if geometry.taper == 0 and geometry.length < SLICE * mesh.size:
         # Between two faces a cell apart the generator left a flat cell in 10 of 100 slices. Where
@@ -56,47 +39,41 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         if sicn(points, cells).min() < POOR:
             points, cells, entity = _tetrahedra(geometry, mesh, radii, swept=True)
     # Volumes are recognised by the mean position of their cells.
-    cell_tags = np.zeros(len(cells), dtype=np.int32)
+    cell_tags = np.zeros(len(cells), dtype=np.int64)
     x, y, z = points[cells[:, :4]].mean(axis=1).T
-    shell = np.searchsorted(radii[:2], np.hypot(x, y) - slope * (z - geometry.length / 2)) + 1
+    wider = math.tan(geometry.taper) * (z - geometry.length / 2)
+    shell = np.searchsorted(radii[:2], np.hypot(x, y) - wider) + 1
     for volume in np.unique(entity):
         own = entity == volume
         cell_tags[own] = np.bincount(shell[own]).argmax()
-    exterior = exterior_facets(cells)
-    boundaries = _boundaries(points, exterior[0], cell_tags[exterior[1]], geometry, radii[2])
-    interfaces = {
-        "stem_cement": (("stem",), ("cement",)),
-        "cement_bone": (("cement",), ("bone",)),
-    }
-    return assemble(points, cells, cell_tags, number(REGIONS), interfaces, boundaries, exterior)
+    regions, (facets, owner) = number(geometry.region_names), exterior_facets(cells)
+    masks = _boundaries(points[facets[:, :3]], cell_tags[owner], regions, geometry, radii[2])
+    return assemble(points, cells, cell_tags, regions, geometry.interface_sides, masks, facets)
 
 
-def _tetrahedra(geometry: Any, mesh: Any, radii: Radii, swept: bool) -> tuple[Floats, Any, Any]:
-    slope = math.tan(geometry.taper)
+def _tetrahedra(geometry: Any, mesh: Any, radii: Radii, swept: bool) -> tuple[Floats, Ints, Ints]:
+    """Nodes, cells and the volume of each cell."""
+    slope, length = math.tan(geometry.taper), geometry.length
     with session("cylinders") as gmsh:
         if swept:
-            layers = max(1, round(geometry.length / mesh.size))
-            _slice(gmsh, radii, geometry.length, geometry.sector, layers)
+            _slice(gmsh, radii, length, geometry.sector, max(1, round(length / mesh.size)))
         else:
-            rise = slope * geometry.length / 2
-            _solids(gmsh, radii, rise, geometry.length, ANGLES[geometry.sector])
-        distances = [
-            f"(sqrt(x*x+y*y)-{radius}-({slope})*(z-{geometry.length / 2}))" for radius in radii[:2]
-        ]
-        grade(gmsh, distances, mesh.size, mesh.far_size or 4 * mesh.size)
-        generate(gmsh, mesh.curved)
-        return extract(gmsh)
+            angle = 2 * math.pi * geometry.fraction
+            _solids(gmsh, radii, slope * length / 2, length, angle)
+        distances = [f"(sqrt(x*x+y*y)-{r}-({slope})*(z-{length / 2}))" for r in radii[:2]]
+        grade(gmsh, distances, mesh.size, mesh.far)
+        return tetrahedra(gmsh, mesh.curved)
 
 
 def _solids(gmsh: Any, radii: Radii, rise: float, length: float, angle: float) -> None:
     occ = gmsh.model.occ
-
-    def solid(radius: float, rise: float) -> tuple[int, int]:
-        if rise == 0:
-            return 3, occ.addCylinder(0, 0, 0, 0, 0, length, radius, angle=angle)
-        return 3, occ.addCone(0, 0, 0, 0, 0, length, radius - rise, radius + rise, angle=angle)
-
-    stem, cement, bone = solid(radii[0], rise), solid(radii[1], rise), solid(radii[2], 0.0)
+    solids = [
+        (3, occ.addCone(0, 0, 0, 0, 0, length, radius - more, radius + more, angle=angle))
+        if more
+        else (3, occ.addCylinder(0, 0, 0, 0, 0, length, radius, angle=angle))
+        for radius, more in zip(radii, (rise, rise, 0.0), strict=True)
+    ]
+    stem, cement, bone = solids
     occ.fragment([bone], [cement, stem])
     occ.synchronize()
 
@@ -119,23 +96,20 @@ def _slice(gmsh: Any, radii: Radii, length: float, sector: str, layers: int) -> 
 
 
 def _boundaries(
-    points: Floats, facets: Any, region: Any, geometry: Any, outer: float
+    x: Floats, region: Ints, regions: dict[str, int], geometry: Any, outer: float
 ) -> dict[str, Any]:
-    corners = points[facets[:, :3]]
+    """Masks over facets with corners x (n, 3, 3): ends, planes of symmetry, the outer surface."""
     near = 1e-6 * geometry.length
-
-    def plane(axis: int, at: float) -> Any:
-        return np.all(np.abs(corners[:, :, axis] - at) < near, axis=1)
-
-    bottom, top = plane(2, 0.0), plane(2, geometry.length)
+    on_x, on_y, bottom = (np.abs(x) < near).all(axis=1).T
+    top = (np.abs(x[..., 2] - geometry.length) < near).all(axis=1)
     masks: dict[str, Any] = {}
-    for name, tag in number(REGIONS).items():
+    for name, tag in regions.items():
         masks |= {f"{name}_bottom": bottom & (region == tag), f"{name}_top": top & (region == tag)}
     masks |= {"bottom": bottom, "top": top}
-    symmetry = {"full": (), "half": ("symmetry_y",), "quarter": ("symmetry_x", "symmetry_y")}
-    planes = {"symmetry_x": plane(0, 0.0), "symmetry_y": plane(1, 0.0)}
-    masks |= {name: planes[name] & ~bottom & ~top for name in symmetry[geometry.sector]}
+    planes = {"symmetry_x": on_x, "symmetry_y": on_y}
+    side = ~bottom & ~top
+    masks |= {n: on & side for n, on in planes.items() if n in geometry.boundary_names}
     masks["bone_surface"] = np.all(
-        np.abs(np.hypot(corners[..., 0], corners[..., 1]) - outer) < 1e-6 * outer, axis=1
+        np.abs(np.hypot(x[..., 0], x[..., 1]) - outer) < 1e-6 * outer, axis=1
     )
     return masks

@@ -1,30 +1,30 @@
 """The mesh as plain arrays: output of a mesher, input of the solver's mesh.
 
+A mesher works with names; dolfinx wants one integer per cell and per facet. Regions count from 1.
+A boundary is a union of *patches*, disjoint sets of facets with one tag each.
+
 Local numbering is gmsh's: a tetrahedron has its vertices 0..3, then (quadratic) the middles of the
 edges ``EDGES``; a facet has its vertices 0..2, then the middles of 01, 12, 20.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from app.arrays import Bools, Floats, Ints
 
+Tags = npt.NDArray[np.integer[Any]]
 AT_ONCE = 1 << 13  # cells, of which all intermediate numbers fit a cache
 
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3))
-FACES = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])  # outward for positive volume
-# The six nodes of each face of a quadratic tetrahedron, in the order of a quadratic facet.
-FACES_QUADRATIC = np.array(
-    [(0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 9, 7), (0, 3, 2, 7, 8, 6), (1, 2, 3, 5, 8, 9)]
-)
+# The nodes of each face of a quadratic tetrahedron as a facet's, outward for positive volume.
+FACES = np.array([(0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 9, 7), (0, 3, 2, 7, 8, 6), (1, 2, 3, 5, 8, 9)])
 
 
 @dataclass(frozen=True)
@@ -108,14 +108,12 @@ def distinct(keys: Ints) -> tuple[Ints, Ints]:
 
 def cell_faces(cells: Ints) -> Ints:
     """The faces of every cell, outward, shape (4 m, 3 or 6); face f of cell c is row 4 c + f."""
-    local = FACES if cells.shape[1] == 4 else FACES_QUADRATIC
-    return cells[:, local].reshape(-1, local.shape[1])
+    return faces_of(cells, *np.divmod(np.arange(4 * len(cells)), 4))
 
 
 def faces_of(cells: Ints, cell: Ints, face: Ints) -> Ints:
     """Nodes (k, 3 or 6) of the faces `face` (k,) of the cells `cell` (k,)."""
-    local = FACES if cells.shape[1] == 4 else FACES_QUADRATIC
-    return cells[cell[:, None], local[face]]
+    return cells[cell[:, None], FACES[face, : 3 if cells.shape[1] == 4 else 6]]
 
 
 def match_faces(cells: Ints) -> Ints:
@@ -124,7 +122,7 @@ def match_faces(cells: Ints) -> Ints:
     Raises:
         ValueError: A face belongs to more than two cells.
     """
-    a, b, c = (cells[:, corner].ravel() for corner in FACES.T)
+    a, b, c = (cells[:, corner].ravel() for corner in FACES[:, :3].T)
     low, high = np.minimum(a, b), np.maximum(a, b)
     middle = np.maximum(low, np.minimum(high, c))
     low, high = np.minimum(low, c), np.maximum(high, c)
@@ -143,12 +141,9 @@ def match_faces(cells: Ints) -> Ints:
 
 def same_triangles(a: Ints, b: Ints) -> tuple[Ints, Ints]:
     """The same number for the same triangle of either list, in any order of its corners."""
-    both = np.sort(np.concatenate([a, b]), axis=1)
-    n = int(both.max(initial=0)) + 1
-    if n**3 < 2**63:
-        label = (both[:, 0] * n + both[:, 1]) * n + both[:, 2]
-    else:
-        label = np.unique(both, axis=0, return_inverse=True)[1].ravel()
+    low, middle, high = np.sort(np.concatenate([a, b]), axis=1).T
+    n = int(high.max(initial=0)) + 1
+    label = distinct(low * n + middle)[1] * n + high
     return label[: len(a)], label[len(a) :]
 
 
@@ -186,56 +181,37 @@ def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> Ints:
 
 # Quadrature exact for the volume of a quadratic tetrahedron (cubic Jacobian, four points of
 # degree 2 would not do) and good to 1e-6 for the area of a quadratic facet.
-_TET_POINTS = np.array(
-    [[1 / 4] * 4] + [[1 / 2 if i == j else 1 / 6 for j in range(4)] for i in range(4)]
-)
+_TET_POINTS = np.vstack([np.full((1, 4), 1 / 4), np.where(np.eye(4), 1 / 2, 1 / 6)])
 _TET_WEIGHTS = np.array([-4 / 5] + [9 / 20] * 4)
 _A, _B = (6 - np.sqrt(15)) / 21, (6 + np.sqrt(15)) / 21
-_TRI_POINTS = np.array(
-    [[1 / 3] * 3]
-    + [[1 - 2 * a if i == j else a for j in range(3)] for a in (_A, _B) for i in range(3)]
+_TRI_POINTS = np.vstack(
+    [np.full((1, 3), 1 / 3), *(np.where(np.eye(3), 1 - 2 * a, a) for a in (_A, _B))]
 )
-_TRI_WEIGHTS = np.array(
-    [9 / 40] + [(155 - np.sqrt(15)) / 1200] * 3 + [(155 + np.sqrt(15)) / 1200] * 3
-)
+_TRI_WEIGHTS = np.repeat([9 / 40, *((155 + s * np.sqrt(15)) / 1200 for s in (-1, 1))], [1, 3, 3])
 
 
-def gradients(barycentric: Floats, edges: Sequence[tuple[int, int]]) -> Floats:
-    """Derivatives of quadratic shape functions by the barycentric coordinates (q, v + e, v).
+def tangents(points: Floats, nodes: Ints, at: Floats, edges: Sequence[tuple[int, int]]) -> Floats:
+    """Derivatives dx/dLk - dx/dL0, k > 0, of quadratic cells or facets; shape (m, q, k, 3).
 
-    ``barycentric`` are points (q, v), ``edges`` the e pairs of vertices with a node in the middle.
+    ``nodes`` are those of the cells (m, v + e), ``at`` barycentric points (q, v), ``edges`` the e
+    pairs of vertices with a node in the middle.
     """
-    points, vertices = barycentric.shape
-    result = np.zeros((points, vertices + len(edges), vertices))
-    for i in range(vertices):
-        result[:, i, i] = 4 * barycentric[:, i] - 1
-    for k, (i, j) in enumerate(edges):
-        result[:, vertices + k, i] = 4 * barycentric[:, j]
-        result[:, vertices + k, j] = 4 * barycentric[:, i]
-    return result
+    one, (i, j) = np.eye(at.shape[1]), np.array(edges).T
+    middles = 4 * at[:, j, None] * one[i] + 4 * at[:, i, None] * one[j]
+    d = np.concatenate([(4 * at[:, :, None] - 1) * one, middles], axis=1)
+    return np.asarray(np.einsum("qak,maj->mqkj", d[:, :, 1:] - d[:, :, :1], points[nodes]))
 
 
-def jacobians(points: Floats, cells: Ints, barycentric: Floats) -> Floats:
-    """Edge vectors (dx/dL1 - dx/dL0, ...) of each cell at each given point, shape (m, q, 3, 3)."""
-    if cells.shape[1] == 4:
-        x = points[cells]
-        edges = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
-        return np.broadcast_to(edges[:, None], (len(cells), len(barycentric), 3, 3))
-    d = gradients(barycentric, EDGES)
-    d = d[:, :, 1:] - d[:, :, :1]
-    return np.einsum("qak,maj->mqjk", d, points[cells])
-
-
-def corners(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
-    """Coordinates of each node of cells (3, k), in chunks that fit a cache."""
-    x = np.ascontiguousarray(points.T)
-    for start in range(0, max(len(cells), 1), AT_ONCE):
-        yield [x[:, nodes] for nodes in cells[start : start + AT_ONCE].T]
+def jacobians(points: Floats, cells: Ints, at: Floats) -> Floats:
+    """Edge vectors of quadratic cells at barycentric points (q, 4), as columns (m, q, 3, 3)."""
+    return tangents(points, cells, at, EDGES).swapaxes(2, 3)
 
 
 def edge_vectors(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
     """Edges from the first corner of straight cells (3, k), in chunks that fit a cache."""
-    for first, *others in corners(points, cells):
+    x = np.ascontiguousarray(points.T)
+    for start in range(0, max(len(cells), 1), AT_ONCE):
+        first, *others = (x[:, nodes] for nodes in cells[start : start + AT_ONCE].T)
         yield [other - first for other in others]
 
 
@@ -269,9 +245,7 @@ def facet_areas(points: Floats, facets: Ints) -> Floats:
     x = points[facets]
     if facets.shape[1] == 3:
         return np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
-    d = gradients(_TRI_POINTS, ((0, 1), (1, 2), (2, 0)))
-    d = d[:, :, 1:] - d[:, :, :1]
-    t = np.einsum("qak,maj->mqkj", d, x)
+    t = tangents(points, facets, _TRI_POINTS, ((0, 1), (1, 2), (2, 0)))
     return np.linalg.norm(np.cross(t[:, :, 0], t[:, :, 1]), axis=2) @ _TRI_WEIGHTS / 2
 
 
@@ -327,15 +301,50 @@ def canonical(data: MeshData) -> MeshData:
         row[by_cell] = np.arange(len(cells))
         behind = row[behind.take(by_cell, axis=0)]
     by_facet = np.lexsort((*np.sort(facets[:, :3], axis=1).T[::-1], data.facet_tags))
-    return MeshData(
+    return replace(
+        data,
         points=data.points[nodes],
         cells=cells.take(by_cell, axis=0),
         cell_tags=data.cell_tags[by_cell].astype(np.int32),
         facets=facets[by_facet],
         facet_tags=data.facet_tags[by_facet].astype(np.int32),
-        regions=data.regions,
-        boundaries=data.boundaries,
-        interfaces=data.interfaces,
-        notes=data.notes,
         behind=behind,
+    )
+
+
+def number(names: Iterable[str]) -> dict[str, int]:
+    """Tags 1, 2, ... in the order of the names."""
+    return {name: tag for tag, name in enumerate(names, start=1)}
+
+
+def assemble(
+    points: Floats,
+    cells: Ints,
+    cell_tags: Tags,
+    regions: Mapping[str, int],
+    interfaces: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]],
+    boundaries: Mapping[str, Bools],
+    facets: Ints,
+) -> MeshData:
+    """Make a mesh from boundaries that may overlap, masks over the exterior ``facets``.
+
+    Facets that belong to the same set of names form one patch, so ``bone_surface`` may contain
+    ``gluteus_medius`` and ``top`` be the union of three ends; facets without a name are left out.
+    """
+    masks = np.array([*boundaries.values()], dtype=bool).reshape(-1, len(facets))
+    patterns, inverse = np.unique(masks.T, axis=0, return_inverse=True)
+    tags = np.cumsum(patterns.any(axis=1), dtype=np.int32) * patterns.any(axis=1)
+    named = masks.any(axis=0)
+    return MeshData(
+        points=points,
+        cells=cells,
+        cell_tags=cell_tags.astype(np.int32),
+        facets=facets[named],
+        facet_tags=tags[inverse.ravel()][named],
+        regions=dict(regions),
+        boundaries={
+            name: tuple(tags[own].tolist())
+            for name, own in zip(boundaries, patterns.T, strict=True)
+        },
+        interfaces=dict(interfaces),
     )

@@ -14,9 +14,8 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from meshes import swept
-from meshes.data import MeshData, facet_areas
+from meshes.data import MeshData, assemble, facet_areas, number
 from meshes.femur_surfaces import FemurSurfaces
-from meshes.tags import assemble, number
 
 PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
@@ -61,7 +60,7 @@ def assembled(
     tags = np.array([tag_of[name] for name in made.names])[made.region]
     facets, _ = made.facets
     masks |= _patches(geometry, made.nodes.x, facets, made.on(facets, rho=4))
-    data = assemble(made.nodes.x, made.cells, tags, tag_of, interfaces, masks, made.facets)
+    data = assemble(made.nodes.x, made.cells, tags, tag_of, interfaces, masks, facets)
     notes = {"head_centre": list(geometry.head_centre), "layers": made.describe()}
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
 

@@ -20,12 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from app.arrays import Floats, Ints
 from app.captured import captured
 from app.errors import GeometryError, MantleError
-from meshes.curving import untangle
+from meshes.quality import untangle
 
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 LOG_LINES = 6  # of gmsh's log, quoted when it fails
@@ -37,7 +36,8 @@ GROWTH = 0.4  # mm of element size per mm of distance from an interface
 MOST_EDGES = 20_000
 SECONDS = 3600
 WRITTEN = 1 << 30  # bytes in a file
-_NODES = {2: {2: 3, 9: 6}, 3: {4: 4, 11: 10}}  # of elements, by dimension and gmsh's type
+# Nodes of triangles and tetrahedra, straight and quadratic, by gmsh's number of the type.
+_NODES = {2: 3, 9: 6, 4: 4, 11: 10}
 _SERVE = "from meshes.gmsh_child import serve; serve()"
 
 
@@ -55,14 +55,12 @@ def session(name: str) -> Iterator[Any]:
 
     if gmsh.isInitialized():
         gmsh.finalize()
-    home = os.environ.get("HOME")
+    home = str(Path.home())
     os.environ["HOME"] = os.devnull  # the toolkit of its windows would make a folder there
     try:
         gmsh.initialize(readConfigFiles=False, interruptible=False)
     finally:
-        del os.environ["HOME"]
-        os.environ |= {"HOME": home} if home is not None else {}
-    heard: list[str] = []
+        os.environ["HOME"] = home
     try:
         for option, value in {
             "General.Terminal": 0,
@@ -80,15 +78,14 @@ def session(name: str) -> Iterator[Any]:
         with captured("gmsh") as written:
             try:
                 yield gmsh
-            finally:
-                heard = written()
-    except MantleError:
-        raise
-    except Exception as error:  # gmsh raises bare Exception with its last error line
-        first = next((line for line in heard if CROSSING in line), None)
-        why = "" if first is None else f"{CROSS}: {first.split(':', 1)[1].strip()}\n"
-        log = "\n".join(f"  gmsh: {line}" for line in gmsh.logger.get()[-LOG_LINES:])
-        raise GeometryError(f"{name}: the mesh generator failed: {error}\n{why}{log}") from error
+            except MantleError:
+                raise
+            except Exception as error:  # gmsh raises bare Exception with its last error line
+                crossing = [line.partition(":")[2] for line in written() if CROSSING in line]
+                lines = [f"{name}: the mesh generator failed: {error}"]
+                lines += [f"{CROSS}:{text}" for text in crossing[:1]]
+                lines += [f"  gmsh: {line}" for line in gmsh.logger.get()[-LOG_LINES:]]
+                raise GeometryError("\n".join(lines)) from error
     finally:
         gmsh.logger.stop()  # it would survive finalize() with the lines of this case
         gmsh.finalize()
@@ -113,35 +110,38 @@ def grade(gmsh: Any, distances: Sequence[str], size: float, far_size: float) -> 
     gmsh.model.mesh.field.setAsBackgroundMesh(smallest)
 
 
-def generate(gmsh: Any, curved: bool = False) -> None:
-    """Mesh the model, and curve the elements when asked.
+def tetrahedra(gmsh: Any, curved: bool) -> tuple[Floats, Ints, Ints]:
+    """Mesh the model, with curved elements when asked, which are untangled.
 
     gmsh improves elements while it meshes; doing it again (its own optimiser, Relocate3D, a higher
     threshold) was measured to change nothing, and Debian's gmsh has no Netgen optimiser.
+
+    Returns:
+        Nodes (n, 3), tetrahedra (m, 4 or 10) and the volume entity of each (m,).
     """
     gmsh.model.mesh.generate(3)
     if curved:
         gmsh.model.mesh.setOrder(2)
-
-
-def extract(gmsh: Any) -> tuple[Floats, Ints, npt.NDArray[np.int64]]:
-    """Read nodes (n, 3), tetrahedra (m, 4 or 10) and the volume entity of each cell (m,).
-
-    Curved cells are untangled.
-    """
-    node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
-    row = np.full(int(node_tags.max()) + 1, -1, dtype=np.int64)
-    row[node_tags.astype(np.int64)] = np.arange(len(node_tags))
+    points, row = _nodes(gmsh)
     volumes = [volume for _, volume in gmsh.model.getEntities(3)]
-    blocks = [_elements(gmsh, 3, [volume], "the mesh") for volume in volumes]
-    entities = np.repeat(volumes, [*map(len, blocks)])
-    if not len(entities):
-        raise GeometryError("the mesh has no tetrahedra")
-    points = coordinates.reshape(-1, 3)
-    cells = row[np.concatenate([block for block in blocks if len(block)])]
-    if cells.shape[1] == 10:
+    blocks = [_elements(gmsh, 11 if curved else 4, [volume], row) for volume in volumes]
+    cells = np.concatenate(blocks)
+    if curved:
         points = untangle(points, cells)
-    return points, cells, entities
+    return points, cells, np.repeat(volumes, [*map(len, blocks)])
+
+
+def _nodes(gmsh: Any) -> tuple[Floats, Ints]:
+    """Nodes (n, 3), and the row of each by its number, which begin with 1 from then on (n,)."""
+    gmsh.model.mesh.renumberNodes()
+    numbers, coordinates, _ = gmsh.model.mesh.getNodes()
+    return coordinates.reshape(-1, 3), np.argsort(numbers)
+
+
+def _elements(gmsh: Any, kind: int, entities: Iterable[int], row: Ints) -> Ints:
+    """Nodes of the elements of a type in entities (k, 3, 4, 6 or 10)."""
+    found = [gmsh.model.mesh.getElementsByType(kind, entity)[1] for entity in entities]
+    return row[np.concatenate(found).astype(np.int64) - 1].reshape(-1, _NODES[kind])
 
 
 # ------------------------------------------------------------------------------- files of others
@@ -155,18 +155,17 @@ def read(geometry: Any, mesh: Any) -> dict[str, Any]:
         mesh: ``size``, ``far_size`` [mm], ``curved`` for a script.
 
     Returns:
-        ``node_tags``: numbers of the nodes (n,), any; ``points``: their coordinates (n, 3), in the
-        unit of the file; ``cells NAME``: nodes of the cells of a region (m, 4 or 10), by number;
-        ``surfaces NAME``: nodes of the triangles of a physical surface (k, 3 or 6), by number;
-        ``everything``: number of cells, including cells without a region.
+        ``points``: nodes (n, 3), in the unit of the file; ``cells NAME``: cells of a region (m, 4
+        or 10); ``surfaces NAME``: triangles of a physical surface (k, 3 or 6); ``everything``:
+        number of cells, including cells without a region.
 
     Raises:
-        GeometryError: No tetrahedra, other elements, missing physical groups (with the names
-            found), gmsh fails, the file changes meanwhile.
+        GeometryError: Other elements, missing physical groups (with the names found), gmsh fails,
+            the file changes meanwhile.
     """
     path = geometry.path
     with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
-        if geometry.copy_files(Path(folder)) != geometry.content:
+        if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
             raise GeometryError(f"{path} has changed since it was looked at: run it again")
         request = {
             "path": str(path),
@@ -176,7 +175,6 @@ def read(geometry: Any, mesh: Any) -> dict[str, Any]:
             "curved": mesh.curved,
             "unit": MILLIMETRES[geometry.unit],
             "regions": geometry.region_names,
-            "sides": [r for sides in geometry.interfaces.values() for side in sides for r in side],
         }
         try:
             done = subprocess.run(
@@ -205,9 +203,8 @@ def read(geometry: Any, mesh: Any) -> dict[str, Any]:
 def serve() -> None:
     """Answer the request on standard input, within the limits."""
     request = json.load(sys.stdin)
-    answer = os.dup(sys.stdout.fileno())
-    for stream in (0, 1):
-        os.dup2(2, stream)  # scripts print
+    answer = os.dup(1)
+    os.dup2(2, 1)  # scripts print
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     for limit, most in (
         (resource.RLIMIT_AS, memory),
@@ -220,10 +217,8 @@ def serve() -> None:
         found = _arrays(request)
     except GeometryError as error:
         found = {"error": np.array(str(error))}
-    content = io.BytesIO()
-    np.savez(content, **found)
     with open(answer, "wb") as pipe:
-        pipe.write(content.getbuffer())
+        np.savez(pipe, **found)
 
 
 def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
@@ -234,35 +229,40 @@ def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
             _run_script(gmsh, request)
         else:
             gmsh.merge(path.name)
-        names: dict[int, list[str]] = {2: [], 3: []}
-        blocks: dict[int, dict[str, list[int]]] = {2: {}, 3: {}}
+        groups: dict[int, dict[str, list[int]]] = {2: {}, 3: {}}
         for dim, tag in gmsh.model.getPhysicalGroups(2) + gmsh.model.getPhysicalGroups(3):
-            names[dim].append(name := gmsh.model.getPhysicalName(dim, tag))
             entities = gmsh.model.getEntitiesForPhysicalGroup(dim, tag)
-            blocks[dim].setdefault(name, []).extend(entities)
+            groups[dim].setdefault(gmsh.model.getPhysicalName(dim, tag), []).extend(entities)
         found = (
-            f"{path}: physical volumes: {_listed(names[3])}; physical surfaces: {_listed(names[2])}"
+            f"{path}: physical volumes: {_listed(groups[3])}; "
+            f"physical surfaces: {_listed(groups[2])}"
         )
-        if not any(names[3]):
+        surfaces, regions = ({n: on for n, on in groups[d].items() if n} for d in (2, 3))
+        if not regions:
             raise GeometryError(f"{found}; name every region (and boundary) with a physical group")
-        surfaces, cells = (
-            {n: _elements(gmsh, dim, on, f"{path}: {n!r}") for n, on in blocks[dim].items() if n}
-            for dim in (2, 3)
-        )
-        cells = {name: block for name, block in sorted(cells.items()) if len(block)}
-        if absent := [name for name in request["regions"] if name not in cells]:
+        mesh, volumes = gmsh.model.mesh, [volume for on in regions.values() for volume in on]
+        kinds = {int(kind) for volume in volumes for kind in mesh.getElementTypes(3, volume)}
+        if len(kinds) > 1 or not kinds <= {4, 11}:
+            labels = ", ".join(sorted(mesh.getElementProperties(kind)[0] for kind in kinds))
+            raise GeometryError(
+                f"{path}: the cells are of type {labels}; only straight tetrahedra, or only "
+                "quadratic ones, can be used"
+            )
+        points, row = _nodes(gmsh)
+        tet, triangle = (11, 9) if 11 in kinds else (4, 2)
+        cells = {name: _elements(gmsh, tet, on, row) for name, on in sorted(regions.items())}
+        if absent := [n for n in request["regions"] if not len(cells.get(n, ()))]:
             raise GeometryError(f"{found}; no cells in the volumes {_listed(absent)}")
-        if absent := sorted({*request["sides"]} - set(cells)):
-            raise GeometryError(f"{found}; interfaces need the volumes {_listed(absent)}")
-        node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        _, tags, _ = gmsh.model.mesh.getElements(3)
-    return {
-        "node_tags": node_tags,
-        "points": coordinates.reshape(-1, 3),
-        "everything": np.array(sum(map(len, tags))),
-        **{f"cells {name}": block for name, block in cells.items()},
-        **{f"surfaces {name}": block for name, block in surfaces.items()},
-    }
+        _, tags, _ = mesh.getElements(3)
+        return {
+            "points": points,
+            "everything": np.array(sum(map(len, tags))),
+            **{f"cells {name}": block for name, block in cells.items() if len(block)},
+            **{
+                f"surfaces {name}": _elements(gmsh, triangle, on, row)
+                for name, on in surfaces.items()
+            },
+        }
 
 
 def _run_script(gmsh: Any, request: Mapping[str, Any]) -> None:
@@ -279,26 +279,10 @@ def _run_script(gmsh: Any, request: Mapping[str, Any]) -> None:
             f"mesh.size: {size:g} mm: the diagonal of {request['path']} is {edges:.1g} cells "
             f"long; at most {MOST_EDGES}"
         )
-    generate(gmsh, request["curved"])
+    gmsh.model.mesh.generate(3)
+    if request["curved"]:
+        gmsh.model.mesh.setOrder(2)
 
 
 def _listed(names: Any) -> str:
     return ", ".join(name or "(unnamed)" for name in names) or "none"
-
-
-def _elements(gmsh: Any, dim: int, entities: Iterable[int], what: str) -> Ints:
-    """Nodes of the triangles or tetrahedra of entities (k, 3, 4, 6 or 10), by number."""
-    blocks = []
-    for entity in entities:
-        types, _, nodes = gmsh.model.mesh.getElements(dim, entity)
-        for kind, connectivity in zip(types, nodes, strict=True):
-            if kind not in _NODES[dim]:
-                label = gmsh.model.mesh.getElementProperties(kind)[0]
-                raise GeometryError(
-                    f"{what} has elements of type {label!r}; only straight or"
-                    " quadratic tetrahedra (and their triangles) can be used"
-                )
-            blocks.append(connectivity.astype(np.int64).reshape(-1, _NODES[dim][kind]))
-    if len({block.shape[1] for block in blocks}) > 1:
-        raise GeometryError(f"{what} mixes straight and quadratic elements")
-    return np.concatenate(blocks) if blocks else np.zeros((0, dim + 1), dtype=np.int64)

@@ -14,7 +14,6 @@ on where a model is cut and supported. Bone below is in no zone.
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -40,9 +39,9 @@ class Zones:
 
     def __init__(self, geometry: Any) -> None:
         self._geometry = geometry
+        self._normal, self._level = femur_bone.resection(geometry)
         self.tip = geometry.stem_tip_z
-        normal, level = self._cut
-        self.top = min(level / normal[2], geometry.stem_tip_z + geometry.stem_length)
+        self.top = min(self._level / self._normal[2], self.tip + geometry.stem_length)
 
     def at(self, x: Floats) -> Ints:
         """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""
@@ -60,7 +59,6 @@ class Zones:
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
         g = self._geometry
-        normal, level = self._cut
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
         cavity = femur_stem.body(g).offset(g.cement_thickness).radius(theta, z)
@@ -68,8 +66,4 @@ class Zones:
         # The mantle ends at the endosteum.
         cavity = np.minimum(cavity, canal)
         below_plug = z < self.tip - g.plug_length + EDGE
-        return (x @ normal <= level + EDGE) & ((r >= cavity - EDGE) | below_plug)
-
-    @cached_property
-    def _cut(self) -> tuple[Floats, float]:
-        return femur_bone.resection(self._geometry)
+        return (x @ self._normal <= self._level + EDGE) & ((r >= cavity - EDGE) | below_plug)

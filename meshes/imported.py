@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from app.arrays import Ints
 from app.errors import GeometryError
-from meshes.curving import bent, untangle
-from meshes.data import MeshData, cell_volumes, exterior_facets, interface_facets, same_triangles
+from meshes.data import (
+    MeshData,
+    assemble,
+    cell_volumes,
+    exterior_facets,
+    interface_facets,
+    number,
+    same_triangles,
+)
 from meshes.gmsh_child import MILLIMETRES, read, session
-from meshes.quality import overlapping, places
-from meshes.tags import assemble, number
+from meshes.quality import bent, overlapping, places, untangle
 
 # Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
@@ -35,26 +39,15 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         (left out), and list repairs and ignored entities (``told``).
 
     Raises:
-        GeometryError: No such file, a script that fails, no tetrahedra, other elements, missing or
-            overlapping physical groups (with the names found), cells that overlap.
+        GeometryError: A script that fails, no tetrahedra, other elements, missing or overlapping
+            physical groups (with the names found), cells that overlap.
     """
-    if not geometry.path.is_file():
-        raise GeometryError(f"{geometry.path}: no such mesh file")
-    return _named(geometry, read(geometry, mesh))
-
-
-def _named(geometry: Any, found: Mapping[str, Any]) -> MeshData:
+    found, path = read(geometry, mesh), geometry.path
     blocks, surfaces = (
         {key.removeprefix(kind): block for key, block in found.items() if key.startswith(kind)}
         for kind in ("cells ", "surfaces ")
     )
-    path, regions = geometry.path, number(blocks)
-    rows = _rows_of(path, found["node_tags"])
-    widths = {block.shape[1] for block in blocks.values()}
-    if len(widths) != 1:
-        what = "mixes straight and quadratic cells" if widths else "has no tetrahedra in regions"
-        raise GeometryError(f"{path}: the mesh {what}")
-    cells = rows(np.concatenate([*blocks.values()]))
+    regions, cells = number(blocks), np.concatenate([*blocks.values()])
     cell_tags = np.repeat([*regions.values()], [*map(len, blocks.values())]).astype(np.int32)
     if len(np.unique(np.sort(cells[:, :4], axis=1), axis=0)) < len(cells):
         raise GeometryError(f"{path}: some cells belong to two physical volumes")
@@ -64,7 +57,7 @@ def _named(geometry: Any, found: Mapping[str, Any]) -> MeshData:
     negative = cell_volumes(points, cells) < 0
     cells[negative] = cells[negative][:, _MIRROR[cells.shape[1]]]
     try:
-        overlap, exterior = overlapping(cells), exterior_facets(cells)
+        overlap, (facets, _) = overlapping(cells), exterior_facets(cells)
     except ValueError as error:
         raise GeometryError(f"{path}: {error}; the mesh is not conforming") from error
     if len(overlap):
@@ -76,12 +69,12 @@ def _named(geometry: Any, found: Mapping[str, Any]) -> MeshData:
         )
     if cells.shape[1] == 10 and geometry.is_script:
         points = untangle(points, cells)
-    masks = {}
-    for name, block in surfaces.items():
-        keys, wanted = same_triangles(exterior[0][:, :3], rows(block[:, :3]))
-        masks[name] = np.isin(keys, wanted)
+    masks = {
+        name: np.isin(*same_triangles(facets[:, :3], block[:, :3]))
+        for name, block in surfaces.items()
+    }
     boundaries = {name: mask for name, mask in masks.items() if mask.any()}
-    data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, exterior)
+    data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
     turned = (
         f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes inside "
         "out: they are turned, and no cell overlaps its neighbours"
@@ -93,22 +86,6 @@ def _named(geometry: Any, found: Mapping[str, Any]) -> MeshData:
         "told": [turned] if negative.any() else [],
     }
     return replace(data, notes=notes)
-
-
-def _rows_of(path: Path, node_tags: Ints) -> Callable[[Ints], Ints]:
-    """A function that finds rows of nodes by their tags, which may be any numbers."""
-    if not len(node_tags):
-        raise GeometryError(f"{path}: the mesh has no nodes")
-    order = np.argsort(node_tags, kind="stable")
-    tags = node_tags[order].astype(np.int64)
-
-    def rows(wanted: Ints) -> Ints:
-        at = np.searchsorted(tags, wanted).clip(max=len(tags) - 1)
-        if (tags[at] != wanted).any():
-            raise GeometryError(f"{path}: cells have nodes that the file does not list")
-        return np.asarray(order[at])
-
-    return rows
 
 
 def write(data: MeshData, path: Path) -> None:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from app import figures
-from app.arrays import Bools, Floats, Ints
+from app.arrays import Floats, Ints
 from meshes.data import EDGES, MeshData, interface_facets
 
 # The straight cells that share the nodes of a curved one: its corners, and four around a diagonal.
-PIECES = (
+PARTS = (
     *((0, 4, 6, 7), (4, 1, 5, 9), (6, 5, 2, 8), (7, 9, 8, 3)),
     *((4, 8, 6, 7), (4, 8, 7, 9), (4, 8, 9, 5), (4, 8, 5, 6)),
 )
@@ -32,7 +32,7 @@ INSIDE = 1.0  # mm of the sections from the tip and from the lowest point of the
 VIEWS = {"anterior": (0, True, 1), "medial": (1, False, 0)}
 LIGHT = np.array([-0.5, 0.4, 0.77])  # from the left, from above, from the viewer
 DARKEST = 0.45
-METAL, PLUG, CORTEX = "#b8c0cc", "0.85", "#d62728"  # the last: the line around what touches it
+METAL, PLUG, CORTEX = "#b8c0cc", "0.85", "#d62728"  # the last: edges of what touches it
 # Edges cut by a plane, in order around the section, by the signs of the four vertices: bit v is
 # set where vertex v is on the positive side. Edges are numbered as in data.EDGES.
 _RINGS = {
@@ -75,9 +75,9 @@ def section(data: MeshData, axis: int, at: float) -> tuple[list[tuple[Floats, In
         Corners of polygons and their cells; the edges of the cells' sections (n, 2, 3) and the cell
         of each (n,).
     """
-    pieces = PIECES if data.curved else ((0, 1, 2, 3),)
-    parts = cut(data.points, data.cells[:, np.array(pieces)].reshape(-1, 4), axis, at)
-    polygons = [(corners, piece // len(pieces)) for corners, piece in parts]
+    parts = np.array(PARTS if data.curved else [(0, 1, 2, 3)])
+    cut_parts = cut(data.points, data.cells[:, parts].reshape(-1, 4), axis, at)
+    polygons = [(corners, part // len(parts)) for corners, part in cut_parts]
     return polygons, *outlines(polygons)
 
 
@@ -97,15 +97,14 @@ def outlines(polygons: Iterable[tuple[Floats, Ints]]) -> tuple[Floats, Ints]:
 def picture(data: MeshData, path: Path) -> None:
     """Write a PNG with the sections y = 0, x = 0 (through the mesh's middle) and one transverse."""
     low, high = data.points.min(axis=0), data.points.max(axis=0)
-    levels = [middle_plane(low[i], high[i]) for i in range(3)]
-    extent = high - low
-    widths = [extent[0], extent[1], max(extent[0], extent[1])]
+    wide, deep, tall = high - low
+    widths = np.array([wide, deep, max(wide, deep)])
     height = 9.0
-    scale = (height - 1.5) / max(extent[2], 0.4 * max(extent[:2]))
-    figure = figures.new(float(np.clip(scale * sum(widths) + 4.0, 9.0, 24.0)), height)
-    axes = figure.subplots(1, 3, width_ratios=np.maximum(widths, 0.15 * max(widths)))
-    planes = [("", axis, levels[axis]) for axis in (1, 0, 2)]
+    scale = (height - 1.5) / max(tall, 0.4 * widths[2])
+    figure = figures.new(float(np.clip(scale * widths.sum() + 4.0, 9.0, 24.0)), height)
+    axes = figure.subplots(1, 3, width_ratios=np.maximum(widths, 0.15 * widths[2]))
     figure.suptitle(f"{len(data.cells)} cells, {len(data.points)} nodes")
+    planes = [("", axis, middle_plane(low[axis], high[axis])) for axis in (1, 0, 2)]
     _sections(data, figure, axes, planes)
     figure.savefig(path, dpi=130, format="png")
 
@@ -140,16 +139,12 @@ def _sections(
         u, v = (i for i in range(3) if i != axis)
         polygons, outlines, _ = section(data, axis, at)
         for x, cell in polygons:
-            face = [shown[int(tag)] for tag in data.cell_tags[cell]]
-            flat = list(x[:, :, [u, v]])
-            ax.add_collection(
-                PolyCollection(flat, facecolors=face, edgecolors=face, linewidths=0.3)
-            )
+            face, flat = [shown[int(tag)] for tag in data.cell_tags[cell]], list(x[:, :, [u, v]])
+            ax.add_collection(PolyCollection(flat, color=face, linewidths=0.3))
         lines = list(outlines[:, :, [u, v]])
         ax.add_collection(LineCollection(lines, colors="k", linewidths=0.25))
-        ax.set_aspect("equal")
         ax.autoscale_view()
-        ax.set(xlabel=f"{AXES[u]} (mm)", ylabel=f"{AXES[v]} (mm)")
+        ax.set(aspect="equal", xlabel=f"{AXES[u]} (mm)", ylabel=f"{AXES[v]} (mm)")
         ax.set_title(f"{place}{AXES[axis]} = {at:.4g} mm")
     handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=min(6, len(handles)))
@@ -172,12 +167,11 @@ def interfaces(data: MeshData, path: Path) -> None:
     """Write a PNG of both interfaces, seen from anterior and from medial.
 
     The bone interface is coloured by the thickness of the cement, which is undefined below the tip,
-    where the plug is.
+    where the plug is; facets on cortical bone have red edges.
     """
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize, to_rgb
-    from matplotlib.lines import Line2D
 
     from meshes.mantle import distance, triangles  # imports scipy
 
@@ -187,89 +181,61 @@ def interfaces(data: MeshData, path: Path) -> None:
     thickness = distance(middle, patches[0])
     beside = middle[:, 2] > patches[0][:, :, 2].min()
     shown = ScalarMappable(
-        Normalize(np.floor(thickness.min()), np.ceil(thickness[beside].max())),
-        colormaps["viridis"],
+        Normalize(np.floor(thickness.min()), np.ceil(thickness[beside].max())), colormaps["viridis"]
     )
     grey = np.tile(to_rgb(METAL), (len(patches[0]), 1))
     tinted = np.where(beside[:, None], shown.to_rgba(thickness)[:, :3], to_rgb(PLUG))
+    cortex = data.cell_tags[bone[2]] == data.regions.get("cortical_bone")
+    edges = (np.full(len(stem[0]), "k"), np.where(cortex, CORTEX, "k"))
 
     widths = [np.ptp(p[:, :, VIEWS[view][0]]) for p in patches for view in VIEWS]
     figure = figures.new(8.5, 10.5)
-    axes = figure.subplots(1, 4, sharey=True, width_ratios=widths).reshape(2, 2)
-    cortex = data.cell_tags[bone[2]] == data.regions.get("cortical_bone")
-    for row, name, (facets, _, _), pieces, colours in zip(
-        axes, INTERFACES, (stem, bone), patches, (grey, tinted), strict=True
-    ):
-        for ax, view in zip(row, VIEWS, strict=True):
-            _surface(ax, data.points, facets, pieces, colours, view)
-            if name == "cement_bone":
-                _outline(ax, data.points, facets, cortex, view)
-            ax.set_title(f"{name}\nfrom {view}")
-    axes[0, 0].set_ylabel("z (mm)")
-    figure.colorbar(shown, ax=list(axes.flat), label="thickness of the cement (mm)", shrink=0.5)
-    if cortex.any() and not cortex.all():
-        line = Line2D(
-            [], [], color=CORTEX, label="between cement on cancellous and on cortical bone"
-        )
-        figure.legend(handles=[line], loc="outside lower center")
+    axes = iter(figure.subplots(1, 4, sharey=True, width_ratios=widths))
+    for k, facets in enumerate((stem[0], bone[0])):
+        for view in VIEWS:
+            ax = next(axes)
+            _surface(ax, data.points[facets], patches[k], (grey, tinted)[k], edges[k], view)
+            ax.set_title(f"{INTERFACES[k]}\nfrom {view}")
+    figure.axes[0].set_ylabel("z (mm)")
+    figure.colorbar(shown, ax=figure.axes, label="thickness of the cement (mm)", shrink=0.5)
     figure.savefig(path, dpi=95, format="png")
 
 
-def _normals(corners: Floats) -> Floats:
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(across / np.linalg.norm(across, axis=1)[:, None])
-
-
 def _surface(
-    ax: Any, points: Floats, facets: Ints, pieces: Floats, colours: Floats, view: str
+    ax: Any, facets: Floats, pieces: Floats, colours: Floats, edges: Any, view: str
 ) -> None:
-    """Draw the side of a surface that faces the viewer, lit from the upper left, with facet edges.
+    """Draw a surface as a viewer sees it, lit from the upper left, with the edges of its facets.
 
     Args:
         ax: Axes to draw in.
-        points: Nodes [mm].
-        facets: The surface's facets, outward (k, 3 or 6).
-        pieces: Their flat triangles (n, 3, 3), equally many for each.
+        facets: Nodes of its facets, outward (k, 3 or 6, 3) [mm].
+        pieces: Flat triangles of them (n, 3, 3) [mm].
         colours: Red, green and blue of each triangle (n, 3).
+        edges: Colour of the edges of each facet (k,).
         view: One of `VIEWS`.
     """
     from matplotlib.collections import PolyCollection
 
     across, leftward, toward = VIEWS[view]
-    normals = _normals(pieces)
-    normals[normals[:, toward] < 0] *= -1  # seen from inside, through the open top
-    right = -normals[:, across] if leftward else normals[:, across]
-    light = np.stack([right, normals[:, 2], normals[:, toward]], axis=1) @ LIGHT
+
+    def normals(x: Floats) -> Floats:
+        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        return np.asarray(normal / np.linalg.norm(normal, axis=1)[:, None])
+
+    normal = normals(pieces)
+    normal[normal[:, toward] < 0] *= -1  # seen from inside, through the open top
+    right = -normal[:, across] if leftward else normal[:, across]
+    light = np.stack([right, normal[:, 2], normal[:, toward]], axis=1) @ LIGHT
     lit = colours * (DARKEST + (1 - DARKEST) * np.clip(light, 0.0, 1.0))[:, None]
     order = np.argsort(pieces[:, :, toward].mean(axis=1))
-    flat = pieces[order][:, :, [across, 2]]
-    ax.add_collection(
-        PolyCollection(list(flat), facecolors=lit[order], edgecolors=lit[order], linewidths=0.3)
-    )
-    near = _normals(points[facets[:, :3]])[:, toward] > 0
+    flat = list(pieces[order][:, :, [across, 2]])
+    ax.add_collection(PolyCollection(flat, color=lit[order], linewidths=0.3))
+    near = normals(facets)[:, toward] > 0
     ring = [0, 3, 1, 4, 2, 5] if facets.shape[1] == 6 else [0, 1, 2]
-    rings = points[facets[near][:, ring]][:, :, [across, 2]]
-    ax.add_collection(
-        PolyCollection(list(rings), facecolors="none", edgecolors="k", linewidths=0.2)
-    )
-    ax.set_aspect("equal")
+    rings = list(facets[near][:, ring][:, :, [across, 2]])
+    drawn = PolyCollection(rings, facecolors="none", edgecolors=edges[near], linewidths=0.2)
+    ax.add_collection(drawn)
     ax.autoscale_view()
+    ax.set(aspect="equal", xlabel=f"{AXES[across]} (mm)")
     if leftward:
         ax.invert_xaxis()
-    ax.set_xlabel(f"{AXES[across]} (mm)")
-
-
-def _outline(ax: Any, points: Floats, facets: Ints, chosen: Bools, view: str) -> None:
-    """Draw the outline of chosen facets of a surface, where it faces the viewer."""
-    from matplotlib.collections import LineCollection
-
-    across, _, toward = VIEWS[view]
-    ends = facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, edge, times = np.unique(
-        np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    owned = np.bincount(edge.ravel(), weights=np.repeat(chosen, 3))
-    near = np.repeat(_normals(points[facets[:, :3]])[:, toward] > 0, 3)
-    drawn = near & (owned == 1)[edge.ravel()] & (times == 2)[edge.ravel()]
-    lines = points[ends[drawn]][:, :, [across, 2]]
-    ax.add_collection(LineCollection(list(lines), colors=CORTEX, linewidths=1.6))

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from app.arrays import Floats, Ints
-from meshes.contact_facets import NODES, nodal_normals
+from meshes.contact_facets import NODES, nodal_normals, shape_functions, surface
 from meshes.data import (
     MeshData,
     boundary_areas,
@@ -29,6 +29,9 @@ from meshes.data import (
 COINCIDENT = 1e-7
 # Facets that meet at more than this angle are different faces [rad].
 SMOOTH = np.radians(50)
+
+# Nodes of a facet, the middle of each edge in the place of the vertex opposite, as in `NODES`.
+OPPOSITE = [0, 1, 2, 4, 5, 3]
 
 
 @dataclass(frozen=True)
@@ -125,25 +128,26 @@ def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = 
     ``held`` are the boundaries with supports, ``curved`` those whose normals are wanted.
     """
     names = {tag: name for name, tag in data.regions.items()}
-    neighbours = data.neighbours
-    piece = components(neighbours, data.cell_tags)
+    piece = components(data.neighbours, data.cell_tags)
     count = int(piece.max()) + 1
     faces = cell_faces(data.cells)
-    behind = neighbours.ravel()
     cell = np.repeat(np.arange(len(data.cells)), 4)
-    outer = (behind < 0) | (piece[np.maximum(behind, 0)] != piece[cell])
+    # The pieces on both sides of each face, -1 outside.
+    mine, behind = piece[cell], data.neighbours.ravel()
+    other = np.where(behind < 0, -1, piece[behind])
     outside = np.flatnonzero(behind < 0)
     keys, on = same_triangles(faces[outside, :3], data.facets[:, :3])
     order = np.argsort(keys)
     at = order[np.searchsorted(keys, on, sorter=order).clip(max=len(keys) - 1)]
-    cell_of_facet = np.where(keys[at] == on, cell[outside[at]], -1)
-    piece_of_facet = np.where(cell_of_facet >= 0, piece[cell_of_facet], -1)
-    bare = outer.copy()
+    exterior = keys[at] == on
+    cell_of_facet = np.where(exterior, cell[outside[at]], -1)
+    piece_of_facet = np.where(exterior, piece[cell_of_facet], -1)
+    bare = mine != other
     tags = [t for name in held for t in data.boundaries.get(name, ())]
     bare[outside[np.isin(keys, on[np.isin(data.facet_tags, tags)])]] = False
     areas, free = (
-        np.bincount(piece[cell[some]], facet_areas(data.points, faces[some]), minlength=count)
-        for some in (outer, bare)
+        np.bincount(mine[some], facet_areas(data.points, faces[some]), minlength=count)
+        for some in (mine != other, bare)
     )
     volumes = cell_volumes(data.points, data.cells)
     middles = data.points[data.cells[:, :4]].mean(axis=1)
@@ -152,17 +156,15 @@ def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = 
         here = piece == k
         volume = float(volumes[here].sum())
         centre = volumes[here] @ middles[here] / volume
-        region = names[int(data.cell_tags[here][0])]
         box = np.ptp(data.points[np.unique(data.cells[here, :4])], axis=0)
-        part = float(free[k] / areas[k])
+        region, part = names[int(data.cell_tags[here][0])], float(free[k] / areas[k])
         pieces.append(Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, part))
-    rows = np.flatnonzero((behind >= 0) & outer & (piece[cell] < piece[np.maximum(behind, 0)]))
-    first, second = piece[cell[rows]], piece[behind[rows]]
+    rows = np.flatnonzero(mine < other)
     return Parts(
         pieces=tuple(pieces),
-        touches=tuple(_touches(data.points, faces[rows], first, second)),
+        touches=tuple(_touches(data.points, faces[rows], mine[rows], other[rows])),
         joined=_joined(data.cells, piece, pieces),
-        boundaries=_boundaries(data, piece_of_facet),
+        boundaries={name: _nodes_on(data, name, piece_of_facet) for name in data.boundaries},
         normals={name: _normals(data, name, cell_of_facet, middles) for name in curved},
         boundary_areas=boundary_areas(data),
         x=data.points,
@@ -179,21 +181,14 @@ def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = 
 
 
 def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[Touch]:
-    x = points[facets]
-    a, b, middle = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0], x[:, :3].mean(axis=1)
-    if facets.shape[1] == 6:
-        # Quadratic shape functions and their derivatives at the middle of the triangle.
-        middle = (4 * x[:, 3:].sum(axis=1) - x[:, :3].sum(axis=1)) / 9
-        a = a / 3 + 4 / 3 * (x[:, 4] - x[:, 5])
-        b = b / 3 + 4 / 3 * (x[:, 4] - x[:, 3])
-    normals = np.cross(a, b)
-    double = np.linalg.norm(normals, axis=1)
-    normals /= double[:, None]
+    middle, x = np.full((1, 3), 1 / 3), points[facets[:, OPPOSITE[: facets.shape[1]]]]
+    centres = (shape_functions(middle, facets.shape[1]) @ x)[:, 0]
+    normals, double = (v[:, 0] for v in surface(x, middle))
     found = []
-    for pair in sorted({(int(i), int(k)) for i, k in zip(first, second, strict=True)}):
-        here = (first == pair[0]) & (second == pair[1])
+    for a, b in sorted({(int(a), int(b)) for a, b in zip(first, second, strict=True)}):
+        here = (first == a) & (second == b)
         bend = _bend(facets[here], normals[here]) if facets.shape[1] == 3 else 0.0
-        found.append(Touch(pair, middle[here], normals[here], double[here] / 2, bend))
+        found.append(Touch((a, b), centres[here], normals[here], double[here] / 2, bend))
     return found
 
 
@@ -214,18 +209,14 @@ def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[in
     return frozenset(
         (a, b)
         for a, b in combinations(range(len(pieces)), 2)
-        if pieces[a].region == pieces[b].region and np.intersect1d(nodes[a], nodes[b]).size
+        if pieces[a].region == pieces[b].region and np.isin(nodes[a], nodes[b]).any()
     )
 
 
-def _boundaries(data: MeshData, piece: Ints) -> dict[str, dict[int, Ints]]:
-    """Nodes of each piece on each boundary, from the piece of each tagged facet, -1 if none."""
-    found: dict[str, dict[int, Ints]] = {}
-    for name, tags in data.boundaries.items():
-        here = np.isin(data.facet_tags, tags)
-        on = (int(k) for k in np.unique(piece[here]) if k >= 0)
-        found[name] = {k: np.unique(data.facets[here & (piece == k)]) for k in on}
-    return found
+def _nodes_on(data: MeshData, name: str, piece: Ints) -> dict[int, Ints]:
+    """Nodes of each piece on a boundary, from the piece of each tagged facet, -1 if none."""
+    here = np.isin(data.facet_tags, data.boundaries[name]) & (piece >= 0)
+    return {int(k): np.unique(data.facets[here & (piece == k)]) for k in np.unique(piece[here])}
 
 
 def _normals(data: MeshData, name: str, cell: Ints, middles: Floats) -> Floats:
@@ -235,6 +226,7 @@ def _normals(data: MeshData, name: str, cell: Ints, middles: Floats) -> Floats:
     """
     here = np.isin(data.facet_tags, data.boundaries.get(name, ())) & (cell >= 0)
     facets, sums = data.facets[here], np.zeros(data.points.shape)
+    facets = facets[:, OPPOSITE[: facets.shape[1]]]
     at = NODES[: facets.shape[1]]
     np.add.at(sums, facets, nodal_normals(data.points[facets], middles[cell[here]], at))
     size = np.linalg.norm(sums, axis=1, keepdims=True)
@@ -246,11 +238,10 @@ def coincident(points: Floats) -> Ints:
 
     Sorting along a random direction leaves few candidates.
     """
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    near = COINCIDENT * float(np.linalg.norm(np.ptp(points, axis=0)))
     along = points @ np.random.default_rng(0).normal(size=3)
     order = np.argsort(along)
-    sorted_, near = along[order], COINCIDENT * size
-    pairs = []
+    sorted_, pairs = along[order], [np.zeros((0, 2), dtype=np.int64)]
     for shift in range(1, len(points)):
         close = np.flatnonzero(sorted_[shift:] - sorted_[:-shift] <= 3 * near)
         if not len(close):
@@ -258,7 +249,7 @@ def coincident(points: Floats) -> Ints:
         a, b = order[close], order[close + shift]
         same = np.linalg.norm(points[a] - points[b], axis=1) <= near
         pairs.append(np.sort(np.column_stack([a, b])[same], axis=1))
-    return np.concatenate(pairs) if pairs else np.zeros((0, 2), dtype=np.int64)
+    return np.concatenate(pairs)
 
 
 def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str, str], Floats]:

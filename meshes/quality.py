@@ -1,17 +1,19 @@
-"""Quality of meshes: one measure, vectorised, for generated and imported meshes alike."""
+"""Quality of meshes, generated and imported alike: one measure; curved cells straightened by it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import count
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
 from meshes.data import (
+    EDGES,
     MeshData,
+    Tags,
     cell_faces,
     cross,
     determinants,
@@ -22,8 +24,10 @@ from meshes.data import (
 )
 
 BAD = 0.01  # below: refused
-POOR = 0.1  # below: counted in the notes
+POOR = 0.1  # below: counted in the notes, and curved cells are straightened
 WORST_SHOWN = 5
+STEPS = 7  # halvings of a bend; what is still bad then is made straight
+ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be off
 
 # Columns: the edges of a regular tetrahedron of edge 1 from its first vertex.
 _REGULAR = np.array(
@@ -33,16 +37,7 @@ _REGULAR = np.array(
         [0.0, 0.0, np.sqrt(2 / 3)],
     ]
 )
-_SAMPLES = np.vstack(
-    [
-        np.eye(4),
-        [
-            [0.5 * (k in pair) for k in range(4)]
-            for pair in ((0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3))
-        ],
-        np.full((1, 4), 0.25),
-    ]
-)
+_SAMPLES = np.vstack([np.eye(4), np.eye(4)[np.array(EDGES)].mean(axis=1), np.full((1, 4), 0.25)])
 
 
 def sicn(points: Floats, cells: Ints) -> Floats:
@@ -52,7 +47,7 @@ def sicn(points: Floats, cells: Ints) -> Floats:
     norms, gmsh's ``minSICN``; for curved cells the least value at the ten nodes and the centre.
     """
     if cells.shape[1] == 4:
-        return np.concatenate([straight(*edges) for edges in edge_vectors(points, cells)])
+        return np.concatenate([_straight(*edges) for edges in edge_vectors(points, cells)])
     a = jacobians(points, cells, _SAMPLES) @ np.linalg.inv(_REGULAR)
     det = determinants(a)
     # |A^-1| = |cofactor(A)| / |det A|, finite for flat cells
@@ -64,7 +59,7 @@ def sicn(points: Floats, cells: Ints) -> Floats:
     return value.min(axis=1)
 
 
-def straight(a: Floats, b: Floats, c: Floats) -> Floats:
+def _straight(a: Floats, b: Floats, c: Floats) -> Floats:
     """SICN of straight cells from the edges at their first corner (3, k); shape (k,).
 
     Both norms are sums over all edges and all faces: 18 V / sqrt(sum length^2 sum area^2).
@@ -77,7 +72,7 @@ def straight(a: Floats, b: Floats, c: Floats) -> Floats:
 
 
 def describe(data: MeshData, quality: Floats) -> dict[str, Any]:
-    """Quality notes: counts, least and median SICN, and the worst element of each region."""
+    """Quality notes: counts, least and median SICN, and the least of each region."""
     return {
         "cells": len(data.cells),
         "nodes": len(data.points),
@@ -85,9 +80,7 @@ def describe(data: MeshData, quality: Floats) -> dict[str, Any]:
         "sicn_median": float(np.median(quality)),
         "sicn_below_0.1": int((quality < POOR).sum()),
         "sicn_min_by_region": {
-            name: float(quality[data.cell_tags == tag].min())
-            for name, tag in data.regions.items()
-            if np.any(data.cell_tags == tag)
+            name: float(quality[data.cell_tags == tag].min()) for name, tag in data.regions.items()
         },
     }
 
@@ -106,21 +99,18 @@ def overlapping(cells: Ints) -> Ints:
     turn = (a < b) ^ (b < c) ^ (a < c)
     middles = np.sort(faces[:, 3:], axis=1)
     unfit = (turn == turn[partner]) | (middles != middles[partner]).any(axis=1)
-    count = (unfit & (partner >= 0)).reshape(-1, 4).sum(axis=1)
-    return np.argsort(-count, kind="stable")[: np.count_nonzero(count)]
+    faulty = (unfit & (partner >= 0)).reshape(-1, 4).sum(axis=1)
+    return np.argsort(-faulty, kind="stable")[: np.count_nonzero(faulty)]
 
 
 def places(
-    points: Floats, cells: Ints, tags: npt.NDArray[np.int32], regions: Mapping[str, int], some: Ints
+    points: Floats, cells: Ints, tags: Tags, regions: Mapping[str, int], some: Ints
 ) -> list[str]:
     """A line for each of the first of some cells: its region and its centroid."""
     names = {tag: name for name, tag in regions.items()}
-    lines = []
-    for cell in some[:WORST_SHOWN]:
-        x, y, z = points[cells[cell, :4]].mean(axis=0)
-        region = names.get(int(tags[cell]), "?")
-        lines.append(f"  {region} at ({x:.2f}, {y:.2f}, {z:.2f}) mm")
-    return lines
+    x = points[cells[some[:WORST_SHOWN], :4]].mean(axis=1)
+    lines = "  {} at ({:.2f}, {:.2f}, {:.2f}) mm"
+    return [lines.format(names[int(tags[cell])], *at) for cell, at in zip(some, x, strict=False)]
 
 
 def gate(data: MeshData, remedy: str) -> Floats:
@@ -142,6 +132,46 @@ def gate(data: MeshData, remedy: str) -> Floats:
     raise GeometryError(
         f"{bad} of {len(quality)} elements are inverted or nearly flat"
         f" (signed inverse condition number below {BAD}); the worst:\n"
-        + "\n".join(lines)
-        + f"\n{remedy}"
+        + "\n".join([*lines, remedy])
     )
+
+
+def straightened(points: Floats, cells: Ints) -> Floats:
+    """Points with the middle nodes of quadratic cells half-way between their vertices."""
+    first, second = np.array(EDGES).T
+    x = points.copy()
+    x[cells[:, 4:]] = 0.5 * (points[cells[:, first]] + points[cells[:, second]])
+    return x
+
+
+def bent(points: Floats, cells: Ints) -> bool:
+    """Whether any edge of quadratic cells is curved, by more than rounding."""
+    off = np.abs(straightened(points, cells) - points)[cells].max()
+    return bool(off > ROUNDING * np.ptp(points, axis=0).max())
+
+
+def untangle(points: Floats, cells: Ints) -> Floats:
+    """Move the middle nodes of bad quadratic cells towards the middles of their straight edges.
+
+    Putting middle nodes on a curved surface inverts some cells beside it. gmsh's cures were
+    measured on a femur of 31 k cells: its elastic optimiser took over eight minutes, its fast
+    curving four minutes and a torrent on stdout; halving the bend of a fifth of the curved edges
+    took two seconds and left no cell below 0.1.
+
+    Takes nodes (n, 3) and cells (m, 10); returns the nodes, with vertices unchanged.
+    """
+    chord = straightened(points, cells)
+    least = np.minimum(POOR, 0.7 * sicn(points, cells[:, :4]))
+    bend = np.ones((len(points), 1))
+    near: Ints = np.arange(len(cells))  # cells whose nodes have moved
+    # It ends: a bad cell has a bent edge, and its edges get straight.
+    for step in count():
+        current = chord + bend * (points - chord)
+        bad = near[sicn(current, cells[near]) < least[near]]
+        if not len(bad):
+            break
+        moved = np.zeros(len(points), dtype=bool)
+        moved[cells[bad, 4:]] = True
+        bend[moved] *= 0.5 if step < STEPS else 0.0
+        near = np.flatnonzero(moved[cells[:, 4:]].any(axis=1))
+    return np.asarray(current)

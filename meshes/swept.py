@@ -17,10 +17,10 @@ import numpy as np
 from app.arrays import Bools, Floats, Ints
 from app.errors import GeometryError
 from meshes import reference_body
-from meshes.curving import untangle
 from meshes.data import EDGES, cell_volumes, distinct, faces_of, match_faces
 from meshes.femur_surfaces import FemurSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
+from meshes.quality import untangle
 from meshes.reference_body import ReferenceBody
 
 FLOOR = 0.12  # of the mesh size: layers thinner than this have no thickness

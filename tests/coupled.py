@@ -10,8 +10,7 @@ import pytest
 from app.arrays import Floats
 from app.mechanics.contact import TrialState
 from app.numerics.newton import Solver
-from app.scene.build import build_scene
-from app.scene.scene import Scene
+from app.scene.scene import Scene, build_scene
 from app.simulation import model
 from app.simulation.model import Model
 from app.stepping.heat_state import HeatStep

@@ -16,8 +16,7 @@ from app.numerics.remedies import solve
 from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
-from app.scene.build import build_scene
-from app.scene.scene import Scene
+from app.scene.scene import Scene, build_scene
 from app.system.timing import Timing
 from tests import laws, support
 

@@ -33,7 +33,7 @@ from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
 from app.results.reading import Results
 from app.results.stresses import Stresses
-from app.scene.build import build_scene
+from app.scene.scene import build_scene
 from app.stepping.load_steps import LoadStep, LoadStepper
 from app.stepping.stages import run_stages
 from app.system import form_cache, ranks
@@ -111,7 +111,6 @@ class Solved:
         solver: Its solver.
         steps: The converged steps.
         samples: The contact points after each step; empty without contact.
-        interfaces: Reported quantities of each interface, after the last step.
         balances: Force, moment and energy balance after each step.
     """
 
@@ -121,13 +120,17 @@ class Solved:
     solver: Solver
     steps: tuple[LoadStep, ...]
     samples: tuple[ContactSamples, ...]
-    interfaces: dict[str, dict[str, Any]]
     balances: Floats
 
     @property
     def last(self) -> ContactSamples:
         """The contact points after the last step."""
         return self.samples[-1]
+
+    @property
+    def interfaces(self) -> dict[str, dict[str, Any]]:
+        """Reported quantities of each interface, after the last step."""
+        return self.samples[-1].numbers if self.samples else {}
 
     def stress(self, region: str) -> Floats:
         """Stress at the quadrature points of a region (n, 3, 3) [MPa]."""
@@ -220,7 +223,6 @@ def solve(
         solver=solver,
         steps=tuple(steps),
         samples=tuple(samples),
-        interfaces=samples[-1].numbers if samples else {},
         balances=np.array(sums),
     )
 

@@ -181,7 +181,13 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
     x = [r.x for r, _ in found if r.x is not None]
     if x and x[0] < x[-1]:
         x = [1.0 / each for each in x]  # a number that grows as the run gets finer
-    return wp.extrapolate(x if len(x) == len(found) else [], [v for _, v in found])
+    last = found[-1][0]
+    return wp.extrapolate(
+        x if len(x) == len(found) else [],
+        [v for _, v in found],
+        last.highest_order,
+        last.planned.case.solver.tolerance,
+    )
 
 
 def _refusal(target: float, m: Measured) -> str:
@@ -190,12 +196,10 @@ def _refusal(target: float, m: Measured) -> str:
         but = "" if m.reference is None else " but 0"
         return f"no advice on {m.name}: it has no reference{but}"
     own = m.reference.uncertainty / abs(m.reference.value)
-    if own <= target:
-        return ""
-    return (
-        f"no advice on {m.name}: its reference is known to {percent(own)} only; "
-        "refine study.reference.run"
-    )
+    why = f"is known to {percent(own)} only" if own > target else ""
+    if m.reference.method == wp.NOT_CONVERGING:
+        why = f"is {wp.NOT_CONVERGING}"
+    return f"no advice on {m.name}: its reference {why}; refine study.reference.run" if why else ""
 
 
 def _advice(

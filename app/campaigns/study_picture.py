@@ -8,8 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from app.campaigns.study_report import FLAT, Measured, Report, percent
-from app.case.quantities import printed
+from app.campaigns.study_report import Measured, Report, exponent_text, percent
+from app.campaigns.work_precision import NOT_CONVERGING
+from app.case.quantities import in_words, titled
 from app.system import style
 from app.system.style import COLOURS, MARKERS
 
@@ -20,6 +21,10 @@ EXACT = 1e-16  # drawn in place of an error of zero
 DECADES = 30.0
 # Values smaller than the largest by this factor are zero to rounding.
 ROUNDING = 1e-9
+# Sides of a point where its label may stand, the best first; half the width of a marker [pixels].
+SIDES = ((1, 1), (1, -1), (-1, -1), (-1, 1), (0, 1), (0, -1), (1, 0), (-1, 0))
+ACROSS, ALONG = ("center", "left", "right"), ("center", "bottom", "top")
+MARKER = 5.0
 
 
 def draw(report: Report, folder: Path) -> list[str]:
@@ -57,7 +62,6 @@ def _draw(
 ) -> None:
     figure, every = style.panels(len(shown), columns, *size)
     for axes, m in zip(every, shown, strict=True):
-        axes.set_title(m.name, fontsize=11, loc="left")
         style.grid(axes)
         panel(axes, m)
     handles = style.handles(every)
@@ -66,12 +70,41 @@ def _draw(
     columns = min(len(handles), 5)
     place = {"loc": "outside lower center", "ncols": columns, "frameon": False}
     figure.legend(handles.values(), handles, **place)
+    figure.draw_without_rendering()  # the axes have their places
+    for axes in every:
+        _place(axes)
     figure.savefig(path, dpi=130)
+
+
+def _place(axes: Any) -> None:
+    """Move the labels of points to where they cover nothing; hide those without room."""
+    from matplotlib.text import Annotation
+    from matplotlib.transforms import Bbox
+
+    curves = [line.get_transform().transform_path(line.get_path()) for line in axes.lines]
+    notes = [text for text in axes.texts if isinstance(text, Annotation)]
+    taken = [text.get_window_extent() for text in axes.texts if text not in notes]
+    for note in notes:
+        at = axes.transData.transform(note.xy)
+        taken.append(Bbox.from_extents(*(at - MARKER), *(at + MARKER)))
+    for note in notes:
+        found = []
+        for side, (x, y) in enumerate(SIDES):
+            note.set(position=(5 * x, 5 * y), ha=ACROSS[x], va=ALONG[y])
+            box = note.get_window_extent()
+            outside = len(box.corners()) - axes.bbox.count_contains(box.corners())
+            crossed = sum(path.intersects_bbox(box, filled=False) for path in curves)
+            found.append((box.count_overlaps(taken) + outside, crossed, side, box))
+        covered, _, side, box = min(found)
+        x, y = SIDES[side]
+        note.set(position=(5 * x, 5 * y), ha=ACROSS[x], va=ALONG[y], visible=not covered)
+        taken.append(box)
 
 
 def _against_time(report: Report, axes: Any, m: Measured) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+    axes.set_title(in_words(m.name)[0], fontsize=11, loc="left")
     axes.set(xscale="log", yscale="log", xlabel="run time (s)", ylabel="error")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda t, _: f"{t:g}"))
@@ -91,7 +124,7 @@ def _against_time(report: Report, axes: Any, m: Measured) -> None:
     axes.axhline(report.target, color="0.3", lw=1, ls=(0, (5, 3)), label=target)
     if m.reference is not None and m.reference.uncertainty and m.reference.value:
         own = m.reference.uncertainty / abs(m.reference.value)
-        below = {"color": "0.88", "lw": 0, "zorder": 0, "label": "below the reference's own error"}
+        below = {"color": "0.88", "lw": 0, "zorder": 0.9, "label": "uncertainty of the reference"}
         axes.axhspan(axes.get_ylim()[0], own, **below)
     if all(e is None for e in error):
         axes.text(0.5, 0.5, "no known error", transform=axes.transAxes, ha="center", color="0.4")
@@ -100,44 +133,47 @@ def _against_time(report: Report, axes: Any, m: Measured) -> None:
 def _line(
     axes: Any, report: Report, m: Measured, error: list[float | None], name: str, k: int
 ) -> None:
-    """Draw the k-th line with labels and order; failed runs are crosses at the top."""
+    """Draw the k-th line with labels; failed runs are crosses at the top, orders at the bottom."""
     from matplotlib.patheffects import withStroke
 
     colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
-    halo = [withStroke(linewidth=2.5, foreground="white")]
-    look = {"textcoords": "offset points", "color": colour, "path_effects": halo, "zorder": 2}
-    above = k % 2 == 0  # so that the labels of two lines side by side can be read
     own = [i for i, r in enumerate(report.runs) if r.line == name]
-    good = [i for i in own if error[i] is not None and report.runs[i].time is not None]
-    style.curve(axes, [report.runs[i].time for i in good], [error[i] for i in good], k, name)
-    for i in good:
-        at = (report.runs[i].time, error[i])
+    good = {
+        i: (time, e)
+        for i in own
+        if (e := error[i]) is not None and (time := report.runs[i].time) is not None
+    }
+    style.curve(axes, [t for t, _ in good.values()], [e for _, e in good.values()], k, name)
+    halo = [withStroke(linewidth=2.0, foreground="white")]
+    look = {"textcoords": "offset points", "fontsize": 7, "path_effects": halo, "zorder": 5}
+    for i, at in good.items():
         if not m.points[i].trusted:
             axes.plot(*at, marker, mfc="white", mec=colour, ms=6, zorder=4)
-        axes.annotate(report.runs[i].label, at, xytext=(5, 5 if above else -10), fontsize=7, **look)
-    exponent = m.exponents[name]
-    if good and exponent is not None and abs(exponent) >= FLAT:
+        label = report.runs[i].label
+        axes.annotate(label, at, xytext=(5, 5), color=colour, in_layout=False, **look)
+    if text := exponent_text(report, m, name):
         letter = "h" if report.runs[own[0]].key == "mesh.size" else "x"
-        middle = good[len(good) // 2]
-        at, place = (report.runs[middle].time, error[middle]), (-8, -14) if above else (8, 6)
-        text, side = rf"$\sim {letter}^{{{exponent:.1f}}}$", "right" if above else "left"
-        axes.annotate(text, at, xytext=place, ha=side, fontsize=10, **look)
+        order = text if text == NOT_CONVERGING else rf"$\sim {letter}^{{{text}}}$"
+        row = 0.02 + 0.055 * (len(m.exponents) - 1 - k)
+        axes.text(0.02, row, f"{name}: {order}", transform=axes.transAxes, color=colour, fontsize=8)
     failed = [r.result for r in (report.runs[i] for i in own) if r.result.exit_code]
     style.crosses(axes, [max(result.seconds, 1e-2) for result in failed], k, 0.97)
 
 
 def _limits(axes: Any, report: Report, error: list[float | None]) -> None:
-    """Show at least a decade of error, with room for labels and crosses."""
+    """Show at least a decade of error, with room for labels, crosses and orders."""
     known = [report.target, *(e for e in error if e is not None)]
-    axes.set_ylim(min(known) / 2.5, max(*known, 10 * min(known)) * 3)
-    times = [r.time or r.result.seconds for r in report.runs]
-    axes.set_xlim(max(min(times), 1e-2) / 1.6, max(times) * 2.2)
+    low, high = min(known), max(*known, 10 * min(known))
+    room = (high / low) ** 0.12
+    axes.set_ylim(low / room**3, high * room)
+    times = [max(r.time or r.result.seconds, 1e-2) for r in report.runs]
+    room = max(max(times) / min(times), 10.0) ** 0.1
+    axes.set_xlim(min(times) / room, max(times) * room)
 
 
 def _over_number(report: Report, lines: dict[str, list[int]], axes: Any, m: Measured) -> None:
     factor = m.quantity.factor
-    title = f"{m.name} ({printed(m.quantity.shown)})".removesuffix(" ()")
-    axes.set_title(title, fontsize=11, loc="left")
+    axes.set_title(titled(m.name), fontsize=11, loc="left")
     axes.set(xscale="log", xlabel=_label(report, lines))
     drawn = []
     if m.reference is not None:

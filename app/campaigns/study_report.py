@@ -8,7 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from app.campaigns.runs import Result
-from app.campaigns.work_precision import USEFUL, ErrorPoint, ReferenceValue
+from app.campaigns.work_precision import (
+    HIGHEST_ORDER,
+    NOT_CONVERGING,
+    USEFUL,
+    ErrorPoint,
+    ReferenceValue,
+)
 from app.case.quantities import Quantity
 from app.case.study import PlannedStudy
 from app.case.sweep import PlannedRun
@@ -42,6 +48,12 @@ class StudyRun:
     x: float | None
     unit: str
     time: float | None
+
+    @property
+    def highest_order(self) -> float:
+        """Highest order that errors can have in the key; in mesh size twice the elements'."""
+        of_mesh = self.key == "mesh.size"
+        return 2.0 * self.planned.case.mesh.order if of_mesh else HIGHEST_ORDER
 
     @property
     def status(self) -> str:
@@ -121,6 +133,16 @@ def error_text(m: Measured, i: int) -> str:
     return percent(error) if m.points[i].trusted or not error else f"< {percent(error)}"
 
 
+def exponent_text(report: Report, m: Measured, line: str) -> str:
+    """The exponent of a line, or that it is not one of its elements; empty if it is 0."""
+    p = m.exponents[line]
+    if p is None or abs(p) < FLAT:
+        return ""
+    first = next(r for r in report.runs if r.line == line)
+    likely = first.key != "mesh.size" or 0.0 < round(p, 1) <= first.highest_order
+    return f"{p:.1f}" if likely else NOT_CONVERGING
+
+
 def describe(reference: ReferenceValue | None, q: Quantity) -> str:
     """Reference value with its uncertainty and observed order, in words."""
     if reference is None:
@@ -146,9 +168,9 @@ def table(report: Report) -> str:
         lines.append(layout.table(head, rows))
         keys = {r.line: r.key for r in report.runs}
         orders = [
-            f"{keys[n]}^{p:.1f} along {n}"
-            for n, p in m.exponents.items()
-            if p is not None and abs(p) >= FLAT
+            f"{keys[n]}^{p} along {n}" if p != NOT_CONVERGING else f"{p} along {n}"
+            for n in m.exponents
+            if (p := exponent_text(report, m, n))
         ]
         if orders:
             lines.append(f"  error goes with {', '.join(orders)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,6 +11,9 @@ from scipy.optimize import brentq
 
 # Orders of convergence accepted in an extrapolation.
 LOWEST_ORDER, HIGHEST_ORDER = 0.5, 4.0
+ROUNDED = 0.05  # by which an order printed as the highest may exceed it
+# What values are whose differences fall faster than their elements allow.
+NOT_CONVERGING = "not yet converging"
 # Effectivity indices (estimated over true error) that make an estimate useful.
 USEFUL = (0.5, 3.0)
 # The true error has to exceed the algebraic one and the reference's own by these factors for the
@@ -80,44 +84,54 @@ class ErrorPoint:
         return self.effectivity is not None and low <= self.effectivity <= high
 
 
-def extrapolate(sizes: Sequence[float], values: Sequence[float]) -> ReferenceValue:
+def extrapolate(
+    sizes: Sequence[float],
+    values: Sequence[float],
+    highest: float = HIGHEST_ORDER,
+    tolerance: float = 0.0,
+) -> ReferenceValue:
     """Richardson extrapolation from the last three values of a sequence of refinements.
 
-    The error is assumed as c h^p with the observed p; where p is not between 0.5 and 4, the finest
-    value is taken. The uncertainty is the last correction; without extrapolation the last
-    difference, or the larger of the last two where they do not decrease.
+    The error is assumed as c h^p with the observed p, and the uncertainty is the last correction.
+    Where p is below 0.5 or above the highest, the finest value is taken, and the uncertainty is the
+    larger of the last two differences.
 
     Args:
         sizes: Mesh size or another number that goes to 0, coarsest first; empty if there is none.
         values: The quantity at each, at least two.
+        highest: Highest order accepted; above it values are not yet converging.
+        tolerance: Relative error of the values that is not of the mesh.
     """
     f, h = list(values[-3:]), list(sizes[-3:])
-    last = abs(f[-1] - f[-2])
+    last, largest = abs(f[-1] - f[-2]), float(np.abs(np.diff(f)).max())
     if len(f) < 3 or len(h) < 3:
         return ReferenceValue(f[-1], last, None, "finest of two" if len(f) < 3 else "finest")
-    first = abs(f[1] - f[0])
-    order = _observed_order(h, f)
-    if order is None:
-        fast = (f[1] - f[0]) * (f[2] - f[1]) >= 0 and last < 0.5 * first
-        return ReferenceValue(
-            f[-1], last if fast else max(last, first), None, "finest, no clear order"
-        )
+    order = _observed_order(h, f, highest)
+    if order is None or largest <= ALGEBRAIC_FACTOR * tolerance * abs(f[-1]):
+        return ReferenceValue(f[-1], largest, None, "finest, no clear order")
+    if math.isinf(order):
+        return ReferenceValue(f[-1], largest, None, NOT_CONVERGING)
     correction = (f[2] - f[1]) * h[2] ** order / (h[1] ** order - h[2] ** order)
     return ReferenceValue(f[2] + correction, abs(correction), order, "extrapolated")
 
 
-def _observed_order(h: Sequence[float], f: Sequence[float]) -> float | None:
-    """The p with (f0 - f1) / (f1 - f2) = (h0^p - h1^p) / (h1^p - h2^p); None if out of range."""
-    if f[1] == f[2] or not h[0] > h[1] > h[2] > 0:
+def _observed_order(h: Sequence[float], f: Sequence[float], highest: float) -> float | None:
+    """The p with (f0 - f1) / (f1 - f2) = (h0^p - h1^p) / (h1^p - h2^p).
+
+    Infinite above the highest, None if below the lowest.
+    """
+    if f[0] == f[1] or not h[0] > h[1] > h[2] > 0:
         return None
-    ratio = (f[0] - f[1]) / (f[1] - f[2])
+    ratio = (f[0] - f[1]) / (f[1] - f[2]) if f[1] != f[2] else math.inf
 
     def excess(p: float) -> float:
         return (h[0] ** p - h[1] ** p) / (h[1] ** p - h[2] ** p) - ratio
 
-    if excess(LOWEST_ORDER) > 0 or excess(HIGHEST_ORDER) < 0:  # it grows with p
+    if excess(LOWEST_ORDER) > 0:  # it grows with p
         return None
-    return float(brentq(excess, LOWEST_ORDER, HIGHEST_ORDER))
+    if excess(highest + ROUNDED) < 0:
+        return math.inf
+    return float(brentq(excess, LOWEST_ORDER, highest + ROUNDED))
 
 
 def compare(point: ErrorPoint, reference: ReferenceValue | None) -> ErrorPoint:

@@ -16,9 +16,8 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, mo
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, physical_names
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
-from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, fail, not_one_of, show
+from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail, not_one_of, show
 from app.schema.units import Angle, PositiveLength, SizeVector
-from app.schema.vectors import Pair
 
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
 __all__ += ["MeshOptions", "Sides"]

@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 import struct
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -90,12 +91,10 @@ def _files(path: Path) -> list[str]:
         text = (folder / name).read_text("utf-8", "replace")
         for quoted in QUOTED.finditer(text):
             other = os.path.normpath(Path(name).parent / (quoted[1] or quoted[2] or "."))
-            try:
+            with suppress(OSError, ValueError):  # not a file name
                 inside = (folder / other).resolve().is_relative_to(folder)
                 if inside and other not in found and (folder / other).is_file():
                     found.append(other)
-            except (OSError, ValueError):  # not a file name
-                continue
     return found
 
 

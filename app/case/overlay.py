@@ -21,9 +21,8 @@ import configs
 from app.case import library
 from app.errors import InputError
 from app.schema import yaml_file
-from app.schema.section import did_you_mean, show
+from app.schema.section import VECTOR, Triple, did_you_mean, show
 from app.schema.units import FORCE
-from app.schema.vectors import VECTOR, Triple
 from app.schema.yaml_file import (
     DEEPEST,
     MOST_NODES,
@@ -66,8 +65,11 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
         if file.data.get("library") is not None:
             case.libraries.append(library.read(_named_file(file, "library")))
             case.digests |= case.libraries[-1].digests
-        if file is not chain[0]:
-            _anchor(file.data, FilePath(file.name).parent)
+        geometry = file.data.get("geometry")
+        if file is not chain[0] and isinstance(geometry, dict):
+            # The path of a mesh is relative to the file of its case.
+            if isinstance(mesh := geometry.get("path"), str):
+                geometry["path"] = str((FilePath(file.name).parent / expanduser(mesh)).absolute())
         below = None if file is chain[-1] else case.data
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
         case.data = _over(case, below, upper, ())
@@ -128,13 +130,6 @@ def _named_file(file: CaseFile, key: str) -> FilePath:
             hint = did_you_mean(name, known) or f"; cases by name: {', '.join(known)}"
         file.raise_all([Fault((key,), f"no such file: {path}{hint}")])
     return path
-
-
-def _anchor(data: Mapping[str, Any], folder: FilePath) -> None:
-    """Make the path of a mesh absolute, which is relative to the file of its case."""
-    geometry = data.get("geometry")
-    if isinstance(geometry, dict) and isinstance(path := geometry.get("path"), str):
-        geometry["path"] = str((folder / expanduser(path)).absolute())
 
 
 # ---------------------------------------------------------------------------------- merging

@@ -121,6 +121,7 @@ class Quantity:
         return " ± ".join(texts) or "-"
 
 
+PLACES = {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}
 # Sections of numbers; the others map interfaces or regions to numbers.
 RUN = ("solver", "balance", "timing")
 WHOLE = ("stem", *RUN)
@@ -268,6 +269,21 @@ def find(name: str) -> Quantity:
     known = dict.fromkeys(n for own in _tables(owner) for q in own.values() for n in q.names)
     hint = did_you_mean(key, tuple(known)) or f"; one of {', '.join(known)}"
     fail(f"{show(name)} is not <interface>.<key>, <region>.<key> or stem.<key>{hint}")
+
+
+def in_words(name: str) -> tuple[str, str]:
+    """A number's label, e.g. stem-cement slip, p99, and its unit as printed."""
+    place, _, key = name.partition(".")
+    words = PLACES.get(place, place.replace("_", " "))
+    if (q := get(name)) is None:
+        return f"{words} {key}".replace("_", " "), ""
+    return f"{words} {key.replace(q.key, q.label)}", printed(q.shown)
+
+
+def titled(name: str) -> str:
+    """A number's label with its unit in brackets, if it has one."""
+    words, unit = in_words(name)
+    return f"{words} ({unit})" if unit else words
 
 
 def known_value(name: str, value: object) -> float:

@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from app.case import checks, overlay, points, quantities, sweep
+from app.case.case import Case
 from app.case.points import Changes, Lists, Point, Runs
 from app.case.sweep import PlannedRun
 from app.schema import yaml_file
@@ -48,8 +49,8 @@ class Reference(Section):
     values: Annotated[dict[str, str | int | float], BeforeValidator(_values)] | None = None
     """The exact value of each quantity."""
     run: Runs | None = None
-    """Runs as in a line, finest last: two, or at least three to extrapolate. Without a list, one
-    run that is the reference as it is."""
+    """Runs as in a line, finest last: two, or at least three to extrapolate, on other meshes than
+    those of the lines. Without a list, one run that is the reference as it is."""
 
     @model_validator(mode="after")
     def _one(self) -> Reference:
@@ -117,6 +118,31 @@ class StudyFile(Section):
 REFERENCE = ("study", "reference", "run")
 
 
+def _density(case: Case) -> tuple[float, str]:
+    """Lines around the stem, else cells per mm, and both in words."""
+    around = case.geometry.grid(case.mesh).get("lines around")
+    words = f"{around} lines around" if around else f"size {case.mesh.size:g} mm"
+    return around or 1.0 / case.mesh.size, words
+
+
+def _shared_meshes(study: Study, runs: Sequence[PlannedRun]) -> Iterator[Fault]:
+    """Faults of a reference of several meshes: one that is judged too, or none that is finer."""
+    ladder = [r for r in runs if r.point.path == REFERENCE]
+    judged = {_density(r.case): r for r in reversed(runs) if r.point.path != REFERENCE}
+    if not judged or all(r.case.mesh == ladder[0].case.mesh for r in ladder):
+        return
+    key = points.varying(study.reference.run or {})[0]
+    below = f"below {min(r.case.mesh.size for r in judged.values()):g} mm"
+    for r in ladder:
+        if (own := _density(r.case)) in judged:
+            text = f"has the mesh of {judged[own].point.name} ({own[1]}), whose error it cannot "
+            text += f"tell; expected sizes that no line has, the last {below}"
+            yield Fault(r.point.places[key], text)
+    if (finest := max(judged)) > _density(ladder[-1].case):
+        text = f"is not finer than {judged[finest].point.name} ({finest[1]}); expected a last size"
+        yield Fault(ladder[-1].point.places[key], f"{text} {below}")
+
+
 @dataclass(frozen=True)
 class PlannedStudy:
     """A study and its runs.
@@ -155,6 +181,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> PlannedStudy:
     runs, problems = sweep.plan(file, path.parent, list(content.points()), others)
     if runs:
         problems += checks.quantities(runs[0].case.geometry, study)
+    problems += _shared_meshes(study, runs)
     if CONDITION in study.quantities and not all(r.case.output.condition for r in runs):
         at = ("study", "quantities", study.quantities.index(CONDITION))
         problems.append(Fault(at, "needs output.condition: true"))

@@ -65,7 +65,7 @@ class TemperatureJumps:
         comm, index_map = forms.comm, forms.space.dofmap.index_map
         facets = contact_facets(tagged, bodies, forms.space, contacts, {})
         holds = _holds(forms, facets, held)
-        self.points, entries = contact_points(facets, holds, len(contacts))
+        self.points, entries = contact_points(facets, holds, len(contacts), {})
         self.mine, place = owners(comm, index_map, self.points.dof)
         begin, end = index_map.local_range
         n = len(self.mine)
@@ -112,7 +112,7 @@ class TemperatureJumps:
 def _holds(forms: HeatForms, facets: InterfaceFacets, held: Ints) -> Holds:
     """Given temperatures at the vertices of interfaces, as supports hold displacement."""
     start = forms.space.dofmap.index_map.local_range[0]
-    dof, first = np.unique(facets.vertex_dofs, return_index=True)
+    dof, first = np.unique(facets.dofs[:, :3], return_index=True)
     own = (dof >= start) & (dof < start + forms.owned)
     node, vertex = dof[own] - start, facets.vertices.ravel()[first[own]]
     body, row = np.nonzero(held[:, node] >= 0)

@@ -8,8 +8,7 @@ from pydantic import AfterValidator, model_validator
 
 from app.laws.values import Named, OverTime, rising
 from app.schema import units
-from app.schema.section import ITEMS, Kinds, Section, fail
-from app.schema.vectors import Pair
+from app.schema.section import ITEMS, Kinds, Pair, Section, fail
 
 RateCourse = OverTime[
     Annotated[tuple[units.NonNegativeTime, units.NonNegativeNumber], Pair("[300 s, 1]")]

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, Discriminator, PlainSerializer, Tag
 
-from app.schema.section import TAG, Kinds, Section
+from app.schema.section import TAG, Kinds, Section, Triple
 from app.schema.units import Axis, Length
-from app.schema.vectors import Triple
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr

@@ -10,8 +10,7 @@ from app.errors import InputError
 from app.laws.values import Named, OverTime, field
 from app.schema import units
 from app.schema.expressions import Varying
-from app.schema.section import ITEMS, Kinds, Name, fail
-from app.schema.vectors import Pair
+from app.schema.section import ITEMS, Kinds, Name, Pair, fail
 
 if TYPE_CHECKING:
     from app.arrays import Floats

@@ -9,9 +9,8 @@ from pydantic import BeforeValidator, ValidationInfo
 
 from app.laws.values import History, Named, field
 from app.schema.expressions import Varying
-from app.schema.section import ITEMS, Extensible, Kinds, Name, fail, show
+from app.schema.section import ITEMS, Extensible, Kinds, Name, Triple, fail, show, spread_unit
 from app.schema.units import Dimension, ForceVector, Length, Stress
-from app.schema.vectors import Triple, spread_unit
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from app.laws.values import History, LengthField, Named, field
-from app.schema.section import ITEMS, TAG, Kinds, Name, fail
+from app.schema.section import ITEMS, TAG, Kinds, Name, Triple, fail
 from app.schema.units import Axis, Stiffness
-from app.schema.vectors import Triple
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr

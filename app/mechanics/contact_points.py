@@ -12,6 +12,7 @@ from app.errors import InputError
 from app.laws.supports import Support
 from app.scene.bodies import Bodies
 from app.scene.scene import Scene
+from meshes.contact_facets import projectors
 from meshes.contact_points import ContactPoints, Entries, Holds
 
 
@@ -44,7 +45,7 @@ class OwnPoints:
         """Select the points that a rank owns."""
         names = ("interface", "x", "bodies", "faces", "normals", "weight")
         kept = {name: getattr(points, name)[rows] for name in names}
-        return cls(rows=rows, projector=points.held_part[rows], **kept)
+        return cls(rows=rows, projector=projectors(points.axes, points.held)[rows], **kept)
 
     def __len__(self) -> int:
         """Number of points."""

@@ -94,7 +94,7 @@ def _lead(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str])
             count += 1
             known += a.error is not None and b.error is not None
             if differs(a, b, key):
-                words, unit = sweep_figures.label(key)
+                words, unit = quantities.in_words(key)
                 part = abs(b.value - a.value) / max(abs(a.value), abs(b.value))
                 beyond.append((part, f"{words} ({a} {unit}, {name}: {b} {unit})"))
     if not count:
@@ -123,7 +123,7 @@ def _numbers(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[st
     for key in keys:
         a, *others = (case.number(key) for case in cases)
         own = [sweep_figures.cell(case, key) for case in cases]
-        rows.append([sweep_figures.titled(key), *own, *(_difference(a, b, key) for b in others)])
+        rows.append([quantities.titled(key), *own, *(_difference(a, b, key) for b in others)])
     return table(head, rows)
 
 

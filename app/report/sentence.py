@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from app.case.quantities import NECROSIS, TABLE, in_print, numbers_of, printed
-from app.report.sweep_figures import label
+from app.case.quantities import NECROSIS, TABLE, in_print, in_words, numbers_of, printed
 from app.report.sweep_results import SweptCase, magnitude
 from app.results.closing_lines import BOTH
 
@@ -140,7 +139,7 @@ def _errors(summary: Numbers) -> str:
     bad = {n: e for n, e in sorted(known.items(), key=lambda item: -item[1]) if e > GOOD}
     if not known:
         return "the errors of these numbers could not be estimated"
-    named = [f"{label(n)[0]} ({100 * e:.0f} %)" for n, e in list(bad.items())[:MOST]]
+    named = [f"{in_words(n)[0]} ({100 * e:.0f} %)" for n, e in list(bad.items())[:MOST]]
     if len(bad) > MOST:
         middle = math.ceil(100 * sorted(known.values())[len(known) // 2])
         least = f"the least sure are {', '.join(named)}"
@@ -160,7 +159,7 @@ def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> str:
         if len(values) > 1 and name.endswith((".slip_p99", ".gap_p99", ".temperature_max")):
             low, high = min(values, key=values.__getitem__), max(values, key=values.__getitem__)
             if values[high] > NOTHING:
-                words, unit = label(name)
+                words, unit = in_words(name)
                 ends = ((k, values[k] if abs(values[k]) > NOTHING else 0) for k in (low, high))
                 least, most = (f"{v:.3g} {unit} ({k})" for k, v in ends)
                 found.append(f"{words} from {least} to {most}")

@@ -14,8 +14,7 @@ from app.report import page
 from app.report.curves import ROUNDED, Line, Panel, draw, in_words, too_few
 from app.report.page import Blocks, Figure
 from app.report.sweep_results import PERCENTILES, SweptCase, by_part, magnitude, named
-from app.schema.unit_conversion import conversion
-from app.schema.units import NUMBER
+from app.schema.units import NUMBER, conversion
 from app.system import layout
 
 MOST_PANELS = 12
@@ -39,20 +38,6 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
     for case in cases:
         found |= dict.fromkeys(case.numbers)
     return [name for name in found if any(c.number(name) is not None for c in cases)]
-
-
-def label(name: str) -> tuple[str, str]:
-    """A number's label for people, and its unit."""
-    place, _, key = name.partition(".")
-    if (q := quantities.get(name)) is None:
-        return f"{named(place)} {key}".replace("_", " "), ""
-    return f"{named(place)} {key.replace(q.key, q.label)}", quantities.printed(q.shown)
-
-
-def titled(name: str) -> str:
-    """A number's label with its unit in brackets, if it has one."""
-    words, unit = label(name)
-    return f"{words} ({unit})" if unit else words
 
 
 def title(key: str) -> str:
@@ -99,7 +84,7 @@ def cases_table(
 ) -> Blocks:
     """Cases with their outcome, the first of their numbers, and links to pages."""
     names = names[:MOST_NUMBERS]
-    head = ["case", "status", "changes", *map(titled, names)]
+    head = ["case", "status", "changes", *map(quantities.titled, names)]
     head += ["unknowns", "ranks", "time", "message"]
     rows = [
         [
@@ -134,7 +119,7 @@ def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
         groups = _groups(done, key)
         panels = []
         for name in headlines([c for _, own in groups for c in own.values()]):
-            text, unit = label(name)
+            text, unit = quantities.in_words(name)
             lines = []
             for k, (common, own) in enumerate(groups[:MOST_SERIES]):
                 values = {x: n for x, c in own.items() if (n := c.number(name))}
@@ -210,5 +195,6 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str | 
             known = [(r, title(key)) for key, r in ranks.items() if r is not None]
             known.sort(key=lambda pair: -abs(pair[0]))
             if known:
-                rows.append([part or "all", label(name)[0], [f"{r:+.2f} {k}" for r, k in known]])
+                words = quantities.in_words(name)[0]
+                rows.append([part or "all", words, [f"{r:+.2f} {k}" for r, k in known]])
     return ["part", "number", "rank correlation with"], rows

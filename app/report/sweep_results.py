@@ -30,7 +30,7 @@ PERCENTILES = {
 }
 QUANTITIES = {key: (quantities.printed(q.shown), q.factor) for key, q in _CONTACT.items()}
 WORDS = {key: q.label.removesuffix(", max") for key, q in _CONTACT.items()}
-WORDS |= {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}
+WORDS |= quantities.PLACES
 CONVERGED = "converged"
 STATUSES = (CONVERGED, "not converged", "failed", "stopped", UNUSABLE)
 

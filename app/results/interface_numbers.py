@@ -207,12 +207,10 @@ def gaps(
 
 def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
     """Displacement of the slave side against the master at the nodes of all facets (f, m, 3)."""
-    dofs = np.concatenate([contact.facets.vertex_dofs, contact.facets.edge_dofs], axis=1)
+    dofs, bodies = contact.facets.dofs, contact.facets.bodies
     nodes, place = np.unique(dofs, return_inverse=True)
     place = place.reshape(dofs.shape)
-    moved = np.zeros(
-        (1 + int(max(contact.facets.master.max(), contact.facets.slave.max())), len(nodes), 3)
-    )
+    moved = np.zeros((1 + int(bodies.max()), len(nodes), 3))
     for body, B in contact.coupling.jump_to_displacement.items():
         q, u = B.createVecs()
         q.array[:] = jump.ravel()
@@ -221,9 +219,7 @@ def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
         own = (nodes >= start) & (nodes < end)
         moved[body, own] = u.array.reshape(-1, 3)[nodes[own] - start]
     moved = contact.comm.allreduce(moved)
-    return (
-        moved[contact.facets.slave[:, None], place] - moved[contact.facets.master[:, None], place]
-    )
+    return moved[bodies[:, 1:], place] - moved[bodies[:, :1], place]
 
 
 def _clearance(contact: ContactInterfaces) -> Floats:

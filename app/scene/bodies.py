@@ -19,7 +19,7 @@ from app.arrays import Ints
 from app.errors import InputError
 from app.laws.materials import Rigid
 from app.scene.scene import Interface
-from meshes.contact_facets import InterfaceFacets, sorted_facets
+from meshes.contact_facets import InterfaceFacets, gather, sorted_facets
 from meshes.distribute import TaggedMesh
 
 # Nodes of each facet of a tetrahedron: vertices, then the middles of the edges opposite them.
@@ -195,9 +195,7 @@ def contact_facets(
         sides = tags[np.column_stack([f.outside, f.cells])]
         own = np.full(len(numbers), i), numbers, bodies.of_tag[sides], dofs, x, inside
         rows.append((*own, stiffness[sides]))
-    interface, numbers, of, dofs, x, inside, stiff = map(np.concatenate, zip(*rows, strict=True))
-    both = dofs[:, :3], dofs[:, 3:]
-    return sorted_facets(comm, interface, numbers, of, both, x, inside, stiff)
+    return sorted_facets(*gather(comm, *map(np.concatenate, zip(*rows, strict=True))))
 
 
 def _at_facets(values: NDArray, f: FacetCells) -> NDArray:

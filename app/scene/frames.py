@@ -19,8 +19,14 @@ from app.laws.supports import Support
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes
 from app.scene.scene import Scene
 from app.system.layout import point_text
-from meshes.contact_faces import projectors
-from meshes.contact_facets import NODES, InterfaceFacets, gather, nodal_normals, shape_functions
+from meshes.contact_facets import (
+    NODES,
+    InterfaceFacets,
+    gather,
+    nodal_normals,
+    projectors,
+    shape_functions,
+)
 from meshes.contact_points import Holds
 from meshes.distribute import TaggedMesh
 
@@ -101,7 +107,7 @@ def held_at(
         held[np.ix_(row.ravel()[support_of == s], supports[s].components)] = s
     if frames is None:
         return Holds(vertex, body, held), {}
-    dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, vertex)]
+    dof = facets.dofs[:, :3].ravel()[first][np.searchsorted(vertices, vertex)]
     rows = np.flatnonzero(np.isin(dof, frames.node))
     places = np.searchsorted(frames.node, dof[rows])
     held[rows] = frames.support(places, body[rows], order)

@@ -1,23 +1,30 @@
 """A scene: bodies, interfaces, supports, loads, heat and stages to be solved.
 
-It does not know the mesh or the solver. Absent parts are empty tuples.
+`build_scene` is the one place that chooses what is solved. A scene does not know the mesh or the
+solver. Absent parts are empty tuples.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from app.arrays import Field
+from app.case.case import Case
 from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
+from app.case.shapes import Sides
 from app.laws.cure import Cure
+from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import InterfaceLaw
 from app.laws.loads import Load
 from app.laws.materials import Elastic, Rigid
 from app.laws.supports import Foundation, Support
 from app.laws.thermal import Thermal
+from app.laws.values import field
 
 
 @dataclass(frozen=True)
@@ -88,3 +95,91 @@ class Scene:
     def holds(self, support: Support, stage: int) -> bool:
         """Whether a support is active in a stage."""
         return support.stages is None or self.stages[stage].name in support.stages
+
+
+def build_scene(case: Case) -> Scene:
+    """Build the scene of a case."""
+    regions: Mapping[str, Any] = case.regions
+    elastic = tuple(r.named(n) for n, r in regions.items() if isinstance(r, Elastic))
+    moduli = {e.region: max(e.moduli) for e in elastic}
+    thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
+    interfaces = [
+        _interface(name, law, case.geometry.interface_sides[name], moduli, thermal)
+        for name, law in case.interfaces.items()
+    ]
+    conducting = tuple(i for i in interfaces if i.law.conductance is not None)
+    rubbing = tuple(i for i in interfaces if i.law.heated_by_friction is not None)
+    return Scene(
+        order=case.mesh.order,
+        elastic=elastic,
+        rigid=tuple(r.named(n) for n, r in regions.items() if isinstance(r, Rigid)),
+        foundations=tuple(s for s in case.supports.values() if isinstance(s, Foundation)),
+        supports=tuple(
+            _support(name, s, case) for name, s in case.supports.items() if isinstance(s, Support)
+        ),
+        loads=tuple(load.named(name) for name, load in case.loads.items()),
+        contacts=tuple(i for i in interfaces if i.law.can_part),
+        bonds=tuple(i for i in interfaces if not i.law.can_part and math.isfinite(i.modulus)),
+        stages=case.stages,
+        conductors=tuple(thermal.values()),
+        heat=tuple(condition.named(name) for name, condition in case.heat.items()),
+        thermal_contacts=conducting,
+        friction_heat=rubbing,
+        coupled=bool(rubbing) or any(i.law.conductances[1] > 0 for i in conducting),
+        expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
+        cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
+        time=case.time,
+    )
+
+
+def _thermal(region: Any, name: str) -> Thermal:
+    thermal: Thermal = region.thermal
+    fibre = None
+    if thermal.conductivity is None:
+        fibre = getattr(region, "fibre", None) or thermal.fibre or Straight()
+    return thermal.named(name, fibre=fibre)
+
+
+def _support(name: str, support: Support, case: Case) -> Support:
+    stages = [stage.name for stage in case.stages]
+    always = support.stages is None or set(stages) <= set(support.stages)
+    changes: dict[str, Any] = {"stages": None} if always else {}
+    if "history" in type(support).model_fields:
+        changes["history"] = support.history or (1.0,) * len(stages)
+    return support.named(name, **changes)
+
+
+def _interface(
+    name: str,
+    law: InterfaceLaw,
+    declared: Sides,
+    moduli: Mapping[str, float],
+    thermal: Mapping[str, Thermal],
+) -> Interface:
+    """Interface with the stiffer side as master: the softer side carries the jumps."""
+    first, second = (tuple(side) for side in declared)
+    turned = _stiffness(first, moduli) < _stiffness(second, moduli)
+    master, slave = (second, first) if turned else (first, second)
+    gap, history = law.initial_gap
+    share = law.heated_by_friction
+    if isinstance(share, str):
+        e_m, e_s = (sum(thermal[r].effusivity for r in s) / len(s) for s in (master, slave))
+        slave_share = e_s / (e_s + e_m)
+    else:
+        slave_share = 0.0 if share is None else share if turned else 1.0 - share
+    return Interface(
+        name,
+        master,
+        slave,
+        law,
+        modulus=_stiffness(slave, moduli),
+        gap=field(f"interfaces.{name}.gap", gap),
+        history=tuple(history or ()),
+        turned=turned,
+        slave_share=slave_share,
+    )
+
+
+def _stiffness(side: Sequence[str], moduli: Mapping[str, float]) -> float:
+    """Largest modulus on a side of an interface [MPa]; infinite if rigid."""
+    return max(moduli.get(region, math.inf) for region in side)

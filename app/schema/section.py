@@ -1,4 +1,4 @@
-"""Shared parts of the schema: the base model, names, tagged choices, messages."""
+"""Shared parts of the schema: the base model, names, vectors, tagged choices, messages."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import re
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Annotated, Any, NoReturn, Self, get_args
 
@@ -17,6 +18,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     ValidationError,
     model_validator,
@@ -27,6 +29,7 @@ from app.schema.yaml_file import Fault, Path
 
 # Marks, in the location of a pydantic error, an entry that names a class and not a key.
 TAG = "="
+VECTOR = re.compile(r"\s*\[([^\[\]]*)\](.*)", re.DOTALL)
 
 
 class Section(BaseModel):
@@ -198,6 +201,74 @@ def not_one_of(value: object, allowed: Sequence[str]) -> str:
     """Message about a value that is not among the allowed words."""
     hint = did_you_mean(value, allowed) if isinstance(value, str) else ""
     return f"{show(value)} is not one of {', '.join(allowed)}{hint}"
+
+
+def spread_unit(value: object) -> object:
+    """``"[0, 0, -1800] N"`` as ``["0 N", "0 N", "-1800 N"]``; anything else unchanged."""
+    if isinstance(value, str) and (match := VECTOR.fullmatch(value)):
+        return [f"{entry.strip()} {match[2].strip()}".strip() for entry in _entries(match[1])]
+    return value
+
+
+def _entries(text: str) -> list[str]:
+    """Split at commas outside parentheses."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character == "(") - (character == ")")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
+@dataclass(frozen=True)
+class Triple:
+    """Marks a field as a vector: a list of exactly three, or ``"[a, b, c] unit"``.
+
+    Attributes:
+        example: Value as written in a file.
+        scalar: Whether a single value stands for three equal ones.
+        number: Number of entries; a pair is a list alone.
+    """
+
+    example: str
+    scalar: bool = False
+    number: int = 3
+
+    def spread(self, value: object) -> object:
+        """The entries, before they are read.
+
+        Raises:
+            PydanticCustomError: Not a list, or not of this number of entries.
+        """
+        words = {2: "two", 3: "three"}[self.number]
+        value = spread_unit(value) if self.number == 3 else value
+        if self.scalar and value is not None and not isinstance(value, list | tuple | dict):
+            return (value, value, value)
+        if not isinstance(value, list | tuple):
+            fail(f"{show(value)} is not a list of {words} values; expected e.g. {self.example}")
+        if len(value) != self.number:
+            fail(f"has {len(value)} values; expected {words}, e.g. {self.example}")
+        return value
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Spread before the entries are read."""
+        return core_schema.no_info_before_validator_function(self.spread, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """A list, or text where the entries of three are text."""
+        result = handler(schema)
+        if self.number == 2 or result.get("prefixItems", [{}])[0].get("type") != "string":
+            return result
+        return {"anyOf": [result, {"type": "string", "examples": [self.example], "x-value": ""}]}
+
+
+Pair = partial(Triple, number=2)
 
 
 # Called when a kind is added, to rebuild the schema (`case.case`).

@@ -28,8 +28,7 @@ from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import by_zone, stem_motion
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses, bonds
-from app.scene.build import build_scene
-from app.scene.scene import Scene, Stage
+from app.scene.scene import Scene, Stage, build_scene
 from app.simulation import coarser_case
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, well_posedness

@@ -22,7 +22,7 @@ from app.numerics.rigid_motions import DIRECTIONS, add_relative, describe, rigid
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, holds, law_between
 from app.system.layout import point_text
 from forms.contact import OPEN
-from meshes.contact_faces import spread_of_normals
+from meshes.contact_facets import spread_of_normals
 from meshes.pieces import Parts, Piece
 
 if TYPE_CHECKING:  # dolfinx, which checks of a case do without

@@ -168,7 +168,7 @@ def _heats(
     points, space = contact.points, operators.forms.space
     facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
     vertices, first = np.unique(facets.vertices, return_index=True)
-    dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, points.vertex)]
+    dof = facets.dofs[:, :3].ravel()[first][np.searchsorted(vertices, points.vertex)]
     start, end = space.dofmap.index_map.local_range
     own = (dof >= start) & (dof < end)
     shares = {f.name: f.slave_share for f in scene.friction_heat}

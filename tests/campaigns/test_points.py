@@ -45,7 +45,7 @@ study:
     P1: {mesh.order: 1, mesh.size: [4 mm, 2 mm, 1 mm]}
     P2: {mesh.order: 2, mesh.size: [4 mm, 2 mm, 1.5 mm], mesh.far_size: [5 mm, 4 mm, 3 mm]}
   reference:
-    run: {mesh.order: 2, mesh.size: [1 mm, 0.5 mm]}
+    run: {mesh.order: 2, mesh.size: [0.8 mm, 0.5 mm]}
 """
 
 
@@ -162,7 +162,7 @@ def test_a_study_has_its_lines_and_then_its_reference(path: Path) -> None:
     assert names[0] == "P1/size=4mm" and names[3] == "P2/size=4mm_far_size=5mm"
     assert [r.point.path for r in planned.runs[-2:]] == [study_file.REFERENCE] * 2
     assert [r.case.mesh.order for r in planned.runs] == [1] * 3 + [2] * 5
-    assert [r.case.mesh.size for r in planned.runs] == [4, 2, 1, 4, 2, 1.5, 1, 0.5]
+    assert [r.case.mesh.size for r in planned.runs] == [4, 2, 1, 4, 2, 1.5, 0.8, 0.5]
     assert planned.study.target == 0.05
     assert planned.overrides == ("output.condition=true", "mesh.curved=false")
 
@@ -214,10 +214,15 @@ STUDIES = [
     ("[4 mm, 2 mm, 1 mm]", "[4 mm, 2 N, 1 mm]", "6:43: study.lines.P1.mesh.size[1]: '2 N' is "),
     ("2 mm, 1 mm]", "2 mm, 7 mm]", "6:5: study.lines.P1: P1/size=7mm: "),
     ("P2: {mesh.order", "P2: {mesh.oder", "7:10: study.lines.P2.mesh.oder: unknown key"),
-    ("[1 mm, 0.5 mm]", "[1 mm]", "9:5: study.reference.run: has a single run"),
+    ("[0.8 mm, 0.5 mm]", "[1 mm]", "9:5: study.reference.run: has a single run"),
+    ("[0.8 mm, 0.5 mm]", "[2 mm, 0.5 mm]", "9:38: study.reference.run.mesh.size[0]: has the mesh "
+     "of P1/size=2mm (size 2 mm), whose error it cannot tell; expected sizes that no line has, the "
+     "last below 1 mm"),
+    ("[0.8 mm, 0.5 mm]", "[3 mm, 1.2 mm]", "9:44: study.reference.run.mesh.size[1]: is not finer "
+     "than P1/size=1mm (size 1 mm); expected a last size below 1 mm"),
     ("    run: {", "    rum: {", "9:5: study.reference.rum: unknown key"),
     ("    run: ", "    values: {}\n    run: ", "8:3: study.reference: expected either"),
-    ("run: {mesh.order: 2, mesh.size: [1 mm, 0.5 mm]}", "values: {lower_upper.slip_p99: 4 um}",
+    ("run: {mesh.order: 2, mesh.size: [0.8 mm, 0.5 mm]}", "values: {lower_upper.slip_p99: 4 um}",
      "9:5: study.reference.values: no value for lower_upper.pressure_p99"),
     ("    run: ", "    values: {lower_upper.slip_p99: 4 MPa}\n    run: ",
      "9:14: study.reference.values.lower_upper.slip_p99: '4 MPa'"),
@@ -318,6 +323,34 @@ def test_overrides_hold_for_every_case(path: Path) -> None:
         assert r.point.changes["regions.upper.poisson_ratio"] == 0.4
     with pytest.raises(InputError, match="--set ranks: 'none' is not a number of ranks"):
         sweep_file.read(path, ["ranks=none"])
+
+
+@pytest.mark.parametrize(
+    ("run", "told"),
+    [
+        ("mesh.size: [2.95 mm, 1 mm]", "stem/size=3mm (19 lines around)"),
+        (
+            "mesh.size: 5 mm, mesh.around: [19, 40]",
+            "around[0]: has the mesh of stem/size=3mm (19",
+        ),
+        ("mesh.size: [2.5 mm, 1 mm]", ""),
+        ("mesh.size: 4 mm", ""),
+        ("mesh.size: 4 mm, stages.0.increments: [2, 4]", ""),  # of the method, on this mesh
+    ],
+)
+def test_a_reference_has_lines_around_of_its_own(run: str, told: str, path: Path) -> None:
+    text = f"""\
+base: {support.CONFIGS / "stance.yaml"}
+study:
+  quantities: [stem.subsidence]
+  lines: {{stem: {{mesh.size: [4 mm, 3 mm]}}}}
+  reference: {{run: {{{run}}}}}
+"""
+    path.write_text(text)
+    if told:
+        assert told in refused(path, text)[0]
+    else:
+        assert study_file.read(path).runs
 
 
 MANY = [p for name in ("studies", "sweeps") for p in (support.CONFIGS / name).glob("*.yaml")]

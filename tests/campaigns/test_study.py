@@ -11,9 +11,12 @@ from typing import Any
 
 import pytest
 
+from app import figures
 from app.campaigns import study, study_picture
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
+from app.campaigns.study_report import Measured
+from app.campaigns.work_precision import NOT_CONVERGING, ReferenceValue
 from app.case import quantities
 from app.case import study as study_file
 from app.cli import main
@@ -44,6 +47,9 @@ study:
     exact: {interfaces.lower_upper.augmentation: *r}
   reference: {run: {}}
 """
+
+
+FAST = ReferenceValue(2.0, 1e-6, None, NOT_CONVERGING)
 
 
 @pytest.fixture
@@ -89,8 +95,13 @@ def test_errors_orders_front_and_advice(file: Path, caplog: pytest.LogCaptureFix
     assert "error goes with mesh.size^2.0 along P1, mesh.size^2.0 along P2" in caplog.text
     assert (out / "study.png").read_bytes()[:4] == b"\x89PNG"
     assert not (out / "study_parameters.png").exists()
-    # 1 mm of P2 is a run of its own; 1 mm of the ladder has another far size than the line's.
     assert len(list((out / "runs").glob("*/"))) == 9
+    # As if the finest of first order were the truth: errors fall by 5 and all, at h^2 at most.
+    values = "{lower_upper.slip_p99: 39.6 um, lower_upper.pressure_p99: 5 MPa}"
+    study.run(file, [f"study.reference={{values: {values}}}"], Options(out, 2))
+    assert "error goes with not yet converging along P1, mesh.size^" in caplog.text
+    measured = Measured("a", quantities.find("stem.varus"), True, FAST, [], {}, [])
+    assert "reference is not yet converging; refine" in study._refusal(0.02, measured)
 
 
 def test_given_values_estimates_and_a_target(file: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -138,7 +149,7 @@ def test_failed_points_are_shown_as_failed(file: Path, caplog: pytest.LogCapture
     assert record["runs"][0]["message"].endswith("the block slides away")
     assert re.search(r"P1 +mesh.size 4 mm +failed \(exit code 1\)", caplog.text)
     with pytest.raises(MantleError, match="every run of the study failed") as error:
-        file.write_text(STUDY.replace("[1 mm, 0.5 mm, 0.25 mm]", "[4 mm, 4 mm]"))
+        file.write_text(STUDY.replace("[0.8 mm, 0.5 mm, 0.25 mm]", "[4 mm, 4 mm]"))
         study.run(file, ["study.lines={P1: {mesh.size: [4 mm]}}"], Options(out, 2))
     assert error.value.exit_code == 70  # the stand-in leaves with 1, which mantle run never does
     record, _ = read(out)
@@ -199,6 +210,21 @@ def test_axes_that_span_decades_are_logarithmic(values: list[float], scale: str)
     axes = Figure().subplots()
     study_picture.set_scale(axes, values)
     assert axes.get_yscale() == scale
+
+
+def test_labels_of_a_picture_cover_neither_each_other_nor_points() -> None:
+    """Six points close together: each label stands free inside the frame, or is left out."""
+    figure = figures.new(5, 4)
+    axes = figure.subplots()
+    at = [(1, 1), (1.02, 1), (1, 1.03), (1.5, 1), (0, 0), (2, 2)]
+    axes.plot(*zip(*at, strict=True), "o")
+    notes = [axes.annotate("2.5 mm", xy, xytext=(5, 5), textcoords="offset points") for xy in at]
+    figure.draw_without_rendering()
+    study_picture._place(axes)
+    boxes = [note.get_window_extent() for note in notes if note.get_visible()]
+    assert len(boxes) >= 4 and all(box.count_overlaps(boxes) == 1 for box in boxes)
+    assert all(axes.bbox.count_contains(box.corners()) == 4 for box in boxes)
+    assert not any(box.count_contains(axes.transData.transform(at)) for box in boxes)
 
 
 def test_lines_vary_ranks_laws_and_list_items(file: Path) -> None:

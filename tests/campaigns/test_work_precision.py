@@ -20,21 +20,24 @@ def test_a_power_law_is_extrapolated_exactly(order: float, sizes: tuple[float, .
 
 
 @pytest.mark.parametrize(
-    ("values", "value", "uncertainty"),
+    ("values", "tolerance", "uncertainty", "method"),
     [
-        ([1.0, 1.4, 1.1], 1.1, 0.4),  # not monotone: the larger difference
-        ([1.0, 2.0, 2.95], 2.95, 1.0),  # order log2(1/0.95) = 0.07: hardly converges
-        ([1.0, 2.0, 2.01], 2.01, 0.01),  # order log2(100) = 6.6: better than any theory
-        ([2.0, 2.0, 2.0], 2.0, 0.0),
-        ([1.0, 1.5], 1.5, 0.5),  # two runs show no order
+        ([1.0, 1.4, 1.1], 0.0, 0.4, "finest, no clear order"),  # not monotone
+        ([1.0, 2.0, 2.95], 0.0, 1.0, "finest, no clear order"),  # log2(1/0.95) = 0.07
+        ([1.0, 2.0, 2.2], 0.0, 1.0, "not yet converging"),  # log2(1/0.2) = 2.3: above 2
+        ([1.0, 2.0, 2.0], 0.0, 1.0, "not yet converging"),
+        ([1.0, 1.02, 1.021], 0.01, 0.02, "finest, no clear order"),  # of the solver's tolerance
+        ([2.0, 2.0, 2.0], 0.0, 0.0, "finest, no clear order"),
+        ([1.0, 1.5], 0.0, 0.5, "finest of two"),
     ],
 )
-def test_without_a_clear_order_the_finest_stands(
-    values: list[float], value: float, uncertainty: float
+def test_without_an_order_of_its_elements_the_finest_stands(
+    values: list[float], tolerance: float, uncertainty: float, method: str
 ) -> None:
-    found = wp.extrapolate([4.0, 2.0, 1.0][: len(values)], values)
-    assert found.order is None
-    assert found.value == value and found.uncertainty == pytest.approx(uncertainty, abs=1e-12)
+    """With the larger of the last two differences."""
+    found = wp.extrapolate([4.0, 2.0, 1.0][: len(values)], values, 2.0, tolerance)
+    assert (found.value, found.order, found.method) == (values[-1], None, method)
+    assert found.uncertainty == pytest.approx(uncertainty, abs=1e-12)
 
 
 def test_without_a_number_along_the_ladder_nothing_is_extrapolated() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from types import SimpleNamespace
 
 from mpi4py import MPI
@@ -40,9 +41,12 @@ PERFECT = np.inf
 def stack(size: float, *blocks_: tuple[str, float], curved: bool = False) -> TaggedMesh:
     """A stack of blocks, 2 mm wide, from the bottom: names and heights."""
     geometry = SimpleNamespace(
-        blocks=[SimpleNamespace(name=n, size=(2.0, 2.0, z)) for n, z in blocks_], tilt=0.0
+        blocks=[SimpleNamespace(name=n, size=(2.0, 2.0, z)) for n, z in blocks_],
+        region_names=[n for n, _ in blocks_],
+        interface_sides={f"{a}_{b}": ((a,), (b,)) for (a, _), (b, _) in pairwise(blocks_)},
+        tilt=0.0,
     )
-    mesh = SimpleNamespace(size=size, far_size=size, curved=curved)
+    mesh = SimpleNamespace(size=size, far=size, curved=curved)
     return distribute(blocks.build(geometry, mesh), MPI.COMM_SELF)
 
 

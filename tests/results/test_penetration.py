@@ -34,22 +34,17 @@ def on_a_cylinder(radius: float, angle: float) -> tuple[InterfaceFacets, Floats]
     phi = np.concatenate([phi, [phi[list(e)].mean() for e in MIDDLES]])
     z = np.concatenate([z, [z[list(e)].mean() for e in MIDDLES]])
     nodes = np.stack([radius * np.cos(phi), radius * np.sin(phi), z], axis=1)
-    chords = np.array([nodes[list(e)].mean(axis=0) for e in MIDDLES])
     none: Ints = np.zeros((1, 3), dtype=np.int64)
     facets = InterfaceFacets(
         interface=none[:, 0],
         vertices=none,
-        master=none[:, 0],
-        slave=none[:, 0] + 1,
-        vertex_dofs=none,
-        edge_dofs=none,
-        x=nodes[None, :3],
+        bodies=np.array([[0, 1]]),
+        dofs=none,
+        nodes=nodes[None],
         normal=(nodes[None, :3] * (1, 1, 0)) / radius,
         area=np.ones((1, 3)),
-        bend=(nodes[3:] - chords)[None],
         stiffness=np.ones((1, 2)),
     )
-    np.testing.assert_allclose(facets.nodes[0], nodes, atol=1e-15)
     return facets, nodes
 
 
@@ -79,12 +74,12 @@ def distances(s: Solved, i: int) -> Floats:
     j = s.problem.contact
     facets = j.facets
     rows = np.flatnonzero(facets.interface == i)
-    dofs = np.concatenate([facets.vertex_dofs, facets.edge_dofs], axis=1)[rows]
+    dofs = facets.dofs[rows]
     moved = [u.x.array.reshape(-1, 3) for u in s.problem.displacements()]
     rest = facets.nodes[rows]
     master, slave = (
         rest + np.array([moved[b][d] for b, d in zip(body[rows], dofs, strict=True)])
-        for body in (facets.master, facets.slave)
+        for body in facets.bodies.T
     )
     points = np.einsum("qn,fni->fqi", shape_functions(LATTICE, 6), slave).reshape(-1, 3)
     a, b = np.meshgrid(np.linspace(0, 1, 101), np.linspace(0, 1, 101))

@@ -31,7 +31,7 @@ from app.case import sweep as sweep_file
 from app.case.case import dump, load
 from app.errors import InputError
 from app.schema import yaml_file
-from app.schema.unit_conversion import registry
+from app.schema.units import registry
 from app.soundness import cost, preview
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

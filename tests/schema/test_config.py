@@ -12,13 +12,14 @@ import pytest
 from app.campaigns.runs import Job, runs_of
 from app.case import keys
 from app.case import sweep as sweep_file
-from app.case.case import Case, dump, load
+from app.case.case import dump, load
 from app.case.femurs import Femur
 from app.case.run_options import Stage
 from app.errors import InputError
 from app.laws.interface_laws import Bonded
 from app.laws.loads import Force
 from app.schema.expressions import evaluate
+from tests import support
 from tests.support import CONFIGS
 
 SHIPPED = sorted(CONFIGS.glob("*.yaml"))
@@ -43,18 +44,13 @@ supports:
 """
 
 
-def loaded(tmp_path: Path, text: str, *overrides: str) -> Case:
-    path = tmp_path / "case.yaml"
-    path.write_text(text)
-    return load(path, overrides).config
-
-
 @pytest.mark.parametrize("path", EVERY, ids=lambda p: p.stem)
-def test_shipped_case_survives_dump_and_load(path: Path, tmp_path: Path) -> None:
+def test_shipped_case_survives_dump_and_load(path: Path) -> None:
     case = load(path).config
     text = dump(case)
-    assert loaded(tmp_path, text) == case.model_copy(update={"variations": {}})
-    assert dump(loaded(tmp_path, text)) == text
+    again = support.case(text)
+    assert again == case.model_copy(update={"variations": {}})
+    assert dump(again) == text
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
@@ -82,8 +78,8 @@ def test_stance_is_the_case_of_the_paper() -> None:
     assert forces[medius].sum(axis=0) == pytest.approx([320.6, 124.0, 989.1])
 
 
-def test_defaults_are_filled_in(tmp_path: Path) -> None:
-    case = loaded(tmp_path, MINIMAL)
+def test_defaults_are_filled_in() -> None:
+    case = support.case(MINIMAL)
     assert case.interfaces == {"lower_upper": Bonded()}
     assert [stage.name for stage in case.stages] == ["load"]
     assert case.mesh.far == 8.0
@@ -91,9 +87,8 @@ def test_defaults_are_filled_in(tmp_path: Path) -> None:
     assert case.geometry.blocks[0].size == case.geometry.blocks[1].size == (10.0, 20.0, 5.0)  # type: ignore[union-attr]
 
 
-def test_overrides_reach_everything(tmp_path: Path) -> None:
-    case = loaded(
-        tmp_path,
+def test_overrides_reach_everything() -> None:
+    case = support.case(
         MINIMAL,
         "mesh.size=0.1 cm",
         "geometry.blocks[1].name=top_one",
@@ -120,12 +115,12 @@ def test_overrides_reach_everything(tmp_path: Path) -> None:
     assert strains == [(-1e-3, -1e-3, -1e-3, 0, 0, 0), (0, 0, 1e-3, 0, 0, 0)]
 
 
-def test_yaml_is_of_version_1_2(tmp_path: Path) -> None:
+def test_yaml_is_of_version_1_2() -> None:
     """``no`` is a word, ``1e-3`` a number, and a date text."""
-    case = loaded(tmp_path, MINIMAL + "title: no\nsolver: {tolerance: 1e-3}\n")
+    case = support.case(MINIMAL + "title: no\nsolver: {tolerance: 1e-3}\n")
     assert case.title == "no"
     assert case.solver.tolerance == 1e-3
-    assert loaded(tmp_path, MINIMAL + "title: 2024-01-01\n").title == "2024-01-01"
+    assert support.case(MINIMAL + "title: 2024-01-01\n").title == "2024-01-01"
 
 
 # ------------------------------------------------------------------------------ expressions
@@ -161,9 +156,7 @@ def test_expression(expression: str, expected: object) -> None:
         ("1 / (x - x)", "is not finite at"),
         ("9**9**9**9", "is not finite at"),
         ("__import__('os')", "'__import__' is not one of"),
-        ("x if y else z", "is not allowed"),
         ("(lambda: 1)()", "is not allowed"),
-        ("[x for x in y]", "is not allowed"),
         ("x < y", "is not allowed"),
         ("x @ y", "is not allowed"),
         ("min(x)", "min takes 2 to 9 arguments, got 1"),
@@ -186,17 +179,15 @@ def test_refused_expression(expression: str, reason: str) -> None:
 @pytest.mark.parametrize(
     "title", ["Lamé, 5 µm", "a\x85b", "a\u2028b", "\ttab", "two\nlines\n", "'", "~", "1e3"]
 )
-def test_any_title_survives(title: str, tmp_path: Path) -> None:
-    case = loaded(tmp_path, MINIMAL).model_copy(update={"title": title})
-    path = tmp_path / "dumped.yaml"
-    path.write_text(dump(case), encoding="utf-8", newline="")
-    assert load(path).config == case
+def test_any_title_survives(title: str) -> None:
+    case = support.case(MINIMAL).model_copy(update={"title": title})
+    assert support.case(dump(case)) == case
 
 
 def test_a_byte_order_mark_and_windows_lines_are_no_trouble(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + MINIMAL.replace("\n", "\r\n").encode())
-    assert load(path).config == loaded(tmp_path, MINIMAL)
+    assert load(path).config == support.case(MINIMAL)
 
 
 # --------------------------------------------------------------------------------- titles

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
@@ -17,21 +16,17 @@ from app.case.case import load
 from app.errors import InputError
 from app.laws.materials import TransverselyIsotropic
 from app.schema.units import Angle, Axis, Length, Stiffness, Temperature
+from tests.forms.test_elasticity import compliance
+from tests.support import CONFIGS
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
-FACTORS = {
-    "mm": Fraction(1),
-    "um": Fraction(1, 1000),
-    "m": Fraction(1000),
-    "inch": Fraction(254, 10),
-}
+FACTORS = {"mm": 1, "um": Fraction(1, 1000), "m": 1000, "inch": Fraction("25.4")}
 
 
 # ------------------------------------------------------------------------------------ units
 
 
 @given(finite, st.sampled_from(sorted(FACTORS)), st.sampled_from(["", " ", "\t"]))
-@settings(deadline=None)
 def test_conversion_is_rounded_once(value: float, unit: str, space: str) -> None:
     """The result is the float nearest to the exact product of the number as written."""
     text = f"{value!r}{space}{unit}"
@@ -48,7 +43,6 @@ def test_conversion_is_rounded_once(value: float, unit: str, space: str) -> None
 
 
 @given(st.integers(1, 10**6), st.integers(-9, 9))
-@settings(deadline=None)
 def test_the_unit_it_is_written_in_does_not_matter(number: int, power: int) -> None:
     read = TypeAdapter(Stiffness).validate_python
     results = {
@@ -66,7 +60,6 @@ units_at_random = st.from_regex(r"-?[0-9]{1,3} [a-zµ°*/^() 0-9.-]{0,15}", full
 
 
 @given(st.text(max_size=30) | units_at_random)
-@settings(deadline=None)
 def test_any_text_is_a_length_or_a_told_error(text: str) -> None:
     try:
         assert math.isfinite(TypeAdapter(Length).validate_python(text))
@@ -75,17 +68,6 @@ def test_any_text_is_a_length_or_a_told_error(text: str) -> None:
 
 
 # -------------------------------------------------------------------------------- materials
-
-
-def compliance(e_l: float, e_t: float, nu_l: float, nu_t: float, mu_l: float) -> Any:
-    """Voigt compliance of a transversely isotropic material with fibre z, shape (6, 6)."""
-    s = np.zeros((6, 6))
-    s[:2, :2] = [[1 / e_t, -nu_t / e_t], [-nu_t / e_t, 1 / e_t]]
-    s[2, :3] = s[:3, 2] = -nu_l / e_l
-    s[2, 2] = 1 / e_l
-    s[3, 3] = s[4, 4] = 1 / mu_l
-    s[5, 5] = 2 * (1 + nu_t) / e_t
-    return s
 
 
 ratios = st.floats(-1.5, 1.5)
@@ -115,7 +97,6 @@ def test_transversely_isotropic_is_accepted_iff_positive_definite(
 
 
 @given(st.tuples(finite, finite, finite))
-@settings(deadline=None)
 def test_directions_are_of_unit_length(direction: tuple[float, float, float]) -> None:
     read = TypeAdapter(Axis).validate_python
     if not any(direction):
@@ -138,7 +119,6 @@ angles = st.floats(-math.pi, math.pi).map(lambda v: f"{v!r} rad")
 
 
 @given(kelvin | celsius | angles)
-@settings(deadline=None)
 def test_temperatures_and_angles_survive_writing(text: str) -> None:
     adapter: TypeAdapter[float] = TypeAdapter(Angle if text.endswith("rad") else Temperature)
     try:
@@ -161,8 +141,7 @@ def test_any_file_is_a_case_or_a_told_error(tmp_path_factory: Any, content: str 
 
 @given(st.text(max_size=40))
 def test_any_override_is_applied_or_told(text: str) -> None:
-    path = Path(__file__).parents[2] / "configs" / "blocks.yaml"
     try:
-        load(path, [text])
+        load(CONFIGS / "blocks.yaml", [text])
     except InputError as error:
         assert all(line.startswith("--set ") for line in error.messages)

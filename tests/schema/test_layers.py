@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -93,17 +95,17 @@ def test_shipped_cases_are_bases_by_their_names(tmp_path: Path) -> None:
     assert case == other.model_copy(update={"title": "x"})
 
 
-def test_a_chain_of_bases_reads_paths_where_they_stand(tmp_path: Path) -> None:
-    mesh = (CONFIGS / "verification" / "patch.geo").read_text(encoding="utf-8")
+def test_a_chain_of_bases_reads_paths_where_they_stand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     deep = tmp_path / "deep"
-    patch = (CONFIGS / "verification" / "patch.yaml").read_text(encoding="utf-8")
-    write(deep, patch=patch)
-    (deep / "patch.geo").write_text(mesh, encoding="utf-8")
+    deep.mkdir()
+    for name in ("patch.yaml", "patch.geo"):
+        shutil.copy(CONFIGS / "verification" / name, deep)
     write(tmp_path / "middle", middle="base: ../deep/patch.yaml\ntitle: middle\nmesh: {order: 1}\n")
     path = write(tmp_path, top="base: middle/middle.yaml\ntitle: top\n")
-    with pytest.MonkeyPatch.context() as context:
-        context.setenv("MANTLE_ALLOW_SCRIPTS", "1")
-        case: Any = load(path).config
+    monkeypatch.setenv("MANTLE_ALLOW_SCRIPTS", "1")
+    case: Any = load(path).config
     assert (case.title, case.mesh.order) == ("top", 1)
     assert case.geometry.path == (deep / "patch.geo").resolve()
 
@@ -246,12 +248,8 @@ def test_every_entry_of_the_library_has_a_source_and_is_valid(tmp_path: Path) ->
 
 
 def test_sizes_of_the_loads_are_those_of_their_sources(tmp_path: Path) -> None:
-    for name, percent in (
-        ("walking", 232.6),
-        ("walking_hip", 247),
-        ("standing_up_hip", 215),
-        ("stairs_up_hip", 251),
-    ):
+    percents = {"walking": 232.6, "walking_hip": 247, "standing_up_hip": 215, "stairs_up_hip": 251}
+    for name, percent in percents.items():
         case: Any = loaded(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
         assert math.hypot(*case.loads["hip"].force) / 6.0 == pytest.approx(percent, abs=1.5)
 
@@ -290,9 +288,7 @@ def test_a_material_replaces_the_constants_below_it_and_nothing_else(tmp_path: P
     names = "stem: {material: CoCrMo}, cement: {material: PMMA}"
     bones = "cortical_bone: {material: cortical_bone}, cancellous_bone: {material: cancellous_bone}"
     assert loaded(tmp_path, f"base: thermal_100C\nregions: {{{names}, {bones}}}\n") == hot
-
-
-def test_a_rigid_region_takes_what_conducts(tmp_path: Path) -> None:
+    # A rigid region takes what conducts.
     text = "base: thermal_100C\nregions: {stem: {material: CoCrMo, rigid: true}}\n"
     thermal = loaded(tmp_path, text).regions["stem"].thermal
     assert (thermal.conductivity, thermal.thermal_expansion) == (14.8, None)
@@ -308,7 +304,7 @@ def test_a_rigid_region_takes_what_conducts(tmp_path: Path) -> None:
          "case.yaml:2:19: regions.upper.material: 'Ti' is not in the library; materials: Ti-6"),
         ("loads:\n  library: stance",
          "case.yaml:3:3: loads.library: 'stance' is not in the library; loads: single_limb_stance"),
-        ("loads:\n  library: walking_hip", "LIBRARY:164:7: loads.hip.at: 'head_centre'"),
+        ("loads:\n  library: walking_hip", "LIBRARY:7: loads.hip.at: 'head_centre'"),
         ("regions: {upper: {material: PMMA, kind: transversely_isotropic}}",
          "case.yaml:2:35: regions.upper.kind: PMMA is of kind isotropic; leave kind out"),
         ("regions: {upper: {material: [PMMA]}}", "case.yaml:2:19: regions.upper.material: a list"),
@@ -318,15 +314,8 @@ def test_a_rigid_region_takes_what_conducts(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_what_no_base_takes_is_refused(text: str, message: str, tmp_path: Path) -> None:
     path = write(tmp_path, blocks=BLOCKS, case=f"base: blocks.yaml\n{text}\n")
-    found = [m.replace(str(library.SHIPPED), "LIBRARY") for m in messages(path)]
-    assert found[0].startswith(message.replace(":164:", f":{line('walking_hip')}:"))
-
-
-def line(name: str) -> int:
-    """Where the point of the first load of an entry stands."""
-    texts = library.SHIPPED.read_text(encoding="utf-8").splitlines()
-    start = texts.index(f"  {name}:")
-    return next(i for i in range(start, len(texts)) if " at:" in texts[i]) + 1
+    found = messages(path)[0]
+    assert re.sub(rf"{library.SHIPPED}:\d+", "LIBRARY", found).startswith(message)
 
 
 def test_names_of_a_library_of_ones_own(tmp_path: Path) -> None:
@@ -352,10 +341,7 @@ loads:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        (
-            "~no-such-user/none.yaml",
-            "case.yaml:1:1: library: no such file: ~no-such-user/none.yaml",
-        ),
+        ("~no-one/none.yaml", "case.yaml:1:1: library: no such file: ~no-one/none.yaml"),
         ("loud.yaml", "case.yaml: too many or too deeply nested values"),
         ("none.yaml", "case.yaml:1:1: library: no such file: none.yaml"),
         ("[1]", "case.yaml:1:1: library: a list is not text; expected a file"),

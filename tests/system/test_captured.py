@@ -11,7 +11,7 @@ import pytest
 
 from app.captured import captured
 from app.errors import GeometryError
-from meshes.gmsh_child import CROSS, generate, session
+from meshes.gmsh_child import CROSS, session
 
 log = logging.getLogger("mantle")
 
@@ -60,5 +60,5 @@ def test_surfaces_that_cross_are_told_in_words(capfd: pytest.CaptureFixture[str]
         ]
         gmsh.model.removeEntities(gmsh.model.getEntities(3))
         gmsh.model.addDiscreteEntity(3, 10, [*faces[0], *faces[1]])
-        generate(gmsh)
+        gmsh.model.mesh.generate(3)
     assert capfd.readouterr() == ("", "")

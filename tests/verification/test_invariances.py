@@ -50,7 +50,7 @@ def test_augmentation_changes_no_answer(reference: Solved, factor: float) -> Non
     assert_same(reference, other)
     assert other.balances.max() < 1e-8
     # The value used is reported.
-    before, after = reference.problem.augmentation(), other.problem.augmentation()
+    before, after = reference.problem.contact.augmentation(), other.problem.contact.augmentation()
     for name, value in after.items():
         level = other.steps[-1].outcome.augmentation / reference.steps[-1].outcome.augmentation
         assert value == pytest.approx(before[name] * factor * level)
@@ -59,7 +59,7 @@ def test_augmentation_changes_no_answer(reference: Solved, factor: float) -> Non
 def test_given_augmentation_is_used() -> None:
     case = support.case(STEM, "interfaces.stem_cement.augmentation=37 MPa/mm")
     problem, _ = support.assemble(case)
-    assert problem.augmentation()["stem_cement"] == pytest.approx(37)
+    assert problem.contact.augmentation()["stem_cement"] == pytest.approx(37)
 
 
 def test_balances_close(reference: Solved) -> None:

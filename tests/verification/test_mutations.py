@@ -68,7 +68,7 @@ forms/interface_heat.py
     eq66_sign_of_the_pressure: conditional(gt(p, 0), p, 0 * p) -> conditional(gt(p, 0), -p, 0 * p)
   rubbing_energy
     eq68_no_net_heat_of_friction: (1 - share) * D, share * D -> -share * D, share * D
-app/scene/build.py
+app/scene/scene.py
   rubbing_split
     share_of_the_other_side: e_s / (e_s + e_m) -> e_m / (e_s + e_m)
   rubbing_given

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import re
 from collections import Counter
 from pathlib import Path
@@ -123,9 +122,8 @@ def test_judges_see_what_is_off(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_rows_end_to_end(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """An exact answer whatever the penalty, and a body that nothing holds; nothing runs twice."""
-    caplog.set_level(logging.INFO, "mantle")
+def test_rows_end_to_end(tmp_path: Path) -> None:
+    """An exact answer whatever the penalty, and a body that nothing holds."""
     for pattern, outcome, count in (
         ("penalty_bar_on_a_wall_1", "passed", 5),
         ("floating_no_support", "refused", 1),
@@ -136,6 +134,3 @@ def test_rows_end_to_end(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> No
         assert [e["outcome"] for e in entries] == [outcome] * count
         assert (tmp_path / f"stress-{pattern}.png").stat().st_size > 5_000
     assert "nothing holds body 'bar'" in entries[0]["message"]
-    begin = len(caplog.text)
-    assert engine.run("stress", Options(tmp_path, 2, "penalty_bar_on_a_wall_1"))
-    assert "5 runs: 5 done already" in caplog.text[begin:]

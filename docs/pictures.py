@@ -1,0 +1,68 @@
+"""Draw the reference body beside its image: ``./mantle shell -c 'python3 docs/pictures.py'``."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.patches import Patch
+
+from app import figures
+from app.arrays import Floats, Ints
+from app.case.case import load
+from meshes import picture, reference_body, swept
+from meshes.femur_surfaces import FemurSurfaces
+
+DOCS = Path(__file__).resolve().parent
+TETS = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])  # of a prism with sorted corners
+SIDES = {4: [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]}
+SIDES[6] = [(0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)]
+EYE, LIGHT = np.array([0.42, 0.8, 0.42]), np.array([0.1, 0.75, 0.65])
+RIGHT = np.array([-EYE[1], EYE[0], 0.0]) / np.hypot(*EYE[:2])
+SCREEN = np.stack([RIGHT, np.cross(EYE, RIGHT) / np.linalg.norm(EYE)], axis=1)
+
+
+def draw(ax: Any, title: str, x: Floats, cells: Ints, tets: Ints, colours: Floats) -> None:
+    """Draw what the plane y = 0 leaves of prisms or tetrahedra: outside and section."""
+    faces = [(c, nodes) for side in SIDES[cells.shape[1]] for c, nodes in enumerate(cells[:, side])]
+    times = Counter(frozenset(nodes.tolist()) for _, nodes in faces)
+    seen = []
+    for cell, nodes in faces:
+        normal = np.cross(x[nodes[1]] - x[nodes[0]], x[nodes[2]] - x[nodes[0]])
+        normal *= np.sign(normal @ (x[nodes[0]] - x[cells[cell]].mean(axis=0)))
+        if times[frozenset(nodes.tolist())] == 1 and normal @ EYE > 0 and x[nodes, 1].min() < -1e-6:
+            lit = 0.55 + 0.45 * max(0.0, normal @ LIGHT / np.linalg.norm(normal))
+            flat = np.minimum(x[nodes], [np.inf, 0.0, np.inf]) @ SCREEN
+            seen.append((x[nodes].mean(axis=0) @ EYE, flat, colours[cell] * lit))
+    _, flats, lights = zip(*sorted(seen, key=lambda face: float(face[0])), strict=True)
+    ax.add_collection(PolyCollection(flats, facecolors=lights, edgecolors="k", linewidths=0.25))
+    of = np.repeat(np.arange(len(cells)), len(tets) // len(cells))
+    polygons = [(corners, of[own]) for corners, own in picture.cut(x, tets, 1, 0.0)]
+    for flat, own in polygons:
+        ax.add_collection(PolyCollection(list(flat @ SCREEN), color=colours[own], linewidths=0.3))
+    edges = list(picture.outlines(polygons)[0] @ SCREEN)
+    ax.add_collection(LineCollection(edges, colors="k", linewidths=0.3))
+    ax.autoscale_view()
+    ax.set(aspect="equal", frame_on=False, xticks=[], yticks=[], title=title)
+
+
+case = load(DOCS.parent / "configs" / "stance.yaml").config
+surfaces = FemurSurfaces(case.geometry, case.mesh)
+body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.segments)
+image = swept.mesh(surfaces, curved=False)
+column, z = body.at, image.nodes.x[:, 2]
+levels = np.linspace(z.min(), z.max(), int(body.slab.max()) + 2)  # equidistant stations
+x = np.column_stack([np.tile(column, (len(levels), 1)), np.repeat(levels, len(column))])
+prisms = np.sort(body.columns, axis=1) + len(column) * body.slab[:, None]
+prisms = np.hstack([prisms, prisms + len(column)])
+colours = picture.colours_of(body.names)
+rgb = np.array([to_rgb(colours[name]) for name in body.names])
+figure = figures.new(7.5, 8.5)
+left, right = figure.subplots(1, 2, sharey=True)
+draw(left, "reference body, by gmsh", x, prisms, prisms[:, TETS].reshape(-1, 4), rgb[body.region])
+draw(right, "its image by the map", image.nodes.x, image.cells, image.cells, rgb[image.region])
+handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
+figure.legend(handles=handles, loc="outside lower center", ncols=4)
+figure.savefig(DOCS / "reference_body.png", dpi=110)
