@@ -134,7 +134,7 @@ def test_a_penalty_is_found_with_any_augmentation() -> None:
             u, q = solver.u_and_q()
             problem.commit(problem.trial(u, q))
             h = j.state
-            states.append(np.column_stack([h.jump, h.force, h.slip, h.path, h.dissipation]))
+            states.append(np.column_stack([h.jump, h.force, h.path, h.dissipation]))
         found.append(np.array(states))
         assert j.augmentation() == pytest.approx({"stem_cement": 2e3, "cement_bone": 5e3})
         assert (j.law.stiffness < 2e3).all() if factor < 1 else set(j.law.stiffness) == {2e3, 5e3}
