@@ -183,13 +183,8 @@ def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> lis
 
 def best(
     costs: Sequence[float | None], errors: Sequence[float | None], target: float
-) -> tuple[int | None, bool]:
-    """Index of the fastest point within the target, else of the nearest; whether it is within.
-
-    The index is None if no error is known.
-    """
+) -> int | None:
+    """Index of the fastest point within the target, else of the nearest; None if there is none."""
     front = pareto(costs, errors)
-    for i in front:
-        if (errors[i] or 0.0) <= target:
-            return i, True
-    return (front[-1] if front else None), False
+    within = [i for i in front if (errors[i] or 0.0) <= target]
+    return next(iter([*within, *front[-1:]]), None)

@@ -51,7 +51,8 @@ class Sweep(SweepPart):
         found: list[Point] = []
         for name, part in (self.parts or {"": self}).items():
             path = ("parts", name) if name else ()
-            common = [points.fixed(self.set, ()), points.fixed(part.set, path)]
+            common = [points.overriding(self.set, ("set",))]
+            common.append(points.overriding(part.set, (*path, "set")))
             found += points.combine(path, str(part.base or self.base), common, part.axes(path))
         return found
 
@@ -63,13 +64,12 @@ class Sweep(SweepPart):
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A case of a sweep or a study.
+    """A checked case of a sweep or a study.
 
     Attributes:
         point: Its place in the file; its overrides include ``--set`` options.
         base: The case file.
         overrides: Changes of the base, as after ``--set``.
-        ranks: Number of MPI ranks.
         case: The base with the overrides.
     """
 

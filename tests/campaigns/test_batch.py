@@ -132,21 +132,7 @@ def test_what_another_stack_has_done_is_not_done(
     assert result().exit_code == 5
 
 
-def test_bad_jobs_are_told_together_before_anything_runs(bench: Bench) -> None:
-    jobs = [
-        bench.job(1.0),
-        Job("a", bench.case, ("mesh.sise=2 mm",)),
-        Job("b", bench.case, ("mesh.size=2 N",)),
-        Job("c", bench.folder / "none.yaml"),
-    ]
-    with pytest.raises(InputError) as error:
-        bench.run(*jobs)
-    messages = error.value.messages
-    assert len(messages) == 3
-    for message, start in zip(messages, ("a: --set mesh.sise", "b: --set mesh.size"), strict=False):
-        assert message.startswith(start)
-    assert "none.yaml: no such file" in messages[2]
-    assert not bench.out.exists() and not bench.sizes()
+def test_a_folder_that_is_a_file_is_refused(bench: Bench) -> None:
     bench.out.write_text("a file")
     with pytest.raises(InputError, match="cannot be written"):
         bench.run(bench.job(1.0))
