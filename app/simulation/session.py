@@ -114,7 +114,8 @@ def run(
     if crowd := blas_check.crowd(int(here) if here.isdigit() else comm.size):
         log.warning("note: %s", crowd)
     signalled = stopping.signals() if signals else str
-    form_cache.guard()
+    if signals:  # the process is ours: a host's functions and options are left as they are
+        form_cache.guard()
     late = str if walltime is None else stopping.WallTime(begin, walltime)
     options, asked = raw_options(petsc_options), (progress, restart, force)
     setup = Setup(comm, case, options, lambda: signalled() or late(), *asked, begin, started)
