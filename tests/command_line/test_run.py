@@ -35,13 +35,8 @@ FIELDS = ("gap", "slip", "slip_path", "motion", "pressure", "shear", "status")
 
 STEM = """
 title: A small stem
-geometry:
-  kind: cylinders
-  stem_radius: 7 mm
-  cement_thickness: 3 mm
-  bone_thickness: 4 mm
-  length: 12 mm
-  sector: quarter
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 3 mm, bone_thickness: 4 mm,
+           length: 12 mm, sector: quarter}
 mesh: {order: 1, size: 3 mm, far_size: 4 mm}
 regions:
   stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
@@ -63,11 +58,8 @@ stages:
 
 # Pressed down, then pushed sideways beyond friction: 0.3 * 1 MPa * 36 mm2 = 10.8 N.
 SLIDING = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [6 mm, 6 mm, 3 mm]}
-    - {name: upper, size: [6 mm, 6 mm, 3 mm]}
+geometry: {kind: blocks, blocks: [{name: lower, size: [6 mm, 6 mm, 3 mm]},
+                                  {name: upper, size: [6 mm, 6 mm, 3 mm]}]}
 mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions:
   lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
@@ -143,35 +135,28 @@ def test_summary_means_what_it_says(done: tuple[Path, Path, str]) -> None:
     assert summary["regions"]["stem"]["hoop_p99"] < 0 < summary["regions"]["bone"]["hoop_p99"]
 
 
-def test_history_has_a_row_per_step(done: tuple[Path, Path, str]) -> None:
-    history = rows(done[1] / "history.csv")
+def test_a_row_per_step_is_in_the_history_and_on_the_terminal(
+    done: tuple[Path, Path, str],
+) -> None:
+    """And a verdict; beside it who ran what, and the case resolved."""
+    case, output, said = done
+    history, summary = rows(output / "history.csv"), support.summary(output)
     assert [float(r["time [-]"]) for r in history] == [1.0, 1.5, 2.0]
-    summary = support.summary(done[1])
-    last = history[-1]
     for name, q in summary["interfaces"].items():
         for key, unit in (("gap_max", "mm"), ("pressure_max", "MPa"), ("slip_fraction", "-")):
-            assert float(last[f"{name} {key} [{unit}]"]) == pytest.approx(q[key], rel=1e-12)
+            assert float(history[-1][f"{name} {key} [{unit}]"]) == pytest.approx(q[key], rel=1e-12)
     assert sum(int(r["newton [-]"]) for r in history) == summary["solver"]["newton_iterations"]
-
-
-def test_provenance_and_resolved_case(done: tuple[Path, Path, str]) -> None:
-    case, output, _ = done
-    assert {p.name for p in output.iterdir()} == FILES
-    record = json.loads((output / "provenance.json").read_text())
-    assert record["overrides"] == ["interfaces.cement_bone.friction_coefficient=0.8"]
-    assert record["ranks"] == 1 and record["case"].endswith("small.yaml")
-    resolved = load(output / "case.yaml").config
-    assert resolved == load(case, record["overrides"]).config
-
-
-def test_terminal_has_a_line_per_step_and_a_verdict(done: tuple[Path, Path, str]) -> None:
-    lines = done[2].splitlines()
+    lines = said.splitlines()
     heads = [line.split() for line in lines if line.split()[:1] == ["step"]]
     steps = [line.split() for line in lines if line.lstrip()[:1] in "123" and line.endswith(" s")]
     assert {head.index("time") for head in heads} == {1}
     assert [float(step[1]) for step in steps] == [1.0, 1.5, 2.0]
-    assert "exact to rounding" in done[2]
-    assert str(done[1]) in lines[-1]
+    assert "exact to rounding" in said and str(output) in lines[-1]
+    assert {p.name for p in output.iterdir()} == FILES
+    record = json.loads((output / "provenance.json").read_text())
+    assert record["overrides"] == ["interfaces.cement_bone.friction_coefficient=0.8"]
+    assert record["ranks"] == 1 and record["case"].endswith("small.yaml")
+    assert load(output / "case.yaml").config == load(case, record["overrides"]).config
 
 
 def test_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
@@ -286,25 +271,15 @@ def test_results_of_an_older_mesh_or_another_stack_are_not_finished(tmp_path: Pa
     assert not finished()
 
 
-def test_petsc_options_reach_the_solver(tmp_path: Path) -> None:
-    case = tmp_path / "case.yaml"
-    case.write_text(SLIDING)
-    less = support.sets("loads.push.force=[5 N, 0 N, 0 N]")
-    petsc = ("--", "-snes_monitor", "-ksp_type", "gmres", "-fieldsplit_displacement_pc_other")
-    result = run(case, "-o", tmp_path / "out", *less, *petsc, "-ksp_tpye", "cg")
-    assert result.returncode == 0, result.stderr
-    assert "SNES Function norm" in result.stdout
-    assert "no use for -fieldsplit_displacement_pc_other, -ksp_tpye here" in result.stderr
-    result = run(case, "-o", tmp_path / "wrong", *less, "--", "-pc_type", "bogus")
-    assert result.returncode == 2 and "(-pc_type bogus): Unable to find" in result.stderr
-
-
 def test_diverging_case_leaves_its_last_state(tmp_path: Path) -> None:
     """Exit code 4, one message that names the free body, the last converged state on disk."""
     case, output = tmp_path / "sliding.yaml", tmp_path / "out"
     case.write_text(SLIDING)
-    result = run(case, "-o", output)
-    assert result.returncode == 4
+    result = run(case, "-o", output, "--", "-pc_type", "bogus")
+    assert result.returncode == 2 and "(-pc_type bogus): Unable to find" in result.stderr
+    result = run(case, "-o", output, "--", "-snes_monitor", "-fieldsplit_displacement_pc_other")
+    assert "PETSc has no use for -fieldsplit_displacement_pc_other here" in result.stderr
+    assert result.returncode == 4 and "SNES Function norm" in result.stdout
     message = result.stderr
     assert "Traceback" not in message and message.count("stage 'push'") == 1
     assert "nothing holds body 'upper': it is free to move along x" in message

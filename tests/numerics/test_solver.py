@@ -17,11 +17,8 @@ from tests import support
 
 # A block pressed on a wall and aside: points stick and slip.
 BLOCK = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: wall, size: [4 mm, 4 mm, 2 mm]}
-    - {name: bar, size: [4 mm, 4 mm, 4 mm]}
+geometry: {kind: blocks, blocks: [{name: wall, size: [4 mm, 4 mm, 2 mm]},
+                                  {name: bar, size: [4 mm, 4 mm, 4 mm]}]}
 mesh: {order: 1, size: 1 mm, far_size: 1 mm}
 regions:
   wall: {youngs_modulus: 2000 MPa, poisson_ratio: 0.3}

@@ -16,9 +16,8 @@ LET_GO = (
 )
 # A rod pressed against a wall and drawn off it: nothing is strained at the end.
 ROD = """
-geometry:
-  kind: blocks
-  blocks: [{name: wall, size: [3 mm, 3 mm, 3 mm]}, {name: rod, size: [3 mm, 3 mm, 6 mm]}]
+geometry: {kind: blocks, blocks: [{name: wall, size: [3 mm, 3 mm, 3 mm]},
+                                  {name: rod, size: [3 mm, 3 mm, 6 mm]}]}
 mesh: {order: 1, size: 1.5 mm, far_size: 1.5 mm}
 regions:
   wall: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}

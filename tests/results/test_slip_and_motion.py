@@ -16,9 +16,8 @@ from tests import support
 
 # A rigid block on an elastic one without Poisson's ratio: it moves as it is told to.
 BLOCKS = """
-geometry:
-  kind: blocks
-  blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]}, {name: upper, size: [4 mm, 4 mm, 2 mm]}]
+geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
+                                  {name: upper, size: [4 mm, 4 mm, 2 mm]}]}
 mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions: {lower: {youngs_modulus: 100 MPa, poisson_ratio: 0}, upper: {rigid: true}}
 interfaces: {lower_upper: {kind: contact, friction_coefficient: 0}}

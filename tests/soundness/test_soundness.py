@@ -28,11 +28,8 @@ from tests import support
 from tests.support import CONFIGS
 
 TWO = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: bone, size: [10 mm, 10 mm, 5 mm]}
-    - {name: metal, size: [10 mm, 10 mm, 5 mm]}
+geometry: {kind: blocks, blocks: [{name: bone, size: [10 mm, 10 mm, 5 mm]},
+                                  {name: metal, size: [10 mm, 10 mm, 5 mm]}]}
 mesh: {size: 3 mm, order: 1}
 regions:
   bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
@@ -308,11 +305,11 @@ def test_what_is_wrong_on_the_mesh_has_its_place_in_the_file(
     more = "more: {kind: displacement, boundary: bottom, z: 0.1 mm}"
     path.write_text(TWO.replace("loads:", f"  {more}\nloads:"))
     assert main(["check", str(path), "--mesh"]) == 2
-    assert f"{path}:15:3: supports.more: " in capsys.readouterr().err
+    assert f"{path}:12:3: supports.more: " in capsys.readouterr().err
     path.write_text(TWO.replace("coefficient: 0.4", "coefficient: 0.4, gap: 0.001 / (x - x)"))
     assert main(["check", str(path), "--mesh"]) == 2
     key = "interfaces.bone_metal.gap"
-    start = f"{path}:12:58: {key}: expression '0.001 / (x - x)' is not finite at ("
+    start = f"{path}:9:58: {key}: expression '0.001 / (x - x)' is not finite at ("
     assert start in capsys.readouterr().err
     change = f"{key}=log(x - 99)"
     assert main(["check", str(path), "--mesh", "--set", change]) == 2
