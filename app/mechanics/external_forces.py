@@ -63,12 +63,15 @@ class Forces:
         self._free: dict[str, Action] = {}
 
     def _load(self, load: Load) -> Action:
+        return self._action(self._on_bodies(load))
+
+    def _on_bodies(self, load: Load) -> dict[int, PETSc.Vec]:
         v = ufl.TestFunction(self._mechanics.space)
         works = {
             b: load.work(v, OnBody(self._mechanics, b)) for b in range(len(self._bodies.names))
         }
         forms = {b: self._mechanics.form(w) for b, w in works.items() if w != 0}
-        return self._action({b: assembled_vector(form) for b, form in forms.items()})
+        return {b: assembled_vector(form) for b, form in forms.items()}
 
     def _eigenstrain(self, e: Elastic, k: int) -> Action:
         """Nodal forces of an eigenstrain at full amplitude."""
@@ -122,6 +125,15 @@ class Forces:
             * amplitude(history, time)
             for history, action in self._loads
         ]
+
+    def on_bodies(self, time: float, motions: Floats) -> Floats:
+        """Work of the loads in motions of own nodes (n, 3, k), by body (bodies, k); collective."""
+        work = np.zeros((len(self._bodies.names), motions.shape[2]))
+        flat = motions.reshape(-1, motions.shape[2])
+        for load, (history, _) in zip(self._mechanics.scene.loads, self._loads, strict=True):
+            for body, nodal in self._on_bodies(_at_full(load)).items():
+                work[body] += amplitude(history, time) * (nodal.array_r[: len(flat)] @ flat)
+        return np.asarray(self.comm.allreduce(work))
 
     def free_work(self, nodal: Floats) -> float:
         """Half the work of the free strains' forces in a nodal displacement [N mm]; collective."""

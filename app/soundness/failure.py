@@ -14,7 +14,7 @@ Coulomb friction model in two-dimensional linear elasticity, Q. J. Mech. Appl. M
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -120,6 +120,8 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[str]]:
 STATES = ("open", "stick", "slip")
 # Changing points that a message lists.
 SHOWN = 3
+# Relative difference of residuals that scale.
+SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -128,12 +130,14 @@ class Explanation:
 
     They are on free bodies; on bodies that friction barely holds, and friction beyond which
     solutions need not be unique; on the places of the largest residual and of oscillating points.
+    If it ``scales``, the same happens under any part of the load.
     """
 
     outcome: NewtonResult
     free: Sequence[str] = ()
     friction: Sequence[str] = ()
     places: Sequence[str] = ()
+    scales: bool = False
 
     @property
     def short(self) -> str:
@@ -155,6 +159,9 @@ class Explanation:
         code = f" [{Reason.LOOSE_BODY}]" if self.free else ""
         tail = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
         advice = "more increments, a finer mesh at the interface, or a smaller load"
+        if self.scales:
+            advice = "the supports, the direction of the loads, or the mesh at the interface; at "
+            advice += "rest and without gaps a smaller load fails alike"
         if self.friction:
             advice += "; other friction, or a support"
         if self.free:
@@ -171,18 +178,32 @@ class Explanation:
         return "\n  ".join(lines)
 
 
-def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanation:
-    """Explain the failure of the last solve; collective."""
+def proportional(solver: Solver, set_load: Callable[[float], None], reach: float) -> bool:
+    """Whether half the load on half of the failed state leaves half its residual; collective."""
+    whole, half = solver.residual(solver.failed_state), solver.failed_state.copy()
+    half.scale(0.5)
+    set_load(reach / 2)
+    rest = solver.residual(half)
+    set_load(reach)
+    rest.axpy(-0.5, whole)
+    return rest.norm() <= SAME * whole.norm()
+
+
+def explain(
+    problem: Problem, solver: Solver, outcome: NewtonResult, scales: bool = False
+) -> Explanation:
+    """Explain the failure of the last solve, which from rest ``scales``; collective."""
     u, q = solver.u_and_q(solver.failed_state)
     if q is None:
-        return Explanation(outcome)
+        return Explanation(outcome, scales=scales)
     trial = problem.trial(u, q)
     contact = trial.contact
-    free = loose_bodies.free_bodies(problem, trial)
+    free = loose_bodies.pulled_off(problem, contact) if scales else []
+    free = free or loose_bodies.free_bodies(problem, trial)
     friction = [] if free else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
     places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
-    return Explanation(outcome, free, friction, places)
+    return Explanation(outcome, free, friction, places, scales)
 
 
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:

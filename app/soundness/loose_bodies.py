@@ -265,6 +265,48 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
     return found
 
 
+def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
+    """Bodies that the loads take off what they touch, of a model without gaps; collective.
+
+    What no pressure of rigid bodies can bear of the loads is also the motion (a cone and its polar,
+    Moreau) that opens all it does not slide along. Friction holds it if the pressures that bear the
+    rest hold it by their friction: those of a taper that is pulled do not, for there are none.
+    """
+    from scipy.optimize import nnls  # brings what few runs need
+
+    own, n, comm = contact.own, len(problem.bodies.names), problem.comm
+    centre = contact.points.x.mean(axis=0)
+    size = float(np.linalg.norm(np.ptp(contact.points.x, axis=0))) or 1.0
+    held = _held(problem)
+    left = []
+    for b in range(n):
+        values, vectors = np.linalg.eigh(held.get(b, np.zeros((3, 3))))
+        turns = np.eye(6)[:, 3:] if b not in held else np.zeros((6, 0))
+        free = np.vstack([vectors[:, values <= HELD], np.zeros((3, (values <= HELD).sum()))])
+        left.append(np.kron(np.eye(n)[:, [b]], np.hstack([free, turns])))
+    basis = np.hstack(left)
+    jumps, R = np.zeros((len(own), 3, n, 6)), rigid_modes((own.x - centre) / size)
+    for side, sign in zip(own.bodies.T, (-1, 1), strict=True):
+        jumps[np.arange(len(own)), :, side] += sign * R
+    jumps = np.concatenate(comm.allgather(jumps.reshape(len(own), 3, 6 * n) @ basis))
+    normals = np.concatenate(comm.allgather(own.normals))
+    frictions = np.array([c.law.friction for c in problem.scene.contacts])
+    μ = np.concatenate(comm.allgather(frictions[own.interface]))
+    x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
+    F = problem.forces.on_bodies(problem.time, rigid_modes((x - centre) / size)).ravel() @ basis
+    openings = np.einsum("pfi,pik->pfk", normals, jumps)
+    forces = nnls(openings.reshape(-1, basis.shape[1]).T, -F)[0].reshape(openings.shape[:2])
+    rest = F + np.einsum("pf,pfk->k", forces, openings)
+    moved = jumps @ rest
+    along = np.linalg.norm(moved - np.einsum("pfi,pf->pi", normals, openings @ rest), axis=1)
+    if rest @ rest <= FREE * (F @ F) + μ * forces.sum(axis=1) @ along:
+        return []
+    centres = np.tile(centre, (n, 1))
+    names = [f"'{name}'" for name in problem.bodies.names]
+    found = describe((basis @ rest)[:, None], names, centres, centre, size)
+    return [f"{text}, and the loads pull there" for text in found]
+
+
 def runaway(problem: Problem, trial: TrialState) -> str:
     """Sentence on an interface that loads moved as only a free body moves; collective.
 

@@ -19,7 +19,7 @@ from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.scene import Stage
-from app.soundness.failure import explain
+from app.soundness.failure import explain, proportional
 from app.soundness.loose_bodies import held_by_facets, runaway
 
 EASY_ITERATIONS = 8
@@ -197,11 +197,13 @@ class LoadStepper:
                 self.total.rejected += 1
                 start.copy(solver.x)
                 predictors = ()
-                why = explain(problem, solver, outcome)
+                # From rest, without gaps, smaller steps fail alike.
+                scales = not start.norm() and proportional(solver, set_load, reach)
+                why = explain(problem, solver, outcome, scales)
                 if predicted:
                     self.on_trouble(f"{why.short}; repeating without extrapolation")
                     continue
-                if not progress.may_halve(stage, bool(why.free)):
+                if scales or not progress.may_halve(stage, bool(why.free)):
                     raise ConvergenceError(why.text(stage.name, time - int(begin), halved))
                 progress.halve(reach)
                 halved.append(progress.step)

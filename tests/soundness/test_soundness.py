@@ -413,6 +413,14 @@ def test_a_lifted_body_is_named() -> None:
         support.solve(TWO, pull)
 
 
+def test_a_stem_off_its_taper_is_named_without_cutting_the_step() -> None:
+    """From rest and without gaps half the load fails alike."""
+    named = "100 % of it: nothing holds body 'stem': it is free to move along z, and the loads pull"
+    with pytest.raises(ConvergenceError, match=named) as caught:
+        support.solve(support.STEM, "loads.hip.force=[0 N, 0 N, 2 N]", "stages=[{name: pull}]")
+    assert "steps of" not in str(caught.value)
+
+
 def test_only_bonded_interfaces_join_bodies() -> None:
     """A law of a kind yet to come that can open is no bond; one that cannot is."""
     case = support.case(TWO)
