@@ -119,11 +119,12 @@ class Recorder:
 
     def restored(self) -> None:
         """Continue from a restored model; collective."""
-        if (m := self._model.mechanics) and self._balance:
+        # Until the mechanics have been solved the balance is at rest, without given temperatures.
+        if self._mechanical and (m := self._model.mechanics) and self._balance:
             u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
             self._balance.go_on(u, trial)
-            if trial is not None and self._contact:
+            if trial is not None:
                 trial = replace(trial, law=replace(trial.law, **self._contact))
                 self.samples = ContactSamples(m.problem, trial)
         if self._writer.fields and not self._writer.field_steps:

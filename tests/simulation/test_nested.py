@@ -14,7 +14,7 @@ from app.errors import GeometryError, MantleError, StoppedError
 from app.mechanics.contact import TrialState
 from app.numerics import remedies
 from app.numerics.newton import NewtonResult, Solver
-from app.simulation import coarser_case
+from app.simulation import model as models
 from app.simulation.model import Model
 from app.stepping import coarse_start, load_steps
 from app.stepping.load_steps import LoadStep
@@ -79,7 +79,7 @@ def go(*overrides: str) -> tuple[Model, list[LoadStep]]:
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
     """Start from a cheaper model although this one is small."""
     for name, value in ALWAYS.items():
-        monkeypatch.setattr(coarser_case, name, value)
+        monkeypatch.setattr(models, name, value)
 
 
 def jumps(model: Model) -> Any:
@@ -136,7 +136,7 @@ def test_a_nested_start_changes_the_way_and_not_the_answer(
     is not to be coarser.
     """
     if AT_FIRST[0] in overrides:
-        monkeypatch.setattr(coarser_case, "COARSER", 1e3)
+        monkeypatch.setattr(models, "COARSER", 1e3)
     cold, first = go(*overrides)
     always(monkeypatch)
     warm, then = go(*overrides)
@@ -148,7 +148,7 @@ def test_a_nested_start_changes_the_way_and_not_the_answer(
 def test_the_error_is_of_the_model_that_the_start_is_from(monkeypatch: pytest.MonkeyPatch) -> None:
     """A companion of the cheaper model's mesh goes on from its states, to its own tolerance."""
     always(monkeypatch)
-    monkeypatch.setattr(coarser_case, "TOLERANCE", 1e-2)
+    monkeypatch.setattr(models, "TOLERANCE", 1e-2)
     model, _ = go()
     companion = support.case(STEM, "mesh.size=5 mm", "mesh.far_size=5 mm", "stages.0.increments=1")
     coarse = next(m for m in model._others if m._case.mesh.size == 5.0)
@@ -226,11 +226,11 @@ def test_what_is_cheaper(
 ) -> None:
     text = support.CONFIGS.joinpath("stance.yaml").read_text()
     case = support.case(text, f"mesh.size={size} mm", f"mesh.order={order}")
-    other = coarser_case.cheaper(case, unknowns)
+    other = models.cheaper(case, unknowns)
     assert (other and (other.mesh.size, other.mesh.order)) == found
     if other is not None:
         assert other.mesh.far / other.mesh.size == pytest.approx(case.mesh.far / case.mesh.size)
-        assert other.geometry == case.geometry and other.solver.tolerance == coarser_case.TOLERANCE
+        assert other.geometry == case.geometry and other.solver.tolerance == models.TOLERANCE
 
 
 @pytest.mark.parametrize("error", [GeometryError("no such mesh"), StoppedError("stopped")])
