@@ -269,7 +269,7 @@ class CheckpointWriter:
         """Remember the state, in stage k, and save it if that is due; collective."""
         self._last = self._now(k)
         steps, minutes = self._options.steps, self._options.minutes
-        due = bool(steps) and self._recorder.step_count - self._saved >= steps
+        due = bool(steps and self._recorder.step_count - self._saved >= steps)
         if minutes and not due:
             # By one clock: all ranks save, or none does.
             waited = clock.monotonic() - self._when

@@ -6,6 +6,7 @@ import logging
 import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -132,11 +133,9 @@ class Recorder:
 
     def add_time(self, seconds: Mapping[str, float]) -> None:
         """Add the wall seconds before a restart, as `seconds` gave them."""
-        for phase, some in seconds.items():
-            if phase == "total":
-                self._begin -= some
-            else:
-                self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + some
+        self._begin -= seconds["total"]
+        for phase in [p for p in seconds if p != "total"]:
+            self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + seconds[phase]
 
     def stage(self, stage: Stage) -> None:
         """Write the header of a stage's lines."""
@@ -221,9 +220,7 @@ class Recorder:
 
     def _fraction(self, status: int) -> float:
         s = self.samples
-        if s is None:
-            return 0.0
-        return float(s.weight[s.status == status].sum() / s.weight.sum())
+        return float(s.weight[s.status == status].sum() / s.weight.sum()) if s else 0.0
 
     def _fields(self) -> None:
         self._written = self.step_count  # a step that does not fit the disk is not tried again
@@ -242,11 +239,9 @@ class Recorder:
         model, counted = self._model, total or self._total
         contact = model.mechanics and model.mechanics.problem.contact
         comm, sizes = model.tagged.mesh.comm, model.sizes()
-        balance: dict[str, float] = {}
-        if b := self._balance:
-            balance |= {"force": b.force, "moment": b.moment, "energy": b.energy}
-        if t := model.thermal:
-            balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature}
+        b, t = self._balance, model.thermal
+        balance = {"force": b.force, "moment": b.moment, "energy": b.energy} if b else {}
+        balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature} if t else {}
         result = {
             "status": status,
             "title": self._case.title,
@@ -280,10 +275,9 @@ class Recorder:
 
     def seconds(self) -> dict[str, float]:
         """Wall seconds so far, by phase."""
-        seconds = {k: 0.0 for k in ("mesh", "compile", "assemble", "solve", "output")}
-        seconds |= self._timing.seconds
-        seconds["total"] = clock.perf_counter() - self._begin
-        return {k: round(v, 3) for k, v in seconds.items()}
+        phases = dict.fromkeys(("mesh", "compile", "assemble", "solve", "output"), 0.0)
+        total = {"total": clock.perf_counter() - self._begin}
+        return {k: round(v, 3) for k, v in (phases | self._timing.seconds | total).items()}
 
     def close(self, status: str) -> None:
         """Leave the last converged state on disk, as far as the disk allows; collective."""
@@ -292,10 +286,8 @@ class Recorder:
         if m := self._model.mechanics:
             # The loads of the step that failed are not this state's.
             m.problem.set_time(self.time)
-        for write in (
-            self.flush,
-            lambda: self._writer.finish(self.summary(status, None), done=False),
-        ):
+        finish = partial(self._writer.finish, done=False)
+        for write in (self.flush, lambda: finish(self.summary(status, None))):
             try:
                 write()
             except StoppedError as error:
