@@ -80,11 +80,6 @@ class Setup:
                 log.warning("note: %s", message)
         self.noted.update(messages)
 
-    def begin_next(self) -> None:
-        """Start the clocks of another run."""
-        self.begin, self.started = clock.perf_counter(), datetime.now(UTC)
-        self.timing.clear()
-
 
 def run(
     case: LoadedCase,
@@ -167,7 +162,8 @@ def _vary(setup: Setup, output: Path) -> None:
         status = solved[i].get("status", "not converged")
         rows[i] = variations.row(v, solved[i], status, clock.perf_counter() - setup.begin)
         on_root(comm, partial(variations.write, rows, output), share=False)
-        setup.begin_next()
+        setup.begin, setup.started = clock.perf_counter(), datetime.now(UTC)
+        setup.timing.clear()
     done = on_root(comm, partial(variations.write, rows, output)) or []
     log.info("%s", variations.table(done))
     if failed := [v.name for i, v in enumerate(varied) if not solved[i]]:

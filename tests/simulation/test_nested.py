@@ -82,12 +82,6 @@ def always(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(models, name, value)
 
 
-def jumps(model: Model) -> Any:
-    """Jumps of the last step (n, 3) [mm]."""
-    j = model.mechanics.problem.contact
-    return j.state.jump
-
-
 def states(model: Model) -> Any:
     """Jumps and forces of the last step, each over its largest (2, n, 3)."""
     j = model.mechanics.problem.contact
@@ -97,30 +91,28 @@ def states(model: Model) -> Any:
 # Between load steps
 
 
-def test_proportional_loads_are_solved_once() -> None:
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("stages.0.increments=4",),
+        ("loads.push.history=[1, 1.5]", "stages=[{name: one}, {name: two}]"),
+    ],
+)
+def test_proportional_loads_are_solved_once(overrides: tuple[str, ...]) -> None:
     """Contact with friction is homogeneous: later steps need a correction of rounding at most."""
-    _, steps = go("stages.0.increments=4")
-    first, *later = (s.outcome.iterations for s in steps)
+    first, *later = (s.outcome.iterations for s in go(*overrides)[1])
     assert first > 3
-    assert max(later) <= 1
-
-
-def test_a_stage_in_proportion_to_the_one_before_is_solved_too() -> None:
-    """A stage begins with what the states before it span."""
-    _, steps = go("loads.push.history=[1, 1.5]", "stages=[{name: one}, {name: two}]")
-    first, then = (s.outcome.iterations for s in steps)
-    assert first > 3
-    assert then <= 1
+    assert later and max(later) <= 1
 
 
 def test_a_line_that_leads_away_is_not_followed() -> None:
     """Where the load turns back, the step starts from the state before it, not from the line."""
     turn = ("loads.push.history=[1, 0.9]", "stages=[{name: up}, {name: back}]")
-    model, steps = go("stages.0.increments=1")
-    expected = jumps(model)
-    model, steps = go(*turn)
+    straight, _ = go("stages.0.increments=1")
+    turned, steps = go(*turn)
     assert len(steps) == 2
-    assert 0 < support.difference(jumps(model), expected) < 0.2
+    found, expected = (m.mechanics.problem.contact.state.jump for m in (turned, straight))
+    assert 0 < support.difference(found, expected) < 0.2
 
 
 # From a cheaper model
@@ -203,12 +195,13 @@ def test_the_first_step_is_one_of_newton_in_jumps_and_forces() -> None:
 def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither small nor bonded ones."""
     bonded = "interfaces={stem_cement: {kind: bonded}, cement_bone: {kind: bonded}}"
-    made = [Model(support.case(STEM, o), MPI.COMM_WORLD, {}, Timing(), str) for o in (bonded,)]
-    small = Model(support.case(STEM), MPI.COMM_WORLD, {}, Timing(), str)
+    tied, small = (
+        Model(support.case(STEM, *o), MPI.COMM_WORLD, {}, Timing(), str) for o in ((bonded,), ())
+    )
     assert len(small._predictors(small.mechanics)) == 1
     always(monkeypatch)
     assert len(small._predictors(small.mechanics)) == 2
-    assert len(made[0]._predictors(made[0].mechanics)) == 1
+    assert len(tied._predictors(tied.mechanics)) == 1
 
 
 @pytest.mark.parametrize(
