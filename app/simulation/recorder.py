@@ -6,7 +6,6 @@ import logging
 import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -242,13 +241,15 @@ class Recorder:
         b, t = self._balance, model.thermal
         balance = {"force": b.force, "moment": b.moment, "energy": b.energy} if b else {}
         balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature} if t else {}
+        numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
+        if self.step_count:  # at rest all would be zero
+            numbers = model.numbers(self.samples) | model.places(self.samples)
         result = {
             "status": status,
             "title": self._case.title,
             "units": UNITS,
             "time": self.time,
-            **model.numbers(self.samples),
-            **model.places(self.samples),
+            **numbers,
             "probes": {n: {"displacement": u} for n, u in self._displacements().items()},
             "balance": balance,
             "solver": {
@@ -279,15 +280,16 @@ class Recorder:
         total = {"total": clock.perf_counter() - self._begin}
         return {k: round(v, 3) for k, v in (phases | self._timing.seconds | total).items()}
 
-    def close(self, status: str) -> None:
-        """Leave the last converged state on disk, as far as the disk allows; collective."""
-        if not self.step_count:
-            return
+    def close(self, status: str, why: str) -> None:
+        """Leave the last converged state, and why, on disk, as far as it allows; collective."""
         if m := self._model.mechanics:
             # The loads of the step that failed are not this state's.
             m.problem.set_time(self.time)
-        finish = partial(self._writer.finish, done=False)
-        for write in (self.flush, lambda: finish(self.summary(status, None))):
+
+        def finish() -> None:
+            self._writer.finish(self.summary(status, None) | {"failure": why}, done=False)
+
+        for write in (self.flush, finish) if self.step_count else (finish,):
             try:
                 write()
             except StoppedError as error:
@@ -296,7 +298,7 @@ class Recorder:
     def last_state(self) -> str:
         """Sentence on the last converged state and its folder."""
         if not self.step_count:
-            return "no step has converged: nothing is on disk"
+            return f"no step has converged: {self._writer.folder} has the case, and no numbers"
         return (
             f"last converged state: time {self.time:.4g} (step {self.step_count}) "
             f"in {self._writer.folder}"
