@@ -84,8 +84,8 @@ class _Femur(Shape):
     """Medial distance of the head's centre from the shaft axis, 20 to 80 mm."""
     head_height: Annotated[float, _length("54 mm", at_least=20.0, at_most=100.0)] = 54.0
     """Height of the head's centre above mid lesser trochanter, 20 to 100 mm; no part of the stem's
-    body is higher. A low head bends the neck's root: in cells of 4 mm the worst shape (SICN) is 0.13
-    down to 45 mm, that of the bone, 0.11 at 40 mm and 0.06 at 32 mm."""
+    body is higher. A low head bends the neck's root: in cells of 4 mm the worst shape (SICN) is
+    0.13 down to 45 mm, that of the bone, 0.11 at 40 mm and 0.06 at 32 mm."""
     neck_angle: Annotated[float, Dimension("rad", "an angle", "130 deg")] = math.radians(130.0)
     """Angle between neck and shaft (rad), 100 to 145 deg."""
     resection_height: Length = 5.0

@@ -19,7 +19,7 @@ from app.cli import main
 from app.errors import ConvergenceError, GeometryError, InputError
 from app.numerics.newton import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
-from app.soundness import preview, well_posedness
+from app.soundness import loose_bodies, preview, well_posedness
 from app.soundness.mesh_parts import gaps_of, groups_of
 from app.system import folders
 from meshes.data import MeshData
@@ -415,10 +415,22 @@ def test_a_lifted_body_is_named() -> None:
 
 def test_a_stem_off_its_taper_is_named_without_cutting_the_step() -> None:
     """From rest and without gaps half the load fails alike."""
+    finer = "mesh.size=4 mm", "mesh.order=2"
     named = "100 % of it: nothing holds body 'stem': it is free to move along z, and the loads pull"
     with pytest.raises(ConvergenceError, match=named) as caught:
-        support.solve(support.STEM, "loads.hip.force=[0 N, 0 N, 2 N]", "stages=[{name: pull}]")
+        support.solve(support.STEM, *finer, "loads.hip.force=[0 N, 0 N, 2 N]")
     assert "steps of" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("push", "held"), [(70, True), (90, False)])
+def test_what_friction_of_the_loads_holds_is_not_pulled_off(push: float, held: bool) -> None:
+    """200 N press a block on another, with a friction of 0.4."""
+    aside = f"loads.aside={{kind: force, boundary: top, force: [{push} N, 0 N, 0 N]}}"
+    problem, _ = support.assemble(support.case(TWO, aside))
+    problem.set_time(1.0)
+    assert problem.contact
+    found = loose_bodies.pulled_off(problem, problem.contact)
+    assert held == (not found) and all("'metal': it is free to move along x," in f for f in found)
 
 
 def test_only_bonded_interfaces_join_bodies() -> None:
