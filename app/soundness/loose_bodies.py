@@ -44,9 +44,6 @@ RUNAWAY, LOOSE = 0.05, 200.0
 # normals gives at random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists),
 # if it is this part of the jumps, squared (0.003 of a push, 0.15 of a turn).
 SPREAD, PART = 0.25, 0.05
-# Root of the compliance of springs on which rigid bodies press, with which a taper of 1 degree and
-# 100 points bears 99 % of a push; part of the loads that may be left; iterations.
-SPRING, UNBORNE, MOST = 0.02, 0.1, 20
 
 
 # On the parts of a mesh, before solving
@@ -223,7 +220,7 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
         problem, contact, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R)
     )
     total = float(np.sum(contact.points.weight)) or 1.0
-    for body in _held(problem):
+    for body in supported(problem):
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free = vectors[:, values <= FREE * max(values[-1], total)]
@@ -249,7 +246,7 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
     """
     normal = np.linalg.norm(contact.state.force - contact.state.friction, axis=1)
     shear = np.linalg.norm(contact.state.friction, axis=1)
-    fixed = {b for b, part in _held(problem).items() if np.linalg.eigvalsh(part)[0] > HELD}
+    fixed = {b for b, part in supported(problem).items() if np.linalg.eigvalsh(part)[0] > HELD}
     found = []
     for i, term in enumerate(problem.scene.contacts):
         on = (contact.own.interface == i) & (normal > 0)
@@ -266,50 +263,6 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
                 f"[{Reason.LOOSE_BODY}]"
             )
     return found
-
-
-def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
-    """Bodies that the loads take off what they touch, of a model without gaps; collective.
-
-    Rigid bodies press on springs at the contact points. What these do not bear of the loads is also
-    the motion that opens all it does not slide along (a cone and its polar, Moreau); springs keep
-    single facets from bearing it by wedging. Friction of the pressures may hold it: there are none
-    on a taper that is pulled.
-    """
-    own, n, comm = contact.own, len(problem.bodies.names), problem.comm
-    centre = contact.points.x.mean(axis=0)
-    size = float(np.linalg.norm(np.ptp(contact.points.x, axis=0))) or 1.0
-    held = _held(problem)
-    left = []
-    for b in range(n):
-        values, vectors = np.linalg.eigh(held.get(b, np.zeros((3, 3))))
-        turns = np.eye(6)[:, 3:] if b not in held else np.zeros((6, 0))
-        free = np.vstack([vectors[:, values <= HELD], np.zeros((3, (values <= HELD).sum()))])
-        left.append(np.kron(np.eye(n)[:, [b]], np.hstack([free, turns])))
-    basis = np.hstack(left)
-    jumps, R = np.zeros((len(own), 3, n, 6)), rigid_modes((own.x - centre) / size)
-    for side, sign in zip(own.bodies.T, (-1, 1), strict=True):
-        jumps[np.arange(len(own)), :, side] += sign * R
-    jumps = np.concatenate(comm.allgather(jumps.reshape(len(own), 3, 6 * n) @ basis))
-    normals = np.concatenate(comm.allgather(own.normals))
-    frictions = np.array([c.law.friction for c in problem.scene.contacts])
-    μ = np.concatenate(comm.allgather(frictions[own.interface]))
-    x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
-    F = problem.forces.on_bodies(problem.time, rigid_modes((x - centre) / size)).ravel() @ basis
-    openings = np.einsum("pfi,pik->pfk", normals, jumps)
-    rest = F
-    for _ in range(MOST):  # Newton's method: the springs that are pressed
-        pressed = openings[openings @ rest < 0]
-        rest = np.linalg.solve(np.eye(len(F)) + pressed.T @ pressed / SPRING**2, F)
-    forces = np.maximum(0.0, -(openings @ rest)) / SPRING**2
-    moved = jumps @ rest
-    along = np.linalg.norm(moved - np.einsum("pfi,pf->pi", normals, openings @ rest), axis=1)
-    if rest @ F <= max(UNBORNE * (F @ F), μ * forces.sum(axis=1) @ along):
-        return []
-    centres = np.tile(centre, (n, 1))
-    names = [f"'{name}'" for name in problem.bodies.names]
-    found = describe((basis @ rest)[:, None], names, centres, centre, size)
-    return [f"{text}, and the loads pull there" for text in found]
 
 
 def runaway(problem: Problem, trial: TrialState) -> str:
@@ -358,7 +311,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     n, points = len(problem.bodies.names), contact.points
     size = np.linalg.norm(np.ptp(points.x, axis=0)) or 1.0
     R = rigid_modes((contact.own.x - points.x.mean(axis=0)) / size)
-    free = np.setdiff1d(np.arange(n), sorted(_held(problem)))
+    free = np.setdiff1d(np.arange(n), sorted(supported(problem)))
     rows = (6 * free[:, None] + np.arange(6)).ravel()
     resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.own.interface])
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
@@ -418,7 +371,7 @@ def _against_spread(
     return A, N
 
 
-def _held(problem: Problem) -> dict[int, Floats]:
+def supported(problem: Problem) -> dict[int, Floats]:
     """Part of each direction that supports and foundations hold, by body (3, 3)."""
     from app.scene.bodies import bodies_at  # brings dolfinx
 

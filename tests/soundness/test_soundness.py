@@ -19,7 +19,8 @@ from app.cli import main
 from app.errors import ConvergenceError, GeometryError, InputError
 from app.numerics.newton import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
-from app.soundness import loose_bodies, preview, well_posedness
+from app.soundness import preview, well_posedness
+from app.soundness.failure import pulled_off
 from app.soundness.mesh_parts import gaps_of, groups_of
 from app.system import folders
 from meshes.data import MeshData
@@ -429,7 +430,7 @@ def test_what_friction_of_the_loads_holds_is_not_pulled_off(push: float, held: b
     problem, _ = support.assemble(support.case(TWO, aside))
     problem.set_time(1.0)
     assert problem.contact
-    found = loose_bodies.pulled_off(problem, problem.contact)
+    found = pulled_off(problem, problem.contact)
     assert held == (not found) and all("'metal': it is free to move along x," in f for f in found)
 
 

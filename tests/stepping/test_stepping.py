@@ -26,11 +26,10 @@ def test_a_step_that_is_cut_back_ends_where_its_increment_would(
         nonlocal calls
         calls += 1
         outcome = solve(solver)
-        return dataclasses.replace(outcome, converged=outcome.converged and calls > 2)
+        return dataclasses.replace(outcome, converged=outcome.converged and not 1 < calls < 4)
 
     monkeypatch.setattr(load_steps, "solve", failing_twice)
-    tight = "interfaces.stem_cement.gap=-1 um"  # without it half a step would be no other problem
-    steps = support.solve(support.STEM, tight, "stages=[{name: push, increments: 3}]").steps
+    steps = support.solve(support.STEM, "stages=[{name: push, increments: 3}]").steps
     assert [s.time for s in steps if s.whole] == pytest.approx([1 / 3, 2 / 3, 1])
     assert len(steps) > 3
 
