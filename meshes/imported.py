@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import json
+import subprocess
+import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +23,10 @@ from meshes.data import (
     number,
     same_triangles,
 )
-from meshes.gmsh_child import MILLIMETRES, read, session
+from meshes.gmsh_child import MILLIMETRES, SECONDS, session
 from meshes.quality import bent, overlapping, places, untangle
 
+_SERVE = "from meshes.gmsh_child import serve; serve()"
 # Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
 
@@ -40,9 +46,9 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
     Raises:
         GeometryError: A script that fails, no tetrahedra, other elements, missing or overlapping
-            physical groups (with the names found), cells that overlap.
+            physical groups (with the names found), cells that overlap, a file that changes.
     """
-    found, path = read(geometry, mesh), geometry.path
+    found, path = _read(geometry, mesh), geometry.path
     blocks, surfaces = (
         {key.removeprefix(kind): block for key, block in found.items() if key.startswith(kind)}
         for kind in ("cells ", "surfaces ")
@@ -86,6 +92,44 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "told": [turned] if negative.any() else [],
     }
     return replace(data, notes=notes)
+
+
+def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
+    """Arrays of the file by name, as a child process finds them (`meshes.gmsh_child.serve`)."""
+    path = geometry.path
+    with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
+        if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
+            raise GeometryError(f"{path} has changed since it was looked at: run it again")
+        request = {
+            "path": str(path),
+            "script": geometry.is_script,
+            "size": mesh.size,
+            "far_size": mesh.far_size or 4 * mesh.size,
+            "curved": mesh.curved,
+            "unit": MILLIMETRES[geometry.unit],
+            "regions": geometry.region_names,
+        }
+        try:
+            answer = subprocess.run(
+                [sys.executable, "-P", "-c", _SERVE],
+                input=json.dumps(request).encode(),
+                cwd=folder,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                timeout=SECONDS,
+                check=True,
+            ).stdout
+        except subprocess.SubprocessError as error:
+            raise GeometryError(
+                f"{path}: gmsh crashed or was stopped: the file is damaged or too large (limits "
+                f"are {SECONDS} s and the memory of the machine)"
+            ) from error
+    # No pickle: a file may have forged the answer.
+    with np.load(io.BytesIO(answer), allow_pickle=False) as arrays:
+        found = dict(arrays)
+    if "error" in found:
+        raise GeometryError(str(found["error"]))
+    return found
 
 
 def write(data: MeshData, path: Path) -> None:
