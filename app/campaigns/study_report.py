@@ -16,12 +16,10 @@ from app.campaigns.work_precision import (
     ReferenceValue,
 )
 from app.case.quantities import Quantity
-from app.case.study import PlannedStudy
 from app.case.sweep import PlannedRun
 from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 from app.system.layout import duration
-from app.version import __version__
 
 # Exponents nearer to 0 say that the error does not depend on the key.
 FLAT = 0.05
@@ -201,18 +199,24 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
     return [*start, *numbers, shown(p.estimate, q), index]
 
 
-def write(report: Report, planned: PlannedStudy, cores: int, folder: Path) -> list[str]:
-    """Write ``study.json`` and ``study.csv``; return their names."""
+def write(report: Report, about: Mapping[str, Any], folder: Path) -> list[str]:
+    """Write ``study.json``, which begins as told, and ``study.csv``; return their names."""
     judged = report.judged
     record = {
-        "mantle": __version__,
-        "study": planned.file.name,
-        "case": str(planned.runs[0].base),
-        "overrides": planned.overrides,
-        "cores": cores,
+        **about,
         "target": report.target,
         "advice": report.advice.get("", ""),
-        "quantities": {m.name: _measured_record(report, m) for m in report.quantities},
+        "quantities": {
+            m.name: {
+                "unit": m.quantity.unit,
+                "advice": report.advice.get(m.name, ""),
+                "compared": m.compared,
+                "reference": None if m.reference is None else asdict(m.reference),
+                "exponents": m.exponents,
+                "points": [_point_record(r, m, i) for i, r in enumerate(report.runs)],
+            }
+            for m in report.quantities
+        },
         "effectivity": {
             "pairs": len(judged),
             "useful": sum(p.useful for *_, p in judged),
@@ -227,20 +231,10 @@ def write(report: Report, planned: PlannedStudy, cores: int, folder: Path) -> li
     return ["study.json", "study.csv"]
 
 
-def _measured_record(report: Report, m: Measured) -> dict[str, Any]:
-    return {
-        "unit": m.quantity.unit,
-        "advice": report.advice.get(m.name, ""),
-        "compared": m.compared,
-        "reference": None if m.reference is None else asdict(m.reference),
-        "exponents": m.exponents,
-        "points": [
-            {"line": r.line, "label": r.label, "x": r.x, "time": r.time}
-            | asdict(p)
-            | {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
-            for i, (r, p) in enumerate(zip(report.runs, m.points, strict=True))
-        ],
-    }
+def _point_record(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
+    p = m.points[i]
+    judged = {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
+    return {"line": r.line, "label": r.label, "x": r.x, "time": r.time} | asdict(p) | judged
 
 
 def _run_record(r: StudyRun) -> dict[str, Any]:
@@ -258,8 +252,10 @@ def _run_record(r: StudyRun) -> dict[str, Any]:
 
 def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
     """Row of ``study.csv``: a point of a quantity and its cost, in the unit of the row."""
-    p, ref, summary = m.points[i], m.reference, r.result.summary
-    timing, solver = summary.get("timing", {}), summary.get("solver", {})
+    p, timing = m.points[i], r.result.summary.get("timing", {})
+    solver = r.result.summary.get("solver", {})
+    counts = {"unknowns": "dofs", "steps": "steps", "newton iterations": "newton_iterations"}
+    counts |= {"krylov iterations": "linear_iterations", "condition": "condition"}
     return {
         "line": r.line,
         "key": r.key,
@@ -269,8 +265,8 @@ def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
         "quantity": m.name,
         "unit": m.quantity.unit,
         "value": p.value,
-        "reference": ref and ref.value,
-        "reference uncertainty": ref and ref.uncertainty,
+        "reference": m.reference and m.reference.value,
+        "reference uncertainty": m.reference and m.reference.uncertainty,
         "error [-]": p.error,
         "error exceeds uncertainty": int(p.trusted),
         "estimated error": p.estimate,
@@ -278,10 +274,6 @@ def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
         "pareto": int(i in m.front),
         "time [s]": r.time,
         **{f"{key} [s]": timing.get(key) for key in ("mesh", "compile", "error", "total")},
-        "unknowns": solver.get("dofs"),
-        "steps": solver.get("steps"),
-        "newton iterations": solver.get("newton_iterations"),
-        "krylov iterations": solver.get("linear_iterations"),
-        "condition": solver.get("condition"),
+        **{title: solver.get(key) for title, key in counts.items()},
         "ranks": r.result.job.ranks,
     }

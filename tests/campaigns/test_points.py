@@ -157,14 +157,14 @@ def test_samples_of_a_single_input() -> None:
 
 def test_a_study_has_its_lines_and_then_its_reference(path: Path) -> None:
     path.write_text(STUDY)
-    planned = study_file.read(path, ["mesh.curved=false", "study.target=0.05"])
-    names = [r.point.name for r in planned.runs]
+    study, runs, common = study_file.read(path, ["mesh.curved=false", "study.target=0.05"])
+    names = [r.point.name for r in runs]
     assert names[0] == "P1/size=4mm" and names[3] == "P2/size=4mm_far_size=5mm"
-    assert [r.point.path for r in planned.runs[-2:]] == [study_file.REFERENCE] * 2
-    assert [r.case.mesh.order for r in planned.runs] == [1] * 3 + [2] * 5
-    assert [r.case.mesh.size for r in planned.runs] == [4, 2, 1, 4, 2, 1.5, 0.8, 0.5]
-    assert planned.study.target == 0.05
-    assert planned.overrides == ("output.condition=true", "mesh.curved=false")
+    assert [r.point.path for r in runs[-2:]] == [study_file.REFERENCE] * 2
+    assert [r.case.mesh.order for r in runs] == [1] * 3 + [2] * 5
+    assert [r.case.mesh.size for r in runs] == [4, 2, 1, 4, 2, 1.5, 0.8, 0.5]
+    assert study.target == 0.05
+    assert common == ("output.condition=true", "mesh.curved=false")
 
 
 BASE = "base: case.yaml\n"
@@ -350,7 +350,7 @@ study:
     if told:
         assert told in refused(path, text)[0]
     else:
-        assert study_file.read(path).runs
+        assert study_file.read(path)[1]
 
 
 MANY = [p for name in ("studies", "sweeps") for p in (support.CONFIGS / name).glob("*.yaml")]
@@ -359,7 +359,7 @@ MANY = [p for name in ("studies", "sweeps") for p in (support.CONFIGS / name).gl
 @pytest.mark.parametrize("path", sorted(MANY), ids=lambda p: f"{p.parent.name}/{p.stem}")
 def test_every_point_of_a_shipped_file_is_a_valid_case(path: Path) -> None:
     if "study" in yaml_file.read(path).data:
-        assert study_file.read(path).runs
+        assert study_file.read(path)[1]
     else:
         assert sweep_file.read(path)[1]
 

@@ -244,7 +244,7 @@ study:
     steps: {stages.0.name: only, "stages[0].increments": [1, 2], solver.tolerance: 1e-8}
   reference: {values: {lower_upper.slip_p99: 0.04 mm}}
 """)
-    planned = study_file.read(file).runs
+    planned = study_file.read(file)[1]
     jobs = [study._job(p) for p in planned]
     runs = [
         study._study_run(p, Result(job, file, 4, 0.0, {}, ""))
