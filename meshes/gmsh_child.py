@@ -194,6 +194,9 @@ def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
                 f"{path}: the cells are of type {labels}; only straight tetrahedra, or only "
                 "quadratic ones, can be used"
             )
+        numbers, x, _ = mesh.getNodes()
+        if len(bad := numbers[~np.isfinite(x.reshape(-1, 3)).all(axis=1)]):
+            raise GeometryError(f"{path}: node {bad[0]}: its coordinates are no numbers")
         points, row = nodes(gmsh)
         tet, triangle = (11, 9) if 11 in kinds else (4, 2)
         cells = {name: elements(gmsh, tet, on, row) for name, on in sorted(regions.items())}

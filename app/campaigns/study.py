@@ -57,7 +57,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         about = {
             "mantle": __version__,
             "study": str(path),
-            "case": str(planned[0].base),
+            "case": str(planned[0].file),
             "overrides": common,
             "cores": options.cores,
         }
@@ -89,20 +89,19 @@ def _chosen(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]
 
 def _line(run: PlannedRun) -> str:
     """Name of the line of a run; empty for the reference."""
-    return "" if run.point.path == study_file.REFERENCE else run.point.part
+    return "" if run.path == study_file.REFERENCE else run.part
 
 
 def _job(run: PlannedRun) -> Job:
-    name = run.point.name if _line(run) else f"reference/{run.point.name.partition('/')[2]}"
-    return Job(name.rstrip("/"), run.base, run.overrides, run.ranks, alone=True, case=run.case)
+    name = run.name if _line(run) else f"reference/{run.name.partition('/')[2]}"
+    return Job(name.rstrip("/"), run.file, run.overrides, run.ranks, alone=True, case=run.case)
 
 
 def _study_run(planned: PlannedRun, result: Result) -> StudyRun:
-    point = planned.point
-    lists = [key for key in point.varied if isinstance(point.places[key][-1], int)]
+    lists = [key for key in planned.varied if isinstance(planned.places[key][-1], int)]
     key = next((k for k in lists if k == "mesh.size"), lists[0] if lists else "")
-    value = point.changes.get(key, "")
-    number = int(point.places[key][-1]) + 1 if key else 0
+    value = planned.changes.get(key, "")
+    number = int(planned.places[key][-1]) + 1 if key else 0
     label = f"#{number}" if isinstance(value, dict | list) else str(value)
     timing = result.summary.get("timing")
     cached = ("mesh", "compile", "error")

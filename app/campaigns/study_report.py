@@ -123,14 +123,6 @@ def shown(value: float | None, q: Quantity) -> str:
     return "-" if value is None else f"{q.factor * value:.4g} {q.shown}".removesuffix(" -")
 
 
-def error_text(m: Measured, i: int) -> str:
-    """Format the error of a point; ``<`` where the reference is no more accurate."""
-    error = m.errors[i]
-    if error is None:
-        return "-"
-    return percent(error) if m.points[i].trusted or not error else f"< {percent(error)}"
-
-
 def exponent_text(report: Report, m: Measured, line: str) -> str:
     """The exponent of a line, or that it is not one of its elements; empty if it is 0."""
     p = m.exponents[line]
@@ -176,13 +168,11 @@ def table(report: Report) -> str:
             lines.append(f"  {report.advice[m.name]}")
     lines += ["", "* no other run is both faster and closer"]
     (low, high), judged = USEFUL, report.judged
-    if judged:
-        useful = sum(p.useful for *_, p in judged)
-        lines.append(
-            f"estimated over true error is within {low:g} to {high:g} for {useful} of "
-            f"{len(judged)} numbers ({percent(useful / len(judged))})"
-        )
     others = [(n, r, p) for n, r, p in judged if not p.useful]
+    if judged:
+        useful = len(judged) - len(others)
+        text = f"estimated over true error is within {low:g} to {high:g} for {useful} of "
+        lines.append(f"{text}{len(judged)} numbers ({percent(useful / len(judged))})")
     lines += [f"  {n} with {r.line} at {r.label}: {p.effectivity:.2f}" for n, r, p in others]
     if "" in report.advice:
         lines.append(report.advice[""])
@@ -193,9 +183,12 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
     start = ["*" if i in m.front else "", r.line, f"{r.key} {r.label}"]
     if r.result.exit_code:
         return [*start, r.status, "", "", "", ""]
-    p, q = m.points[i], m.quantity
+    p, q, error = m.points[i], m.quantity, m.errors[i]
+    # The reference is no more accurate.
+    below = "" if p.trusted or not error else "< "
+    shown_error = "-" if error is None else f"{below}{percent(error)}"
     index = "" if p.effectivity is None else f"{p.effectivity:.2f}"
-    numbers = [shown(p.value, q), error_text(m, i), duration(r.time or 0)]
+    numbers = [shown(p.value, q), shown_error, duration(r.time or 0)]
     return [*start, *numbers, shown(p.estimate, q), index]
 
 
@@ -240,7 +233,7 @@ def _point_record(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
 def _run_record(r: StudyRun) -> dict[str, Any]:
     return {
         "line": r.line,
-        "overrides": r.planned.point.changes,
+        "overrides": r.planned.changes,
         "status": r.status,
         "message": r.result.message,
         "folder": str(r.result.folder),

@@ -3,18 +3,15 @@
 Everything goes into one folder, that of a batch (`app/campaigns/batch.py`), and beside it::
 
     folder/sweep.csv     a row for each case: what varies, numbers and their errors, cost
-    folder/sweep.json    the same with overrides, folders and messages; seconds of all calls
+    folder/sweep.json    the same with overrides, folders and messages
     folder/sweep.yaml    the sweep as read
 """
 
 from __future__ import annotations
 
-import json
 import logging
 import os
-import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +49,11 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     """
     sweep, planned = sweep_file.read(path, overrides)
     folder, name = options.folder, sweep.title or path.stem
-    jobs = [
-        Job(p.point.name, p.base, p.overrides, p.ranks, share=True, case=p.case) for p in planned
-    ]
+    jobs = [Job(p.name, p.file, p.overrides, p.ranks, share=True, case=p.case) for p in planned]
     if options.dry_run:
         log.info("%s", batch.plan(f"{name}: {len(jobs)} cases", jobs, options))
         return
-    keys = list(dict.fromkeys(key for p in planned for key in p.point.varied))
-    begin = time.monotonic() - _spent(folder)
+    keys = list(dict.fromkeys(key for p in planned for key in p.varied))
     log.info("%s: %d cases", name, len(planned))
 
     def write(results: Sequence[Result]) -> dict[str, Any]:
@@ -71,7 +65,6 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
             "overrides": list(overrides),
             "program": identity.program(),
             "cores": options.cores,
-            "seconds": round(time.monotonic() - begin, 1),
             "uncertainty": uncertainty.of_parts(rows, sweep.uncertain()),
             "cases": rows,
         }
@@ -98,18 +91,10 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         raise gravest([r["exit_code"] for r in failed], "\n".join([head, *reasons]))
 
 
-def _spent(folder: Path) -> float:
-    """Wall time of earlier calls [s]."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        text = (folder / "sweep.json").read_text(encoding="utf-8")
-        return float(json.loads(text)["seconds"])
-    return 0.0
-
-
 def _row(p: PlannedRun, result: Result, folder: Path) -> dict[str, Any]:
     status = STATUS.get(result.exit_code, FAILED)
-    return variations.row(p.point, result.summary, status, result.seconds) | {
-        "part": p.point.part,
+    return variations.row(p, result.summary, status, result.seconds) | {
+        "part": p.part,
         "folder": os.path.relpath(result.folder, folder),
         "ranks": p.ranks,
         "exit_code": result.exit_code,

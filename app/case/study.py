@@ -126,20 +126,20 @@ def _density(case: Case) -> tuple[float, str]:
 
 def _shared_meshes(study: Study, runs: Sequence[PlannedRun]) -> Iterator[Fault]:
     """Faults of a reference of several meshes: one that is judged too, or none that is finer."""
-    ladder = [r for r in runs if r.point.path == REFERENCE]
-    judged = {_density(r.case): r for r in reversed(runs) if r.point.path != REFERENCE}
+    ladder = [r for r in runs if r.path == REFERENCE]
+    judged = {_density(r.case): r for r in reversed(runs) if r.path != REFERENCE}
     if not judged or all(r.case.mesh == ladder[0].case.mesh for r in ladder):
         return
     key = points.varying(study.reference.run or {})[0]
     below = f"below {min(r.case.mesh.size for r in judged.values()):g} mm"
     for r in ladder:
         if (own := _density(r.case)) in judged:
-            text = f"has the mesh of {judged[own].point.name} ({own[1]}), whose error it cannot "
+            text = f"has the mesh of {judged[own].name} ({own[1]}), whose error it cannot "
             text += f"tell; expected sizes that no line has, the last {below}"
-            yield Fault(r.point.places[key], text)
+            yield Fault(r.places[key], text)
     if (finest := max(judged)) > _density(ladder[-1].case):
-        text = f"is not finer than {judged[finest].point.name} ({finest[1]}); expected a last size"
-        yield Fault(ladder[-1].point.places[key], f"{text} {below}")
+        text = f"is not finer than {judged[finest].name} ({finest[1]}); expected a last size"
+        yield Fault(ladder[-1].places[key], f"{text} {below}")
 
 
 def read(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -64,19 +64,17 @@ class Sweep(SweepPart):
         return {name: list(cube.inputs) for name, cube in parts.items() if cube}
 
 
-@dataclass(frozen=True)
-class PlannedRun:
-    """A checked case of a sweep or a study.
+@dataclass(frozen=True, kw_only=True)
+class PlannedRun(Point):
+    """A checked case of a sweep or a study; its changes include ``--set`` options.
 
     Attributes:
-        point: Its place in the file; its overrides include ``--set`` options.
-        base: The case file.
-        overrides: Changes of the base, as after ``--set``.
-        case: The base with the overrides.
+        file: The case file.
+        overrides: Changes of it, as after ``--set``.
+        case: The case with the overrides.
     """
 
-    point: Point
-    base: Path
+    file: Path
     overrides: tuple[str, ...]
     ranks: int
     case: Case
@@ -153,7 +151,8 @@ def plan(
                 else:
                     failed.setdefault((base, message), []).append(point)
             continue
-        planned.append(PlannedRun(replace(point, changes=used), base, changes, ranks, case))
+        fields = vars(point) | {"changes": used}
+        planned.append(PlannedRun(**fields, file=base, overrides=changes, ranks=ranks, case=case))
     for (base, message), of in failed.items():
         at = (*of[0].path, "base")
         if len(of) < bases[base]:

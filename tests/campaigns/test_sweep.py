@@ -55,7 +55,7 @@ def test_cases_share_processes_and_have_a_row_each(
     with (bench.out / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     cases = cases_of(bench.out)
-    planned = {p.point.name: p.case for p in sweep_file.read(bench.sweep, overrides)[1]}
+    planned = {p.name: p.case for p in sweep_file.read(bench.sweep, overrides)[1]}
     for row in cases:
         assert plain(found.pop(Path(row["folder"]).name)) == plain(planned[row["name"]])
         assert row["overrides"]["regions.upper.poisson_ratio"] == 0.4
