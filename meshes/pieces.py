@@ -116,6 +116,10 @@ class Parts:
         """Coordinates of all nodes (n, 3) [mm]."""
         return self.data.points
 
+    def corners_of(self, region: str) -> Ints:
+        """Corner nodes of the cells of a region (n, 4)."""
+        return self.data.cells[self.data.cell_tags == self.data.regions[region], :4]
+
     def on_interface(self, name: str) -> Ints:
         """Corner nodes of the facets of an interface (n,)."""
         return np.unique(interface_facets(self.data, name)[0][:, :3])

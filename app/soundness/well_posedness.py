@@ -135,8 +135,7 @@ def _on_axis(case: Case, found: Parts) -> list[str]:
             fibre = getattr(owner, "fibre", None)
             if not isinstance(fibre, Circumferential):
                 continue
-            data = found.data
-            cells = data.cells[data.cell_tags == data.regions[name], :4]
+            cells = found.corners_of(name)
             met = _meets(found.x[cells], np.array(fibre.axis), np.array(fibre.through))
             if met.any():
                 middle = found.x[cells[np.argmax(met)]].mean(axis=0)
@@ -189,10 +188,10 @@ def _not_enforced(case: Case, found: Parts) -> list[str]:
     """Vertices at which interfaces go round in a circle of bodies: one follows from the others."""
     on = [name for name, law in case.interfaces.items() if law.can_part]
     groups = {frozenset(found.pieces[p].region for p in g) for g in groups_of(case, found)}
-    here = np.array([np.isin(np.arange(len(found.x)), found.interfaces[n]) for n in on])
+    here = np.array([np.isin(np.arange(len(found.x)), found.on_interface(n)) for n in on])
     bodies = np.zeros(len(found.x), dtype=int)
     for regions in groups:
-        bodies[np.unique(np.concatenate([found.corners[r] for r in regions]))] += 1
+        bodies[np.unique(np.concatenate([found.corners_of(r) for r in regions]))] += 1
     rows = np.flatnonzero((bodies > 2) & (here.sum(axis=0) >= bodies))
     if not on or not len(rows):
         return []
