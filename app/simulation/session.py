@@ -16,6 +16,7 @@ from typing import Any
 from mpi4py import MPI
 
 from app.case.case import Case, LoadedCase, Varied, dump
+from app.case.run_options import CheckpointOptions
 from app.errors import (
     ConvergenceError,
     EnvironmentProblem,
@@ -289,7 +290,7 @@ class _CaseRun:
                 summary["error"] = _errors(companions, model, summary, case)
             summary["timing"] = self._recorder.seconds()
         self._writer.finish(summary, done=True)
-        if not case.output.checkpoint.model_fields_set:
+        if case.output.checkpoint == CheckpointOptions():
             # Those of interruptions are of no more use.
             on_root(setup.comm, partial(remove, saved(self._folder)), share=False)
         return summary
