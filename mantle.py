@@ -87,12 +87,13 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
         Texts on the case: its ``description``, its ``size`` and its ``notes``; print it.
 
     Raises:
-        InputError: The case cannot be solved, or its mesh does not fit this machine.
+        InputError: The case cannot be solved, or does not fit this machine.
         GeometryError: It cannot be meshed.
         EnvironmentProblem: A package for meshing is missing.
     """
-    from app.soundness import cost, preview
+    from app.soundness import cost, memory, preview
 
+    memory.check(case.file, case.config)
     size, notes = cost.estimated_size(case.config), preview.warnings(case.config)
     if meshed:
         data = mesh(case)
@@ -148,7 +149,9 @@ def run(
             very configuration; take a checkpoint of another configuration.
         restart: Go on from a checkpoint: ``auto`` for the newest in the folder, or a file.
         walltime: Stop in time with the state saved [s].
-        signals: SIGINT, SIGTERM, SIGHUP and SIGUSR1 save the state and stop the run.
+        signals: The process is mantle's own: SIGINT, SIGTERM, SIGHUP and SIGUSR1 save the state
+            and stop the run, dolfinx's option files are ignored, and forms are compiled by one
+            process at a time. Without it nothing of the host is changed.
         petsc_options: Raw options, as after ``--`` on the command line.
 
     Returns:
@@ -182,7 +185,7 @@ def run(
                 signals=signals,
                 progress=progress,
             )
-        except (ConvergenceError, UnusableError):
+        except (ConvergenceError, StoppedError, UnusableError):
             _report(case, folder, failed=True)
             raise
         _report(case, folder, failed=False)

@@ -6,7 +6,8 @@ errors and exit codes. With python3-argcomplete installed,
 ``eval "$(register-python-argcomplete mantle)"`` completes commands and options in bash.
 
 Exit codes: 0 ok, 1 a verification problem fails or a benchmark cannot be measured, 2 input,
-3 geometry or mesh, 4 not converged, 5 stopped, 69 environment, 70 internal.
+3 geometry or mesh, 4 not converged, 5 stopped, 6 solved but not to be used, 69 environment, 70
+internal.
 """
 
 from __future__ import annotations
@@ -43,6 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         argcomplete.autocomplete(parser())  # prints what may follow, and ends this process
     os.environ["OMP_NUM_THREADS"] = os.environ.get("OMP_NUM_THREADS") or "1"
+    # Switch off pydantic's search for plugins and its check of schemas at import.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")
     ranks.find_program()
     ranks.keep_quiet()
     ranks.end_with_parent()
@@ -56,7 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _leave(error)
     except KeyboardInterrupt:
         if rank() == 0:
-            print("stopped", file=sys.stderr, flush=True)
+            run = (sys.argv[1:] if arguments is None else [*arguments])[:1] == ["run"]
+            disk = ": no step had converged, nothing of this run is on disk" if run else ""
+            print(f"stopped{disk}", file=sys.stderr, flush=True)
         _abort(STOPPED)
         return STOPPED
     except BrokenPipeError:

@@ -42,21 +42,11 @@ SETTING = (
   upper:
     youngs_modulus: 2000 MPa
     poisson_ratio: 0.3
-    thermal:
-      conductivity: 0.3 W/(m K)
-      density: 1200 kg/m^3
-      specific_heat: 1500 J/(kg K)
-      initial_temperature: 25 degC
-      thermal_expansion: 80e-6 1/K
-      cure:
-        kinetics: {kind: autocatalytic, rate_constant: 2.6397e8 1/s,
-          activation_energy: 62866 J/mol, m: 0.98, n: 1.064}
-        heat: 1.55e8 J/m^3
-        initial: 1e-3
-        gel: 0.5
-        floor: 0.01
-        exponent: 1
-        shrinkage: 0.003
+    thermal: {conductivity: 0.3 W/(m K), density: 1200 kg/m^3, specific_heat: 1500 J/(kg K),
+      initial_temperature: 25 degC, thermal_expansion: 80e-6 1/K, cure: {kinetics: {
+      kind: autocatalytic, rate_constant: 2.6397e8 1/s, activation_energy: 62866 J/mol, m: 0.98,
+      n: 1.064}, heat: 1.55e8 J/m^3, initial: 1e-3, gel: 0.5, floor: 0.01, exponent: 1,
+      shrinkage: 0.003}}
 interfaces:
   lower_upper: {kind: contact, friction_coefficient: 0.3, conductance: 300 W/(m^2 K)}
 heat:

@@ -10,7 +10,7 @@ and takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -139,7 +139,7 @@ class Varied:
     case: Case
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LoadedCase:
     """A case and its origin.
 
@@ -155,8 +155,20 @@ class LoadedCase:
     config: Case
     path: Path
     overrides: tuple[str, ...]
-    file: CaseFile = field(repr=False)
-    variations: list[Varied] = field(repr=False)
+    file: CaseFile
+    variations: list[Varied]
+
+    def __repr__(self) -> str:
+        """Title, file, geometry, mesh, interfaces and stages in five lines."""
+        c = self.config
+        mesh = f"{c.mesh.size:g} mm, order {c.mesh.order}" if c.mesh else "none"
+        laws = ", ".join(f"{name} {law.kind}" for name, law in c.interfaces.items())
+        return (
+            f"case {self.path}: {c.title or 'without title'}\n"
+            f"  geometry {c.geometry.kind}: {', '.join(c.geometry.region_names)}\n"
+            f"  mesh {mesh}\n  interfaces {laws or 'none'}\n"
+            f"  stages {', '.join(stage.name for stage in c.stages)}; all values in .config"
+        )
 
     @property
     def output(self) -> Path:

@@ -119,13 +119,6 @@ class HeatForms:
         potential = heat.exchange(θ, self._constant(condition.coefficient), self._constant(0.0))
         return self._lumped(condition, lambda measure: ufl.derivative(potential * measure, θ))
 
-    def capacities(self, conductors: Sequence[Thermal]) -> Floats:
-        """Heat capacity of own nodes in each body (b, n) [N mm/K]."""
-        total = self.zeros()
-        for c in conductors:
-            total[self._bodies.of_region[c.region]] += c.capacity * self.volumes(c.region)
-        return total
-
     def _power(self) -> Any:
         return heat.heating_power(self._constant(1.0), ufl.TestFunction(self.space))
 

@@ -60,6 +60,7 @@ class ImplicitStep(System):
     Attributes:
         operators: The operators of heat.
         seconds: Time at the end of the solve last begun [s].
+        vectors: Makes new vectors: temperature of own nodes, and with jumps those of own points.
     """
 
     prefix = "mantle_heat_"
@@ -72,6 +73,7 @@ class ImplicitStep(System):
         self.seconds = 0.0
         self._held = operators.fixed.base >= 0
         self._blocks = HeatMatrices(operators.principle.matrices, operators.jumps, self._held)
+        self.vectors = self._blocks.vectors
         self._rate = 1.0
         self._start, self._heats = operators.forms.zeros(), operators.forms.zeros()
         self._given: list[Floats] = []
@@ -88,10 +90,6 @@ class ImplicitStep(System):
         """Temperature, and with finite conductance its jumps."""
         # Without such an interface there is no second block.
         return dict(zip(("temperature", "temperature_jump"), self.vectors(), strict=False))
-
-    def vectors(self) -> list[PETSc.Vec]:
-        """New vectors: temperature of own nodes, and with jumps those of own points."""
-        return self._blocks.vectors()
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """Capacity, conduction and exchange; conductance."""

@@ -68,7 +68,9 @@ class HeatOperators:
         if scene.thermal_contacts:
             self.jumps = TemperatureJumps(scene, tagged, self.bodies, forms, self.fixed.of_body)
             self.fixed.join(self.jumps)
-        self.capacity = forms.capacities(scene.conductors)
+        self.capacity = forms.zeros()
+        for c in scene.conductors:
+            self.capacity[self.bodies.of_region[c.region]] += c.capacity * forms.volumes(c.region)
         # A reference near all temperatures: less of the heat is lost to rounding.
         self.reference = float(np.mean([c.initial_temperature for c in scene.conductors]))
         self.cure = CureHeat(scene, self.bodies, forms) if scene.cures else None

@@ -90,11 +90,20 @@ class TrialState:
         nearly = gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None]
         return np.asarray((self.law.pressures > 0) | nearly)
 
+    def sliding(self, motion: Floats) -> Floats:
+        """Tangential part of a motion where points touch, 0 where they are open (n, 3) [mm].
+
+        That of the whole jump is the slip, d_T of eq. 3. It is a state: it has no history.
+        """
+        touching = (self.contact.law.can_open & (self.law.status != OPEN))[:, None]
+        along = self.contact.own.tangential(motion, self._closed(motion))
+        return np.where(touching, along, 0.0)
+
     def committed(self) -> ContactState:
-        """State of the points after a converged step: jump, tractions, slip, dissipation.
+        """State of the points after a converged step: jump, tractions, path, dissipation.
 
         A point that ends a step in contact slides by the tangential part of the step: the motion
-        for which the law computes its friction. Motion of an open point is not slip.
+        for which the law computes its friction. What an open point moves is on no path.
 
         Dissipation is the implicit sum, new friction times the step's slip, which the incremental
         potential (eq. 55) makes non-negative at each point; the trapezoidal rule is negative when
@@ -109,8 +118,6 @@ class TrialState:
         step, opening = self.jump - old.jump, self.jump + c.gap
         force = c.forces(self.equilibrium)
         normal = np.einsum("pk,pki->pi", law.pressures, c.own.normals)
-        touching = (c.law.can_open & (law.status != OPEN))[:, None]
-        slid = np.where(touching, c.own.tangential(step, self._closed(step)), 0.0)
         dissipated = weight * np.einsum("pi,pi->p", *self.rubbing())
         pushed = np.einsum("pi,pi->p", old.force - old.friction - normal, opening - old.opening) / 2
         return ContactState(
@@ -118,8 +125,7 @@ class TrialState:
             force=force,
             friction=force + normal,
             opening=opening,
-            slip=old.slip + slid,
-            path=old.path + np.linalg.norm(slid, axis=1),
+            path=old.path + np.linalg.norm(self.sliding(step), axis=1),
             dissipation=old.dissipation + dissipated,
             least=np.minimum(old.least, dissipated),
             contact_work=old.contact_work + weight * pushed,

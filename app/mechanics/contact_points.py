@@ -70,8 +70,7 @@ class ContactState:
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
         friction: Friction part of the force (n, 3) [MPa].
         opening: Jump plus initial gap (n, 3) [mm].
-        slip: Net sliding while in contact (n, 3) [mm].
-        path: Length of the sliding path (n,) [mm].
+        path: Length of the path of sliding in contact (n,) [mm].
         dissipation: Friction dissipation so far (n,) [N mm].
         least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening so far (n,) [N mm].
@@ -83,7 +82,6 @@ class ContactState:
     force: Floats
     friction: Floats
     opening: Floats
-    slip: Floats
     path: Floats
     dissipation: Floats
     least: Floats
@@ -96,7 +94,7 @@ class ContactState:
         """Unloaded state, for a gap (n, 3) and the shapes of the laws' history."""
         zero, none = np.zeros_like(gap), np.zeros(len(gap))
         own = {name: np.zeros((len(gap), *shape)) for name, shape in history.items()}
-        return cls(zero, zero, zero, gap, zero, none, none, none, none, none, own)
+        return cls(zero, zero, zero, gap, none, none, none, none, none, own)
 
 
 def prescribed_jump(points: ContactPoints, number: int, support: Support) -> Floats:

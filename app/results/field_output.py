@@ -11,6 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mpi4py import MPI
+
 import numpy as np
 from dolfinx import fem, la
 
@@ -22,10 +24,11 @@ from app.results.necrosis import CELSIUS, Exposure
 from app.results.stresses import Stresses, extrapolated
 from app.results.thermal_record import W_PER_M2, Interfaces, ThermalRecord
 from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
-from app.scene.bodies import cell_tags
+from app.scene.bodies import Bodies, cell_tags
 from app.scene.scene import Interface
 from app.stepping.heat_state import HeatState
 from forms.contact import OPEN
+from meshes.contact_points import ContactPoints
 from meshes.distribute import TaggedMesh
 
 
@@ -142,18 +145,15 @@ class HeatFields:
             found["degree_of_cure"] = self._at(nodes, degrees)
         if (j := self._operators.jumps) is not None:
             τ = x[1].array
-            flux = W_PER_M2 * j.flux(τ)[0]
-            for i, c in enumerate(self._operators.scene.thermal_contacts):
-                here = j.interface == i
+            every = np.zeros((2, len(j.points.dof)))
+            every[:, j.mine] = τ, W_PER_M2 * j.flux(τ)[0]
+            self._operators.forms.comm.Allreduce(MPI.IN_PLACE, every)
+            rows = _contact_rows(j.points, self.space, self.bodies, nodes)
+            for c, at in zip(self._operators.scene.thermal_contacts, rows, strict=True):
                 # From first to second side, whichever is the master.
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
-                sign = 1.0 if forward else -1.0
-                sides = {self.bodies.of_region[r] for r in (*c.master, *c.slave)}
-                on = np.isin(nodes.body, list(sides)) & (nodes.ends[:, 0] == nodes.ends[:, 1])
-                for what, values in (("temperature_jump", τ), ("heat_flux", flux)):
-                    spread = self._spread(j.dof[here], sign * values[here])
-                    table = [spread for _ in self.bodies.names]
-                    found[f"{c.name}_{what}"] = np.where(on, self._at(nodes, table), 0.0)
+                for what, values in zip(("temperature_jump", "heat_flux"), every, strict=True):
+                    found[f"{c.name}_{what}"] = _along(at, values if forward else -values)
         return found
 
     def cell(self, cells: int) -> dict[str, Floats]:
@@ -199,7 +199,9 @@ class MechanicalFields:
             u[at] = function.x.array.reshape(-1, 3)[nodes.dof[at]]
         point: dict[str, Floats] = {"displacement": u, **_named(self._nodal_stress(nodes))}
         if samples is not None:
-            rows = self._contact_rows(nodes)
+            assert self._problem.contact is not None
+            points = self._problem.contact.points
+            rows = _contact_rows(points, self.space, self.bodies, nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
                 point |= _interface(contact, samples, rows[i])
         return point
@@ -237,27 +239,6 @@ class MechanicalFields:
             found[at] = mean[:, :-1] / np.where(mean[:, -1:] > 0, mean[:, -1:], 1.0)
         return found
 
-    def _contact_rows(self, nodes: OutputNodes) -> list[Ints]:
-        """For each interface, the contact points (n, 2) at or around the nodes of the grid.
-
-        The point twice at a corner, the ends of an edge of the interface at its middle, -1
-        elsewhere.
-        """
-        if self._problem.contact is None:
-            return []
-        points, index_map = self._problem.contact.points, self.space.dofmap.index_map
-        count, dofs = len(self.bodies.names), self.space.dofmap.list
-        ends = np.take_along_axis(dofs[nodes.cell], nodes.ends, axis=1)
-        numbers = index_map.local_to_global(ends.ravel().astype(np.int32)).reshape(ends.shape)
-        rows = []
-        for i, triangles in enumerate(points.triangles):
-            here = np.flatnonzero(points.interface == i)
-            # By node and body.
-            point = np.full((index_map.size_global, count), -1, dtype=np.int64)
-            point[points.dof[here, None], points.bodies[here]] = here[:, None]
-            rows.append(_on_edges(point[numbers, nodes.body[:, None]], triangles, len(points.dof)))
-        return rows
-
 
 # Components of a symmetric tensor in VTK's order: XX, YY, ZZ, XY, YZ, XZ.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
@@ -282,6 +263,26 @@ def _named(σ: Floats) -> dict[str, Floats]:
     }
 
 
+def _contact_rows(
+    points: ContactPoints, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
+) -> list[Ints]:
+    """For each interface, the contact points (n, 2) at or around the nodes of the grid.
+
+    The point twice at a corner, the ends of an edge of the interface at its middle, -1 elsewhere.
+    """
+    index_map, dofs = space.dofmap.index_map, space.dofmap.list
+    ends = np.take_along_axis(dofs[nodes.cell], nodes.ends, axis=1)
+    numbers = index_map.local_to_global(ends.ravel().astype(np.int32)).reshape(ends.shape)
+    rows = []
+    for i, triangles in enumerate(points.triangles):
+        here = np.flatnonzero(points.interface == i)
+        # By node and body.
+        point = np.full((index_map.size_global, len(bodies.names)), -1, dtype=np.int64)
+        point[points.dof[here, None], points.bodies[here]] = here[:, None]
+        rows.append(_on_edges(point[numbers, nodes.body[:, None]], triangles, len(points.dof)))
+    return rows
+
+
 def _on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
     """Pairs of contact points (n, 2), -1 where no triangle of the interface has both."""
     edges = np.sort(triangles[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2), axis=1)
@@ -290,20 +291,21 @@ def _on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
     return np.where((on & (rows >= 0).all(axis=1))[:, None], rows, -1)
 
 
+def _along(rows: Ints, values: Floats) -> Floats:
+    """Values of contact points at the grid's nodes, linear along edges; 0 away from them."""
+    on = rows[:, 0] >= 0
+    out = np.zeros((len(rows), *values.shape[1:]))
+    out[on] = values[rows[on]].mean(axis=1)
+    return out
+
+
 def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
     """Fields of an interface at the grid's nodes: zero away from it, status -1.
 
     They are linear along edges. In the middle of one the status is the more mobile of its ends:
     open before all, else the higher number.
     """
-    on = rows[:, 0] >= 0
-
-    def spread(values: Floats) -> Floats:
-        out = np.zeros((len(rows), *values.shape[1:]))
-        out[on] = values[rows[on]].mean(axis=1)
-        return out
-
-    status = np.full(len(rows), -1.0)
+    on, status = rows[:, 0] >= 0, np.full(len(rows), -1.0)
     ends = s.status[rows[on]]
     status[on] = np.where((ends == OPEN).any(axis=1), OPEN, ends.max(axis=1))
     fields = {
@@ -311,7 +313,7 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
         **{"pressure": s.pressure, "shear": s.shear},
     }
-    found = {f"{contact.name}_{key}": spread(values) for key, values in fields.items()}
+    found = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}
     return found | {f"{contact.name}_status": status}
 
 

@@ -47,8 +47,8 @@ class ContactSamples:
         weight: Area (n,) [mm2].
         gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
         opening: Opening of the point, the largest of its faces (n,) [mm].
-        slip: Net sliding while in contact (n, 3) [mm].
-        path: Length of the path of the slip (n,) [mm].
+        slip: Tangential part of the motion where the point touches, else 0 (n, 3) [mm].
+        path: Length of the path of sliding in contact (n,) [mm].
         motion: Displacement of the second side as declared against the first (n, 3) [mm].
         pressure: Normal force per area, positive in compression (n,) [MPa].
         shear: Friction per area (n,) [MPa].
@@ -78,7 +78,7 @@ class ContactSamples:
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
         sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[own.interface][:, None]
-        self.slip, self.path = whole(sign * history.slip), whole(history.path)
+        self.slip, self.path = whole(sign * trial.sliding(trial.jump)), whole(history.path)
         self.motion = whole(sign * trial.jump)
         self.pressure = whole(_pressure(trial.law.pressures, own.normals))
         self.shear = whole(np.linalg.norm(history.friction, axis=1))

@@ -13,7 +13,7 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI  # noqa: F401  (before h5py, which may be built for MPI)
+from mpi4py import MPI  # before h5py, which may be built for MPI
 
 import basix
 import h5py
@@ -36,6 +36,19 @@ class Results:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+
+    def __repr__(self) -> str:
+        """Folder, title, interfaces with their slip and gap, and what else there is."""
+        if variations := self.variations:
+            return f"results in {self.folder}: variations {', '.join(variations)}"
+        numbers = self.summary.get("interfaces", {}).items()
+        lines = [
+            f"  {name}: slip {1e3 * q['slip_p99']:.4g} um, gap {1e3 * q['gap_p99']:.4g} um (p99)"
+            for name, q in numbers
+            if "slip_p99" in q
+        ]
+        head = f"results in {self.folder}: {self.case.get('title') or 'without title'}"
+        return "\n".join([head, *lines[:3], "  .summary, .history, .fields, .case, .variations"])
 
     @cached_property
     def case(self) -> dict[str, Any]:
@@ -134,6 +147,30 @@ class Run(Results):
         """A field on the cells at a written step (m,) or (m, k), by its name in the file."""
         return self._field(f"CellData/{name}", len(self.cells), step)
 
+    @cached_property
+    def mesh(self) -> Any:
+        """The dolfinx mesh of the fields, on this process alone; bodies that can part are apart."""
+        from basix.ufl import element
+        from dolfinx.mesh import create_mesh
+
+        order = 1 if self.cells.shape[1] == 4 else 2
+        cells = np.empty_like(self.cells)
+        cells[:, QUADRATIC_NODES[: cells.shape[1]]] = self.cells
+        shape = element("Lagrange", "tetrahedron", order, shape=(3,))
+        return create_mesh(MPI.COMM_SELF, cells, self.points, shape)
+
+    def function(self, name: str, step: int | str = -1) -> Any:
+        """A field on the nodes at a written step as a dolfinx `Function` on `mesh`."""
+        from dolfinx import fem
+
+        values = self.on_points(name, step)
+        geometry = self.mesh.geometry
+        kind = ("Lagrange", geometry.cmap.degree, values.shape[1:])
+        made = fem.Function(fem.functionspace(self.mesh, kind), name=name)
+        nodes = geometry.input_global_indices[geometry.dofmap]
+        made.x.array.reshape(values.shape)[made.function_space.dofmap.list] = values[nodes]
+        return made
+
     def displacement(self, step: int | str = -1) -> Floats:
         """Displacement of the nodes at a written step (n, 3) [mm]."""
         return self.on_points("displacement", step)
@@ -223,6 +260,10 @@ class Run(Results):
 
     def _field(self, name: str, rows: int, step: int | str) -> Floats:
         k = self._last_of(step) if isinstance(step, str) else range(len(self.times))[step]
+        group, _, own = name.partition("/")
+        there = self.point_fields if group == "PointData" else self.cell_fields
+        if own not in there:
+            raise InputError(f"{self.folder}: no field '{own}'; fields: {', '.join(there)}")
         with h5py.File(self.folder / "fields.vtkhdf", "r") as file:
             field = file["VTKHDF"][name]
             k = 0 if len(field) == rows else k  # one for all steps

@@ -16,6 +16,7 @@ from typing import Any
 from mpi4py import MPI
 
 from app.case.case import Case, LoadedCase, Varied, dump
+from app.case.run_options import CheckpointOptions
 from app.errors import (
     ConvergenceError,
     EnvironmentProblem,
@@ -25,7 +26,7 @@ from app.errors import (
     on_root,
 )
 from app.numerics.krylov import condition_number
-from app.numerics.newton import raw_options
+from app.numerics.newton import raw_options, unused
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, provenance
@@ -114,7 +115,8 @@ def run(
     if crowd := blas_check.crowd(int(here) if here.isdigit() else comm.size):
         log.warning("note: %s", crowd)
     signalled = stopping.signals() if signals else str
-    form_cache.guard()
+    if signals:  # the process is ours: a host's functions and options are left as they are
+        form_cache.guard()
     late = str if walltime is None else stopping.WallTime(begin, walltime)
     options, asked = raw_options(petsc_options), (progress, restart, force)
     setup = Setup(comm, case, options, lambda: signalled() or late(), *asked, begin, started)
@@ -214,6 +216,8 @@ class _CaseRun:
         self._model = setup.model = model
         self._notes = [*preview.warnings(case), *model.judge()]
         setup.note(self._notes)
+        if lost := unused(case.solver.petsc | setup.options):
+            setup.note([f"PETSc has no use for {', '.join(lost)} here: misspelt?"])
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
             case.title or loaded.path.stem,
@@ -255,11 +259,11 @@ class _CaseRun:
             agree(self._setup.comm, failure)
             lines = [str(failure), self._recorder.last_state()]
             if isinstance(failure, ConvergenceError):
-                self._recorder.close("not converged")
+                self._recorder.close("not converged", lines[0])
                 raise ConvergenceError("\n".join(lines)) from failure
             if path := self._checkpoints.save():
                 lines.append(f"state saved in {path}: --restart auto goes on from there")
-            self._recorder.close("stopped")
+            self._recorder.close("stopped", lines[0])
             raise StoppedError("\n".join(lines)) from failure
 
     def finish(self, total: Summary) -> dict[str, Any]:
@@ -286,7 +290,7 @@ class _CaseRun:
                 summary["error"] = _errors(companions, model, summary, case)
             summary["timing"] = self._recorder.seconds()
         self._writer.finish(summary, done=True)
-        if not case.output.checkpoint.model_fields_set:
+        if case.output.checkpoint == CheckpointOptions():
             # Those of interruptions are of no more use.
             on_root(setup.comm, partial(remove, saved(self._folder)), share=False)
         return summary

@@ -160,7 +160,7 @@ def table(rows: Sequence[Row]) -> str:
 
 def most(numbers: Mapping[str, float]) -> str:
     """Largest slip of a run, or its highest temperature, as text."""
-    for key, words in (("slip_p99", "slip on"), ("temperature_max", "in")):
+    for key, words in (("slip_p99", "slip, p99, on"), ("temperature_max", "in")):
         found = {k: n for k, n in numbers.items() if k.endswith(f".{key}")}
         if found:
             name = max(found, key=lambda k: found[k])

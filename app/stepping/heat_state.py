@@ -22,8 +22,7 @@ from app.numerics.integrator import METHODS, Method, State
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.scene import Scene
-from app.stepping import stability
-from app.stepping.coupled_system import CoupledSystem
+from app.stepping.coupled_system import CoupledSystem, grows
 from app.stepping.load_steps import Summary
 
 # First step of a stage, as a part of an increment, if the rate of change is unknown.
@@ -222,7 +221,7 @@ class HeatState:
             self.step.begin(self.state[:n], self.state[n:], h, self.seconds)
 
         x = self.solver.blocks()
-        unstable = stability.grows(system, x, begin)
+        unstable = grows(system, x, begin)
         begin(np.inf)
         self.put(self.state)
         system.residual(x, [v.duplicate() for v in x])

@@ -325,12 +325,3 @@ def test_one_rank_speaks(
     assert ranks.rank() == 3
     assert main(["check", "none.yaml"]) == 2
     assert capsys.readouterr() == ("", "")
-
-
-def test_states_that_depend_on_the_start_are_told() -> None:
-    """Bars between heated walls have three: with a gap closed by expansion, and without."""
-    walls = CONFIGS / "verification" / "heated_walls.yaml"
-    (note,) = preview.warnings(load(walls).config)
-    assert "interfaces.metal_cement" in note and "initial temperatures decide" in note
-    stiff = ["interfaces.metal_cement.conductance=10 W/(m^2 K)"]
-    assert preview.warnings(load(walls, stiff).config) == []

@@ -76,11 +76,11 @@ def fixed(name: str, boundary: str, celsius: float) -> FixedTemperature:
     return laws.temperature(name, ZERO + celsius, boundary=boundary)
 
 
-def contact(h: float, name: str = "cement_bone") -> tuple[Interface, ...]:
+def contact(h: float) -> tuple[Interface, ...]:
     """A constant conductance [W/(m2 K)] between the cement, the slave, and the bone."""
     if h == PERFECT:
         return ()
-    return (laws.interface(name, ("bone",), ("cement",), (h * 1e-3, 0.0, np.inf)),)
+    return (laws.interface("cement_bone", ("bone",), ("cement",), (h * 1e-3, 0.0, np.inf)),)
 
 
 class Solved(HeatState):

@@ -14,11 +14,8 @@ from tests.heated import Heated
 
 # A column pushed down at its top while a second support holds the top sideways, or entirely.
 COLUMN = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [4 mm, 4 mm, 4 mm]}
-    - {name: upper, size: [4 mm, 4 mm, 4 mm]}
+geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 4 mm]},
+                                  {name: upper, size: [4 mm, 4 mm, 4 mm]}]}
 mesh: {size: 2 mm, far_size: 2 mm, order: 2}
 regions:
   lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}

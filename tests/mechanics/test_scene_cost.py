@@ -95,12 +95,9 @@ def made(text: str, *overrides: str) -> Bill:
 # Mechanics
 
 CASE = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [6 mm, 6 mm, 3 mm]}
-    - {name: middle, size: [6 mm, 6 mm, 3 mm]}
-    - {name: upper, size: [6 mm, 6 mm, 3 mm]}
+geometry: {kind: blocks, blocks: [{name: lower, size: [6 mm, 6 mm, 3 mm]},
+                                  {name: middle, size: [6 mm, 6 mm, 3 mm]},
+                                  {name: upper, size: [6 mm, 6 mm, 3 mm]}]}
 mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions:
   lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
@@ -175,11 +172,8 @@ def test_laws_are_compiled_for_what_the_scene_needs_and_coefficients_are_values(
 # Scenes with heat
 
 BLOCKS = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [6 mm, 6 mm, 3 mm]}
-    - {name: upper, size: [6 mm, 6 mm, 3 mm]}
+geometry: {kind: blocks, blocks: [{name: lower, size: [6 mm, 6 mm, 3 mm]},
+                                  {name: upper, size: [6 mm, 6 mm, 3 mm]}]}
 mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 """
 ELASTIC = "youngs_modulus: 1000 MPa, poisson_ratio: 0.3"

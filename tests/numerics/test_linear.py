@@ -139,9 +139,8 @@ def test_deflation_solves_exactly_for_its_motions() -> None:
 
 FACTORED_LATE = ("contact block", "stiffness")
 PUSHED = """
-geometry:
-  kind: blocks
-  blocks: [{name: lower, size: [10 mm, 10 mm, 10 mm]}, {name: upper, size: [10 mm, 10 mm, 10 mm]}]
+geometry: {kind: blocks, blocks: [{name: lower, size: [10 mm, 10 mm, 10 mm]},
+                                  {name: upper, size: [10 mm, 10 mm, 10 mm]}]}
 mesh: {size: 3 mm, order: 1}
 regions:
   lower: {youngs_modulus: 200 MPa, poisson_ratio: 0.3}

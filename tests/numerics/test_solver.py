@@ -17,11 +17,8 @@ from tests import support
 
 # A block pressed on a wall and aside: points stick and slip.
 BLOCK = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: wall, size: [4 mm, 4 mm, 2 mm]}
-    - {name: bar, size: [4 mm, 4 mm, 4 mm]}
+geometry: {kind: blocks, blocks: [{name: wall, size: [4 mm, 4 mm, 2 mm]},
+                                  {name: bar, size: [4 mm, 4 mm, 4 mm]}]}
 mesh: {order: 1, size: 1 mm, far_size: 1 mm}
 regions:
   wall: {youngs_modulus: 2000 MPa, poisson_ratio: 0.3}
@@ -111,17 +108,14 @@ def test_interfaces_are_swept_again_once_a_step_has_converged(tagged: TaggedMesh
     assert solve(solver).linear_iterations == krylov
 
 
-def test_a_start_that_is_no_number_is_no_better(tagged: TaggedMesh) -> None:
+def test_what_is_no_number(tagged: TaggedMesh) -> None:
+    """A start is no better, a residual by an overflow is a failure with a reason."""
     problem, solver = support.assemble(support.case(BLOCK), tagged)
     problem.set_time(1.0)
     x = solver.vector()
     x.set(np.nan)
     assert not take_better(solver, x)
     assert solver.x.norm() == 0.0
-
-
-def test_a_residual_that_is_no_number_is_a_failure_with_a_reason(tagged: TaggedMesh) -> None:
-    """An overflow, told as any other failure."""
     with pytest.raises(ConvergenceError, match="no convergence in stage 'press'"):
         support.solve(BLOCK, "supports.end.z=-1e300 mm", tagged=tagged)
 

@@ -37,6 +37,49 @@ def test_the_package_is_the_command() -> None:
     assert python("-m", "mantle", "--version") == f"mantle {mantle.__version__}\n"
 
 
+# What a run, its report and its results may not change in the process that calls them.
+GUEST = """
+import os, signal, sys, ufl
+from dolfinx import fem
+import dolfinx.jit, ffcx.codegeneration.jit, ffcx.options, numpy, logging
+import matplotlib.pyplot as plt
+plt.rcParams["font.size"] = 23
+
+def settings():
+    modules = (dolfinx.jit, ffcx.codegeneration.jit, ffcx.options)
+    return {
+        **dict(os.environ), **plt.rcParams, "figures": plt.get_fignums(), "path": list(sys.path),
+        **{f"{m.__name__}.{k}": v for m in modules for k, v in vars(m).items() if callable(v)},
+        **{str(s): signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)},
+        "numpy": (numpy.geterr(), numpy.get_printoptions()), "hook": sys.excepthook,
+        "log": (list(logging.root.handlers), logging.root.level), "here": os.getcwd(),
+    }
+
+before = settings()
+import mantle
+case = mantle.load(sys.argv[1], **{"mesh.size": "4 mm", "output.error": True})
+mantle.check(case, meshed=True)
+results = mantle.run(case, sys.argv[2])
+after = settings()
+print("changed:", *[k for k in {**before, **after} if before.get(k) != after.get(k)])
+print(len(repr(case).splitlines()), len(repr(results).splitlines()))
+u = results.fields.function("displacement")
+integral = fem.assemble_scalar(fem.form(ufl.inner(u, u) * ufl.dx(degree=6)))
+print(integral ** 0.5 / results.fields.norms(lambda x, region: 0 * x)[1])
+try:
+    results.fields.on_points("stres")
+except mantle.InputError as error:
+    print(error)
+"""
+
+
+def test_a_host_keeps_its_settings_and_gets_what_it_can_use(tmp_path: Path) -> None:
+    said = python("-c", GUEST, str(CONFIGS / "cylinders.yaml"), str(tmp_path / "out")).splitlines()
+    said = said[next(k for k, line in enumerate(said) if line.startswith("changed:")) :]
+    assert said[:2] == ["changed:", "5 4"] and float(said[2]) == pytest.approx(1, rel=1e-10)
+    assert "no field 'stres'; fields: " in said[3] and "stress" in said[3]
+
+
 # ---------------------------------------------------------------------------------- one case
 
 

@@ -25,12 +25,9 @@ from tests.results.test_thermal_quantities import BODIES, SIDES, Play, constant,
 CONFIGS = support.CONFIGS
 # A nail on a cortex, neither of which is called what it is.
 STACK = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: cortex, size: [4 mm, 4 mm, 2 mm]}
-    - {name: bone_cement, size: [4 mm, 4 mm, 2 mm]}
-    - {name: nail, size: [4 mm, 4 mm, 6 mm]}
+geometry: {kind: blocks, blocks: [{name: cortex, size: [4 mm, 4 mm, 2 mm]},
+                                  {name: bone_cement, size: [4 mm, 4 mm, 2 mm]},
+                                  {name: nail, size: [4 mm, 4 mm, 6 mm]}]}
 mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions:
   cortex: {youngs_modulus: 100 MPa, poisson_ratio: 0, tissue: bone}

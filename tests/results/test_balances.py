@@ -29,9 +29,8 @@ def judged(model: Heated) -> list[str]:
 
 # A rod on a wall: its end is moved, or pushed at with a gap before the wall or none.
 ROD = """
-geometry:
-  kind: blocks
-  blocks: [{name: wall, size: [3 mm, 3 mm, 3 mm]}, {name: rod, size: [3 mm, 3 mm, 6 mm]}]
+geometry: {kind: blocks, blocks: [{name: wall, size: [3 mm, 3 mm, 3 mm]},
+                                  {name: rod, size: [3 mm, 3 mm, 6 mm]}]}
 mesh: {order: 1, size: 1.5 mm, far_size: 1.5 mm}
 regions:
   wall: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}

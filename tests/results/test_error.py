@@ -13,9 +13,8 @@ from app.results import error_estimate
 from tests import support
 
 STACK = """
-geometry:
-  kind: blocks
-  blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]}, {name: upper, size: [4 mm, 4 mm, 2 mm]}]
+geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
+                                  {name: upper, size: [4 mm, 4 mm, 2 mm]}]}
 mesh: {size: 1 mm, order: 2}
 regions:
   lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}

@@ -122,6 +122,10 @@ def check_both(comm: MPI.Comm, path: Path) -> None:
         assert (bone & cement).any() != resists
         T = 40 + 4 * x[:, 2] + x[:, 1] - np.where(cement & resists, 10 + x[:, 0], 0)
         assert run.temperature() == pytest.approx(T)
+        if resists:  # in the middle of edges, too
+            jump = np.where(np.abs(x[:, 2] - 2) < 1e-9, -10 - x[:, 0], 0)
+            assert run.on_points("bone_cement_temperature_jump") == pytest.approx(jump)
+            assert run.on_points("bone_cement_heat_flux") == pytest.approx(-1e3 * H * jump)
         # Middle nodes are where VTK wants them.
         N, _ = shape_functions(np.array([[0.2, 0.3, 0.1]]), 10)
         L, _ = shape_functions(np.array([[0.2, 0.3, 0.1]]), 4)

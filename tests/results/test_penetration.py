@@ -13,9 +13,8 @@ from tests.support import STEM, Solved, solve
 
 MIDDLES = ((1, 2), (0, 2), (0, 1))
 PRESSED = """
-geometry:
-  kind: blocks
-  blocks: [{name: base, size: [10 mm, 10 mm, 5 mm]}, {name: upper, size: [10 mm, 10 mm, 5 mm]}]
+geometry: {kind: blocks, blocks: [{name: base, size: [10 mm, 10 mm, 5 mm]},
+                                  {name: upper, size: [10 mm, 10 mm, 5 mm]}]}
 mesh: {order: 2, size: 5 mm}
 regions: {base: &one {youngs_modulus: 1 GPa, poisson_ratio: 0}, upper: *one}
 interfaces:

@@ -31,9 +31,8 @@ def test_probes_record_displacements(order: int, tmp_path: Path) -> None:
 
 
 WALL = """
-geometry:
-  kind: blocks
-  blocks: [{name: hot, size: [4 mm, 4 mm, 5 mm]}, {name: cold, size: [4 mm, 4 mm, 3 mm]}]
+geometry: {kind: blocks, blocks: [{name: hot, size: [4 mm, 4 mm, 5 mm]},
+                                  {name: cold, size: [4 mm, 4 mm, 3 mm]}]}
 mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions:
   hot:

@@ -1,4 +1,4 @@
-"""Slip is sliding in contact, motion is all of it, and the stem moves against its own bone."""
+"""Slip is tangential motion in contact, motion is all of it, and the stem moves in its own bone."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from tests import support
 
 # A rigid block on an elastic one without Poisson's ratio: it moves as it is told to.
 BLOCKS = """
-geometry:
-  kind: blocks
-  blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]}, {name: upper, size: [4 mm, 4 mm, 2 mm]}]
+geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
+                                  {name: upper, size: [4 mm, 4 mm, 2 mm]}]}
 mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions: {lower: {youngs_modulus: 100 MPa, poisson_ratio: 0}, upper: {rigid: true}}
 interfaces: {lower_upper: {kind: contact, friction_coefficient: 0}}
@@ -40,27 +39,54 @@ def moved(path: list[tuple[float, float]], law: str = "friction_coefficient: 0")
     return support.solve(BLOCKS, *hand).interfaces["lower_upper"]
 
 
-def test_what_moves_aside_while_it_is_open_has_not_slid() -> None:
-    """Pressed, lifted by 20 um, moved aside by 50 um."""
-    q = moved([(0, -0.001), (0, 0.02), (0.05, 0.02)])
-    assert q["slip_max"] == pytest.approx(0, abs=1e-12)
-    assert q["slip_path_max"] == pytest.approx(0, abs=1e-12)
-    assert q["motion_mean"] == pytest.approx(np.hypot(0.05, 0.02), rel=1e-9)
-    assert q["gap_mean"] == pytest.approx(0.02, rel=1e-9)
-    assert q["area_slip_over_30um"] == 0
-    assert q["area_motion_over_30um"] == pytest.approx(16)
+# Pressed, 40 um aside, 10 um back, lifted by 20 um, aside by 50 um, put down, slid home, and again.
+ROUND = [
+    *((0, -0.001), (0.04, -0.001), (0.03, -0.001), (0.03, 0.02), (0.08, 0.02), (0.08, -0.001)),
+    (0, -0.001),
+]
 
 
-def test_slip_is_net_and_its_path_is_longer() -> None:
-    """Pressed, 40 um to the right and 10 um back; then lifted: the slip stays."""
-    there = [(0, -0.001), (0.04, -0.001), (0.03, -0.001)]
-    for path in (there, [*there, (0.03, 0.02), (0.08, 0.02)]):
-        q = moved(path)
-        assert q["slip_mean"] == pytest.approx(0.03, rel=1e-9)
-        assert q["slip_path_mean"] == pytest.approx(0.05, rel=1e-9)
+@pytest.mark.parametrize(
+    ("path", "slip", "way"),
+    [
+        (ROUND[:3], 0.03, 0.05),  # slip is net, its path is longer
+        (ROUND[:4], 0.0, 0.05),  # open: no slip
+        (ROUND[:5], 0.0, 0.05),  # what moves while it is open is not on the path
+        (ROUND[:6], 0.08, 0.05),  # touching again: slip is where it is now
+        (ROUND, 0.0, 0.13),  # a closed loop ends where it began
+        (ROUND + ROUND + ROUND[:2], 0.04, 0.30),
+    ],
+)
+def test_slip_is_a_state_and_its_path_has_a_history(
+    path: list[tuple[float, float]], slip: float, way: float
+) -> None:
+    q = moved(path)
+    assert q["slip_mean"] == pytest.approx(slip, rel=1e-9, abs=1e-12)
+    assert q["slip_path_mean"] == pytest.approx(way, rel=1e-9)
+    x, z = path[-1]
     # The lower block is shorter by 1 um, of which its upper side gives way.
-    assert moved(there)["motion_mean"] == pytest.approx(0.03, rel=1e-9)
-    assert q["motion_mean"] == pytest.approx(np.hypot(0.08, 0.02), rel=1e-9)
+    assert q["motion_mean"] == pytest.approx(np.hypot(x, max(z, 0.0)), rel=1e-9, abs=1e-12)
+    assert q["gap_mean"] == pytest.approx(max(z, 0.0), rel=1e-9, abs=1e-12)
+    assert q["area_slip_over_30um"] == pytest.approx(16 if slip >= 0.03 else 0)
+    assert q["slip_max"] <= q["motion_max"] + 1e-12
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+def test_slip_of_a_proportional_load_does_not_count_its_steps(friction: float) -> None:
+    """A taper pressed home: the same slip in 1, 3 and 16 steps."""
+    found = [
+        support.solve(
+            support.STEM,
+            f"stages=[{{name: load, increments: {steps}}}]",
+            *(f"interfaces.{name}.friction_coefficient={friction}" for name in CONTACTS),
+        ).interfaces
+        for steps in (1, 3, 16)
+    ]
+    for name in CONTACTS:
+        for key in ("slip_p99", "slip_mean", "slip_max", "area_slip_over_30um"):
+            for other in found[1:]:
+                assert other[name][key] == pytest.approx(found[0][name][key], rel=1e-8), (name, key)
+        assert found[0][name]["slip_mean"] > 1e-4
 
 
 def test_what_sticks_has_not_slid() -> None:
@@ -93,6 +119,7 @@ def test_percentiles_are_levels_of_the_linear_field() -> None:
     assert same.percentile() == 2.0 and same.area_above(2.0) == 0 and same.area_above(1.0) == 3.0
 
 
+CONTACTS = ("stem_cement", "cement_bone")
 BONDED = (
     "interfaces.stem_cement={kind: bonded}",
     "interfaces.cement_bone={kind: bonded}",

@@ -191,7 +191,8 @@ def test_spans_of_time() -> None:
     assert stopping.seconds("2:00:00") == 7200
     assert stopping.seconds("30:05") == 1805
     assert stopping.seconds("1-1:00:00") == 90000
-    for wrong in ("", "5", "2 h", "1:2:3", "0:00"):
+    assert [stopping.seconds(t) for t in ("2 h", "1.5h", "90 min", "7 s")] == [7200, 5400, 5400, 7]
+    for wrong in ("", "5", "2 x", "0 s", "1:2:3", "0:00"):
         with pytest.raises(InputError, match="walltime"):
             stopping.seconds(wrong)
 

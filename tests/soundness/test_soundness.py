@@ -28,11 +28,8 @@ from tests import support
 from tests.support import CONFIGS
 
 TWO = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: bone, size: [10 mm, 10 mm, 5 mm]}
-    - {name: metal, size: [10 mm, 10 mm, 5 mm]}
+geometry: {kind: blocks, blocks: [{name: bone, size: [10 mm, 10 mm, 5 mm]},
+                                  {name: metal, size: [10 mm, 10 mm, 5 mm]}]}
 mesh: {size: 3 mm, order: 1}
 regions:
   bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
@@ -210,6 +207,33 @@ def test_cracks_in_an_interface_are_told() -> None:
         meshes._check_parts(torn(data, case, "bone_metal"), ())
 
 
+def test_an_interface_that_others_imply_at_a_vertex_is_told(tmp_path: Path) -> None:
+    """Three bodies around a line, each in contact with both others."""
+    case = support.case(TWO)
+    data = build(case)
+    left = data.points[data.cells[:, :4]].mean(axis=1)[:, 0] < 5
+    tags = np.where(left & (data.cell_tags == data.regions["metal"]), 9, data.cell_tags)
+    regions, sides = data.regions | {"third": 9}, data.boundaries.keys() - {"bottom", "top"}
+    held = {name: tags for name, tags in data.boundaries.items() if name not in sides}
+    pairs = (("bone", "metal"), ("bone", "third"), ("metal", "third"))
+    meshes.write_msh(
+        replace(data, cell_tags=tags, regions=regions, boundaries=held, interfaces={}),
+        tmp_path / "three.msh",
+    )
+    between = ", ".join(f"{a}_{b}: [[{a}], [{b}]]" for a, b in pairs)
+    laws = ", ".join(f"{a}_{b}: {{kind: contact, friction_coefficient: 0.4}}" for a, b in pairs)
+    material = "{youngs_modulus: 17 GPa, poisson_ratio: 0.3, tissue: other}"
+    notes = judged(
+        TWO,
+        f"geometry={{kind: file, path: {tmp_path}/three.msh, interfaces: {{{between}}}}}",
+        "regions={" + ", ".join(f"{r}: {material}" for r in regions) + "}",
+        f"interfaces={{{laws}}}",
+    )
+    (note,) = [n for n in notes if "circle" in n]
+    assert note.endswith("the last, metal_third, is not enforced there")
+    assert not [n for n in judged(TWO) if "circle" in n]
+
+
 def test_coincident_nodes_are_found_whatever_their_order() -> None:
     rng = np.random.default_rng(3)
     x = rng.random((500, 3))
@@ -281,11 +305,11 @@ def test_what_is_wrong_on_the_mesh_has_its_place_in_the_file(
     more = "more: {kind: displacement, boundary: bottom, z: 0.1 mm}"
     path.write_text(TWO.replace("loads:", f"  {more}\nloads:"))
     assert main(["check", str(path), "--mesh"]) == 2
-    assert f"{path}:15:3: supports.more: " in capsys.readouterr().err
+    assert f"{path}:12:3: supports.more: " in capsys.readouterr().err
     path.write_text(TWO.replace("coefficient: 0.4", "coefficient: 0.4, gap: 0.001 / (x - x)"))
     assert main(["check", str(path), "--mesh"]) == 2
     key = "interfaces.bone_metal.gap"
-    start = f"{path}:12:58: {key}: expression '0.001 / (x - x)' is not finite at ("
+    start = f"{path}:9:58: {key}: expression '0.001 / (x - x)' is not finite at ("
     assert start in capsys.readouterr().err
     change = f"{key}=log(x - 99)"
     assert main(["check", str(path), "--mesh", "--set", change]) == 2

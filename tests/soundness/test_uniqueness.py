@@ -31,15 +31,11 @@ def numbers_of_states(K: Floats, μ: float) -> set[int]:
     return set(number.tolist())
 
 
-def in_space(K: Floats) -> Floats:
-    """A particle in the plane of x and z as one in space, free to move in that plane alone."""
+def critical_in_the_plane(K: Floats) -> float:
+    """Of a particle in space that is free to move in the plane of x and z alone."""
     whole = np.eye(3) * K.trace()
     whole[np.ix_([0, 2], [0, 2])] = K
-    return whole
-
-
-def critical_in_the_plane(K: Floats) -> float:
-    return float(critical_friction(in_space(K)[None], np.array([[0.0, 0.0, 1.0]]))[0])
+    return float(critical_friction(whole[None], np.array([[0.0, 0.0, 1.0]]))[0])
 
 
 def test_klarbrings_particle() -> None:

@@ -96,11 +96,8 @@ def test_a_constant_oblique_force_does_not_slip(half_planes: TaggedMesh) -> None
 
 # A block above a base, apart, that nothing holds but the contact to come.
 APART = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: base, size: [10 mm, 10 mm, 5 mm]}
-    - {name: lid, size: [10 mm, 10 mm, 5 mm]}
+geometry: {kind: blocks, blocks: [{name: base, size: [10 mm, 10 mm, 5 mm]},
+                                  {name: lid, size: [10 mm, 10 mm, 5 mm]}]}
 mesh: {order: 1, size: 4 mm}
 regions:
   base: {youngs_modulus: 10 GPa, poisson_ratio: 0}

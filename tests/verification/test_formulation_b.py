@@ -27,13 +27,9 @@ SOLVER = "solver.tolerance=1e-11"
 # each interface slips, part sticks, one corner opens. Nothing holds the two upper blocks but
 # contact.
 STACK = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [10 mm, 8 mm, 5 mm]}
-    - {name: middle, size: [10 mm, 8 mm, 4 mm]}
-    - {name: upper, size: [10 mm, 8 mm, 5 mm]}
-  tilt: 4 deg
+geometry: {kind: blocks, tilt: 4 deg, blocks: [{name: lower, size: [10 mm, 8 mm, 5 mm]},
+                                               {name: middle, size: [10 mm, 8 mm, 4 mm]},
+                                               {name: upper, size: [10 mm, 8 mm, 5 mm]}]}
 mesh: {order: 1, size: 2 mm, far_size: 3 mm}
 regions:
   lower: {youngs_modulus: 10 GPa, poisson_ratio: 0.1}
@@ -57,12 +53,9 @@ stages:
 # Supports at interface nodes: both sides in x; the soft (slave) side alone in y, moved along; both
 # sides in y, one of them moved; a frictionless interface.
 HELD_STACK = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [8 mm, 8 mm, 4 mm]}
-    - {name: middle, size: [8 mm, 8 mm, 4 mm]}
-    - {name: upper, size: [8 mm, 8 mm, 4 mm]}
+geometry: {kind: blocks, blocks: [{name: lower, size: [8 mm, 8 mm, 4 mm]},
+                                  {name: middle, size: [8 mm, 8 mm, 4 mm]},
+                                  {name: upper, size: [8 mm, 8 mm, 4 mm]}]}
 mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions:
   lower: {youngs_modulus: 10 GPa, poisson_ratio: 0.1}

@@ -12,14 +12,8 @@ from tests import support
 # more than the bodies can stretch. Springs under the mantle let it lag behind the stem, so that
 # both interfaces slip everywhere. No support gives a jump along z.
 PUSH = """
-geometry:
-  kind: cylinders
-  stem_radius: 7 mm
-  cement_thickness: 3 mm
-  bone_thickness: 4 mm
-  length: 10 mm
-  taper: {taper} deg
-  sector: quarter
+geometry: {{kind: cylinders, stem_radius: 7 mm, cement_thickness: 3 mm, bone_thickness: 4 mm,
+            length: 10 mm, taper: {taper} deg, sector: quarter}}
 mesh: {{order: 1, size: 1.8 mm, far_size: 3 mm}}
 regions:
   stem: {{youngs_modulus: 110 GPa, poisson_ratio: 0.3}}

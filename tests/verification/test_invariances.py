@@ -90,24 +90,15 @@ def test_results_scale_with_the_load(reference: Solved, factor: float) -> None:
 
 # Two stages on two blocks with supports, springs, eigenstrain and pressure: every kind of work.
 WORK = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [8 mm, 6 mm, 4 mm]}
-    - {name: upper, size: [8 mm, 6 mm, 4 mm]}
+geometry: {kind: blocks, blocks: [{name: lower, size: [8 mm, 6 mm, 4 mm]},
+                                  {name: upper, size: [8 mm, 6 mm, 4 mm]}]}
 mesh: {size: 2 mm, far_size: 2 mm, order: ORDER}
 regions:
   lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
-  upper:
-    kind: transversely_isotropic
-    axial_youngs_modulus: 700 MPa
-    transverse_youngs_modulus: 400 MPa
-    axial_poisson_ratio: 0.3
-    transverse_poisson_ratio: 0.4
-    axial_shear_modulus: 200 MPa
-    fibre: [1, 0, 2]
-    eigenstrains:
-      - {strain: 0.001, history: [1, 0.5]}
+  upper: {kind: transversely_isotropic, axial_youngs_modulus: 700 MPa,
+    transverse_youngs_modulus: 400 MPa, axial_poisson_ratio: 0.3, transverse_poisson_ratio: 0.4,
+    axial_shear_modulus: 200 MPa, fibre: [1, 0, 2],
+    eigenstrains: [{strain: 0.001, history: [1, 0.5]}]}
 interfaces:
   lower_upper:
     {kind: KIND, friction_coefficient: 0.3, gap: -0.002 * (1 + x / 8), gap_history: [1, 1]}
@@ -118,12 +109,8 @@ supports:
 loads:
   press: {kind: pressure, boundary: upper_x_max, pressure: 3 MPa, history: [0.5, 1]}
   weight: {kind: body_force, density: [0 N/mm^3, 0.02 N/mm^3, -0.05 N/mm^3]}
-  pull:
-    kind: force
-    boundary: lower_x_min
-    force: [10 N, 5 N, 2 N]
-    at: [0 mm, 3 mm, 5 mm]
-    history: [0, 1]
+  pull: {kind: force, boundary: lower_x_min, force: [10 N, 5 N, 2 N], at: [0 mm, 3 mm, 5 mm],
+    history: [0, 1]}
 stages:
   - {name: one, increments: 2}
   - {name: two, increments: 2}

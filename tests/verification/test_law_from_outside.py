@@ -32,11 +32,8 @@ class ElasticLayer(Traction):
 
 # Two blocks of 2 mm on each other, and a shear and a pull on top.
 CASE = """\
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [4 mm, 4 mm, 2 mm]}
-    - {name: upper, size: [4 mm, 4 mm, 2 mm]}
+geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
+                                  {name: upper, size: [4 mm, 4 mm, 2 mm]}]}
 mesh: {order: 1, size: 2 mm}
 regions:
   lower: {youngs_modulus: 2 GPa, poisson_ratio: 0, tissue: other}

@@ -193,9 +193,8 @@ def test_press_fit_by_eigenstrain_equals_press_fit_by_gap() -> None:
 
 # A rigid punch above a block, on rollers that hold both where they touch: confined compression.
 PUNCH = """
-geometry:
-  kind: blocks
-  blocks: [{name: block, size: [4 mm, 4 mm, 3 mm]}, {name: punch, size: [4 mm, 4 mm, 2 mm]}]
+geometry: {kind: blocks, blocks: [{name: block, size: [4 mm, 4 mm, 3 mm]},
+                                  {name: punch, size: [4 mm, 4 mm, 2 mm]}]}
 mesh: {order: 1, size: 2 mm}
 regions:
   block: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}

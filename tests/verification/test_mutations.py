@@ -80,7 +80,7 @@ forms/heat.py
     sign_of_the_heating: return q * v\n -> return -q * v\n
   heat_fibre
     fourier_across_the_fibre: (k_l - k_t) / 2 * dot(m, g) -> (k_l + k_t) / 2 * dot(m, g)
-app/heat/heat_forms.py
+app/heat/operators.py
   heat_cylinder
     capacity: += c.capacity * -> += 1.1 * c.capacity *
 app/heat/curing.py

@@ -23,12 +23,9 @@ PRESSURE = 2.0
 # Three blocks in a smooth box: σ_zz = -p, σ_xx = σ_yy = ν/(1-ν) σ_zz, in each block
 # u = (0, 0, -p z/M + const) with M = E (1-ν)/((1+ν)(1-2ν)).
 BOX = """
-geometry:
-  kind: blocks
-  blocks:
-    - {{name: lower, size: [10 mm, 8 mm, 4 mm]}}
-    - {{name: middle, size: [10 mm, 8 mm, 3 mm]}}
-    - {{name: upper, size: [10 mm, 8 mm, 5 mm]}}
+geometry: {{kind: blocks, blocks: [{{name: lower, size: [10 mm, 8 mm, 4 mm]}},
+                                   {{name: middle, size: [10 mm, 8 mm, 3 mm]}},
+                                   {{name: upper, size: [10 mm, 8 mm, 5 mm]}}]}}
 mesh: {{size: 2.5 mm, far_size: 2.5 mm, order: {order}}}
 regions:
   lower: {{youngs_modulus: {stiff} MPa, poisson_ratio: 0.3}}
@@ -86,12 +83,8 @@ def test_blocks_in_a_smooth_box(ratio: float, order: int) -> None:
 # difference of the shear strains. The interface carries p cos² of pressure, p sin cos of shear.
 TILT = 20.0
 TILTED = """
-geometry:
-  kind: blocks
-  blocks:
-    - {{name: lower, size: [8 mm, 5 mm, 6 mm]}}
-    - {{name: upper, size: [8 mm, 5 mm, 6 mm]}}
-  tilt: {tilt} deg
+geometry: {{kind: blocks, tilt: {tilt} deg, blocks: [{{name: lower, size: [8 mm, 5 mm, 6 mm]}},
+                                                     {{name: upper, size: [8 mm, 5 mm, 6 mm]}}]}}
 mesh: {{size: 2 mm, far_size: 3 mm, order: {order}}}
 regions:
   lower: {{youngs_modulus: {stiff} MPa, poisson_ratio: {ratio}}}

@@ -34,11 +34,8 @@ loads:
   y: {{kind: force, boundary: stem_top, force: [0 N, 300 N, 0 N]}}
 """
 BLOCKS = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: lower, size: [8 mm, 6 mm, 3 mm]}
-    - {name: upper, size: [8 mm, 6 mm, 3 mm]}
+geometry: {kind: blocks, blocks: [{name: lower, size: [8 mm, 6 mm, 3 mm]},
+                                  {name: upper, size: [8 mm, 6 mm, 3 mm]}]}
 mesh: {order: 1, size: 1.5 mm, far_size: 2 mm}
 regions:
   lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
@@ -276,11 +273,8 @@ def test_work_of_a_growing_interference_is_not_contact_work() -> None:
 
 # A bar pressed against a rigid wall.
 BAR = """
-geometry:
-  kind: blocks
-  blocks:
-    - {name: wall, size: [2 mm, 2 mm, 2 mm]}
-    - {name: bar, size: [2 mm, 2 mm, 10 mm]}
+geometry: {kind: blocks, blocks: [{name: wall, size: [2 mm, 2 mm, 2 mm]},
+                                  {name: bar, size: [2 mm, 2 mm, 10 mm]}]}
 mesh: {order: 1, size: 1 mm, far_size: 2 mm}
 regions:
   wall: {rigid: true}
