@@ -274,10 +274,7 @@ def sides(run: Run, folder: Path) -> list[Figure]:
     for suffix in ("png", "pdf"):
         figure.savefig(folder / f"{SIDES}.{suffix}", dpi=130)
     names = " and ".join(name.replace("_", "-") for name in shown)
-    caption = (
-        "Slip, opening and contact pressure at the end, on the inner body of each "
-        "interface."
-    )
+    caption = "Slip, opening and contact pressure at the end, on the inner body of each interface."
     text = f"Slip, gap and pressure of {names}, drawn on the surface from three sides."
     return [Figure(f"{SIDES}.png", "The interfaces from three sides", caption, text)]
 
