@@ -60,6 +60,7 @@ class Options:
         pattern: Part of the names wanted; empty for all.
         tier: quick, default or long.
         slurm: Options of sbatch, to make each run a Slurm job; None to run here.
+        dry_run: Whether to log the `plan` only.
     """
 
     folder: Path
@@ -67,6 +68,7 @@ class Options:
     pattern: str = ""
     tier: str = "default"
     slurm: Sequence[str] | None = None
+    dry_run: bool = False
 
 
 def run(
@@ -95,31 +97,38 @@ def run(
     engine.check(slurm is not None)
     here = cores if slurm is None else None
     runs = runs_of(jobs, folder, here)
-    every = {r.id: r for r in runs}
+    total, due, pending = len({r.id for r in runs}), 0.0, dict[str, BatchRun]()
 
     def results(over: bool) -> list[Result]:
         return [result_of(job, r, over=over) for job, r in zip(jobs, runs, strict=True)]
 
+    def watch() -> None:
+        nonlocal due
+        if _log_ended(pending, total, lambda r: r.ended) and pending and time.monotonic() > due:
+            so_far(results(over=False))
+            due = time.monotonic() + OFTEN
+
     with writable(folder):
         folder.mkdir(parents=True, exist_ok=True)
     with claim(folder):
-        pending = {id: r for id, r in every.items() if r.summary() is None}
-        log.info("%d runs: %d done already, in %s", len(every), len(every) - len(pending), folder)
+        pending = {r.id: r for r in runs if r.summary() is None}
+        log.info("%d runs: %d done already, in %s", total, total - len(pending), folder)
         alone = any(r.job.alone for r in pending.values())
         if alone and (load := os.getloadavg()[0]) > BUSY:
             log.warning("the machine is busy (load %.1f): measured times will be too long", load)
         if pending:
             _write(pending.values(), folder, here)
-            progress = _Progress(pending, len(every), lambda: so_far(results(over=False)))
             try:
-                engine.execute(folder, cores, slurm, alone, progress.watch)
+                engine.execute(folder, cores, slurm, alone, watch)
             except KeyboardInterrupt:
                 so_far(results(over=False))
-                raise StoppedError(
-                    f"stopped after {progress.count} of {len(every)} runs in {folder}; "
-                    "the same command continues"
-                ) from None
-            progress.finish(folder / "snakemake.log")
+                text = f"stopped after {total - len(pending)} of {total} runs in {folder}"
+                raise StoppedError(f"{text}; the same command continues") from None
+            # Those that began without ending have failed.
+            _log_ended(pending, total, lambda r: r.ended or r.file("status").exists())
+        if pending:
+            said = folder / "snakemake.log"
+            raise EnvironmentProblem(f"Snakemake failed, see {said}:\n{tail(said)}")
     return results(over=True)
 
 
@@ -150,45 +159,16 @@ def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
     return f"{title}\n\n{listed}\n\nabout {about} for what is not done, on {options.cores} cores"
 
 
-class _Progress:
-    """Log each run as it ends."""
-
-    def __init__(
-        self, pending: dict[str, BatchRun], total: int, report: Callable[[], object]
-    ) -> None:
-        self._open, self._total, self._report = dict(pending), total, report
-        self._due = 0.0
-
-    @property
-    def count(self) -> int:
-        """Number of runs that have ended, earlier calls included."""
-        return self._total - len(self._open)
-
-    def watch(self) -> None:
-        """Log the runs that have ended since the last call."""
-        if self._tell(lambda r: r.ended) and self._open and time.monotonic() > self._due:
-            self._report()
-            self._due = time.monotonic() + OFTEN
-
-    def finish(self, said: Path) -> None:
-        """Log the last runs; those that began without ending have failed.
-
-        Raises:
-            EnvironmentProblem: Some have not begun.
-        """
-        self._tell(lambda r: r.ended or r.file("status").exists())
-        if self._open:
-            raise EnvironmentProblem(f"Snakemake failed, see {said}:\n{tail(said)}")
-
-    def _tell(self, over: Callable[[BatchRun], bool]) -> bool:
-        ended = [r for r in self._open.values() if over(r)]
-        for r in ended:
-            del self._open[r.id]
-            result = result_of(r.job, r)
-            code = result.exit_code
-            how = f"failed with exit code {code}" if code else f"done in {duration(result.seconds)}"
-            log.info("[%d/%d] %s %s", self.count, self._total, r.job.name, how)
-        return bool(ended)
+def _log_ended(pending: dict[str, BatchRun], total: int, over: Callable[[BatchRun], bool]) -> bool:
+    """Log the pending runs that are over and remove them; whether there are any."""
+    ended = [r for r in pending.values() if over(r)]
+    for r in ended:
+        del pending[r.id]
+        result = result_of(r.job, r)
+        code = result.exit_code
+        how = f"failed with exit code {code}" if code else f"done in {duration(result.seconds)}"
+        log.info("[%d/%d] %s %s", total - len(pending), total, r.job.name, how)
+    return bool(ended)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import re
 import signal
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from typing import Any
 from app.case.case import Case, dump, load, plain
 from app.case.geometries import MeshFile
 from app.case.variations import CHANGED, split
-from app.errors import ConvergenceError, InputError, StoppedError, UnusableError
+from app.errors import ConvergenceError, StoppedError, UnusableError
 from app.results.closing_lines import reasons_not_to_use
 from app.system import identity
 from app.system.folders import FAILED, saved
@@ -37,18 +37,21 @@ class Job:
 
     Attributes:
         name: Shown to users; need not be unique.
+        file: The file of its case.
         overrides: ``key=value`` each, as after ``--set``.
         ranks: Number of MPI ranks.
         alone: Whether nothing else runs beside it, so that its time can be compared.
         share: Whether it may share a process with runs of the same mesh and stiffness.
+        case: The case with the overrides; None if it has not been read.
     """
 
     name: str
-    case: Path
+    file: Path
     overrides: tuple[str, ...] = ()
     ranks: int = 1
     alone: bool = False
     share: bool = False
+    case: Case | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,6 @@ class Result:
         seconds: Wall time of the process, or of the run if it shared one.
         summary: ``summary.json``; empty unless the run is done.
         message: Why it failed or is unusable, with the last lines of its log; else empty.
-        process: Id of the process that ran it; several jobs may share one.
     """
 
     job: Job
@@ -70,7 +72,6 @@ class Result:
     seconds: float
     summary: dict[str, Any]
     message: str
-    process: str = ""
 
 
 @dataclass(frozen=True)
@@ -126,20 +127,11 @@ class BatchRun:
             return None
 
 
-def _resolved(jobs: Sequence[Job]) -> list[Case]:
-    cases, messages = [], []
-    for job in jobs:
-        try:
-            cases.append(load(job.case, job.overrides).config)
-        except InputError as error:
-            messages += [f"{job.name}: {m}" if m.startswith("--set") else m for m in error.messages]
-    if messages:
-        raise InputError(list(dict.fromkeys(messages)))
-    return cases
-
-
 def runs_of(jobs: Sequence[Job], folder: Path, cores: int | None) -> list[BatchRun]:
     """The run of each job, the same for jobs of equal content.
+
+    Runs that share a stiffness are split over several processes, each with the same matrices, so
+    that all cores are busy.
 
     Args:
         jobs: The jobs.
@@ -147,55 +139,40 @@ def runs_of(jobs: Sequence[Job], folder: Path, cores: int | None) -> list[BatchR
         cores: Cores of this machine; None on a cluster.
 
     Raises:
-        InputError: Every error of any job.
+        InputError: The case of a job that was not read before is wrong.
     """
-    cases, ids = _resolved(jobs), []
-    for job, case in zip(jobs, cases, strict=True):
+    found: dict[str, BatchRun] = {}
+    ids, groups = list[str](), dict[str, dict[str, None]]()
+    for job in jobs:
+        case = job.case or load(job.file, job.overrides).config
         # Equal cases may have different titles.
         own = case.model_copy(update={"title": case.title.partition(CHANGED)[0]})
-        ids.append(CASE + _digest(dump(own), case, job.ranks))
-    processes, begun = _processes(jobs, cases, ids, cores), _begun(folder)
-    found: dict[str, BatchRun] = {}
-    for job, case, id in zip(jobs, cases, ids, strict=True):
-        path = begun.get(id, folder / "runs" / processes.get(id, "") / id)
+        id = CASE + _digest(dump(own), case, job.ranks)
+        ids.append(id)
         first = found[id].job if id in found else job
-        found[id] = BatchRun(id, replace(first, alone=first.alone or job.alone), case, path)
-    return [found[id] for id in ids]
+        first = replace(first, alone=first.alone or job.alone)
+        found[id] = BatchRun(id, first, case, folder / "runs" / id)
+        if job.share:
+            shared = json.dumps(split(plain(case))[0], sort_keys=True)
+            groups.setdefault(_digest(shared, case, job.ranks), {})[id] = None
+    longest, begun = len(found), _begun(folder)
+    if cores and not any(job.alone for job in jobs):  # runs alone share one process
+        longest = math.ceil(sum(r.job.ranks for r in found.values()) / cores)
+    for partner, group in groups.items():
+        number = math.ceil(len(group) / longest)
+        for i, id in enumerate(group if len(group) > 1 else ()):
+            process = f"{SHARED}{partner}-{i * number // len(group) + 1}"
+            begun.setdefault(id, folder / "runs" / process / id)
+    return [replace(found[id], path=begun.get(id, found[id].path)) for id in ids]
 
 
 def _begun(folder: Path) -> dict[str, Path]:
     """Directories of runs that are done or have saved their state, by id."""
-    runs, found = folder / "runs", dict[str, Path]()
-    for path in (*runs.glob(f"{CASE}*"), *runs.glob(f"{SHARED}*/{CASE}*")):
-        done = (path / "DONE").exists()
-        if NAMED.fullmatch(str(path.relative_to(runs))) and (done or saved(path)):
-            if done or path.name not in found:
-                found[path.name] = path
-    return found
-
-
-def _processes(
-    jobs: Sequence[Job], cases: Sequence[Case], ids: Sequence[str], cores: int | None
-) -> dict[str, str]:
-    """Ids of the shared processes, by id of the run.
-
-    A group is split over several processes, each with the same matrices, so that all cores are
-    busy.
-    """
-    ranks = {id: job.ranks for job, id in zip(jobs, ids, strict=True)}
-    several = cores and not any(job.alone for job in jobs)  # runs alone share one process
-    longest = math.ceil(sum(ranks.values()) / cores) if cores and several else len(ranks)
-    groups: dict[str, dict[str, None]] = {}
-    for job, case, id in zip(jobs, cases, ids, strict=True):
-        if job.share:
-            shared = json.dumps(split(plain(case))[0], sort_keys=True)
-            groups.setdefault(_digest(shared, case, job.ranks), {})[id] = None
-    found = {}
-    for partner, group in groups.items():
-        number = math.ceil(len(group) / longest)
-        for i, id in enumerate(group if len(group) > 1 else ()):
-            found[id] = f"{SHARED}{partner}-{i * number // len(group) + 1}"
-    return found
+    runs = folder / "runs"
+    every = [*runs.glob(f"{SHARED}*/{CASE}*"), *runs.glob(f"{CASE}*")]
+    ours = [path for path in every if NAMED.fullmatch(str(path.relative_to(runs)))]
+    done = {path.name: path for path in ours if (path / "DONE").exists()}
+    return {path.name: path for path in ours if saved(path)} | done
 
 
 def _digest(text: str, case: Case, ranks: int) -> str:
@@ -210,7 +187,7 @@ def result_of(job: Job, run: BatchRun, *, over: bool = True) -> Result:
     """Result of a run; until all is over, one that has not ended counts as stopped."""
     status = run.status()
     code, seconds = status or (LOST, 0.0)
-    result = partial(Result, job, run.path, process=run.process)
+    result = partial(Result, job, run.path)
     if (summary := run.summary()) is not None:
         if run.shares or status is None:  # it was killed before its time was written
             seconds = summary.get("timing", {}).get("total", 0.0)

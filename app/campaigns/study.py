@@ -15,12 +15,13 @@ from app.campaigns.study_report import Measured, Report, StudyRun, percent
 from app.case import quantities
 from app.case import study as study_file
 from app.case.case import Case
-from app.case.study import PlannedStudy, Study
+from app.case.study import Study
 from app.case.sweep import PlannedRun
-from app.errors import InputError, StoppedError, gravest
+from app.errors import InputError, gravest
 from app.simulation.variations import value_at
 from app.system import folders
 from app.system.layout import duration
+from app.version import __version__
 
 log = logging.getLogger("mantle")
 
@@ -33,20 +34,35 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     Args:
         path: The study file.
         overrides: ``--set`` options for every point; keys that vary are refused.
-        options: Folder, cores, lines. Runs go one at a time, so that times can be compared.
+        options: Folder, cores, lines, whether to plan only. Runs go one at a time, so that times
+            can be compared.
 
     Raises:
         InputError: Every error of the file and its points, before anything runs.
         MantleError: Every run failed; with the gravest exit code.
         StoppedError: Interrupted; the same command continues.
     """
-    planned = study_file.read(path, overrides)
+    wanted, planned, common = study_file.read(path, overrides)
     chosen = _chosen(planned, options)
     jobs = [_job(p) for p in chosen]
+    if options.dry_run:
+        log.info("%s", batch.plan(f"{path}: {len(jobs)} runs", jobs, options))
+        return
     results = batch.run(jobs, options.folder, options.cores, options.slurm)
     runs = [_study_run(p, result) for p, result in zip(chosen, results, strict=True)]
-    report = evaluate(planned.study, runs)
-    written = _write(report, planned, options)
+    report = evaluate(wanted, runs)
+    with batch.writable(options.folder):
+        # A stale picture would not match the new numbers.
+        folders.remove(options.folder / name for name in study_picture.NAMES)
+        about = {
+            "mantle": __version__,
+            "study": str(path),
+            "case": str(planned[0].file),
+            "overrides": common,
+            "cores": options.cores,
+        }
+        written = study_report.write(report, about, options.folder)
+        written += study_picture.draw(report, options.folder)
     log.info("%s", study_report.table(report))
     log.info("written in %s: %s", options.folder, ", ".join(written))
     if all(r.exit_code for r in results):
@@ -54,24 +70,14 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         raise gravest([r.exit_code for r in results], text)
 
 
-def dry_run(path: Path, overrides: Sequence[str], options: Options) -> str:
-    """List the runs that `run` would start, as a table.
-
-    Raises:
-        InputError: As `run`.
-    """
-    chosen = _chosen(study_file.read(path, overrides), options)
-    return batch.plan(f"{path}: {len(chosen)} runs", [_job(p) for p in chosen], options)
-
-
-def _chosen(planned: PlannedStudy, options: Options) -> list[PlannedRun]:
+def _chosen(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]:
     """Select lines by name and keep the reference; a quick study takes two runs of each.
 
     Raises:
         InputError: No line matches.
     """
     lines: dict[str, list[PlannedRun]] = {}
-    for r in planned.runs:
+    for r in planned:
         lines.setdefault(_line(r), []).append(r)
     if not any(name and options.pattern in name for name in lines):
         names = ", ".join(filter(None, lines))
@@ -83,36 +89,19 @@ def _chosen(planned: PlannedStudy, options: Options) -> list[PlannedRun]:
 
 def _line(run: PlannedRun) -> str:
     """Name of the line of a run; empty for the reference."""
-    return "" if run.point.path == study_file.REFERENCE else run.point.part
+    return "" if run.path == study_file.REFERENCE else run.part
 
 
 def _job(run: PlannedRun) -> Job:
-    name = run.point.name if _line(run) else f"reference/{run.point.name.partition('/')[2]}"
-    return Job(name.rstrip("/"), run.base, run.overrides, run.ranks, alone=True)
-
-
-def _write(report: Report, planned: PlannedStudy, options: Options) -> list[str]:
-    """Write tables and pictures; return their names.
-
-    Raises:
-        StoppedError: The folder cannot be written.
-    """
-    folder = options.folder
-    try:
-        # A stale picture would not match the new numbers.
-        folders.remove(folder / name for name in study_picture.NAMES)
-        written = study_report.write(report, planned, options.cores, folder)
-        return written + study_picture.draw(report, folder)
-    except OSError as error:
-        raise StoppedError(f"cannot write the study in {folder}: {error.strerror}") from error
+    name = run.name if _line(run) else f"reference/{run.name.partition('/')[2]}"
+    return Job(name.rstrip("/"), run.file, run.overrides, run.ranks, alone=True, case=run.case)
 
 
 def _study_run(planned: PlannedRun, result: Result) -> StudyRun:
-    point = planned.point
-    lists = [key for key in point.varied if isinstance(point.places[key][-1], int)]
+    lists = [key for key in planned.varied if isinstance(planned.places[key][-1], int)]
     key = next((k for k in lists if k == "mesh.size"), lists[0] if lists else "")
-    value = point.changes.get(key, "")
-    number = int(point.places[key][-1]) + 1 if key else 0
+    value = planned.changes.get(key, "")
+    number = int(planned.places[key][-1]) + 1 if key else 0
     label = f"#{number}" if isinstance(value, dict | list) else str(value)
     timing = result.summary.get("timing")
     cached = ("mesh", "compile", "error")
@@ -211,12 +200,12 @@ def _advice(
         None if None in own else max(e for e in own if e is not None)
         for own in zip(*(m.errors for m in measured), strict=True)
     ]
-    i, reached = wp.best([r.time for r in curve], errors, target)
+    i = wp.best([r.time for r in curve], errors, target)
     if i is None:
         return f"no advice on {what}: no run has a known error"
-    r, time = curve[i], duration(curve[i].time or 0.0)
+    r, time, error = curve[i], duration(curve[i].time or 0.0), errors[i] or 0.0
     at = r.label if r.key == "mesh.size" else f"{r.key} = {r.label}"
-    if reached:
+    if error <= target:
         return f"for {wanted} in {what} use {r.line} at {at}: {time}"
-    error = percent(errors[i] or 0.0)
-    return f"nothing reaches {wanted} in {what}; closest is {r.line} at {at}: {error} in {time}"
+    closest = f"{r.line} at {at}: {percent(error)} in {time}"
+    return f"nothing reaches {wanted} in {what}; closest is {closest}"

@@ -16,12 +16,10 @@ from app.campaigns.work_precision import (
     ReferenceValue,
 )
 from app.case.quantities import Quantity
-from app.case.study import PlannedStudy
 from app.case.sweep import PlannedRun
 from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 from app.system.layout import duration
-from app.version import __version__
 
 # Exponents nearer to 0 say that the error does not depend on the key.
 FLAT = 0.05
@@ -125,14 +123,6 @@ def shown(value: float | None, q: Quantity) -> str:
     return "-" if value is None else f"{q.factor * value:.4g} {q.shown}".removesuffix(" -")
 
 
-def error_text(m: Measured, i: int) -> str:
-    """Format the error of a point; ``<`` where the reference is no more accurate."""
-    error = m.errors[i]
-    if error is None:
-        return "-"
-    return percent(error) if m.points[i].trusted or not error else f"< {percent(error)}"
-
-
 def exponent_text(report: Report, m: Measured, line: str) -> str:
     """The exponent of a line, or that it is not one of its elements; empty if it is 0."""
     p = m.exponents[line]
@@ -178,13 +168,11 @@ def table(report: Report) -> str:
             lines.append(f"  {report.advice[m.name]}")
     lines += ["", "* no other run is both faster and closer"]
     (low, high), judged = USEFUL, report.judged
-    if judged:
-        useful = sum(p.useful for *_, p in judged)
-        lines.append(
-            f"estimated over true error is within {low:g} to {high:g} for {useful} of "
-            f"{len(judged)} numbers ({percent(useful / len(judged))})"
-        )
     others = [(n, r, p) for n, r, p in judged if not p.useful]
+    if judged:
+        useful = len(judged) - len(others)
+        text = f"estimated over true error is within {low:g} to {high:g} for {useful} of "
+        lines.append(f"{text}{len(judged)} numbers ({percent(useful / len(judged))})")
     lines += [f"  {n} with {r.line} at {r.label}: {p.effectivity:.2f}" for n, r, p in others]
     if "" in report.advice:
         lines.append(report.advice[""])
@@ -195,24 +183,33 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
     start = ["*" if i in m.front else "", r.line, f"{r.key} {r.label}"]
     if r.result.exit_code:
         return [*start, r.status, "", "", "", ""]
-    p, q = m.points[i], m.quantity
+    p, q, error = m.points[i], m.quantity, m.errors[i]
+    # The reference is no more accurate.
+    below = "" if p.trusted or not error else "< "
+    shown_error = "-" if error is None else f"{below}{percent(error)}"
     index = "" if p.effectivity is None else f"{p.effectivity:.2f}"
-    numbers = [shown(p.value, q), error_text(m, i), duration(r.time or 0)]
+    numbers = [shown(p.value, q), shown_error, duration(r.time or 0)]
     return [*start, *numbers, shown(p.estimate, q), index]
 
 
-def write(report: Report, planned: PlannedStudy, cores: int, folder: Path) -> list[str]:
-    """Write ``study.json`` and ``study.csv``; return their names."""
+def write(report: Report, about: Mapping[str, Any], folder: Path) -> list[str]:
+    """Write ``study.json``, which begins as told, and ``study.csv``; return their names."""
     judged = report.judged
     record = {
-        "mantle": __version__,
-        "study": planned.file.name,
-        "case": str(planned.runs[0].base),
-        "overrides": planned.overrides,
-        "cores": cores,
+        **about,
         "target": report.target,
         "advice": report.advice.get("", ""),
-        "quantities": {m.name: _measured_record(report, m) for m in report.quantities},
+        "quantities": {
+            m.name: {
+                "unit": m.quantity.unit,
+                "advice": report.advice.get(m.name, ""),
+                "compared": m.compared,
+                "reference": None if m.reference is None else asdict(m.reference),
+                "exponents": m.exponents,
+                "points": [_point_record(r, m, i) for i, r in enumerate(report.runs)],
+            }
+            for m in report.quantities
+        },
         "effectivity": {
             "pairs": len(judged),
             "useful": sum(p.useful for *_, p in judged),
@@ -227,26 +224,16 @@ def write(report: Report, planned: PlannedStudy, cores: int, folder: Path) -> li
     return ["study.json", "study.csv"]
 
 
-def _measured_record(report: Report, m: Measured) -> dict[str, Any]:
-    return {
-        "unit": m.quantity.unit,
-        "advice": report.advice.get(m.name, ""),
-        "compared": m.compared,
-        "reference": None if m.reference is None else asdict(m.reference),
-        "exponents": m.exponents,
-        "points": [
-            {"line": r.line, "label": r.label, "x": r.x, "time": r.time}
-            | asdict(p)
-            | {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
-            for i, (r, p) in enumerate(zip(report.runs, m.points, strict=True))
-        ],
-    }
+def _point_record(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
+    p = m.points[i]
+    judged = {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
+    return {"line": r.line, "label": r.label, "x": r.x, "time": r.time} | asdict(p) | judged
 
 
 def _run_record(r: StudyRun) -> dict[str, Any]:
     return {
         "line": r.line,
-        "overrides": r.planned.point.changes,
+        "overrides": r.planned.changes,
         "status": r.status,
         "message": r.result.message,
         "folder": str(r.result.folder),
@@ -258,8 +245,10 @@ def _run_record(r: StudyRun) -> dict[str, Any]:
 
 def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
     """Row of ``study.csv``: a point of a quantity and its cost, in the unit of the row."""
-    p, ref, summary = m.points[i], m.reference, r.result.summary
-    timing, solver = summary.get("timing", {}), summary.get("solver", {})
+    p, timing = m.points[i], r.result.summary.get("timing", {})
+    solver = r.result.summary.get("solver", {})
+    counts = {"unknowns": "dofs", "steps": "steps", "newton iterations": "newton_iterations"}
+    counts |= {"krylov iterations": "linear_iterations", "condition": "condition"}
     return {
         "line": r.line,
         "key": r.key,
@@ -269,8 +258,8 @@ def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
         "quantity": m.name,
         "unit": m.quantity.unit,
         "value": p.value,
-        "reference": ref and ref.value,
-        "reference uncertainty": ref and ref.uncertainty,
+        "reference": m.reference and m.reference.value,
+        "reference uncertainty": m.reference and m.reference.uncertainty,
         "error [-]": p.error,
         "error exceeds uncertainty": int(p.trusted),
         "estimated error": p.estimate,
@@ -278,10 +267,6 @@ def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
         "pareto": int(i in m.front),
         "time [s]": r.time,
         **{f"{key} [s]": timing.get(key) for key in ("mesh", "compile", "error", "total")},
-        "unknowns": solver.get("dofs"),
-        "steps": solver.get("steps"),
-        "newton iterations": solver.get("newton_iterations"),
-        "krylov iterations": solver.get("linear_iterations"),
-        "condition": solver.get("condition"),
+        **{title: solver.get(key) for title, key in counts.items()},
         "ranks": r.result.job.ranks,
     }

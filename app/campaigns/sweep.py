@@ -3,18 +3,15 @@
 Everything goes into one folder, that of a batch (`app/campaigns/batch.py`), and beside it::
 
     folder/sweep.csv     a row for each case: what varies, numbers and their errors, cost
-    folder/sweep.json    the same with overrides, folders and messages; seconds of all calls
+    folder/sweep.json    the same with overrides, folders and messages
     folder/sweep.yaml    the sweep as read
 """
 
 from __future__ import annotations
 
-import json
 import logging
 import os
-import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +40,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     Args:
         path: The sweep file.
         overrides: ``--set`` options for every case; keys that vary are refused.
-        options: Folder, cores, Slurm.
+        options: Folder, cores, Slurm, whether to plan only.
 
     Raises:
         InputError: Every error of the file and its cases, before anything runs.
@@ -52,22 +49,22 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     """
     sweep, planned = sweep_file.read(path, overrides)
     folder, name = options.folder, sweep.title or path.stem
-    keys = list(dict.fromkeys(key for p in planned for key in p.point.varied))
-    about = {
-        "title": name,
-        "file": str(path),
-        "compare_with": sweep.compare_with or "",
-        "overrides": list(overrides),
-        "program": identity.program(),
-        "cores": options.cores,
-    }
-    begin = time.monotonic() - _spent(folder)
+    jobs = [Job(p.name, p.file, p.overrides, p.ranks, share=True, case=p.case) for p in planned]
+    if options.dry_run:
+        log.info("%s", batch.plan(f"{name}: {len(jobs)} cases", jobs, options))
+        return
+    keys = list(dict.fromkeys(key for p in planned for key in p.varied))
     log.info("%s: %d cases", name, len(planned))
 
     def write(results: Sequence[Result]) -> dict[str, Any]:
         rows = [_row(p, r, folder) for p, r in zip(planned, results, strict=True)]
-        record = about | {
-            "seconds": round(time.monotonic() - begin, 1),
+        record = {
+            "title": name,
+            "file": str(path),
+            "compare_with": sweep.compare_with or "",
+            "overrides": list(overrides),
+            "program": identity.program(),
+            "cores": options.cores,
             "uncertainty": uncertainty.of_parts(rows, sweep.uncertain()),
             "cases": rows,
         }
@@ -79,7 +76,6 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
             write_text(folder / "sweep.yaml", yaml_file.to_yaml(data))
         return record
 
-    jobs = [_job(p) for p in planned]
     record = write(batch.run(jobs, folder, options.cores, options.slurm, write))
     rows = record["cases"]
     log.info("%s", variations.table(rows))
@@ -95,33 +91,10 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         raise gravest([r["exit_code"] for r in failed], "\n".join([head, *reasons]))
 
 
-def dry_run(path: Path, overrides: Sequence[str], options: Options) -> str:
-    """Plan of `run` as a table: cases, their size and cost.
-
-    Raises:
-        InputError: As `run`.
-    """
-    sweep, planned = sweep_file.read(path, overrides)
-    title = f"{sweep.title or path.stem}: {len(planned)} cases"
-    return batch.plan(title, [_job(p) for p in planned], options)
-
-
-def _spent(folder: Path) -> float:
-    """Wall time of earlier calls [s]."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        text = (folder / "sweep.json").read_text(encoding="utf-8")
-        return float(json.loads(text)["seconds"])
-    return 0.0
-
-
-def _job(p: PlannedRun) -> Job:
-    return Job(p.point.name, p.base, p.overrides, p.ranks, share=True)
-
-
 def _row(p: PlannedRun, result: Result, folder: Path) -> dict[str, Any]:
     status = STATUS.get(result.exit_code, FAILED)
-    return variations.row(p.point, result.summary, status, result.seconds) | {
-        "part": p.point.part,
+    return variations.row(p, result.summary, status, result.seconds) | {
+        "part": p.part,
         "folder": os.path.relpath(result.folder, folder),
         "ranks": p.ranks,
         "exit_code": result.exit_code,

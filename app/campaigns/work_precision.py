@@ -169,27 +169,21 @@ def fitted_order(sizes: Sequence[float], errors: Sequence[float]) -> float:
 
 def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> list[int]:
     """Indices of points that no other beats in both run time and error, fastest first."""
-    front: list[int] = []
-    known = [
+    front: list[tuple[float, int]] = []
+    for _, error, i in sorted(
         (cost, error, i)
         for i, (cost, error) in enumerate(zip(costs, errors, strict=True))
         if cost is not None and error is not None
-    ]
-    for _, error, i in sorted(known):
-        if not front or error < (errors[front[-1]] or 0.0):
-            front.append(i)
-    return front
+    ):
+        if not front or error < front[-1][0]:
+            front.append((error, i))
+    return [i for _, i in front]
 
 
 def best(
     costs: Sequence[float | None], errors: Sequence[float | None], target: float
-) -> tuple[int | None, bool]:
-    """Index of the fastest point within the target, else of the nearest; whether it is within.
-
-    The index is None if no error is known.
-    """
+) -> int | None:
+    """Index of the fastest point within the target, else of the nearest; None if there is none."""
     front = pareto(costs, errors)
-    for i in front:
-        if (errors[i] or 0.0) <= target:
-            return i, True
-    return (front[-1] if front else None), False
+    within = [i for i in front if (errors[i] or 0.0) <= target]
+    return next(iter(within + front[-1:]), None)

@@ -25,37 +25,28 @@ LABEL = re.compile(r"[A-Za-z0-9_.+-]{1,24}")
 
 @dataclass(frozen=True)
 class Point:
-    """One case of a sweep, or one run of a study, as overrides of a base.
+    """Overrides of a case: of one case of a sweep or study, or of one value of an axis.
 
     Attributes:
         name: Unique in its file: ``part/value_value``.
+        changes: The overrides, including ``ranks``.
+        places: Path of each override in the file.
         path: Path of its part or line in the file; empty if there is only one.
         base: The case as written.
-        changes: All overrides, including ``ranks``.
         varied: Keys on an axis.
-        places: Path of each override in the file.
     """
 
     name: str
-    path: Path
-    base: str
     changes: dict[str, Any]
-    varied: tuple[str, ...]
     places: dict[str, Path]
+    path: Path = ()
+    base: str = ""
+    varied: tuple[str, ...] = ()
 
     @property
     def part(self) -> str:
         """Name of its part; empty if there is only one."""
         return str(self.path[-1]) if self.path else ""
-
-
-@dataclass(frozen=True)
-class AxisValue:
-    """One value of an axis: its name, its overrides, and their paths in the file."""
-
-    name: str
-    changes: dict[str, Any]
-    places: dict[str, Path]
 
 
 def _together(runs: dict[str, Any]) -> dict[str, Any]:
@@ -184,28 +175,25 @@ class SweepPart(Section):
     latin_hypercube: LatinHypercube | None = None
     """Samples of uncertain inputs: one axis."""
 
-    def axes(self, path: Path) -> Iterator[list[AxisValue]]:
+    def axes(self, path: Path) -> Iterator[list[Point]]:
         """Axes of the part at a path of the file: table, grid, lists, samples."""
         short = short_keys([*(self.grid or {}), *(self.lists or {})])
         if self.table is not None:
-            yield [
-                AxisValue(name, changes, {key: (*path, "table", name, key) for key in changes})
-                for name, changes in self.table.items()
-            ]
+            at = (*path, "table")
+            yield [overriding(changes, (*at, name), name) for name, changes in self.table.items()]
         for key, values in (self.grid or {}).items():
             yield along({key: values}, (*path, "grid"), short)
         if self.lists is not None:
             yield along(self.lists, (*path, "lists"), short)
         if (hypercube := self.latin_hypercube) is not None:
-            digits = len(str(hypercube.samples))
-            at = {key: (*path, "latin_hypercube", "inputs", key) for key in hypercube.inputs}
+            digits, at = len(str(hypercube.samples)), (*path, "latin_hypercube", "inputs")
             yield [
-                AxisValue(f"sample{i + 1:0{digits}d}", changes, at)
-                for i, changes in enumerate(hypercube.draw())
+                overriding(changes, at, f"sample{i:0{digits}d}")
+                for i, changes in enumerate(hypercube.draw(), start=1)
             ]
 
 
-def along(runs: Mapping[str, Any], path: Path, short: Mapping[str, str]) -> list[AxisValue]:
+def along(runs: Mapping[str, Any], path: Path, short: Mapping[str, str]) -> list[Point]:
     """One axis: lists that vary together, and single values.
 
     Args:
@@ -215,7 +203,7 @@ def along(runs: Mapping[str, Any], path: Path, short: Mapping[str, str]) -> list
     """
     lists = {key: _labels(runs[key]) for key in varying(runs)}
     return [
-        AxisValue(
+        Point(
             "_".join(f"{short[key]}={names[i]}" for key, names in lists.items()),
             {key: value[i] if key in lists else value for key, value in runs.items()},
             {key: (*path, key, i) if key in lists else (*path, key) for key in runs},
@@ -230,13 +218,13 @@ def varying(runs: Mapping[str, Any]) -> list[str]:
     return sorted(keys, key=lambda key: key != "mesh.size")
 
 
-def fixed(changes: dict[str, Any], path: Path) -> AxisValue:
-    """Overrides of every point, as an axis with one unnamed value."""
-    return AxisValue("", changes, {key: (*path, "set", key) for key in changes})
+def overriding(changes: dict[str, Any], path: Path, name: str = "") -> Point:
+    """Overrides at a path of the file as a value of an axis; unnamed if they hold throughout."""
+    return Point(name, changes, {key: (*path, key) for key in changes})
 
 
 def combine(
-    path: Path, base: str, common: Sequence[AxisValue], axes: Iterable[Sequence[AxisValue]]
+    path: Path, base: str, common: Sequence[Point], axes: Iterable[Sequence[Point]]
 ) -> Iterator[Point]:
     """Every combination of one value of each axis; the last axis changes fastest.
 
@@ -255,7 +243,7 @@ def combine(
         label = "_".join(value.name for value in values if value.name)
         name = "/".join(filter(None, (part, label))) or "base"
         varied = tuple(key for value in values for key in value.changes)
-        yield Point(name, path, base, changes, varied, places)
+        yield Point(name, changes, places, path, base, varied)
 
 
 def _labels(values: Sequence[Any]) -> list[str]:
@@ -277,15 +265,12 @@ def _labels(values: Sequence[Any]) -> list[str]:
 def short_keys(keys: Sequence[str]) -> dict[str, str]:
     """Shorten keys to their last words as far as they stay unique."""
     split = {key: key_parts(key) for key in keys}
-
-    def shortened(key: str) -> str:
-        own = split[key]
-        for n in range(1, len(own)):
-            if sum(w[-n:] == own[-n:] for w in split.values()) == 1:
-                return ".".join(own[-n:])
-        return ".".join(own)
-
-    return {key: shortened(key) for key in keys}
+    found = {}
+    for key, own in split.items():
+        endings = (own[-n:] for n in range(1, len(own)))
+        alone = (e for e in endings if sum(w[-len(e) :] == e for w in split.values()) == 1)
+        found[key] = ".".join(next(alone, own))
+    return found
 
 
 def as_overrides(changes: Mapping[str, Any]) -> list[str]:

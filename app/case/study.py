@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +17,7 @@ from app.case.sweep import PlannedRun
 from app.schema import yaml_file
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
 from app.schema.units import PositiveNumber
-from app.schema.yaml_file import CaseFile, Fault
+from app.schema.yaml_file import Fault
 
 CONDITION = "solver.condition"
 
@@ -109,7 +108,7 @@ class StudyFile(Section):
         }
         if self.study.reference.run is not None:
             lines[REFERENCE] = self.study.reference.run
-        common = [points.fixed(self.set, ())]
+        common = [points.overriding(self.set, ("set",))]
         for path, line in lines.items():
             axis = points.along(line, path, points.short_keys(list(line)))
             yield from points.combine(path, self.base, common, [axis])
@@ -127,44 +126,34 @@ def _density(case: Case) -> tuple[float, str]:
 
 def _shared_meshes(study: Study, runs: Sequence[PlannedRun]) -> Iterator[Fault]:
     """Faults of a reference of several meshes: one that is judged too, or none that is finer."""
-    ladder = [r for r in runs if r.point.path == REFERENCE]
-    judged = {_density(r.case): r for r in reversed(runs) if r.point.path != REFERENCE}
+    ladder = [r for r in runs if r.path == REFERENCE]
+    judged = {_density(r.case): r for r in reversed(runs) if r.path != REFERENCE}
     if not judged or all(r.case.mesh == ladder[0].case.mesh for r in ladder):
         return
     key = points.varying(study.reference.run or {})[0]
     below = f"below {min(r.case.mesh.size for r in judged.values()):g} mm"
     for r in ladder:
         if (own := _density(r.case)) in judged:
-            text = f"has the mesh of {judged[own].point.name} ({own[1]}), whose error it cannot "
+            text = f"has the mesh of {judged[own].name} ({own[1]}), whose error it cannot "
             text += f"tell; expected sizes that no line has, the last {below}"
-            yield Fault(r.point.places[key], text)
+            yield Fault(r.places[key], text)
     if (finest := max(judged)) > _density(ladder[-1].case):
-        text = f"is not finer than {judged[finest].point.name} ({finest[1]}); expected a last size"
-        yield Fault(ladder[-1].point.places[key], f"{text} {below}")
+        text = f"is not finer than {judged[finest].name} ({finest[1]}); expected a last size"
+        yield Fault(ladder[-1].places[key], f"{text} {below}")
 
 
-@dataclass(frozen=True)
-class PlannedStudy:
-    """A study and its runs.
-
-    Attributes:
-        overrides: Options for every point.
-        runs: Its runs, those of the reference last.
-    """
-
-    study: Study
-    file: CaseFile
-    overrides: tuple[str, ...]
-    runs: list[PlannedRun]
-
-
-def read(path: Path, overrides: Sequence[str] = ()) -> PlannedStudy:
+def read(
+    path: Path, overrides: Sequence[str] = ()
+) -> tuple[Study, list[PlannedRun], tuple[str, ...]]:
     """Read a study and check every run of it.
 
     Args:
         path: The study file.
         overrides: ``--set`` options of the study, or of the case at every point; keys that vary
             are refused.
+
+    Returns:
+        The study; its runs, those of the reference last; the options that hold for all of them.
 
     Raises:
         InputError: Every error of the file and its runs, at its place.
@@ -188,4 +177,4 @@ def read(path: Path, overrides: Sequence[str] = ()) -> PlannedStudy:
     file.raise_all(problems)
     keys = {o.partition("=")[0].strip() for o in others}
     common = points.as_overrides({k: v for k, v in content.set.items() if k not in keys})
-    return PlannedStudy(study, file, (*common, *others), runs)
+    return study, runs, (*common, *others)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -37,44 +37,44 @@ class Sweep(SweepPart):
         for key in ("grid", "lists", "table", "latin_hypercube"):
             if self.parts and getattr(self, key) is not None:
                 fail("stands beside parts; put it into each of them that has it", at=(key,))
-        for name, part in {"": self, **self.parts}.items():
-            path = ("parts", name) if name else ()
-            if (name or not self.parts) and (part.base or self.base) is None:
+        for _, path, part in self._parts():
+            if (part.base or self.base) is None:
                 text = "missing; expected the case that is varied, relative to this file"
                 fail(text, at=(*path, "base"))
             if (number := math.prod(map(len, part.axes(path)))) > MOST_CASES:
                 fail(f"{number} combinations; at most {MOST_CASES} are allowed", at=path)
         return self
 
+    def _parts(self) -> list[tuple[str, yaml_file.Path, SweepPart]]:
+        """The name and the path of each part, and the part."""
+        return [(n, ("parts", n), p) for n, p in self.parts.items()] or [("", (), self)]
+
     def points(self) -> list[Point]:
         """Every case, in the order of the file."""
         found: list[Point] = []
-        for name, part in (self.parts or {"": self}).items():
-            path = ("parts", name) if name else ()
-            common = [points.fixed(self.set, ()), points.fixed(part.set, path)]
+        for _, path, part in self._parts():
+            common = [points.overriding(self.set, ("set",))]
+            common.append(points.overriding(part.set, (*path, "set")))
             found += points.combine(path, str(part.base or self.base), common, part.axes(path))
         return found
 
     def uncertain(self) -> dict[str, list[str]]:
         """Uncertain inputs by part, of parts that have any."""
-        parts = self.parts or {"": self}
-        return {k: list(p.latin_hypercube.inputs) for k, p in parts.items() if p.latin_hypercube}
+        parts = {name: part.latin_hypercube for name, _, part in self._parts()}
+        return {name: list(cube.inputs) for name, cube in parts.items() if cube}
 
 
-@dataclass(frozen=True)
-class PlannedRun:
-    """A case of a sweep or a study.
+@dataclass(frozen=True, kw_only=True)
+class PlannedRun(Point):
+    """A checked case of a sweep or a study; its changes include ``--set`` options.
 
     Attributes:
-        point: Its place in the file; its overrides include ``--set`` options.
-        base: The case file.
-        overrides: Changes of the base, as after ``--set``.
-        ranks: Number of MPI ranks.
-        case: The base with the overrides.
+        file: The case file.
+        overrides: Changes of it, as after ``--set``.
+        case: The case with the overrides.
     """
 
-    point: Point
-    base: Path
+    file: Path
     overrides: tuple[str, ...]
     ranks: int
     case: Case
@@ -151,7 +151,8 @@ def plan(
                 else:
                     failed.setdefault((base, message), []).append(point)
             continue
-        planned.append(PlannedRun(replace(point, changes=used), base, changes, ranks, case))
+        fields = vars(point) | {"changes": used}
+        planned.append(PlannedRun(**fields, file=base, overrides=changes, ranks=ranks, case=case))
     for (base, message), of in failed.items():
         at = (*of[0].path, "base")
         if len(of) < bases[base]:

@@ -158,11 +158,8 @@ def _campaign(options: argparse.Namespace) -> int:
     from app.campaigns import study, sweep
 
     module, path = (sweep, options.sweep) if options.command == "sweep" else (study, options.case)
-    many = _many(options, Path("out") / f"{path.stem}-{options.command}")
-    if options.dry_run:
-        print(module.dry_run(path, options.overrides, many))
-    else:
-        module.run(path, options.overrides, many)
+    folder = Path("out") / f"{path.stem}-{options.command}"
+    module.run(path, options.overrides, _many(options, folder))
     return 0
 
 
@@ -172,9 +169,6 @@ def _suite(options: argparse.Namespace) -> int:
     from app.verification import engine
 
     many = _many(options, Path("out") / options.command)
-    if options.dry_run:
-        print(engine.dry_run(options.command, many))
-        return 0
     return 0 if engine.run(options.command, many) else CHECK_FAILED
 
 
@@ -187,6 +181,7 @@ def _many(options: argparse.Namespace, folder: Path) -> Options:
         pattern=getattr(options, "pattern", ""),
         tier=getattr(options, "tier", "default"),
         slurm=None if options.slurm is None else shlex.split(options.slurm),
+        dry_run=options.dry_run,
     )
 
 

@@ -249,7 +249,7 @@ class CheckResult:
             "message": self.message,
             "seconds": round(self.seconds, 2),
             "runs": [
-                {"folder": str(r.folder), "case": str(r.job.case), "overrides": r.job.overrides}
+                {"folder": str(r.folder), "case": str(r.job.file), "overrides": r.job.overrides}
                 for r in self.results
             ],
         }

@@ -74,7 +74,7 @@ class TimedRun(Run):
 
 
 def run(suite: str, options: Options) -> bool:
-    """Run the checks of a suite, one of `SUITES`, and judge them.
+    """Run the checks of a suite, one of `SUITES`, and judge them, or log the plan of it.
 
     Returns:
         Whether all passed; of a benchmark, whether all could be measured.
@@ -84,6 +84,10 @@ def run(suite: str, options: Options) -> bool:
     """
     checks = _chosen(suite, options)
     planned = {c.name: list(_planned(c, options.folder)) for c in checks}
+    if options.dry_run:
+        jobs = [job for runs in planned.values() for job, _, why in runs if not why]
+        log.info("%s", batch.plan(f"{suite}: {len(checks)} checks", jobs, options))
+        return True
     found = _run(checks, planned, options)
     outcomes = []
     for check in checks:
@@ -101,13 +105,6 @@ def run(suite: str, options: Options) -> bool:
     return all(o.outcome in right for o in outcomes)
 
 
-def dry_run(suite: str, options: Options) -> str:
-    """A table of the runs that `run` would start."""
-    checks = _chosen(suite, options)
-    jobs = [job for c in checks for job, _, why in _planned(c, options.folder) if not why]
-    return batch.plan(f"{suite}: {len(checks)} checks", jobs, options)
-
-
 def _chosen(suite: str, options: Options) -> list[Check]:
     everything = [c for c in SUITES[suite]() if within(c.tier, options.tier)]
     chosen = [c.up_to(options.tier) for c in everything if options.pattern in c.name]
@@ -123,14 +120,17 @@ def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, int, str]]:
     """The job of each run, how often, and the reason to refuse it before it begins, or ""."""
     for k, run in enumerate(check.runs, start=1):
         name = f"{check.name}_{k}" if len(check.runs) > 1 else check.name
-        path, overrides, why = CONFIGS / run.case, run.overrides, ""
+        job = Job(name, CONFIGS / run.case, run.overrides, run.ranks, check.timed, run.share)
+        why = ""
         try:
-            case = load(path, overrides).config
+            case = load(job.file, job.overrides).config
             if run.mesh:
-                overrides = (*change(case, run.mesh, folder / "meshes"), *overrides)
+                mesh = change(case, run.mesh, folder / "meshes")
+                job = replace(job, overrides=(*mesh, *job.overrides))
+            else:
+                job = replace(job, case=case)
         except InputError as error:
             why = str(error)
-        job = Job(name, path, overrides, run.ranks, alone=check.timed, share=run.share)
         yield job, run.times, why
 
 

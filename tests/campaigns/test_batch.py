@@ -13,7 +13,7 @@ import pytest
 
 import meshes
 from app.campaigns import batch, engine
-from app.campaigns.runs import Job, Result, result_of, runs_of
+from app.campaigns.runs import Job, result_of, runs_of
 from app.case.case import load
 from app.case.geometries import MeshFile
 from app.errors import EnvironmentProblem, InputError
@@ -22,19 +22,6 @@ from app.system import folders, identity
 from tests.campaigns.conftest import Bench, wait
 from tests.campaigns.test_points import CASE
 
-# Names without elements.
-NO_MESH = """\
-$MeshFormat
-4.1 0 8
-$EndMeshFormat
-$PhysicalNames
-4
-2 1 "bottom"
-2 2 "top"
-3 3 "lower"
-3 4 "upper"
-$EndPhysicalNames
-"""
 SIDES = "interfaces: {lower_upper: [lower, upper]}"
 
 
@@ -116,40 +103,19 @@ def test_a_changed_mesh_file_runs_again(bench: Bench) -> None:
 def test_what_another_stack_has_done_is_not_done(
     part: str, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def result() -> Result:
-        run = runs_of([job], bench.out, 1)[0]
-        return result_of(job, run, over=False)
+    def exit_code() -> int:
+        return result_of(job, runs_of([job], bench.out, 1)[0], over=False).exit_code
 
     job = bench.job(1.0)
     known = dict.fromkeys(identity.parts(), "1")
     monkeypatch.setattr(identity, "parts", lambda: known)
-    folder = result().folder
+    folder = runs_of([job], bench.out, 1)[0].path
     folder.mkdir(parents=True)
-    (folder / "summary.json").write_text("{}")
-    (folder / "DONE").write_text("")
-    assert result().exit_code == 0
+    for name in ("summary.json", "DONE"):
+        (folder / name).write_text("{}")
+    assert exit_code() == 0
     known[part] = "2"
-    assert result().exit_code == 5
-
-
-def test_bad_jobs_are_told_together_before_anything_runs(bench: Bench) -> None:
-    jobs = [
-        bench.job(1.0),
-        Job("a", bench.case, ("mesh.sise=2 mm",)),
-        Job("b", bench.case, ("mesh.size=2 N",)),
-        Job("c", bench.folder / "none.yaml"),
-    ]
-    with pytest.raises(InputError) as error:
-        bench.run(*jobs)
-    messages = error.value.messages
-    assert len(messages) == 3
-    for message, start in zip(messages, ("a: --set mesh.sise", "b: --set mesh.size"), strict=False):
-        assert message.startswith(start)
-    assert "none.yaml: no such file" in messages[2]
-    assert not bench.out.exists() and not bench.sizes()
-    bench.out.write_text("a file")
-    with pytest.raises(InputError, match="cannot be written"):
-        bench.run(bench.job(1.0))
+    assert exit_code() == 5
 
 
 @pytest.mark.parametrize(
@@ -181,7 +147,11 @@ def test_nothing_runs_on_where_the_table_cannot_be_written(bench: Bench) -> None
     assert not bench.processes()
 
 
-def test_a_folder_has_one_batch_at_a_time(bench: Bench) -> None:
+def test_a_folder_is_a_folder_and_has_one_batch_at_a_time(bench: Bench) -> None:
+    bench.out.write_text("a file")
+    with pytest.raises(InputError, match="cannot be written"):
+        bench.run(bench.job(1.0))
+    bench.out.unlink()
     bench.out.mkdir()
     with folders.claim(bench.out), pytest.raises(InputError, match="another run is writing"):
         bench.run(bench.job(1.0))
@@ -229,16 +199,14 @@ def test_states_of_jobs(answer: str, code: int, state: str, tmp_path: Path) -> N
 
 
 def test_real_runs(tmp_path: Path) -> None:
-    """``mantle run`` itself, on two ranks beside a case with a bad mesh."""
+    """``mantle run`` itself, on two ranks beside a block that is pulled off."""
     case = tmp_path / "case.yaml"
     case.write_text(CASE)
-    (tmp_path / "bad.msh").write_text(NO_MESH)
-    bad_mesh = (f"geometry={{kind: file, path: bad.msh, {SIDES}}}",)
-    jobs = [Job("two", case, ranks=2), Job("bad", case, bad_mesh)]
-    two, bad = batch.run(jobs, tmp_path / "out", 2)
+    jobs = [Job("two", case, ranks=2), Job("off", case, ("loads.press.pressure=-2 MPa",))]
+    two, off = batch.run(jobs, tmp_path / "out", 2)
     assert two.exit_code == 0 and two.summary["status"] == "converged"
     assert two.summary["solver"]["ranks"] == 2 and (two.folder / "fields.vtkhdf").exists()
-    assert bad.exit_code == 3 and "bad.msh" in bad.message and bad.summary == {}
+    assert off.exit_code == 4 and "nothing holds body 'upper'" in off.message and not off.summary
 
 
 WICKED = [

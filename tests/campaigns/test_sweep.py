@@ -55,7 +55,7 @@ def test_cases_share_processes_and_have_a_row_each(
     with (bench.out / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     cases = cases_of(bench.out)
-    planned = {p.point.name: p.case for p in sweep_file.read(bench.sweep, overrides)[1]}
+    planned = {p.name: p.case for p in sweep_file.read(bench.sweep, overrides)[1]}
     for row in cases:
         assert plain(found.pop(Path(row["folder"]).name)) == plain(planned[row["name"]])
         assert row["overrides"]["regions.upper.poisson_ratio"] == 0.4
@@ -178,13 +178,19 @@ def test_a_dry_run_runs_nothing(bench: Bench, capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.parametrize(("ranks", "each"), [(1, 30), (2, 15), (8, 15)])
 def test_a_dry_run_tells_what_cores_take_together(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, ranks: int, each: int
+    bench: Bench,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    ranks: int,
+    each: int,
 ) -> None:
     """Eight cases of half a minute of one core, on two: two minutes and some idling at the end."""
+    caplog.set_level(logging.INFO, "mantle")
     monkeypatch.setattr(cost, "seconds", lambda case, alone: 30.0)
-    said = sweep.dry_run(bench.sweep, [f"ranks={ranks}"], Options(bench.out, 2))
-    assert said.splitlines()[-1].startswith("about 2 min for what is not done, on 2 cores")
-    shown = [re.search(r"(\S+) s(  |$)", line) for line in said.splitlines()[3:-2]]
+    sweep.run(bench.sweep, [f"ranks={ranks}"], Options(bench.out, 2, dry_run=True))
+    said = caplog.messages[0].splitlines()
+    assert said[-1].startswith("about 2 min for what is not done, on 2 cores")
+    shown = [re.search(r"(\S+) s(  |$)", line) for line in said[3:-2]]
     assert [float(found[1]) for found in shown if found] == [each] * 8
 
 
