@@ -87,12 +87,13 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
         Texts on the case: its ``description``, its ``size`` and its ``notes``; print it.
 
     Raises:
-        InputError: The case cannot be solved, or its mesh does not fit this machine.
+        InputError: The case cannot be solved, or does not fit this machine.
         GeometryError: It cannot be meshed.
         EnvironmentProblem: A package for meshing is missing.
     """
-    from app.soundness import cost, preview
+    from app.soundness import cost, memory, preview
 
+    memory.check(case.file, case.config)
     size, notes = cost.estimated_size(case.config), preview.warnings(case.config)
     if meshed:
         data = mesh(case)
@@ -184,7 +185,7 @@ def run(
                 signals=signals,
                 progress=progress,
             )
-        except (ConvergenceError, UnusableError):
+        except (ConvergenceError, StoppedError, UnusableError):
             _report(case, folder, failed=True)
             raise
         _report(case, folder, failed=False)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import resource
 import subprocess
@@ -196,8 +197,33 @@ def read(geometry: Any, mesh: Any) -> dict[str, Any]:
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as answer:
         found = dict(answer)
     if "error" in found:
-        raise GeometryError(str(found["error"]))
+        raise GeometryError(_not_numbers(path) or str(found["error"]))
     return found
+
+
+def _not_numbers(path: Path) -> str:
+    """Line and node of the first coordinates in a file of text that are no numbers, or nothing."""
+    lines = path.read_text("utf-8", "replace").splitlines()
+    version, kind = (*lines[1].split(), "", "")[:2] if lines[1:] else ("", "")
+    if kind != "0" or "$Nodes" not in lines:  # binary, or a script
+        return ""
+    at, names = lines.index("$Nodes") + 2, list[str]()
+    for number, words in enumerate(map(str.split, lines[at:]), at + 1):
+        if words[:1] == ["$EndNodes"]:
+            break
+        if len(words) == 1:  # the nodes of a block in format 4.1, before their coordinates
+            names += words
+        if len(words) != (4 if version == "2.2" else 3):
+            continue
+        name = words[0] if version == "2.2" else names.pop(0)
+        try:
+            good = all(map(math.isfinite, map(float, words[-3:])))
+        except ValueError:
+            good = False
+        if not good:
+            where, x = f"{path}:{number}: node {name}", " ".join(words[-3:])
+            return f"{where}: the coordinates {x} are no numbers"
+    return ""
 
 
 def serve() -> None:
@@ -248,6 +274,9 @@ def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
                 f"{path}: the cells are of type {labels}; only straight tetrahedra, or only "
                 "quadratic ones, can be used"
             )
+        numbers, x, _ = mesh.getNodes()
+        if len(bad := numbers[~np.isfinite(x.reshape(-1, 3)).all(axis=1)]):
+            raise GeometryError(f"{path}: node {bad[0]}: its coordinates are no numbers")
         points, row = _nodes(gmsh)
         tet, triangle = (11, 9) if 11 in kinds else (4, 2)
         cells = {name: _elements(gmsh, tet, on, row) for name, on in sorted(regions.items())}

@@ -15,8 +15,8 @@ from app.version import __version__
 
 EXIT_CODES = (
     "exit codes: 0 ok, 1 a verification problem fails or a benchmark cannot be measured, 2 input, "
-    "3 geometry or mesh, 4 not converged, 5 stopped with the state saved, 69 environment, 70 "
-    "internal error"
+    "3 geometry or mesh, 4 not converged, 5 stopped with the state saved, 6 solved but not to be "
+    "used, 69 environment, 70 internal error"
 )
 
 

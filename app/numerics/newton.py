@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -18,14 +19,15 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.errors import StoppedError
-from app.numerics.krylov import Linear
-from app.numerics.preconditioners import Options, options_set
+from app.errors import InputError, StoppedError
+from app.numerics.krylov import BLOCKS, Linear
+from app.numerics.preconditioners import USED, Options, options_set
 from app.numerics.system import Measure, System
 from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
 
+OUT_OF_MEMORY = 55  # PETSc's error
 REASONS = PETSc.SNES.ConvergedReason
 
 NEWTON: Options = {
@@ -196,9 +198,16 @@ class Solver:
         snes.setJacobian(lambda _, x, J, P: self.linear.update(self.blocks(x)), self.linear.matrix)
         snes.setMonitor(self._monitor)
         snes.setConvergenceTest(self._test)
-        with options_set(system.prefix, self.options):
-            snes.setFromOptions()
-            self.linear.attach(snes.getKSP(), self.blocks())
+        try:
+            with options_set(system.prefix, self.options):
+                snes.setFromOptions()
+                self.linear.attach(snes.getKSP(), self.blocks())
+        except PETSc.Error as error:
+            if not options or error.ierr == OUT_OF_MEMORY:
+                raise
+            given = " ".join(f"-{key} {value}".rstrip() for key, value in options.items())
+            why = str(error).strip().splitlines()[-1].removeprefix("[0] ")
+            raise InputError(f"PETSc cannot use its options ({given}): {why}") from error
 
     # States
 
@@ -365,6 +374,12 @@ class Solver:
             return eta
         suffices = SUFFICES / max(p.norm / p.limit(self.tolerance) for p in parts)
         return min(eta, max(suffices, SQUARE * last[-1]))
+
+
+def unused(options: Iterable[str]) -> list[str]:
+    """Raw options that no solver made so far has asked for: misspelt, or of another method."""
+    block = re.compile(f"fieldsplit_({'|'.join(BLOCKS)}|temperature)_")
+    return [f"-{key}" for key in options if not {key, block.sub("", key, count=1)} & USED]
 
 
 def raw_options(arguments: Sequence[str]) -> dict[str, str]:

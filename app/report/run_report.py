@@ -39,6 +39,9 @@ TITLES = {
 }
 # Quantities that the closing table of a run has no room for.
 MORE = {"interfaces": ("area_gap_over_30um", "area_slip_over_30um", "area_motion_over_30um")}
+# What a run that was killed has not written.
+UNFINISHED = {"status": "not finished", "time": 0.0, "timing": {"total": 0.0}, "interfaces": {}}
+NO_NUMBERS = "There are no numbers: no step has converged, or the run did not come to its end."
 log = logging.getLogger("mantle")
 
 
@@ -56,8 +59,8 @@ def after_run(folder: Path, failed: bool) -> None:
 
 
 def is_run(folder: Path) -> bool:
-    """Whether a folder has results of a run or of variations."""
-    return any((folder / name).exists() for name in ("summary.json", "variations.json"))
+    """Whether a run or variations have written into a folder, finished or not."""
+    return any((folder / name).exists() for name in ("case.yaml", "variations.json"))
 
 
 def write(folder: Path, share: float = math.inf) -> list[Path]:
@@ -91,7 +94,7 @@ def opened(folder: Path, **more: Any) -> SweptCase:
 
 def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     """Write the page of a run; of one among many, as its share of time allows."""
-    case, summary = opened(folder), _json(folder / "summary.json")
+    case, summary = opened(folder), UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     panels, x = curves.of_history(case.history)
     spent = share * summary["timing"]["total"]
@@ -120,10 +123,10 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
         ("provenance", "Provenance", page.folded("program, machine, digests", _pairs(record))),
     ]
     html = page.page(
-        summary.get("title") or folder.name,
+        case.data.get("title") or folder.name,
         sections,
         facts=_facts(folder, record),
-        lead=sentence.sentence(summary, case),
+        lead=sentence.sentence(summary, case) if summary["time"] else NO_NUMBERS,
         summary=[*_verdict(summary), *lacking],
         view=view,
     )
@@ -174,7 +177,8 @@ def _verdict(summary: dict[str, Any]) -> list[str]:
         lines += [clause.text for clause in text.verdict(summary)]
     else:
         time = f"at time {summary['time']:.4g}"
-        lines = [f"{status}: the numbers are those of the last converged state, {time}", *lines]
+        of = f": the numbers are those of the last converged state, {time}" * bool(summary["time"])
+        lines = [f"{status}{of}", *summary.get("failure", "").splitlines(), *lines]
     if failed := ", ".join(summary.get("error", {}).get("failed", [])):
         lines.append(f"note: the error is estimated without companions that failed: {failed}")
     lines += [clause.text for clause in text.peaks(summary)]

@@ -165,6 +165,8 @@ class Writer:
         """Write summary and provenance, and the marker if the run is complete; collective."""
 
         def write() -> None:
+            if self.fields and not self.field_steps:  # a grid without any state
+                (self.folder / "fields.vtkhdf").unlink(missing_ok=True)
             write_json(self.folder / "summary.json", summary)
             write_json(self.folder / "provenance.json", self._record())
             if done:

@@ -246,13 +246,15 @@ class Recorder:
             balance |= {"force": b.force, "moment": b.moment, "energy": b.energy}
         if t := model.thermal:
             balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature}
+        numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
+        if self.step_count:  # at rest all would be zero
+            numbers = model.numbers(self.samples) | model.places(self.samples)
         result = {
             "status": status,
             "title": self._case.title,
             "units": UNITS,
             "time": self.time,
-            **model.numbers(self.samples),
-            **model.places(self.samples),
+            **numbers,
             "probes": {n: {"displacement": u} for n, u in self._displacements().items()},
             "balance": balance,
             "solver": {
@@ -284,17 +286,16 @@ class Recorder:
         seconds["total"] = clock.perf_counter() - self._begin
         return {k: round(v, 3) for k, v in seconds.items()}
 
-    def close(self, status: str) -> None:
-        """Leave the last converged state on disk, as far as the disk allows; collective."""
-        if not self.step_count:
-            return
+    def close(self, status: str, why: str) -> None:
+        """Leave the last converged state, and why, on disk, as far as it allows; collective."""
         if m := self._model.mechanics:
             # The loads of the step that failed are not this state's.
             m.problem.set_time(self.time)
-        for write in (
-            self.flush,
-            lambda: self._writer.finish(self.summary(status, None), done=False),
-        ):
+
+        def finish() -> None:
+            self._writer.finish(self.summary(status, None) | {"failure": why}, done=False)
+
+        for write in (self.flush, finish) if self.step_count else (finish,):
             try:
                 write()
             except StoppedError as error:
@@ -303,7 +304,7 @@ class Recorder:
     def last_state(self) -> str:
         """Sentence on the last converged state and its folder."""
         if not self.step_count:
-            return "no step has converged: nothing is on disk"
+            return f"no step has converged: {self._writer.folder} has the case, and no numbers"
         return (
             f"last converged state: time {self.time:.4g} (step {self.step_count}) "
             f"in {self._writer.folder}"

@@ -25,7 +25,7 @@ from app.errors import (
     on_root,
 )
 from app.numerics.krylov import condition_number
-from app.numerics.newton import raw_options
+from app.numerics.newton import raw_options, unused
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, provenance
@@ -215,6 +215,8 @@ class _CaseRun:
         self._model = setup.model = model
         self._notes = [*preview.warnings(case), *model.judge()]
         setup.note(self._notes)
+        if lost := unused(case.solver.petsc | setup.options):
+            setup.note([f"PETSc has no use for {', '.join(lost)} here: misspelt?"])
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
             case.title or loaded.path.stem,
@@ -256,11 +258,11 @@ class _CaseRun:
             agree(self._setup.comm, failure)
             lines = [str(failure), self._recorder.last_state()]
             if isinstance(failure, ConvergenceError):
-                self._recorder.close("not converged")
+                self._recorder.close("not converged", lines[0])
                 raise ConvergenceError("\n".join(lines)) from failure
             if path := self._checkpoints.save():
                 lines.append(f"state saved in {path}: --restart auto goes on from there")
-            self._recorder.close("stopped")
+            self._recorder.close("stopped", lines[0])
             raise StoppedError("\n".join(lines)) from failure
 
     def finish(self, total: Summary) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from app.errors import InputError
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
 from app.soundness.loose_bodies import BodiesOnMesh
-from app.soundness.mesh_parts import directions, gaps_of, history_of, holds, law_between
+from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
 from app.system.layout import point_text
 from meshes.pieces import Parts, parts
 
@@ -74,6 +74,7 @@ def judge(case: Case, found: Parts) -> list[str]:
         *split,
         *_clamped(case, found),
         *apart,
+        *_not_enforced(case, found),
         *_far(case, found),
         *_too_stiff(case, found),
         *_strained(case, found),
@@ -180,6 +181,24 @@ def _clamped(case: Case, found: Parts) -> list[str]:
                 "nodes: it can neither open nor slip there"
             )
     return notes
+
+
+def _not_enforced(case: Case, found: Parts) -> list[str]:
+    """Vertices at which interfaces go round in a circle of bodies: one follows from the others."""
+    on = [name for name, law in case.interfaces.items() if law.can_part]
+    groups = {frozenset(found.pieces[p].region for p in g) for g in groups_of(case, found)}
+    here = np.array([np.isin(np.arange(len(found.x)), found.interfaces[n]) for n in on])
+    bodies = np.zeros(len(found.x), dtype=int)
+    for regions in groups:
+        bodies[np.unique(np.concatenate([found.corners[r] for r in regions]))] += 1
+    rows = np.flatnonzero((bodies > 2) & (here.sum(axis=0) >= bodies))
+    if not on or not len(rows):
+        return []
+    names = [name for name, there in zip(on, here[:, rows[0]], strict=True) if there]
+    return [
+        f"at {len(rows)} vertices, e.g. at {point_text(found.x[rows[0]])}, interfaces "
+        f"{', '.join(names)} go round in a circle: the last, {names[-1]}, is not enforced there"
+    ]
 
 
 # What is out of proportion

@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Callable
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ import mantle
 import meshes
 from app.case.case import dump, load
 from app.laws.loads import Force
+from app.report import run_report
 from app.simulation import finished_runs
 from app.system import identity
 from meshes import femur_bone
@@ -273,7 +275,10 @@ def test_diverging_case_leaves_its_last_state(tmp_path: Path) -> None:
     """Exit code 4, one message that names the free body, the last converged state on disk."""
     case, output = tmp_path / "sliding.yaml", tmp_path / "out"
     case.write_text(SLIDING)
-    result = run(case, "-o", output, "--", "-snes_monitor")
+    result = run(case, "-o", output, "--", "-pc_type", "bogus")
+    assert result.returncode == 2 and "(-pc_type bogus): Unable to find" in result.stderr
+    result = run(case, "-o", output, "--", "-snes_monitor", "-fieldsplit_displacement_pc_other")
+    assert "PETSc has no use for -fieldsplit_displacement_pc_other here" in result.stderr
     assert result.returncode == 4 and "SNES Function norm" in result.stdout
     message = result.stderr
     assert "Traceback" not in message and message.count("stage 'push'") == 1
@@ -294,17 +299,26 @@ def test_diverging_case_leaves_its_last_state(tmp_path: Path) -> None:
     assert [float(r["time [-]"]) for r in rows(output / "history.csv")] == [1.0, 1.5]
 
 
-def test_nothing_converged_leaves_no_state(tmp_path: Path) -> None:
-    """The first step fails: no summary, and the message says that nothing is there."""
+def test_nothing_converged_leaves_its_diagnosis(tmp_path: Path) -> None:
+    """The first step fails: no numbers, no fields, and a page that says why."""
     case, output = tmp_path / "sliding.yaml", tmp_path / "out"
     case.write_text(SLIDING.replace("history: [0, 1]", "history: [1, 1]"))
     changes = "stages=[{name: a, adaptive: false}, {name: b}]", "regions.upper.poisson_ratio=0.46"
     result = run(case, "-o", output, *support.sets(*changes))
     assert result.returncode == 4, result.stderr
-    assert "no step has converged: nothing is on disk" in result.stderr
+    assert f"no step has converged: {output} has the case, and no numbers" in result.stderr
     # What check notes is in the log.
     assert "regions.upper is nearly incompressible: linear tetrahedra lock" in result.stderr
-    assert not (output / "summary.json").exists() and not (output / "DONE").exists()
+    assert not (output / "fields.vtkhdf").exists() and not (output / "DONE").exists()
+    found = support.summary(output)
+    assert found["status"] == "not converged" and found["interfaces"] == {}
+    for _ in range(2):  # after the run; and again as if it had been killed
+        text = unescape((output / "report.html").read_text())
+        assert found["status"] in text and "There are no numbers" in text
+        assert all(line.strip() in text for line in found["failure"].splitlines())
+        found = {"status": "not finished", "failure": ""}
+        (output / "summary.json").unlink(missing_ok=True)
+        run_report.write(output)
 
 
 # The push of 20 N finds no hold by friction of 0.3, that of 8 N does; 1.5 MPa would hold 16 N.

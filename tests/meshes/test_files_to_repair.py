@@ -16,6 +16,7 @@ from app.case.geometries import Block, Blocks, MeshFile, MeshOptions
 from app.errors import GeometryError
 from app.soundness import well_posedness
 from meshes.data import MeshData, cell_volumes, region_volumes
+from meshes.gmsh_child import session
 from tests import support
 
 CUBE = Blocks(blocks=(Block(name="cube", size=["10 mm", "10 mm", "10 mm"]),))
@@ -69,6 +70,34 @@ def test_a_node_dragged_through_its_neighbours_is_refused(corner: int, tmp_path:
 
 def _faces(cell: np.ndarray) -> list[list[int]]:
     return [[int(v) for k, v in enumerate(cell) if k != out] for out in range(4)]
+
+
+@pytest.mark.parametrize("version", [2.2, 4.1])
+@pytest.mark.parametrize("word", ["nan", "1e999", "x"])
+def test_a_coordinate_that_is_no_number_is_refused_with_its_line(
+    version: float, word: str, tmp_path: Path
+) -> None:
+    data, path = cube(), tmp_path / "a.msh"
+    meshes.write_msh(data, path)
+    with session("a") as gmsh:
+        gmsh.merge(str(path))
+        gmsh.option.setNumber("Mesh.Binary", 0)
+        gmsh.option.setNumber("Mesh.MshFileVersion", version)
+        gmsh.write(str(path))
+    lines = path.read_text().splitlines()
+    k = next(k for k, line in enumerate(lines) if re.search(r"(^|^\d+ )10 10 10$", line))
+    lines[k] = lines[k].replace("10 10 10", f"10 {word} 10")
+    path.write_text("\n".join(lines))
+    text = rf"a\.msh:{k + 1}: node \d+: the coordinates 10 {word} 10 are no numbers"
+    with pytest.raises(GeometryError, match=text):
+        meshes.build(MeshFile(path=path), MeshOptions(size="1 mm"))
+
+
+def test_a_coordinate_that_is_no_number_is_refused_in_a_binary_file(tmp_path: Path) -> None:
+    data = cube()
+    data.points[0, 0] = np.nan
+    with pytest.raises(GeometryError, match="node 1: its coordinates are no numbers"):
+        read(tmp_path, data)
 
 
 @pytest.mark.parametrize("curved", [False, True])

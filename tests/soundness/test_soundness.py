@@ -207,6 +207,33 @@ def test_cracks_in_an_interface_are_told() -> None:
         meshes._check_parts(torn(data, case, "bone_metal"), ())
 
 
+def test_an_interface_that_others_imply_at_a_vertex_is_told(tmp_path: Path) -> None:
+    """Three bodies around a line, each in contact with both others."""
+    case = support.case(TWO)
+    data = build(case)
+    left = data.points[data.cells[:, :4]].mean(axis=1)[:, 0] < 5
+    tags = np.where(left & (data.cell_tags == data.regions["metal"]), 9, data.cell_tags)
+    regions, sides = data.regions | {"third": 9}, data.boundaries.keys() - {"bottom", "top"}
+    held = {name: tags for name, tags in data.boundaries.items() if name not in sides}
+    pairs = (("bone", "metal"), ("bone", "third"), ("metal", "third"))
+    meshes.write_msh(
+        replace(data, cell_tags=tags, regions=regions, boundaries=held, interfaces={}),
+        tmp_path / "three.msh",
+    )
+    between = ", ".join(f"{a}_{b}: [[{a}], [{b}]]" for a, b in pairs)
+    laws = ", ".join(f"{a}_{b}: {{kind: contact, friction_coefficient: 0.4}}" for a, b in pairs)
+    material = "{youngs_modulus: 17 GPa, poisson_ratio: 0.3, tissue: other}"
+    notes = judged(
+        TWO,
+        f"geometry={{kind: file, path: {tmp_path}/three.msh, interfaces: {{{between}}}}}",
+        "regions={" + ", ".join(f"{r}: {material}" for r in regions) + "}",
+        f"interfaces={{{laws}}}",
+    )
+    (note,) = [n for n in notes if "circle" in n]
+    assert note.endswith("the last, metal_third, is not enforced there")
+    assert not [n for n in judged(TWO) if "circle" in n]
+
+
 def test_coincident_nodes_are_found_whatever_their_order() -> None:
     rng = np.random.default_rng(3)
     x = rng.random((500, 3))
