@@ -118,17 +118,15 @@ class Quantity:
     def text(self, numbers: Mapping[str, Any]) -> str:
         """Format the number: ``41.3 ± 1.8`` with its error, a dash if it is missing.
 
-        Errors show one digit at least, if that takes no more than two decimals more.
+        Errors show one digit at least; one below two decimals more than usual is left out.
         """
-        value, error = numbers.get(self.key), numbers.get(f"{self.key}_error")
+        value, error = numbers.get(self.key), self.factor * (numbers.get(f"{self.key}_error") or 0)
         if value is None:
             return "-"
-        if not error:
+        if error < 10.0 ** -(self.digits + 2):
             return f"{self.factor * value:.{self.digits}f}"
-        error, most = self.factor * error, self.digits + 2
-        digits = min(max(self.digits, -math.floor(math.log10(error))), most)
-        shown = f"{error:.{digits}f}" if error >= 10.0**-most else f"<{10.0**-most:g}"
-        text = f"{self.factor * value:.{digits}f} ± {shown}"
+        digits = max(self.digits, -math.floor(math.log10(error)))
+        text = f"{self.factor * value:.{digits}f} ± {error:.{digits}f}"
         return text + (" (not resolved)" if error > self.factor * abs(value) else "")
 
 
