@@ -60,7 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _leave(error)
     except KeyboardInterrupt:
         if rank() == 0:
-            print("stopped", file=sys.stderr, flush=True)
+            run = (sys.argv[1:] if arguments is None else [*arguments])[:1] == ["run"]
+            disk = ": no step had converged, nothing of this run is on disk" if run else ""
+            print(f"stopped{disk}", file=sys.stderr, flush=True)
         _abort(STOPPED)
         return STOPPED
     except BrokenPipeError:

@@ -14,7 +14,7 @@ mesher.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from importlib import import_module
 from itertools import combinations, product
@@ -124,11 +124,9 @@ def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> No
     """
     allowed = {frozenset(p) for sides in data.interfaces.values() for p in product(*sides)}
     allowed |= {frozenset(pair) for body in joined for pair in combinations(body, 2)}
-    faces, here, there = region_facets(data)
-    messages = []
-    for (a, tag), (b, other) in combinations(data.regions.items(), 2):
-        between = faces[np.isin(here, (tag, other)) & np.isin(there, (tag, other))]
-        if {a, b} in allowed or not len(between):
+    messages, names = [], []
+    for a, b, between in _between(data):
+        if {a, b} in allowed:
             continue
         area = facet_areas(data.points, between).sum()
         centres = data.points[between[:, :3]].mean(axis=1)
@@ -137,8 +135,29 @@ def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> No
             f"{a} meets {b} where no interface is declared, on {area:.3g} mm2 about "
             f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
         )
+        names.append((a, b))
     if messages:
+        sides = ", ".join(f"{a}_{b}: [{a}, {b}]" for a, b in names)
+        laws = ", ".join(f"{a}_{b}: {{kind: bonded}}" for a, b in names)
         raise GeometryError(
-            "; ".join(messages) + ": expected an interface between them (bonded, if they are tied),"
-            " or a geometry in which they do not meet"
+            f"{'; '.join(messages)}: expected a geometry in which they do not meet, or interfaces "
+            "between them (bonded, if they are tied), such as\n"
+            f"geometry:\n  interfaces: {{{sides}}}\ninterfaces: {{{laws}}}"
         )
+
+
+def _between(data: MeshData) -> Iterator[tuple[str, str, Any]]:
+    """Pairs of regions that meet, and the facets (n, 3) or (n, 6) between them."""
+    faces, here, there = region_facets(data)
+    for (a, tag), (b, other) in combinations(data.regions.items(), 2):
+        between = faces[np.isin(here, (tag, other)) & np.isin(there, (tag, other))]
+        if len(between):
+            yield a, b, between
+
+
+def meeting(geometry: Any, mesh: Any) -> tuple[list[tuple[str, str]], list[str]]:
+    """Pairs of regions of a gmsh file that meet, and its interior surfaces."""
+    from meshes import imported
+
+    data = canonical(imported.build(geometry, mesh))
+    return [(a, b) for a, b, _ in _between(data)], data.notes["interior_surfaces"]

@@ -85,7 +85,7 @@ class _Femur(Shape):
     head_height: Annotated[float, _length("54 mm", at_least=20.0, at_most=100.0)] = 54.0
     """Height of the head's centre above mid lesser trochanter, 20 to 100 mm; no part of the stem's
     body is higher."""
-    neck_angle: Angle = math.radians(130.0)
+    neck_angle: Annotated[float, Dimension("rad", "an angle", "130 deg")] = math.radians(130.0)
     """Angle between neck and shaft (rad), 100 to 145 deg."""
     resection_height: Length = 5.0
     """Height above mid lesser trochanter at which the cut leaves the medial cortex."""

@@ -14,7 +14,8 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from app.case import library
+import configs
+from app.case import library, quantities
 from app.case.case import Case
 from app.errors import InputError
 from app.schema.section import docstrings
@@ -26,8 +27,10 @@ TYPES = {"string": "text", "integer": "whole number", "number": "number"}
 TYPES |= {"boolean": "`true`, `false`", "object": "mapping of keys to values"}
 
 WIDTH = 96
-# Keys explained by the text of another.
-WITHIN = {"loads.library": "loads"}
+# Words explained by the text of another.
+WITHIN = {"loads.library": "loads", "body_weight": "loads", "E": "youngs_modulus"}
+WITHIN |= {"nu": "poisson_ratio", "mu": "friction_coefficient", "micromotion": "motion"}
+GLOSSARY = configs.FOLDER.parent / "docs" / "glossary.md"
 
 
 class _Generator(GenerateJsonSchema):
@@ -227,12 +230,13 @@ def _yaml(value: object) -> str:
 # ------------------------------------------------------------------------------ explanations
 
 
-def explained(key: str) -> str:
+def explained(key: str = "") -> str:
     """Meaning, value, unit, default and an example of a key; or an entry of the library.
 
     Args:
         key: As after ``--set``, without names or with the last word alone. Else a name of the
-            library, or ``materials`` or ``loads`` for all of them.
+            library, ``materials`` or ``loads`` for all of them, or a part of names of keys and
+            results or a word of the glossary, which are listed. Without it, the sections.
 
     Raises:
         InputError: There is no such key.
@@ -240,11 +244,15 @@ def explained(key: str) -> str:
     every = _every()
     asked = key.strip().strip(".")
     asked = WITHIN.get(asked, asked)
+    if not asked:
+        return "\n".join([*map(_line, table()[0].keys), "", *map(library.listed, library.KINDS)])
     found = [k for k in every if _matches(k, asked)] or [k for k in every if k.name == asked]
-    listed = library.listed(key).replace("`", "") if key in library.KINDS else ""
+    listed = library.listed(asked).replace("`", "") if asked in library.KINDS else ""
     entries = library.described()
     if not found and (listed or key in entries):
         return listed or entries[key]
+    if not found and (mentions := _mentions(asked)):
+        return mentions
     if not found:
         names = {re.sub(r"\.<name>|\[\]", "", k.path): None for k in every}
         ends = {name.rpartition(".")[2]: name for name in reversed(names)}
@@ -254,9 +262,46 @@ def explained(key: str) -> str:
         raise InputError(f"{key}: no key of a case; nearest: {nearest}")
     heads: dict[str, list[str]] = {}
     for k in found:
-        heads.setdefault(_body(k), []).append(k.path + (f"  (kind {k.kind})" if k.kind else ""))
-    parts = ["\n".join([*own, body]) for body, own in heads.items()]
+        own = k.path if k.name == "kind" or not k.kind else f"{k.path}  (kind {k.kind})"
+        heads.setdefault(_kinds(k.path) if k.name == "kind" else _body(k), []).append(own)
+    parts = ["\n".join([*dict.fromkeys(own), body]) for body, own in heads.items()]
     return "\n\n".join([*parts, *([listed] if listed else [])])
+
+
+def _mentions(word: str) -> str:
+    """Keys, results and words of the glossary with a word in their names; empty without any."""
+    part = word.lower().replace(" ", "_")
+    lines = [_line(k) for k in _every() if part in k.name.lower()]
+    lines += [
+        f"  {f'{section}.{q.key}':<44} {q.label} ({q.unit}), a result"
+        for section, own in quantities.TABLE.items()
+        for q in own.values()
+        if part in q.key.lower()
+    ]
+    text = GLOSSARY.read_text(encoding="utf-8") if GLOSSARY.exists() else ""
+    for words, meaning in re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", text, re.MULTILINE):
+        if part in words.lower().replace(" ", "_"):
+            plain = re.sub("[*$`]", "", f"  {words}: {meaning}")
+            lines.append(textwrap.fill(plain, WIDTH, subsequent_indent="    "))
+    return "\n".join(dict.fromkeys(lines))
+
+
+def _line(key: Key) -> str:
+    """A key and its meaning in one line."""
+    meaning = key.meaning.replace("`", "").partition("\n")[0]
+    return f"  {key.path:<44} {textwrap.shorten(meaning, WIDTH - 20, placeholder=' ...')}"
+
+
+def _kinds(path: str) -> str:
+    """The kinds of a section, each as an example with its required keys."""
+    lines = []
+    for section in (s for s in table() if f"{s.path}.kind" == path and s.kind):
+        required = [k for k in section.keys if not k.default and k.name not in ("kind", "rigid")]
+        keys = [f"kind: {section.kind}", *(_example(k) or f"{k.name}: ..." for k in required)]
+        about = re.split(r"[.] |\n", section.meaning.replace("`", ""))[0]
+        for text in (f"{{{', '.join(keys)}}}", f"  {about}"):
+            lines.append(textwrap.indent(textwrap.fill(text, WIDTH, subsequent_indent="  "), "  "))
+    return "\n".join(lines)
 
 
 @cache
@@ -278,17 +323,23 @@ def _matches(key: Key, asked: str) -> bool:
     return re.fullmatch(pattern, asked) is not None
 
 
+def _example(key: Key) -> str:
+    """A key with a value that it may have; empty if none is known."""
+    said = f"{key.value} such as {key.default} such as {key.value} {key.meaning}"
+    example = re.search(r"(?:e\.g\.|such as) `([^`]*)`", said)
+    found = example[1] if example else "0.3" if key.value.startswith("number") else ""
+    return f"{key.name}: {found}" if found else ""
+
+
 def _body(key: Key) -> str:
     """Text of an explanation below its heading."""
-    said = f"{key.value} such as {key.default} {key.meaning}"
-    example = re.search(r"(?:e\.g\.|such as) `([^`]*)`", said)
     rows = {
         "": key.meaning,
         "value": key.value,
         "unit": key.unit,
         "default": key.default or "none: it is required",
         "keys": "; ".join(f"{k}: {', '.join(n)}".removeprefix(": ") for k, n in key.inner),
-        "example": f"{key.name}: {example[1]}" if example else "",
+        "example": _example(key),
     }
     lines = []
     for name, text in rows.items():

@@ -153,6 +153,8 @@ def _over(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
         return upper
     if isinstance(lower, dict) and _kind(lower, path) != _kind(upper, path) and "kind" in upper:
         lower = None
+    if path[:1] == ("regions",) and len(path) == 2 and upper.get("kind") == "rigid":
+        upper = {k: v for k, v in upper.items() if k != "kind"} | {"rigid": True}
     known = lower if isinstance(lower, dict) else {}
     result = {
         key: _over(case, value, upper[key], (*path, key)) if key in upper else value
@@ -312,6 +314,9 @@ def _override(case: CaseFile, key: str, override: str) -> None:
             step = int(item)
         elif not isinstance(target, dict):
             raise BadYaml(f"{path_text(path)} is a single value: it has no '{item}'")
+        elif not re.fullmatch(r"[\w-]+", item):
+            known = f"; expected one of {', '.join(target)}" if target else ""
+            raise BadYaml(f"'{item}' is not a name{known}")
         path = (*path, step)
         if n < len(items) - 1:
             if isinstance(target, dict) and target.get(item) is None:
@@ -339,6 +344,10 @@ def _override(case: CaseFile, key: str, override: str) -> None:
 def _put(case: CaseFile, holder: Any, path: Path, value: Any) -> None:
     """Merge the value of an override into its mapping or list; null removes the old value."""
     step, complaints = path[-1], len(case.complaints)
+    if path[0] == "regions" and (step, value) in (("kind", "rigid"), ("rigid", True)):
+        for key in holder.keys() - {"tissue", "thermal"}:
+            del holder[key]
+        step, value = "rigid", True
     old = holder.get(step) if isinstance(holder, dict) else None
     if value is None and old is not None:
         del holder[step]

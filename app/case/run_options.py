@@ -110,8 +110,9 @@ class CheckpointOptions(Section):
 
     steps: units.PositiveInteger | None = None
     """Number of steps between two checkpoints."""
-    minutes: units.PositiveNumber | None = None
-    """Minutes between two checkpoints; saved after the step that passes them."""
+    minutes: units.PositiveNumber | None = 5.0
+    """Minutes between two checkpoints; saved after the step that passes them. Those of a run that
+    ends well are removed, unless this section asks for some."""
 
 
 class OutputOptions(Section):

@@ -14,7 +14,7 @@ import sys
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mantle
 from app.case import gmsh_header
@@ -90,13 +90,20 @@ def _load(options: argparse.Namespace) -> LoadedCase:
 def _init(options: argparse.Namespace) -> int:
     from app.case import new_case
 
-    path = new_case.write(options.name, options.kind, options.stem)
+    path = new_case.write(options.name, options.kind, options.stem, _meeting)
     name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
+    program = shlex.quote(os.environ.get("MANTLE_CALLED", "mantle"))
     print(f"{path} is written; next:")
-    print(f"  mantle check {name}")
-    print(f"  mantle run {name} -o {folder}")
+    print(f"  {program} check {name}")
+    print(f"  {program} run {name} -o {folder}")
     print(f"  open {folder}/report.html in a browser")
     return 0
+
+
+def _meeting(geometry: Any, mesh: Any) -> Any:
+    import meshes
+
+    return meshes.meeting(geometry, mesh)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -118,7 +125,7 @@ def _mesh(options: argparse.Namespace) -> int:
     from app.soundness import cost, memory
 
     memory.check(case.file, case.config)
-    path = _mesh_path(options.output, options.case.stem)
+    path = _output_file(options.output or Path("out"), f"{options.case.stem}.msh")
     configure_log("info", sys.stderr)
     log.info("meshing")
     data = mantle.mesh(case)
@@ -140,10 +147,12 @@ def _mesh(options: argparse.Namespace) -> int:
     return 0
 
 
-def _mesh_path(output: Path | None, stem: str) -> Path:
-    path = output or Path("out") / f"{stem}.msh"
-    if path.is_dir() or path.suffix != ".msh":
-        path = path / f"{stem}.msh"
+def _output_file(output: Path, name: str) -> Path:
+    """A file of the name in the folder that ``-o`` names, or the file itself."""
+    known = Path(name).suffix
+    if output.suffix != known and output.suffix[1:2].isalpha() and not output.is_dir():
+        raise InputError(f"-o {output}: expected a folder, or a file that ends in {known}")
+    path = output if output.suffix == known and not output.is_dir() else output / name
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -192,7 +201,8 @@ def _report(options: argparse.Namespace) -> int:
 
     folder, *others = options.folders
     if others:
-        print(compare.write(options.folders, options.output or Path("out/compare.html")))
+        page = _output_file(options.output or Path("out"), "compare.html")
+        print(compare.write(options.folders, page))
         return 0
     if run_report.is_run(folder):
         for path in run_report.write(folder):
@@ -205,8 +215,7 @@ def _report(options: argparse.Namespace) -> int:
         claim = textwrap.shorten(t.claim, 90, placeholder=" ...")
         print(f"{t.name:<{wide}}  {t.verdict + by_maxima:<32}  {claim}")
     print(f"{sum(c.done for c in cases)} of {len(cases)} cases have results")
-    page, *others = files
-    print(f"{page}, and {len(others)} files in {page.parent / sweep_report.PICTURES}")
+    print(f"{files[0]}, and {len(files) - 1} files in {folder / sweep_report.PICTURES}")
     return 0
 
 
@@ -217,10 +226,8 @@ def _explain(options: argparse.Namespace) -> int:
 
     if options.schema:
         print(json.dumps(keys.json_schema(), indent=2, ensure_ascii=False))
-    elif options.key:
-        print(keys.explained(options.key))
     else:
-        raise InputError("mantle explain: a KEY, a name of the library, or --schema is missing")
+        print(keys.explained(options.key))
     return 0
 
 

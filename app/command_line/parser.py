@@ -48,7 +48,7 @@ COMMANDS = {
 }
 OUTPUTS = {
     "mesh": "a folder, or a file that ends in .msh (default: out/<name of CASE>.msh)",
-    "report": "the page of several runs (default: out/compare.html)",
+    "report": "of several runs: a folder, or a file that ends in .html (default: out/compare.html)",
     "run": "default: out/<name of CASE>",
     "study": "default: out/<name of the study>-study",
     "sweep": "default: out/<name>-sweep",
@@ -96,7 +96,8 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         help="go on from a checkpoint: from the newest in the output folder, or from FILE",
     ),
     "--walltime": dict(
-        metavar="H:MM:SS", help="stop in time, with the state saved and exit code 5"
+        metavar="TIME",
+        help="stop in time, with the state saved and exit code 5: 2:00:00, 90 min or 2 h",
     ),
     "--error": dict(
         action="store_true",

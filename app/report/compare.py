@@ -77,13 +77,14 @@ def _page(folders: Sequence[Path]) -> str:
 def _status(name: str, summary: dict[str, Any]) -> str:
     wrong = reasons_not_to_use(summary)
     status = UNUSABLE if wrong else summary["status"]
-    return "; ".join([f"{status}: {name}", *wrong, *summary.get("notes", [])])
+    unknown = [] if summary.get("error", {}).get("companions") else ["errors not estimated"]
+    return "; ".join([f"{status}: {name}", *wrong, *unknown, *summary.get("notes", [])])
 
 
 def _lead(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str]) -> str:
-    """Sentence on the main numbers that differ by more than their errors, largest first."""
-    count, known = 0, 0
-    beyond: list[tuple[float, str]] = []
+    """Sentences on the main numbers that differ, largest first: by more than errors, if known."""
+    count = {True: 0, False: 0}  # by whether both errors are known
+    found: dict[bool, list[tuple[float, str]]] = {True: [], False: []}
     for key in keys:
         if (q := quantities.get(key)) and q.exact:
             continue
@@ -91,29 +92,38 @@ def _lead(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str])
         for name, b in zip(names[1:], others, strict=True):
             if a is None or b is None:
                 continue
-            count += 1
-            known += a.error is not None and b.error is not None
+            known = _error(a, b) is not None
+            count[known] += 1
             if differs(a, b, key):
                 words, unit = quantities.in_words(key)
                 part = abs(b.value - a.value) / max(abs(a.value), abs(b.value))
-                beyond.append((part, f"{words} ({a} {unit}, {name}: {b} {unit})"))
-    if not count:
-        return "These runs have no numbers in common."
-    errors = "" if known == count else f"; the errors of {count - known} are not known"
-    if not beyond:
-        return f"No main number differs from that of {names[0]} by more than the errors{errors}."
-    most = [text for _, text in sorted(beyond, reverse=True)[:NAMED]]
-    return (
-        f"{len(beyond)} of {count} main numbers differ from those of {names[0]} by more than their "
-        f"errors, most of all {'; '.join(most)}{errors}."
-    )
+                found[known].append((part, f"{words} ({a} {unit}, {name}: {b} {unit})"))
+    said = []
+    for known, differing in found.items():
+        most = "; ".join(text for _, text in sorted(differing, reverse=True)[:NAMED])
+        most = f", most of all {most}" if most else ""
+        those = f"{len(differing) or 'none'} of {count[known]} main numbers"
+        if count[known] and known:
+            said.append(f"By more than their errors {those} differ from those of {names[0]}{most}.")
+        elif count[known]:
+            said.append(
+                f"Of {count[known]} main numbers errors were not estimated (mantle run --error): "
+                f"{len(differing) or 'none'} differ from those of {names[0]}, by more or by less "
+                f"than their errors{most}."
+            )
+    return " ".join(said) or "These runs have no numbers in common."
+
+
+def _error(a: Number, b: Number) -> float | None:
+    """Error of the difference of two numbers; None if one of theirs is not known."""
+    return None if a.error is None or b.error is None else a.error + b.error
 
 
 def differs(a: Number, b: Number, key: str) -> bool:
-    """Whether two numbers differ by more than their errors, and by more than rounding."""
+    """Whether two numbers differ by more than their errors, where known, and than rounding."""
     q = quantities.get(key)
     rounding = 10.0**-q.digits if q else 0.0
-    return abs(b.value - a.value) > max((a.error or 0.0) + (b.error or 0.0), rounding)
+    return abs(b.value - a.value) > max(_error(a, b) or 0.0, rounding)
 
 
 def _numbers(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str]) -> Blocks:
@@ -131,14 +141,11 @@ def _difference(a: Number | None, b: Number | None, key: str) -> str:
     """Difference b - a, with the sum of the errors and relative to a."""
     if a is None or b is None:
         return "-"
-    change = b.value - a.value
-    error = None if a.error is None or b.error is None else a.error + b.error
+    change, error = b.value - a.value, _error(a, b)
     part = f" ({100 * change / abs(a.value):+.1f} %)" if a.value else ""
-    if differs(a, b, key):
-        return f"{Number(change, error)}{part}"
-    if a.error is None and b.error is None:
-        return "0"
-    return f"{Number(change, error)}{part}, within the errors"
+    if error is None:
+        return f"{Number(change)}{part}, errors unknown" if differs(a, b, key) else "0"
+    return f"{Number(change, error)}{part}" + ", within the errors" * (not differs(a, b, key))
 
 
 def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:

@@ -10,8 +10,11 @@ from app.case.quantities import NECROSIS, TABLE, in_print, in_words, numbers_of,
 from app.report.sweep_results import SweptCase, magnitude
 from app.results.closing_lines import BOTH
 
-# What moves on what, by interface.
-PAIRS = {"stem_cement": ("the stem", "its cement"), "cement_bone": ("the cement", "the bone")}
+# What moves on what, by interface, and its surface.
+PAIRS = {
+    "stem_cement": ("the stem", "its cement", "the stem's surface"),
+    "cement_bone": ("the cement", "the bone", "the cement's surface"),
+}
 NOTHING = 0.05  # um, below which nothing slides
 APART = 0.995  # part of the area, from which on nothing touches
 GOOD = 0.10  # relative error of a number that is known well
@@ -37,29 +40,36 @@ def sentence(summary: Numbers, case: SweptCase) -> str:
     ended = summary["status"] not in ("stopped", "not converged")
     load = _load(case) if ended and (summary["interfaces"] or summary.get("stem")) else ""
     clauses = clauses or [
-        f"the stress (von Mises) in {name.replace('_', ' ')} reaches "
+        f"in 99 % of {name.replace('_', ' ')} the stress (von Mises) is below "
         f"{_with_error('regions', 'von_mises_p99', q)}"
         for name, q in summary.get("regions", {}).items()
     ]
     if load and clauses:
-        clauses[0] = f"{load} {clauses[0]}"
+        clauses[0] = f"{load}, {clauses[0]}"
     said = "; ".join([*clauses, _errors(summary)])
     return f"{said[0].upper()}{said[1:]}."
 
 
 def _load(case: SweptCase) -> str:
-    sizes = {}
-    for name, load in case.data.get("loads", {}).items():
+    forces: dict[str, list[float]] = {}
+    every = case.data.get("loads", {})
+    for name, load in every.items():
         parts = [x for v in load.get("force") or () if (x := magnitude(v)) is not None]
         last = (load.get("history") or [1.0])[-1]
         if len(parts) == 3 and isinstance(last, int | float):
-            sizes[name] = abs(last) * math.hypot(*parts)
-    if not sizes:
+            forces[name] = [last * part for part in parts]
+    if not forces:
         return ""
-    largest = max(sizes, key=sizes.__getitem__)
-    which = f" ({largest.replace('_', ' ')})" if len(sizes) > 1 else ""
+    largest = max(forces, key=lambda name: math.hypot(*forces[name]))
+    which = ""
+    if len(every) > 1:
+        which = f" ({largest.replace('_', ' ')}"
+        if len(forces) == len(every):
+            sum_ = math.hypot(*map(sum, zip(*forces.values(), strict=True)))
+            which += f"; the sum of all {len(every)} loads is {sum_:,.0f} N"
+        which += ")"
     sector = SECTORS.get(case.data.get("geometry", {}).get("sector", ""), "")
-    return f"under {sizes[largest]:,.0f} N{which}{sector}"
+    return f"under {math.hypot(*forces[largest]):,.0f} N{which}{sector}"
 
 
 def _with_error(section: str, key: str, numbers: Numbers) -> str:
@@ -72,23 +82,22 @@ def _contacts(summary: Numbers) -> Iterator[str]:
     for name, q in summary["interfaces"].items():
         if "slip_p99" not in q:
             continue
-        first, second = PAIRS.get(name, (f"one side of {name.replace('_', ' ')}", "the other"))
+        one = f"one side of {name.replace('_', ' ')}"
+        first, second, surface = PAIRS.get(name, (one, "the other", one))
         gap = _with_error("interfaces", "gap_p99", q)
         if q.get("open_fraction", 0.0) > APART:
-            yield f"{first} touches {second} nowhere and is up to {gap} away from it"
+            yield f"{first} touches {second} nowhere; 99 % of it is less than {gap} away"
             continue
-        slides = "does not slide"
+        slides, left = "does not slide", "does not leave it"
         if 1e3 * q["slip_p99"] > NOTHING:
-            slip = _with_error("interfaces", "slip_p99", q)
-            slides = f"slides by up to {slip} over 99 % of its surface"
+            slides = f"slides less than {_with_error('interfaces', 'slip_p99', q)}"
         area = q.get("area_gap_over_30um", 0.0)
         if area > 0.5:
-            left = f"leaves it by more than 30 µm over {area:,.0f} of {q['area']:,.0f} mm²"
+            left = f"{area:,.0f} of {q['area']:,.0f} mm² are more than 30 µm away from it"
         elif 1e3 * q.get("gap_p99", 0.0) > NOTHING:
-            left = f"leaves it by up to {gap}"
-        else:
-            left = "nowhere leaves it"
-        yield f"{first} {slides} {'in' if second == 'its cement' else 'on'} {second} and {left}"
+            left = f"99 % is less than {gap} away from it"
+        on = "in" if second == "its cement" else "on"
+        yield f"99 % of {surface} {slides} {on} {second}, and {left}"
 
 
 def _heat(summary: Numbers) -> Iterator[str]:

@@ -63,26 +63,29 @@
     const label = make("label", bodyBar, {});
     const own = make("input", label, { type: "checkbox", checked: !state.hidden.has(name) });
     label.append(" " + said(name));
-    own.onchange = () => { state.hidden[own.checked ? "delete" : "add"](name); clip(); };
+    own.onchange = () => { state.hidden[own.checked ? "delete" : "add"](name); paint(); };
     return own;
   });
   for (const [name, x, y] of [["anterior", 0, 1], ["medial", 1, 0], ["posterior", 0, -1], ["lateral", -1, 0]])
     make("button", bodyBar, { type: "button", textContent: name }).onclick = () => look(x, y, 0);
   make("button", bodyBar, { type: "button", textContent: "largest value" }).onclick = () => views.forEach(v => v.largest());
 
-  // A field at the end of a stage. What is compared has one range of colours.
+  // A field at the end of a stage.
   function show(field, stage) {
     Object.assign(state, { field, stage });
     fieldSelect.value = fields.indexOf(field);
     stageSelect.value = first.stages.indexOf(stage);
     views.forEach(v => v.choose());
-    const ranges = views.filter(v => v.step && !v.head.signed).map(v => v.step);
-    for (const v of views) {
-      const most = v.step && Math.max(Math.abs(v.step.min), Math.abs(v.step.max));
-      v.paint(...(v.head.signed ? [-most, most] :
-        [Math.min(...ranges.map(s => s.min)), Math.max(...ranges.map(s => s.max))]));
+    paint();
+  }
+  // Colours span the values on visible bodies; what is compared has one range.
+  function paint() {
+    const ranges = views.map(v => v.range()), common = ranges.filter((r, k) => !views[k].head.signed);
+    views.forEach((v, k) => {
+      const most = Math.max(...ranges[k].map(Math.abs));
+      v.paint(...(v.head.signed ? [-most, most] : [Math.min(...common.map(r => r[0])), Math.max(...common.map(r => r[1]))]));
       v.deform();
-    }
+    });
     clip();
   }
   function clip() {
@@ -157,22 +160,16 @@
       geometry.setAttribute("position", position);
       geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(3 * n), 3));
       const mesh = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ vertexColors: THREE.VertexColors, side: THREE.DoubleSide }));
-      mesh.renderOrder = head.bodies.length;
-      Object.assign(mesh, { name: body.name, tint: TINTS[k % TINTS.length] });
-      // What is cut is filled: the plane is drawn where more back faces than front faces lie behind it.
-      const count = (side, step) => new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ side, colorWrite: false,
-        depthWrite: false, depthTest: false, stencilWrite: true, stencilFunc: THREE.AlwaysStencilFunc,
-        stencilFail: step, stencilZFail: step, stencilZPass: step, clippingPlanes: [plane] }));
-      const cap = new THREE.Mesh(new THREE.PlaneBufferGeometry(far, far), new THREE.MeshBasicMaterial({
-        color: mesh.tint, side: THREE.DoubleSide, stencilWrite: true, stencilRef: 0, stencilFunc: THREE.NotEqualStencilFunc,
-        stencilFail: THREE.ReplaceStencilOp, stencilZFail: THREE.ReplaceStencilOp, stencilZPass: THREE.ReplaceStencilOp }));
-      cap.onAfterRender = () => renderer.clearStencil();
-      mesh.section = [count(THREE.BackSide, THREE.IncrementWrapStencilOp), count(THREE.FrontSide, THREE.DecrementWrapStencilOp), cap];
-      mesh.section.forEach((part, i) => { part.renderOrder = k + i / 4; });
-      scene.add(mesh, ...mesh.section);
+      const cells = new Uint32Array(data.slice(body.inside, body.inside + 16 * body.cells));
+      // The section of its cells with the plane of the cut.
+      const section = new THREE.Mesh(new THREE.BufferGeometry(), new THREE.MeshBasicMaterial({ vertexColors: THREE.VertexColors, side: THREE.DoubleSide }));
+      Object.assign(section, { name: body.name, frustumCulled: false });
+      const nodes = new Set([...geometry.index.array, ...cells]);
+      Object.assign(mesh, { name: body.name, tint: TINTS[k % TINTS.length], cells, nodes, section });
+      scene.add(mesh, section);
       return mesh;
     });
-    const visible = () => v.meshes.filter(m => m.visible);
+    const visible = () => v.meshes.filter(m => !state.hidden.has(m.name));
     const dot = new THREE.Mesh(new THREE.SphereGeometry(far / 7200, 16, 12), new THREE.MeshBasicMaterial({ color: "#d1495b" }));
     dot.renderOrder = head.bodies.length;
     scene.add(dot);
@@ -189,23 +186,35 @@
       values = v.step ? words(data, v.step.at, n) : new Uint16Array(n).fill(NONE);
       v.moves = at < 0 ? { u: new Uint16Array(3 * n), most: 0 } : { u: words(data, head.moves[at].at, 3 * n), most: head.moves[at].most };
     };
-    // What has no value keeps the tint of its body.
+    v.range = () => {
+      let least = Infinity, most = -Infinity;
+      for (const mesh of visible()) for (const k of mesh.nodes) {
+        const value = worth(k);
+        if (value < least) least = value;
+        if (value > most) most = value;
+      }
+      return [least, most];
+    };
+    // The colour of a value; what has none keeps the tint of its body.
+    function colour(value, tint, into) {
+      const [least, most] = v.span;
+      if (isNaN(value) || !(most > least)) return into.copy(tint);
+      const part = (value - least) / (most - least) * (map.length - 1);
+      const low = Math.max(0, Math.min(Math.floor(part), map.length - 2));
+      return into.copy(map[low]).lerp(map[low + 1], part - low);
+    }
     v.paint = (least, most) => {
+      v.span = [least, most];
       const c = new THREE.Color();
       for (const mesh of v.meshes) {
         const own = mesh.geometry.getAttribute("color");
         for (let k = 0; k < n; k++) {
-          if (values[k] === NONE || !(most > least)) c.copy(mesh.tint);
-          else {
-            const part = (worth(k) - least) / (most - least) * (map.length - 1);
-            const low = Math.max(0, Math.min(Math.floor(part), map.length - 2));
-            c.copy(map[low]).lerp(map[low + 1], part - low);
-          }
+          colour(worth(k), mesh.tint, c);
           own.setXYZ(k, c.r, c.g, c.b);
         }
         own.needsUpdate = true;
       }
-      legend.hidden = !v.step;
+      legend.hidden = !(v.step && most >= least);
       highest.textContent = shown(most);
       lowest.textContent = shown(Math.abs(least) < 1e-9 * Math.abs(most) ? 0 : least);
       unit.textContent = v.step ? v.field.label + (v.field.unit ? " (" + v.field.unit + ")" : "") : "";
@@ -221,12 +230,38 @@
       for (const mesh of v.meshes) {
         mesh.visible = !state.hidden.has(mesh.name);
         mesh.material.clippingPlanes = state.axis < 0 ? [] : [plane];
-        for (const part of mesh.section) part.visible = mesh.visible && state.axis >= 0;
-        plane.coplanarPoint(mesh.section[2].position);
-        mesh.section[2].lookAt(mesh.section[2].position.clone().sub(plane.normal));
+        mesh.section.visible = mesh.visible && state.axis >= 0;
+        if (mesh.section.visible) fill(mesh);
       }
       mark();
     };
+    // Triangles of a body's cells in the plane, with values: a cell is cut in three edges or four.
+    function fill(mesh) {
+      const places = [], colours = [], rests = [], values = [], c = new THREE.Color(), p = position.array;
+      const height = k => plane.normal.x * p[3 * k] + plane.normal.y * p[3 * k + 1] + plane.normal.z * p[3 * k + 2] + plane.constant;
+      const add = (a, b) => {
+        const t = height(a) / (height(a) - height(b)), value = worth(a) + t * (worth(b) - worth(a));
+        for (let i = 0; i < 3; i++) {
+          places.push(p[3 * a + i] + t * (p[3 * b + i] - p[3 * a + i]));
+          rests.push(rest[3 * a + i] + t * (rest[3 * b + i] - rest[3 * a + i]));
+        }
+        colour(value, mesh.tint, c);
+        colours.push(c.r, c.g, c.b);
+        values.push(value);
+      };
+      for (let k = 0; k < mesh.cells.length; k += 4) {
+        const above = [], below = [];
+        for (let i = k; i < k + 4; i++) (height(mesh.cells[i]) > 0 ? above : below).push(mesh.cells[i]);
+        const [one, other] = above.length < below.length ? [above, below] : [below, above];
+        if (one.length === 1) for (const b of other) add(one[0], b);
+        if (one.length === 2) for (const [a, b] of [[0, 0], [0, 1], [1, 1], [0, 0], [1, 1], [1, 0]]) add(one[a], other[b]);
+      }
+      const geometry = mesh.section.geometry;
+      geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(places), 3));
+      geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(colours), 3));
+      geometry.boundingSphere = geometry.boundingBox = null;
+      Object.assign(mesh.section, { rests, values });
+    }
     // The largest value on what is visible; of what has a sign the largest of both.
     function mark() {
       let best = -1, most = -Infinity;
@@ -244,18 +279,18 @@
       const at = [0, 1, 2].map(i => shown(rest[3 * k + i]));
       told.textContent = "largest: " + shown(worth(k)) + " " + v.field.unit + " at (" + at.join(", ") + ") mm";
     };
-    // The value under the pointer (x, y from -1 to 1), linear on its triangle; a filled section has none.
+    // The value under the pointer (x, y from -1 to 1), linear on its triangle.
     v.pick = (x, y) => {
       ray.setFromCamera({ x, y }, camera);
-      const hit = ray.intersectObjects(visible()).find(h => state.axis < 0 || plane.distanceToPoint(h.point) >= 0);
+      const cut = state.axis >= 0, drawn = visible(), sections = cut ? drawn.map(m => m.section) : [];
+      const hit = ray.intersectObjects([...drawn, ...sections]).find(h => h.object.values || !cut || plane.distanceToPoint(h.point) >= 0);
       if (!hit) return null;
-      const body = hit.object.name;
-      if (state.axis >= 0 && hit.face.normal.dot(ray.ray.direction) > 0)
-        return { body, place: ray.ray.intersectPlane(plane, new THREE.Vector3()).toArray(), value: NaN };
+      const own = hit.object.values ? hit.object : { rests: rest }, at = hit.object.geometry.getAttribute("position");
       const corners = [hit.face.a, hit.face.b, hit.face.c], part = new THREE.Vector3();
-      THREE.Triangle.getBarycoord(hit.point, ...corners.map(k => new THREE.Vector3().fromBufferAttribute(position, k)), part);
+      THREE.Triangle.getBarycoord(hit.point, ...corners.map(k => new THREE.Vector3().fromBufferAttribute(at, k)), part);
       const parts = part.toArray(), sum = f => corners.reduce((s, k, i) => s + parts[i] * f(k), 0);
-      return { body, place: [0, 1, 2].map(i => sum(k => rest[3 * k + i])), value: sum(worth) };
+      const value = sum(k => own.values ? own.values[k] : worth(k));
+      return { body: hit.object.name, place: [0, 1, 2].map(i => sum(k => own.rests[3 * k + i])), value };
     };
     renderer.domElement.addEventListener("pointermove", event => {
       const r = renderer.domElement.getBoundingClientRect();

@@ -89,23 +89,28 @@ def packed(
     """Pack the input of `viewer.js`: a head with the offsets of the arrays, and all their numbers.
 
     Numbers are little-endian: positions (n, 3) and values (n,) as 16-bit fractions of their range,
-    corners of triangles as 32-bit indices of positions.
+    corners of triangles, and of the cells that fill a cut, as 32-bit indices of positions.
 
     Args:
         run: The run to draw.
         minus: A run on the same mesh whose fields are subtracted, at the end of the stage of the
             same name, or of the last.
-        most_bytes: Limit of the numbers; beyond it only corners and the last stages are drawn.
+        most_bytes: Limit of the numbers; beyond it only corners and the last stages are drawn, and
+            cut faces stay open.
     """
     ends, kinds = run.written_stages, _kinds(run)
     if minus is not None:
         ends = [s for s in ends if s == ends[-1] or s in minus.written_stages]
         kinds = [kind for kind in kinds if kind[0] in minus.point_fields]
-    fine = outsides(run, curved=True)
-    # Three for the places, three for the displacement that deforms.
-    if 2 * len(_used(fine)) * (3 + len(ends) * (3 + len(kinds))) > most_bytes:
-        fine = outsides(run, curved=False)
-    nodes = _used(fine)
+    every = {name: run.cells[run.region == k][:, :4] for name, k in run.regions.items()}
+    none = {name: run.cells[:0, :4] for name in every}
+    for curved, inside in ((True, every), (False, every), (True, none), (False, none)):
+        fine = outsides(run, curved)
+        nodes = np.unique(np.concatenate([a.ravel() for a in (*fine.values(), *inside.values())]))
+        # Three for the places, three for the displacement that deforms.
+        size = 2 * len(nodes) * (3 + len(ends) * (3 + len(kinds)))
+        if size + 16 * sum(map(len, inside.values())) <= most_bytes:
+            break
     ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
     numbers = bytearray()
 
@@ -114,13 +119,19 @@ def packed(
         return len(numbers) - array.nbytes
 
     x = run.points[nodes]
-    low, size = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
+    low, width = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
     head: dict[str, Any] = {
-        "points": {"at": add(_levels((x - low) / size)), "n": len(nodes)},
+        "points": {"at": add(_levels((x - low) / width)), "n": len(nodes)},
         "low": low.tolist(),
-        "size": size,
+        "size": width,
         "bodies": [
-            {"name": body, "at": add(np.searchsorted(nodes, t).astype("<u4")), "triangles": len(t)}
+            {
+                "name": body,
+                "at": add(np.searchsorted(nodes, t).astype("<u4")),
+                "triangles": len(t),
+                "inside": add(np.searchsorted(nodes, inside[body]).astype("<u4")),
+                "cells": len(inside[body]),
+            }
             for body, t in fine.items()
         ],
         "stages": ends,
@@ -201,10 +212,6 @@ def outsides(run: Run, curved: bool) -> dict[str, Ints]:
             facets = facets[:, parts].reshape(-1, 3)
         found[name] = facets
     return found
-
-
-def _used(triangles: dict[str, Ints]) -> Ints:
-    return np.unique(np.concatenate([t.ravel() for t in triangles.values()]))
 
 
 def _levels(part: Floats) -> NDArray[np.uint16]:

@@ -66,6 +66,10 @@ def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
             return path[:-1], f"'{path[-1]}' is missing; expected{expected}"
         case "extra_forbidden":
             hint = did_you_mean(str(path[-1]), keys)
+            for name, field in model.model_fields.items():
+                if path[-1] in getattr(field.annotation, "model_fields", ()):
+                    text = f"it belongs below '{name}', indented: is its indentation lost?"
+                    return path, f"unknown key; {text}"
             return path, f"unknown key; allowed: {', '.join(keys)}{hint}"
         case "model_type" | "model_attributes_type":
             return path, f"{value} is not a mapping; expected keys {', '.join(keys)}"

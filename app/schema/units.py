@@ -179,6 +179,8 @@ class Dimension(_Bounded):
         match = NUMBER.fullmatch(text) if len(text) <= LONGEST_VALUE else None
         if match is None:
             fail(f"{shown} is not {expected}")
+        if re.match(r"\s*[+-]?\d+,\d", text):
+            fail(f"{shown} has a comma; decimals take a point, as '6.5 mm', thousands nothing")
         number, unit = match.groups()
         if not unit:
             fail(f"{shown} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")

@@ -34,6 +34,14 @@ TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"
 PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
 # A message that begins with a key.
 KEYED = re.compile(r"([A-Za-z_][\w-]*(?:\.[\w-]+|\[\d+\])*): (.*)", re.DOTALL)
+# Faults of a syntax that beginners meet: a part of the parser's words, and ours.
+FAULTS = {
+    "\\t": "a tab; indent with spaces, two for each level",
+    "mapping values are not allowed": "no key can stand here; keys of one section begin in one "
+    "column, and text with a colon needs quotes",
+    "<block end>": "this line is indented neither as those above nor below a key of theirs; keys "
+    "of one section begin in one column",
+}
 # Sorting key of what has no place in a file.
 LAST = (1 << 30, 0, 0)
 
@@ -122,6 +130,13 @@ class CaseFile:
         steps = (fault.path[:n] for n in range(len(fault.path) + 1))
         above = [self.places[p] for p in steps if p in self.places]
         place = fault.place or [(self.name, 1, 1), *above][-1]
+        kinds = [self.places.get((*p, "kind")) for p in (fault.path[:-1], fault.path)]
+        option = next((kind for kind in kinds if isinstance(kind, str)), None)
+        if option and not isinstance(place, str):
+            # An option changed the kind of a section of the file, whose other keys stay.
+            section = option.rpartition(".")[0]
+            place, change = option, f"; --set '{section}={{kind: ...}}' replaces the whole section"
+            fault = Fault(fault.path, fault.text + change)
         text = f"{key}: {fault.text}" if key and key != place else fault.text
         if isinstance(place, str):
             return LAST, f"--set {path_text((place,))}: {text}"
@@ -202,11 +217,11 @@ def compose(text: str) -> Node | None:
         mark = error.problem_mark or error.context_mark
         place = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         problem = " ".join(str(error.problem or error.context).split())
-        hint = "; indent with spaces" if "\\t" in problem else ""
+        problem = next((text for part, text in FAULTS.items() if part in problem), problem)
         line = "".join(text.splitlines()[place[0] - 1 : place[0]])
         if re.search(r":\s*\[[^\]]*\]\s*[A-Za-z]", line):
-            hint = '; a list with one unit needs quotes: "[0, 0, -1800] N"'
-        raise BadYaml(f"not valid YAML: {problem}{hint}", place) from error
+            problem = 'a list with one unit needs quotes: "[0, 0, -1800] N"'
+        raise BadYaml(f"not valid YAML: {problem}", place) from error
     except ReaderError as error:
         before, code = text[: error.position], ord(text[error.position])
         reason = "not valid YAML: a control character is not allowed"

@@ -83,12 +83,11 @@ def cache(name: str) -> Path | None:
 
     It is ``$XDG_CACHE_HOME/mantle/<name>`` (default ``~/.cache``); None if it cannot be written.
     """
-    try:
+    with suppress(OSError, RuntimeError):  # RuntimeError: no home
         folder = cache_home() / "mantle" / name
         files.make_private(folder)
-    except (OSError, RuntimeError):  # RuntimeError: no home
-        return None
-    return folder
+        return folder
+    return None
 
 
 def prepare_run(folder: Path, force: bool) -> None:
@@ -110,8 +109,10 @@ def prepare_run(folder: Path, force: bool) -> None:
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be made or read: {error.strerror}") from error
     if holds_something and not force:
+        again = "--restart auto to go on from its checkpoint, " if saved(folder) else ""
         raise InputError(
-            f"-o {folder}: is not empty; choose another folder, or --force to replace the results"
+            f"-o {folder}: is not empty; choose another folder, {again}or --force to replace the "
+            "results"
         )
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"-o {folder}: is not writable")

@@ -171,7 +171,8 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     if stop.received and (code < 0 or code == 1 or code > 128):
         # The ranks did not listen yet, and there was nothing to save; or they were not let.
         once = len(stop.received) == 1
-        tell("stopped" if once else "stopped before the state was saved")
+        early = "stopped: no step had converged, nothing of this run is on disk"
+        tell(early if once else "stopped before the state was saved")
         return StoppedError.exit_code if once else 130
     # 128 + a signal: a rank crashed or was killed, which mpirun has reported.
     return 70 if code < 0 or code > 128 or code == _CRASHED else code

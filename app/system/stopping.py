@@ -14,14 +14,18 @@ from app.system import ranks
 
 # Fraction of the time reserved for saving, and its limit [s].
 LEFT, MOST = 0.05, 60.0
-FORMS = "H:MM:SS, MM:SS or D-H:MM:SS"
+FORMS = "H:MM:SS, MM:SS, D-H:MM:SS, or a number with s, min, h or d"
+UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
 
 def seconds(text: str) -> float:
-    """Seconds of a duration in the format of batch systems, ``[D-]H:MM:SS`` or ``MM:SS``."""
+    """Seconds of a duration: as in batch systems, ``[D-]H:MM:SS`` or ``MM:SS``, or ``90 min``."""
+    plain = re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h|d)", text.strip())
     found = re.fullmatch(r"(?:(?:(\d+)-)?(\d+):)?(\d+):(\d\d)", text.strip())
     days, hours, minutes, rest = (int(part or 0) for part in found.groups()) if found else [0] * 4
-    total = ((24 * days + hours) * 60 + minutes) * 60 + rest
+    total: float = ((24 * days + hours) * 60 + minutes) * 60 + rest
+    if plain:
+        total = float(plain[1]) * UNITS[plain[2]]
     if not total:
         raise InputError(f"--walltime {text}: not a duration; allowed: {FORMS}, e.g. 2:00:00")
     return float(total)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import mantle
+import meshes
 from app.case import keys, new_case
 from app.case.case import load
 from app.cli import main
-from app.errors import InputError
+from app.errors import GeometryError, InputError
 from tests import frozen
 from tests.support import CONFIGS
 
@@ -34,6 +38,7 @@ def test_what_init_writes_is_short_and_right(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MANTLE_CALLED", "mantle")
     assert main(["init", "first", "--kind", kind]) == 0
     out, err = capsys.readouterr()
     assert err == ""
@@ -111,6 +116,43 @@ def test_init_lists_what_a_mesh_has(tmp_path: Path) -> None:
     assert list(load(path).config.regions) == ["shaft", "marrow"]
 
 
+def test_init_of_blocks_that_touch_runs_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Interior surfaces are no boundaries; the launcher has the name by which it was called."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MANTLE_CALLED", "./mantle")
+    meshes.write_msh(mantle.mesh(load(new_case.write(tmp_path / "b", "blocks"))), Path("own.msh"))
+    assert main(["init", "own", "--kind", "file"]) == 0
+    assert "\n  ./mantle run own.yaml -o out/own\n" in capsys.readouterr().out
+    results = mantle.run(mantle.load("own.yaml", mesh__order=1), "out")
+    assert list(results.summary["bonds"]) == ["bone_cement", "cement_metal"]
+    # Without these lines the message has them to paste.
+    text = Path("own.yaml").read_text()
+    cut = re.sub(r"^(interfaces|  interfaces):\n(    .*\n|  .*\n){2}", "", text, flags=re.M)
+    Path("cut.yaml").write_text(cut)
+    with pytest.raises(GeometryError, match="where no interface is declared") as told:
+        mantle.mesh(mantle.load("cut.yaml"))
+    paste = str(told.value).partition("such as\n")[2]
+    Path("again.yaml").write_text(f"base: cut.yaml\n{paste}\n")
+    assert mantle.load("again.yaml").config == mantle.load("own.yaml").config
+
+
+def test_a_folder_that_is_read_only_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = Path.open
+
+    def refused(path: Path, mode: str = "r", **how: Any) -> Any:
+        if mode == "x":
+            raise OSError(errno.EROFS, "Read-only file system")
+        return opened(path, mode, **how)
+
+    monkeypatch.setattr(Path, "open", refused)
+    assert main(["init", str(tmp_path / "x")]) == 2
+    assert capsys.readouterr().err.endswith("x.yaml: cannot be written: the folder is read-only\n")
+
+
 def test_init_without_the_mesh_says_what_to_fill_in(tmp_path: Path) -> None:
     path = new_case.write(tmp_path / "own", "file")
     text = path.read_text(encoding="utf-8")
@@ -163,6 +205,19 @@ geometry.cement_thickness  (kind intact_femur)
             ["cancellous_bone:\n  about: ", "Morgan 2003", "    thermal_expansion: 27.5e-6 1/K\n"],
         ),
         ("PMA", 2, ["PMMA"]),
+        ("neck_angle", 0, ["angle, e.g. 130 deg\n", "  example  neck_angle: 130 deg\n"]),
+        (
+            "interfaces.kind",
+            0,
+            [f"{{kind: {k}}}\n" for k in ("bonded", "contact, friction_coefficient: 0.3")],
+        ),
+        ("regions.kind", 0, ["  {kind: rigid}\n    Rigid: the region moves as one body"]),
+        ("friction", 0, ["  interfaces.<name>.friction_coefficient ", "\n  friction disc: "]),
+        ("slip", 0, ["  interfaces.slip_p99  ", "slip, p99 (mm), a result", "  slip: tangential"]),
+        ("motion", 0, ["interfaces.motion_p99", "  motion: length of the whole relative"]),
+        ("E", 0, ["regions.<name>.youngs_modulus  (kind isotropic)"]),
+        ("body_weight", 0, ["hip 1800 N (3 body weights of 600 N)"]),
+        ("", 0, ["\n  mesh  ", "Mesh size and order.", "\n  PMMA  ", "\n  walking  "]),
         ("geometry.cement_thickness", 0, [FEMUR]),
         *(
             (
@@ -193,5 +248,6 @@ def test_every_key_is_explained_by_its_own_words() -> None:
     for section in keys.table():
         for key in section.keys:
             text = keys.explained(key.path)
-            assert "`" not in text and "  value " in text and "](#" not in text
+            told = "{kind: " if key.name == "kind" else "  value "
+            assert "`" not in text and told in text and "](#" not in text
             assert max(map(len, text.splitlines())) <= 100

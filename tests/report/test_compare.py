@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,20 @@ def test_the_page_says_what_differs(stems: tuple[Run, Run], tmp_path: Path) -> N
     assert [float(row[1]), float(row[2])] == pytest.approx(slips, rel=1e-3)
     assert float(row[3].split()[0]) == pytest.approx(slips[1] - slips[0], rel=1e-3)
     assert html.count('class="one"') == 3  # two runs and their difference
-    assert "by more than their errors" in html
+    # No errors were estimated: none is claimed to be known, in sentence, table or verdict.
+    assert "errors were not estimated (mantle run --error)" in html and row[3].endswith("unknown")
+    assert "By more than their errors" not in html and "within the errors" not in html
+    assert html.count("converged</span>: smooth; errors not estimated") == 1
+    for run in stems:  # as if they had been: 1 % of the smooth run, all of the other
+        copy = tmp_path / run.folder.name
+        copy.mkdir()
+        numbers = run.summary | {"error": {"companions": ["mesh 8 mm"]}}
+        for q in numbers["interfaces"].values():
+            q |= {f"{key}_error": 0.01 * q[key] for key in ("slip_p99", "motion_p99")}
+        (copy / "summary.json").write_text(json.dumps(numbers))
+    html = compare.write([tmp_path / r.folder.name for r in stems], tmp_path / "b.html").read_text()
+    assert re.search(r"By more than their errors \d of 4 main numbers differ from", html)
+    assert re.search(r"Of \d+ main numbers errors were not estimated", html)
     scripts = re.sub(r"<script>.*?</script>", "", html, flags=re.S)
     assert not re.search(r"(src|href)=\"(?!#|data:)", scripts)
 
@@ -41,7 +55,7 @@ def test_the_page_says_what_differs(stems: tuple[Run, Run], tmp_path: Path) -> N
 def test_the_same_run_twice_does_not_differ(stems: tuple[Run, Run], tmp_path: Path) -> None:
     """Neither in input nor in numbers."""
     html = compare.write([stems[0].folder] * 2, tmp_path / "same.html").read_text("utf-8")
-    assert "No main number differs" in html
+    assert "none differ from those of" in html
     assert "runs of the same case" in html
     assert {row[3] for row in cells(html, "differences")} == {"0"}
 

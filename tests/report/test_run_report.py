@@ -62,8 +62,9 @@ def test_a_run_writes_a_page_that_stands_alone(done: Path) -> None:
 def test_its_numbers_are_those_of_the_summary(done: Path) -> None:
     html, numbers = shown(page(done)), summary(done)
     slip = TABLE["interfaces"]["slip_p99"].text(numbers["interfaces"]["stem_cement"])
-    said = f"the stem slides by up to {slip} µm over 99 % of its surface in its cement"
-    assert said in html.replace("The", "the")
+    assert f"99 % of the stem's surface slides less than {slip} µm in its cement, and" in (
+        html.replace("&#39;", "'")
+    )
     assert "how exact these numbers are was not estimated" in html
     for place, key in (("stem_cement", "pressure_p95"), ("cement_bone", "slip_max")):
         assert TABLE["interfaces"][key].text(numbers["interfaces"][place]) in html
@@ -163,9 +164,15 @@ def test_loads_are_told_of_runs_that_ended(done: Path) -> None:
     case = run_report.opened(done)
     case.__dict__["data"] = {"loads": {"hip": {"force": ["0 N", "0 N", "-900 N"]}}}
     numbers = summary(done)
-    assert sentence.sentence(numbers, case).startswith("Under 900 N the stem")
+    assert sentence.sentence(numbers, case).startswith("Under 900 N, 99 % of the stem's surface")
     stopped = sentence.sentence(numbers | {"status": "stopped"}, case)
-    assert stopped.startswith("The stem slides")
+    assert stopped.startswith("99 % of the stem's surface slides less than")
+    # Of several the largest, and what they are together.
+    case.data["loads"]["glutei"] = {"force": ["300 N", "0 N", "500 N"]}
+    said = sentence.sentence(numbers, case)
+    assert said.startswith("Under 900 N (hip; the sum of all 2 loads is 500 N), 99 % of")
+    case.data["loads"]["push"] = {"kind": "pressure", "pressure": "1 MPa"}
+    assert sentence.sentence(numbers, case).startswith("Under 900 N (hip), 99 % of")
 
 
 def test_heat_is_told(tmp_path: Path) -> None:

@@ -54,7 +54,8 @@ def test_values_are_those_of_the_files(run: Run) -> None:
     assert head["stages"] == ["half", "whole"]
     n = head["points"]["n"]
     x = unpacked(data, head["points"]["at"], 3 * n).reshape(-1, 3) * head["size"] + head["low"]
-    nodes = np.unique(np.concatenate([t.ravel() for t in viewer.outsides(run, True).values()]))
+    shown_nodes = [t.ravel() for t in viewer.outsides(run, True).values()]
+    nodes = np.unique(np.concatenate([*shown_nodes, run.cells[:, :4].ravel()]))
     assert np.abs(x - run.points[nodes]).max() <= 0.51 * head["size"] / viewer.LEVELS
     for field, stage, values in shown(head, data):
         own = size(run, field["name"], stage)[nodes]
@@ -74,7 +75,8 @@ def test_differences_are_those_of_the_files(stems: tuple[Run, Run]) -> None:
     assert viewer.same_mesh(run, rough)
     head, data = viewer.packed(rough, run)
     assert head["signed"]
-    nodes = np.unique(np.concatenate([t.ravel() for t in viewer.outsides(run, True).values()]))
+    shown_nodes = [t.ravel() for t in viewer.outsides(run, True).values()]
+    nodes = np.unique(np.concatenate([*shown_nodes, run.cells[:, :4].ravel()]))
     for field, stage, values in shown(head, data):
         if field["name"].endswith("_slip"):
             a, b = (size(r, field["name"], stage)[nodes] for r in (run, rough))
@@ -112,7 +114,7 @@ def test_nothing_in_it_points_elsewhere_or_ends_its_script(run: Run, tmp_path: P
     assert text.count("<script") == text.count("</script>")
     assert len(text) < 2_000_000
     own = Path(viewer.__file__).with_name("viewer.js").read_text(encoding="utf-8")
-    assert len(own.splitlines()) < 300
+    assert len(own.splitlines()) < 320
     assert viewer.viewer(tmp_path) == ""  # without fields
 
 
@@ -153,22 +155,19 @@ TRY = """
   };
   const canvases = [...document.querySelectorAll("#view canvas")];
   const colours = canvases.map(gl => new Set(seen(gl)).size);
-  // Cut across x and looked at from there: the middle of the picture is the filled section.
-  w.look(1, 0, 0);
-  w.state.axis = 0;
+  // Cut across y and looked at from there, all bodies visible: the field on the section.
+  const spans = [[...w.views[0].span]];
+  w.checks.forEach(c => { if (!c.checked) c.click(); });
+  w.show("von_mises", "whole");
+  spans.push([...w.views[0].span]);
+  w.look(0, 1, 0);
+  w.state.axis = 1;
   w.clip();
-  const gl = canvases[0], data = seen(gl);
-  const row = Math.round(gl.height * 0.62);
-  let tint = 0;
-  const bytes = c => [c.r, c.g, c.b].map(v => Math.round(255 * v)).join();
-  const own = w.views[0].meshes.map(m => bytes(m.tint));
-  for (let k = 0; k < gl.width; k++)
-    tint += own.includes([0, 1, 2].map(i => data[4 * (row * gl.width + k) + i]).join());
-  for (let y = -0.9; y < 0.9; y += 0.1) {
-    const hit = w.views[0].pick(0, y);
-    if (hit) cuts.push({ ...hit, plane: w.views[0].meshes[0].section[2].position.x });
+  for (let x = -0.9; x < 0.9; x += 0.1) for (const y of [-0.2, 0, 0.3]) {
+    const hit = w.views[0].pick(x, y);
+    if (hit) cuts.push({ ...hit, plane: w.views[0].meshes[0].material.clippingPlanes[0].constant });
   }
-  const out = { found, colours, cameras, cuts, tint };
+  const out = { found, colours, cameras, cuts, spans };
   document.getElementById("found").textContent = JSON.stringify(out);
 })();
 </script>
@@ -215,10 +214,20 @@ def test_a_browser_draws_runs_and_their_difference(stems: tuple[Run, Run], tmp_p
             assert less == pytest.approx(second - first, abs=2e-3 * most)
             compared += 1
     assert compared > 20
-    # The section is filled: in the plane, without a value.
-    filled = [p for p in found["cuts"] if p["value"] is None]
-    assert found["tint"] > 10
-    assert filled and all(p["place"][0] == pytest.approx(p["plane"], abs=1e-3) for p in filled)
+    # Sections show the field, linear in the cell; colours span what bodies that are visible have.
+    filled = [p for p in found["cuts"] if abs(p["place"][1] - p["plane"]) < 1e-3]
+    mises = run.on_points("von_mises", "whole")
+    for p in filled:
+        cells = run.cells[run.region == run.regions[p["body"]]][:, :4]
+        x = np.concatenate([run.points[cells], np.ones((len(cells), 4, 1))], axis=2)
+        part = np.linalg.solve(x.transpose(0, 2, 1), np.array([*p["place"], 1.0])[None, :, None])
+        k = int(part[:, :, 0].min(axis=1).argmax())
+        assert p["value"] == pytest.approx(part[k, :, 0] @ mises[cells[k]], rel=0.01)
+    assert len(filled) > 10 and len({p["body"] for p in filled}) == len(run.regions)
+    stem = np.unique(run.cells[run.region == run.regions["stem"]])
+    assert found["spans"][1] == pytest.approx([mises.min(), mises.max()], rel=0.05)
+    most = size(run, found["found"][-1]["field"], "whole")[stem].max()
+    assert found["spans"][0][1] <= 1.001 * most
 
 
 def value_near(x: Floats, triangles: Floats, values: Floats, place: Floats) -> float:

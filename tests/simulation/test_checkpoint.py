@@ -159,11 +159,15 @@ def test_another_version_is_refused(
 
 
 @pytest.mark.parametrize(("minutes", "kept"), [(1e-9, 2), (60, 0)])
-def test_minutes_between_checkpoints(tmp_path: Path, minutes: float, kept: int) -> None:
-    (tmp_path / "case.yaml").write_text(restarted.RUBBING)
+def test_minutes_between_checkpoints(
+    run_of_blocks: Path, tmp_path: Path, minutes: float, kept: int
+) -> None:
+    """However many there are, the steps are the same."""
+    case, out = run_of_blocks / "case.yaml", tmp_path / "out"
     options = ["--set", FIELDS, "--set", f"output.checkpoint.minutes={minutes}"]
-    assert main(["run", str(tmp_path / "case.yaml"), "-o", str(tmp_path / "out"), *options]) == 0
-    assert len(saved(tmp_path / "out")) == kept
+    assert main(["run", str(case), "-o", str(out), *options]) == 0
+    assert len(saved(out)) == kept
+    assert restarted.rows(out) == restarted.rows(run_of_blocks / "out")
 
 
 def test_a_finished_run_stays_and_what_was_restored_is_told(
@@ -179,19 +183,12 @@ def test_a_finished_run_stays_and_what_was_restored_is_told(
     assert capsys.readouterr().out.startswith(f"{out} is finished already")
 
 
-def test_checkpoints_do_not_change_the_steps(run_of_blocks: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    command = ["run", str(run_of_blocks / "case.yaml"), "-o", str(out), "--set", FIELDS]
-    assert main(command) == 0
-    assert restarted.rows(out) == restarted.rows(run_of_blocks / "out")
-    assert saved(out) == []
-
-
 def test_spans_of_time() -> None:
     assert stopping.seconds("2:00:00") == 7200
     assert stopping.seconds("30:05") == 1805
     assert stopping.seconds("1-1:00:00") == 90000
-    for wrong in ("", "5", "2 h", "1:2:3", "0:00"):
+    assert [stopping.seconds(t) for t in ("2 h", "1.5h", "90 min", "7 s")] == [7200, 5400, 5400, 7]
+    for wrong in ("", "5", "2 x", "0 s", "1:2:3", "0:00"):
         with pytest.raises(InputError, match="walltime"):
             stopping.seconds(wrong)
 
