@@ -160,12 +160,8 @@ def _refuse_another(found: Checkpoint, case: Case, force: bool) -> None:
             f"{__version__}: results may differ (--force: use it all the same)"
         )
     before, now = (dict(_leaves(c)) for c in (found.header["case"], described(case)))
-    absent = "nothing"
-    differ = [
-        f"  {key}: {now.get(key, absent)}; in the checkpoint {before.get(key, absent)}"
-        for key in dict.fromkeys([*now, *before])
-        if now.get(key, absent) != before.get(key, absent)
-    ]
+    pairs = {key: (now.get(key, "nothing"), before.get(key, "nothing")) for key in now | before}
+    differ = [f"  {key}: {a}; in the checkpoint {b}" for key, (a, b) in pairs.items() if a != b]
     if not differ:
         return
     if len(differ) > TOLD:
@@ -186,12 +182,11 @@ def described(case: Case) -> dict[str, Any]:
 
 
 def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(data, list) and any(isinstance(v, dict | list) for v in data):
+        data = dict(enumerate(data))
     if isinstance(data, dict) and data:
         for name, value in data.items():
             yield from _leaves(value, f"{key}.{name}" if key else name)
-    elif isinstance(data, list) and any(isinstance(v, dict | list) for v in data):
-        for k, value in enumerate(data):
-            yield from _leaves(value, f"{key}.{k}")
     else:
         yield key, data
 
@@ -221,7 +216,7 @@ class CheckpointWriter:
         if (found := self._found) is None:
             return 0
         header = found.header
-        parts = self._parts()
+        parts = self._model.saved_parts() | {"recorder": self._recorder}
         everywhere(self._comm, lambda: self._fill(found, parts))
         restore(parts)
         self._recorder.add_time(header["seconds"])
@@ -235,31 +230,25 @@ class CheckpointWriter:
         )
         return int(header["stage"])
 
-    def _parts(self) -> dict[str, Any]:
-        return {**self._model.saved_parts(), "recorder": self._recorder}
-
     def _fill(self, found: Checkpoint, parts: dict[str, Any]) -> None:
         """Fill the parts; raise InputError for a checkpoint of another mesh or other unknowns."""
         mesh, stage = found.header["mesh"], found.header["stage"]
         here, stages = self._model.mesh_hash, len(self._model.scene.stages)
-        why = ""
+        checkpoint = f"--restart: {found.path}: checkpoint"
         if mesh != here:
-            why = (
-                f"of another mesh ({mesh[:12]}; this case has {here[:12]}); restart with the mesh "
-                "it was written on"
+            raise InputError(
+                f"{checkpoint} of another mesh ({mesh[:12]}; this case has {here[:12]}); restart "
+                "with the mesh it was written on"
             )
-        elif stage >= stages:
-            why = f"is in stage {stage + 1}; this case has {stages} stages"
-        else:
-            try:
-                fill(parts, found.state["parts"])
-            except (AttributeError, LookupError, TypeError, ValueError) as error:
-                why = (
-                    f"of another model, with other unknowns or records ({error}); allowed: cases "
-                    "of the same interfaces, heat and cure"
-                )
-        if why:
-            raise InputError(f"--restart: {found.path}: checkpoint {why}")
+        if stage >= stages:
+            raise InputError(f"{checkpoint} is in stage {stage + 1}; this case has {stages} stages")
+        try:
+            fill(parts, found.state["parts"])
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{checkpoint} of another model, with other unknowns or records ({error}); "
+                "allowed: cases of the same interfaces, heat and cure"
+            ) from error
 
     def _now(self, k: int) -> tuple[dict[str, Any], Any]:
         """Header and state of the step last recorded, in stage k."""
@@ -274,7 +263,7 @@ class CheckpointWriter:
             "time": self._recorder.time,
             "seconds": self._recorder.seconds(),
         }
-        return header, collect({"parts": self._parts()})
+        return header, collect({"parts": self._model.saved_parts() | {"recorder": self._recorder}})
 
     def mark(self, k: int) -> None:
         """Remember the state, in stage k, and save it if that is due; collective."""

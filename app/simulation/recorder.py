@@ -119,11 +119,12 @@ class Recorder:
 
     def restored(self) -> None:
         """Continue from a restored model; collective."""
-        if (m := self._model.mechanics) and self._balance:
+        # Until the mechanics have been solved the balance is at rest, without given temperatures.
+        if self._mechanical and (m := self._model.mechanics) and self._balance:
             u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
             self._balance.go_on(u, trial)
-            if trial is not None and self._contact:
+            if trial is not None:
                 trial = replace(trial, law=replace(trial.law, **self._contact))
                 self.samples = ContactSamples(m.problem, trial)
         if self._writer.fields and not self._writer.field_steps:
@@ -131,11 +132,9 @@ class Recorder:
 
     def add_time(self, seconds: Mapping[str, float]) -> None:
         """Add the wall seconds before a restart, as `seconds` gave them."""
-        for phase, some in seconds.items():
-            if phase == "total":
-                self._begin -= some
-            else:
-                self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + some
+        self._begin -= seconds["total"]
+        for phase in [p for p in seconds if p != "total"]:
+            self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + seconds[phase]
 
     def stage(self, stage: Stage) -> None:
         """Write the header of a stage's lines."""
@@ -220,9 +219,7 @@ class Recorder:
 
     def _fraction(self, status: int) -> float:
         s = self.samples
-        if s is None:
-            return 0.0
-        return float(s.weight[s.status == status].sum() / s.weight.sum())
+        return float(s.weight[s.status == status].sum() / s.weight.sum()) if s else 0.0
 
     def _fields(self) -> None:
         self._written = self.step_count  # a step that does not fit the disk is not tried again
@@ -241,11 +238,9 @@ class Recorder:
         model, counted = self._model, total or self._total
         contact = model.mechanics and model.mechanics.problem.contact
         comm, sizes = model.tagged.mesh.comm, model.sizes()
-        balance: dict[str, float] = {}
-        if b := self._balance:
-            balance |= {"force": b.force, "moment": b.moment, "energy": b.energy}
-        if t := model.thermal:
-            balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature}
+        b, t = self._balance, model.thermal
+        balance = {"force": b.force, "moment": b.moment, "energy": b.energy} if b else {}
+        balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature} if t else {}
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
         if self.step_count:  # at rest all would be zero
             numbers = model.numbers(self.samples) | model.places(self.samples)
@@ -281,10 +276,9 @@ class Recorder:
 
     def seconds(self) -> dict[str, float]:
         """Wall seconds so far, by phase."""
-        seconds = {k: 0.0 for k in ("mesh", "compile", "assemble", "solve", "output")}
-        seconds |= self._timing.seconds
-        seconds["total"] = clock.perf_counter() - self._begin
-        return {k: round(v, 3) for k, v in seconds.items()}
+        phases = dict.fromkeys(("mesh", "compile", "assemble", "solve", "output"), 0.0)
+        total = {"total": clock.perf_counter() - self._begin}
+        return {k: round(v, 3) for k, v in (phases | self._timing.seconds | total).items()}
 
     def close(self, status: str, why: str) -> None:
         """Leave the last converged state, and why, on disk, as far as it allows; collective."""

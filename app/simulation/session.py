@@ -81,11 +81,6 @@ class Setup:
                 log.warning("note: %s", message)
         self.noted.update(messages)
 
-    def begin_next(self) -> None:
-        """Start the clocks of another run."""
-        self.begin, self.started = clock.perf_counter(), datetime.now(UTC)
-        self.timing.clear()
-
 
 def run(
     case: LoadedCase,
@@ -168,7 +163,8 @@ def _vary(setup: Setup, output: Path) -> None:
         status = solved[i].get("status", "not converged")
         rows[i] = variations.row(v, solved[i], status, clock.perf_counter() - setup.begin)
         on_root(comm, partial(variations.write, rows, output), share=False)
-        setup.begin_next()
+        setup.begin, setup.started = clock.perf_counter(), datetime.now(UTC)
+        setup.timing.clear()
     done = on_root(comm, partial(variations.write, rows, output)) or []
     log.info("%s", variations.table(done))
     if failed := [v.name for i, v in enumerate(varied) if not solved[i]]:
@@ -182,12 +178,8 @@ def _vary(setup: Setup, output: Path) -> None:
 
 def _variation(setup: Setup, varied: Varied, folder: Path) -> dict[str, Any]:
     """Solve a variation; returns its summary, empty if it does not converge; collective."""
-
-    def prepare() -> None:
-        prepare_run(folder, force=True)
-        remove([folder / FAILED])
-
-    on_root(setup.comm, prepare, share=False)
+    on_root(setup.comm, partial(prepare_run, folder, force=True), share=False)
+    on_root(setup.comm, partial(remove, [folder / FAILED]), share=False)
     try:
         solving = _CaseRun(setup, varied.case, varied.overrides, folder)
         summary = solving.finish(solving.solve())
@@ -312,13 +304,14 @@ def _errors(
             why = str(failure).splitlines()[0]
             log.warning("error estimate: the companion run on %s failed: %s", companion, why)
             failed.append(str(companion))
+            continue
         except StoppedError as stop:
             raise StoppedError(f"{stop}, in its companions") from stop
-        else:
-            seconds = clock.perf_counter() - begin
-            log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
+        seconds = clock.perf_counter() - begin
+        log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
     return {
         "companions": [str(c) for c, _ in solved],
+        "within": error_estimate.WITHIN[case.mesh.order - 1],
         "of": error_estimate.error_sources([c for c, _ in solved]),
         "failed": failed,
         "unsettled": error_estimate.estimate(summary, case, solved),

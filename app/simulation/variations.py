@@ -25,18 +25,16 @@ def order(case: Case, varied: Sequence[Varied]) -> list[int]:
     """A chain through all variations, from the nearest to the case and each time to the nearest."""
     keys = [k for k in dict.fromkeys(k for v in varied for k in v.changes) if k != "title"]
     cases = [c.model_dump(mode="json") for c in (*(v.case for v in varied), case)]
-    places = np.array([_ranks([value_at(c, key) for c in cases]) for key in keys])
-    weights = [LOAD if key.startswith("loads.") else 1.0 for key in keys]
+    ranks = [_ranks([value_at(c, key) for c in cases]) for key in keys]
+    places = np.array(ranks).reshape(len(keys), len(cases))
+    weights = np.array([[LOAD if key.startswith("loads.") else 1.0] for key in keys])
     chain: list[int] = []
     last = len(varied)
     nearest = np.full(len(varied), np.inf)
     for _ in varied:
         # Only the last can have come nearer to those that are left.
-        steps = (
-            w * np.minimum(np.abs(p[:-1] - p[last]), OTHER)
-            for w, p in zip(weights, places, strict=True)
-        )
-        nearest = np.minimum(nearest, sum(steps, np.zeros(len(varied))))
+        steps = np.minimum(np.abs(places[:, :-1] - places[:, [last]]), OTHER)
+        nearest = np.minimum(nearest, sum(weights * steps, np.zeros(len(varied))))
         nearest[chain] = np.inf
         last = int(nearest.argmin())
         chain.append(last)
@@ -45,23 +43,20 @@ def order(case: Case, varied: Sequence[Varied]) -> list[int]:
 
 def _ranks(values: Sequence[Any]) -> list[float]:
     """Rank of each value among the distinct numbers; other values are far from all."""
-    numbers = [_numbers(v) for v in values]
-    texts = [str(v) for v in values]
-    known = {n: i for i, n in enumerate(sorted({n for n in numbers if n}))}
-    unlike = dict.fromkeys(t for t, n in zip(texts, numbers, strict=True) if not n)
-    others = {t: OTHER * (1 + i) for i, t in enumerate(unlike)}
-    return [float(known[n]) if n else others[t] for t, n in zip(texts, numbers, strict=True)]
+    found = [(_numbers(v), str(v)) for v in values]
+    known = {n: float(i) for i, n in enumerate(sorted({n for n, _ in found if n}))}
+    unlike = dict.fromkeys(text for n, text in found if not n)
+    others = {text: OTHER * (1 + i) for i, text in enumerate(unlike)}
+    return [known[n] if n else others[text] for n, text in found]
 
 
 def _numbers(value: Any) -> tuple[float, ...]:
     """Numbers of a value with units, or of a list of such; empty for anything else."""
-    found: list[float] = []
-    for item in value if isinstance(value, list | tuple) else [value]:
-        try:
-            found.append(float(str(item).partition(" ")[0]))
-        except ValueError:
-            return ()
-    return tuple(found)
+    items = value if isinstance(value, list | tuple) else [value]
+    try:
+        return tuple(float(str(item).partition(" ")[0]) for item in items)
+    except ValueError:
+        return ()
 
 
 def value_at(case: Mapping[str, Any], key: str) -> Any:
@@ -73,10 +68,9 @@ def value_at(case: Mapping[str, Any], key: str) -> Any:
     data: Any = case
     for item in key_parts(key):
         if isinstance(data, list | tuple):
-            data = data[int(item)] if item.isdigit() and int(item) < len(data) else None
-        else:
-            found = data if isinstance(data, Mapping) else {}
-            data = next(iter(found.values()), None) if item == "*" else found.get(item)
+            data = {str(k): value for k, value in enumerate(data)}
+        found = data if isinstance(data, Mapping) else {}
+        data = next(iter(found.values()), None) if item == "*" else found.get(item)
     if isinstance(data, Mapping):
         return data.get("kind")
     return [1.0] * len(case["stages"]) if data is None and key.endswith("history") else data

@@ -48,8 +48,7 @@ def report() -> str:
         "compiled forms": str(form_cache()),
         "ranks here": str(ranks.world_size() or 1),
     }
-    width = max(map(len, rows)) + 2
-    lines = [f"{name:<{width}}{value}" for name, value in rows.items()]
+    lines = [f"{name:<{max(map(len, rows)) + 2}}{value}" for name, value in rows.items()]
     found = [f"warning: {problem}" for problem in problems()] or ["no problems found"]
     return "\n".join([*lines, "", *found])
 
@@ -155,8 +154,7 @@ def _compiler() -> str:
 
 
 def _memory(field: str) -> str:
-    kilobytes = re.findall(rf"{field}: +(\d+) kB", Path("/proc/meminfo").read_text())
-    return _size(int(kilobytes[0]) * 1024)
+    return _size(1024 * int(Path("/proc/meminfo").read_text().partition(f"{field}:")[2].split()[0]))
 
 
 def _size(count: int) -> str:
@@ -164,6 +162,4 @@ def _size(count: int) -> str:
 
 
 def _is_writable(folder: Path) -> bool:
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    return os.access(folder, os.W_OK)
+    return os.access(next(p for p in (folder, *folder.parents) if p.exists()), os.W_OK)

@@ -83,12 +83,11 @@ def cache(name: str) -> Path | None:
 
     It is ``$XDG_CACHE_HOME/mantle/<name>`` (default ``~/.cache``); None if it cannot be written.
     """
-    try:
+    with suppress(OSError, RuntimeError):  # RuntimeError: no home
         folder = cache_home() / "mantle" / name
         files.make_private(folder)
-    except (OSError, RuntimeError):  # RuntimeError: no home
-        return None
-    return folder
+        return folder
+    return None
 
 
 def prepare_run(folder: Path, force: bool) -> None:

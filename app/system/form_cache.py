@@ -122,7 +122,7 @@ def explain(error: BaseException) -> EnvironmentProblem | None:
     if not any(frame.filename.endswith(SOURCES) for frame in frames):
         return None
     folder = form_cache()
-    reason = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    reason = str(error).strip().partition("\n")[0] or type(error).__name__
     said = "".join(f"  {n}\n" for n in getattr(error, "__notes__", ()) if n)
     free = ""
     with suppress(OSError):

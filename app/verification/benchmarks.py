@@ -6,14 +6,10 @@ mesh, compiling forms and writing results. Ratios are of runs made in turn.
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import groupby, product
 from statistics import median
-from time import perf_counter
-from typing import Any
 
 import numpy as np
 
@@ -91,13 +87,6 @@ def benchmarks() -> list[Check]:
             1.0,
         ),
         _goal("cure_over_conduction", "CPU time", (half, bonded), _ratio(cpu), 2.5),
-        _goal(
-            "cylinders_start_to_finish",
-            "wall time over that of importing dolfinx",
-            (CheckRun("cylinders.yaml", times=TIMES),),
-            _start_to_finish,
-            3.0,
-        ),
         _goal("million_memory", "[GB]", million, _median(gigabytes), 12.0, tier="long"),
         _goal("million_minutes", "start to finish", million, _median(_minutes), 5.0, tier="long"),
     ]
@@ -238,13 +227,3 @@ def equal_error(runs: Sequence[Run]) -> Sample:
     finest_first = [ones[n] for n in sorted(ones, reverse=True)]
     errors, times = (np.log([figure(one) for one in finest_first]) for figure in (error, cpu))
     return Sample(cpu(two) / float(np.exp(np.interp(np.log(error(two)), errors, times))))
-
-
-def _start_to_finish(runs: Sequence[Any]) -> Sample:
-    """A small case start to finish over importing the library that it needs."""
-    seconds = []
-    for _ in runs:
-        begin = perf_counter()
-        subprocess.run([sys.executable, "-c", "import dolfinx"], check=True)
-        seconds.append(perf_counter() - begin)
-    return Sample(median(run.seconds for run in runs) / median(seconds))

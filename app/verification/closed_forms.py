@@ -133,10 +133,10 @@ class OvalFit:
         p = lame_pressure(self.δ0, self.b, self.c, self.core, self.ring) * (1 + ν) / E
         b2, c2 = self.b**2, self.c**2
         if in_core:
-            u_r = -p * (1 - 2 * ν) * r
+            u_r, constants = -p * (1 - 2 * ν) * r, self._michell()[:2]
         else:
             u_r = p * b2 / (c2 - b2) * ((1 - 2 * ν) * r + c2 / r)
-        constants = self._michell()[:2] if in_core else self._michell()[2:]
+            constants = self._michell()[2:]
         terms = _michell_motion(r, material)[:, : len(constants)]
         radial, hoop = np.einsum("k,ikn->in", constants, terms)
         u_r, u_θ = u_r + radial * np.cos(2 * θ), hoop * np.sin(2 * θ)

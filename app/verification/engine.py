@@ -65,14 +65,6 @@ SUITES: dict[str, Callable[[], list[Check]]] = {
 }
 
 
-class TimedRun(Run):
-    """A run directory with the wall time of its process [s]."""
-
-    def __init__(self, result: Result) -> None:
-        super().__init__(result.folder)
-        self.seconds = result.seconds
-
-
 def run(suite: str, options: Options) -> bool:
     """Run the checks of a suite, one of `SUITES`, and judge them, or log the plan of it.
 
@@ -174,7 +166,7 @@ def judge(check: Check, results: Sequence[Result]) -> CheckResult:
     if check.judge is None:
         return CheckResult(check, MISSED, "converged, though there is no answer", results)
     try:
-        sample = check.judge([TimedRun(r) for r in results])
+        sample = check.judge([Run(r.folder) for r in results])
         sizes = [run.size for run in check.runs]
         order = None if check.order is None else fitted_order(sizes, sample.errors)
     except Exception as error:  # of any kind: the other checks are still to be reported

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -68,10 +69,8 @@ def _units() -> Iterator[Check]:
         *("loads.push.force=[0 N, 0 N, -0.9 kN]", "loads.lateral.force=[3e5 mN, 0.2 kN, 0 N]"),
     )
     yield row("units/m, Pa, kN", (run(STEM, *words), run(STEM)), judges.same, 1e-8)
-    for name, mesh, lengths, stresses in (
-        ("m, Pa", "metres", 1e-3, 1e6),
-        ("um", "micrometres", 1e3, 1e-6),
-    ):
+    kinds = (("m, Pa", "metres", 1e-3, 1e6), ("um", "micrometres", 1e3, 1e-6))
+    for name, mesh, lengths, stresses in kinds:
         moduli = {"stem": 110e3, "cement": 2200.0, "bone": 17e3}
         own = (f"regions.{n}.youngs_modulus={E * stresses!r} MPa" for n, E in moduli.items())
         judge = partial(judges.same, lengths=lengths, stresses=stresses, points=lengths)
@@ -122,13 +121,8 @@ def _taper() -> Iterator[Check]:
         # Of the force that pushed it in, (m - tan a) / (m + tan a) pulls it out.
         holds = -back < (μ - np.tan(angle)) / (μ + np.tan(angle))
         held = partial(judges.wedge, half_angle=angle, friction=μ, left=back)
-        yield row(
-            f"taper/pulled/mu {μ:g} by {-back:g}",
-            run(TAPER, *pushed(μ, back)),
-            held if holds else None,
-            1e-7,
-            None if holds else Reason.LOOSE_BODY,
-        )
+        answer = (held, 1e-7) if holds else (None, 1e-7, Reason.LOOSE_BODY)
+        yield row(f"taper/pulled/mu {μ:g} by {-back:g}", run(TAPER, *pushed(μ, back)), *answer)
 
 
 def _turns(count: int, low: str) -> tuple[str, str]:
@@ -142,10 +136,9 @@ def _cycles() -> Iterator[Check]:
     """Load and unload: work lost in each cycle, and coming to rest."""
     for count, tier in ((10, "default"), (100, "long")):
         stages, turns = _turns(count, "0")
-        press = stages.replace("[", "[{name: press}, ", 1)
         bar = run(
             BAR,
-            f"stages={press}",
+            f"stages={stages.replace('[', '[{name: press}, ', 1)}",
             f"loads.press.history=[1, {', '.join(['1'] * 2 * (count + 1))}]",
             f"loads.pull.history=[0, {turns}]",
         )
@@ -203,14 +196,10 @@ def _symmetry() -> Iterator[Check]:
     turned = run(STEM, *own, mesh="turned")
     same = partial(judges.same, turn=ROTATION)
     yield row("symmetry/turned", (turned, run(STEM)), same, 1e-8)
-    for name, quality in (("bad", 0.1), ("worst", 0.012)):
-        for order in (1, 2):
-            yield row(
-                f"bad cells/P{order}/quality {quality:g}",
-                run(STACK, f"mesh.order={order}", "mesh.size=3 mm", mesh=name),
-                partial(judges.stack, moduli=(17e3, 2200, 110e3), ratios=(0.3, 0.3, 0.3)),
-                1e-8,
-            )
+    stack = partial(judges.stack, moduli=(17e3, 2200, 110e3), ratios=(0.3, 0.3, 0.3))
+    for (name, quality), order in product((("bad", 0.1), ("worst", 0.012)), (1, 2)):
+        bad = run(STACK, f"mesh.order={order}", "mesh.size=3 mm", mesh=name)
+        yield row(f"bad cells/P{order}/quality {quality:g}", bad, stack, 1e-8)
 
 
 def _turned(*force: float) -> str:

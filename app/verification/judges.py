@@ -70,21 +70,17 @@ def same(
         found.append(Sample(_off(run.displacement(step), u), note=f"displacement at time {time:g}"))
         for name in run.contacts:
             pressure = other.at_interface(name, "pressure", step)[k] * stresses
+            gap, slip = (other.at_interface(name, q, step) * lengths for q in ("gap", "slip"))
             # Gap and slip are one vector; rounding alone has no scale of its own.
-            sizes = [
-                float(np.abs(other.at_interface(name, q, step)).max()) for q in ("gap", "slip")
-            ]
-            jump = max(*(lengths * x for x in sizes), NOTHING * float(np.abs(u).max()))
+            jump = float(max(np.abs(gap).max(), np.abs(slip).max(), NOTHING * np.abs(u).max()))
+            shear = other.at_interface(name, "shear", step)[k] * stresses
             peak = float(pressure.max())
-            for quantity, factor, scale in (
-                ("gap", lengths, jump),
-                ("slip", lengths, jump),
-                ("pressure", stresses, peak),
-                ("shear", stresses, peak),
+            for quantity, reference, scale in (
+                ("gap", gap[k], jump),
+                ("slip", slip[k] @ R.T, jump),
+                ("pressure", pressure, peak),
+                ("shear", shear, peak),
             ):
-                reference = other.at_interface(name, quantity, step)[k] * factor
-                if quantity == "slip":
-                    reference = reference @ R.T
                 value = run.at_interface(name, quantity, step)
                 words = f"{quantity} of {name} at time {time:g}"
                 found.append(Sample(_off(value, reference, scale), note=words))
@@ -118,11 +114,8 @@ def lawful(runs: Sequence[Run]) -> Sample:
         lost = abs(q["dissipation"]) or 1.0
         off[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / lost
     most = _worst(off)
-    beyond = ", ".join(
-        name
-        for name, q in run.summary["interfaces"].items()
-        if _friction(run, name) > q.get("critical_friction", np.inf)
-    )
+    limits = {n: q.get("critical_friction", np.inf) for n, q in run.summary["interfaces"].items()}
+    beyond = ", ".join(n for n, limit in limits.items() if _friction(run, n) > limit)
     if beyond and Reason.NOT_UNIQUE not in Reason.within(run.log):
         return Sample(np.inf, note=f"friction beyond the critical one of {beyond} and no warning")
     warned = f"; warns that {beyond} may have several solutions" if beyond else ""
@@ -161,8 +154,7 @@ def stack(runs: Sequence[Run], moduli: Sequence[float], ratios: Sequence[float])
     p, h = 2.0, 5.0
     coefficients = map(exact.lame, zip(moduli, ratios, strict=True))
     strains = [p / (λ + 2 * μ) for λ, μ in coefficients]
-    levels = np.arange(len(moduli) + 1) * h
-    falls = -np.concatenate([[0.0], np.cumsum(strains)]) * h
+    levels, falls = np.arange(len(moduli) + 1) * h, -np.cumsum([0.0, *strains]) * h
     u = run.displacement()
     should = np.zeros_like(u)
     should[:, 2] = np.interp(run.points[:, 2], levels, falls)
@@ -246,8 +238,8 @@ def unpenalized(runs: Sequence[Run], penalties: Sequence[float], name: str) -> S
     """Penetration and error of a penalty against the augmented Lagrangian: of order -1 in it."""
     *penalized, other = (r.summary["interfaces"][name] for r in runs)
     errors = [abs(q["pressure_mean"] / other["pressure_mean"] - 1) for q in penalized]
-    depths = [q["penetration_max"] for q in penalized]
-    first, second = (fitted_order(penalties, values) for values in (errors, depths))
+    first = fitted_order(penalties, errors)
+    second = fitted_order(penalties, [q["penetration_max"] for q in penalized])
     note = f"order of the pressure's error {first:.3f}, of the penetration {second:.3f}"
     return Sample(max(abs(first + 1), abs(second + 1)), note=note)
 
@@ -256,15 +248,14 @@ def unpenalized(runs: Sequence[Run], penalties: Sequence[float], name: str) -> S
 
 
 def _final(run: Run) -> Floats:
-    slips = [run.at_interface(name, "slip").ravel() for name in run.contacts]
-    return np.concatenate([run.displacement().ravel(), *slips])
+    slips = (run.at_interface(name, "slip") for name in run.contacts)
+    return np.concatenate([v.ravel() for v in (run.displacement(), *slips)])
 
 
 def first_order(runs: Sequence[Run], counts: Sequence[int]) -> Sample:
     """The answer converges to that of the finest steps with the first power of their length."""
     *coarse, finest = map(_final, runs)
-    scale = float(np.linalg.norm(finest))
-    errors = [float(np.linalg.norm(x - finest)) / scale for x in coarse]
+    errors = [float(np.linalg.norm(x - finest) / np.linalg.norm(finest)) for x in coarse]
     # The finest has an error of its own: h - h_finest is what the differences measure.
     sizes = [1 / n - 1 / counts[-1] for n in counts[:-1]]
     order = fitted_order(sizes, errors)

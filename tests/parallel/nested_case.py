@@ -10,7 +10,7 @@ from unittest.mock import patch
 
 from mpi4py import MPI
 
-from app.simulation import coarser_case
+from app.simulation import model as models
 from app.stepping import coarse_start
 from tests.simulation import test_nested
 
@@ -18,7 +18,7 @@ if __name__ == "__main__":
     comm = MPI.COMM_WORLD
     found = []
     for settings in ({}, test_nested.ALWAYS):
-        with patch.multiple(coarser_case, **settings) if settings else nullcontext():
+        with patch.multiple(models, **settings) if settings else nullcontext():
             model, steps = test_nested.go()
         j = model.mechanics.problem.contact
         found.append((coarse_start.replicated(j), steps[0].outcome.residuals[0]))

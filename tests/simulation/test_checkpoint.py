@@ -159,11 +159,15 @@ def test_another_version_is_refused(
 
 
 @pytest.mark.parametrize(("minutes", "kept"), [(1e-9, 2), (60, 0)])
-def test_minutes_between_checkpoints(tmp_path: Path, minutes: float, kept: int) -> None:
-    (tmp_path / "case.yaml").write_text(restarted.RUBBING)
+def test_minutes_between_checkpoints(
+    run_of_blocks: Path, tmp_path: Path, minutes: float, kept: int
+) -> None:
+    """However many there are, the steps are the same."""
+    case, out = run_of_blocks / "case.yaml", tmp_path / "out"
     options = ["--set", FIELDS, "--set", f"output.checkpoint.minutes={minutes}"]
-    assert main(["run", str(tmp_path / "case.yaml"), "-o", str(tmp_path / "out"), *options]) == 0
-    assert len(saved(tmp_path / "out")) == kept
+    assert main(["run", str(case), "-o", str(out), *options]) == 0
+    assert len(saved(out)) == kept
+    assert restarted.rows(out) == restarted.rows(run_of_blocks / "out")
 
 
 def test_a_finished_run_stays_and_what_was_restored_is_told(
@@ -177,14 +181,6 @@ def test_a_finished_run_stays_and_what_was_restored_is_told(
     assert "restart from" in said and "step 6, time 3 in stage 'back'" in said
     assert main([*command, *options]) == 0
     assert capsys.readouterr().out.startswith(f"{out} is finished already")
-
-
-def test_checkpoints_do_not_change_the_steps(run_of_blocks: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    command = ["run", str(run_of_blocks / "case.yaml"), "-o", str(out), "--set", FIELDS]
-    assert main(command) == 0
-    assert restarted.rows(out) == restarted.rows(run_of_blocks / "out")
-    assert saved(out) == []
 
 
 def test_spans_of_time() -> None:

@@ -14,7 +14,7 @@ from app.errors import GeometryError, MantleError, StoppedError
 from app.mechanics.contact import TrialState
 from app.numerics import remedies
 from app.numerics.newton import NewtonResult, Solver
-from app.simulation import coarser_case
+from app.simulation import model as models
 from app.simulation.model import Model
 from app.stepping import coarse_start, load_steps
 from app.stepping.load_steps import LoadStep
@@ -79,13 +79,7 @@ def go(*overrides: str) -> tuple[Model, list[LoadStep]]:
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
     """Start from a cheaper model although this one is small."""
     for name, value in ALWAYS.items():
-        monkeypatch.setattr(coarser_case, name, value)
-
-
-def jumps(model: Model) -> Any:
-    """Jumps of the last step (n, 3) [mm]."""
-    j = model.mechanics.problem.contact
-    return j.state.jump
+        monkeypatch.setattr(models, name, value)
 
 
 def states(model: Model) -> Any:
@@ -97,30 +91,28 @@ def states(model: Model) -> Any:
 # Between load steps
 
 
-def test_proportional_loads_are_solved_once() -> None:
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("stages.0.increments=4",),
+        ("loads.push.history=[1, 1.5]", "stages=[{name: one}, {name: two}]"),
+    ],
+)
+def test_proportional_loads_are_solved_once(overrides: tuple[str, ...]) -> None:
     """Contact with friction is homogeneous: later steps need a correction of rounding at most."""
-    _, steps = go("stages.0.increments=4")
-    first, *later = (s.outcome.iterations for s in steps)
+    first, *later = (s.outcome.iterations for s in go(*overrides)[1])
     assert first > 3
-    assert max(later) <= 1
-
-
-def test_a_stage_in_proportion_to_the_one_before_is_solved_too() -> None:
-    """A stage begins with what the states before it span."""
-    _, steps = go("loads.push.history=[1, 1.5]", "stages=[{name: one}, {name: two}]")
-    first, then = (s.outcome.iterations for s in steps)
-    assert first > 3
-    assert then <= 1
+    assert later and max(later) <= 1
 
 
 def test_a_line_that_leads_away_is_not_followed() -> None:
     """Where the load turns back, the step starts from the state before it, not from the line."""
     turn = ("loads.push.history=[1, 0.9]", "stages=[{name: up}, {name: back}]")
-    model, steps = go("stages.0.increments=1")
-    expected = jumps(model)
-    model, steps = go(*turn)
+    straight, _ = go("stages.0.increments=1")
+    turned, steps = go(*turn)
     assert len(steps) == 2
-    assert 0 < support.difference(jumps(model), expected) < 0.2
+    found, expected = (m.mechanics.problem.contact.state.jump for m in (turned, straight))
+    assert 0 < support.difference(found, expected) < 0.2
 
 
 # From a cheaper model
@@ -136,7 +128,7 @@ def test_a_nested_start_changes_the_way_and_not_the_answer(
     is not to be coarser.
     """
     if AT_FIRST[0] in overrides:
-        monkeypatch.setattr(coarser_case, "COARSER", 1e3)
+        monkeypatch.setattr(models, "COARSER", 1e3)
     cold, first = go(*overrides)
     always(monkeypatch)
     warm, then = go(*overrides)
@@ -148,7 +140,7 @@ def test_a_nested_start_changes_the_way_and_not_the_answer(
 def test_the_error_is_of_the_model_that_the_start_is_from(monkeypatch: pytest.MonkeyPatch) -> None:
     """A companion of the cheaper model's mesh goes on from its states, to its own tolerance."""
     always(monkeypatch)
-    monkeypatch.setattr(coarser_case, "TOLERANCE", 1e-2)
+    monkeypatch.setattr(models, "TOLERANCE", 1e-2)
     model, _ = go()
     companion = support.case(STEM, "mesh.size=5 mm", "mesh.far_size=5 mm", "stages.0.increments=1")
     coarse = next(m for m in model._others if m._case.mesh.size == 5.0)
@@ -203,12 +195,13 @@ def test_the_first_step_is_one_of_newton_in_jumps_and_forces() -> None:
 def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither small nor bonded ones."""
     bonded = "interfaces={stem_cement: {kind: bonded}, cement_bone: {kind: bonded}}"
-    made = [Model(support.case(STEM, o), MPI.COMM_WORLD, {}, Timing(), str) for o in (bonded,)]
-    small = Model(support.case(STEM), MPI.COMM_WORLD, {}, Timing(), str)
+    tied, small = (
+        Model(support.case(STEM, *o), MPI.COMM_WORLD, {}, Timing(), str) for o in ((bonded,), ())
+    )
     assert len(small._predictors(small.mechanics)) == 1
     always(monkeypatch)
     assert len(small._predictors(small.mechanics)) == 2
-    assert len(made[0]._predictors(made[0].mechanics)) == 1
+    assert len(tied._predictors(tied.mechanics)) == 1
 
 
 @pytest.mark.parametrize(
@@ -226,11 +219,11 @@ def test_what_is_cheaper(
 ) -> None:
     text = support.CONFIGS.joinpath("stance.yaml").read_text()
     case = support.case(text, f"mesh.size={size} mm", f"mesh.order={order}")
-    other = coarser_case.cheaper(case, unknowns)
+    other = models.cheaper(case, unknowns)
     assert (other and (other.mesh.size, other.mesh.order)) == found
     if other is not None:
         assert other.mesh.far / other.mesh.size == pytest.approx(case.mesh.far / case.mesh.size)
-        assert other.geometry == case.geometry and other.solver.tolerance == coarser_case.TOLERANCE
+        assert other.geometry == case.geometry and other.solver.tolerance == models.TOLERANCE
 
 
 @pytest.mark.parametrize("error", [GeometryError("no such mesh"), StoppedError("stopped")])

@@ -46,27 +46,24 @@ def test_report_names_what_a_run_depends_on() -> None:
         assert rows[name], name
 
 
-def test_report_survives_missing_packages_and_programs(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(name: str) -> None:
-        raise ImportError(name)
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (ImportError("dolfinx"), "not installed: dolfinx, petsc4py"),
+        (OSError("libfoo.so: undefined symbol"), "unusable (OSError: libfoo.so: undefined symbol)"),
+    ],
+)
+def test_report_survives_missing_and_broken_packages_and_missing_programs(
+    error: Exception, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(name: str) -> None:
+        raise error
 
-    monkeypatch.setattr(doctor, "import_module", nothing)
+    monkeypatch.setattr(doctor, "import_module", fail)
     monkeypatch.setenv("PATH", "/nonexistent")
     text = doctor.report()
-    assert "dolfinx" in text
-    assert "missing" in text
-    found = "\n".join(doctor.problems())
-    assert "not installed: dolfinx, petsc4py" in found
-    assert "mpirun is missing" in found
-    assert "no C compiler" in found
-
-
-def test_report_survives_a_package_that_breaks(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(name: str) -> None:
-        raise OSError("libfoo.so: undefined symbol")
-
-    monkeypatch.setattr(doctor, "import_module", broken)
-    assert "unusable (OSError: libfoo.so: undefined symbol)" in doctor.report()
+    for words in (told, "mpirun is missing", "no C compiler"):
+        assert words in text
 
 
 def test_slow_settings_are_problems(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import signal
 
 import pytest
 
@@ -27,14 +26,11 @@ CRASH = (
 )
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [("", 1), ("-n 2", 2), ("-n16", 16), ("-n=16", 16), ("-n 2 -n3", 3)],
-)
-def test_ranks_are_told_before_and_behind_the_case(words: str, expected: int) -> None:
-    for line in (f"run a-n4 {words}", f"run {words} a-n4"):
-        options = parser().parse_args(line.split())
-        assert (options.n, str(options.case)) == (expected, "a-n4")
+def test_ranks_are_told_before_and_behind_the_case() -> None:
+    for words, n in {"": 1, "-n 2": 2, "-n16": 16, "-n=16": 16, "-n 2 -n3": 3}.items():
+        for line in (f"run a-n4 {words}", f"run {words} a-n4"):
+            options = parser().parse_args(line.split())
+            assert (options.n, str(options.case)) == (n, "a-n4")
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "two", "1.5", "²", ""])
@@ -73,19 +69,11 @@ def test_the_environment_of_the_user_and_of_a_scheduler_stays() -> None:
     assert not ranks.ONE_NODE.keys() & ranks.environment({"SLURM_JOB_ID": "1"}).keys()
 
 
-@pytest.mark.parametrize(
-    ("environ", "expected"),
-    [
-        ({"OMPI_COMM_WORLD_SIZE": "2", "OMPI_COMM_WORLD_LOCAL_SIZE": "2"}, "self,sm"),
-        ({"OMPI_COMM_WORLD_SIZE": "4", "OMPI_COMM_WORLD_LOCAL_SIZE": "2"}, None),
-        ({}, None),
-    ],
-)
-def test_only_ranks_of_one_node_do_without_a_network(
-    environ: dict[str, str], expected: str | None
-) -> None:
-    ranks.keep_quiet(environ)
-    assert environ.get("OMPI_MCA_btl") == expected
+def test_only_ranks_of_one_node_do_without_a_network() -> None:
+    for size, expected in (("2", "self,sm"), ("4", None)):
+        environ = {"OMPI_COMM_WORLD_SIZE": size, "OMPI_COMM_WORLD_LOCAL_SIZE": "2"}
+        ranks.keep_quiet(environ)
+        assert environ.get("OMPI_MCA_btl") == expected
 
 
 TABLE = RULE + "interface   gap\n" + RULE + "\nlast words without an end"
@@ -118,14 +106,3 @@ def test_banners_that_are_no_news_are_left_out(
     target = io.BytesIO()
     ranks.filter_messages(io.BytesIO(said.encode()), target, received)
     assert target.getvalue().decode() == left
-
-
-@pytest.mark.parametrize(("usual", "heard"), [(signal.SIG_IGN, False), (signal.SIG_DFL, True)])
-def test_a_run_under_nohup_goes_on_without_its_terminal(
-    usual: signal.Handlers, heard: bool
-) -> None:
-    before = signal.signal(signal.SIGHUP, usual)
-    try:
-        assert (signal.SIGHUP in ranks.stop_signals()) is heard
-    finally:
-        signal.signal(signal.SIGHUP, before)

@@ -40,7 +40,7 @@ def check(error: Any, refusal: Reason | None = None, runs: int = 1) -> Check:
 
 @pytest.fixture
 def done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Result:
-    monkeypatch.setattr(engine, "TimedRun", lambda result: result.folder)
+    monkeypatch.setattr(engine, "Run", lambda folder: folder)
     return Result(Job("one", tmp_path), tmp_path, 0, 1.5, {"status": "converged"}, "")
 
 
@@ -192,7 +192,7 @@ def test_timed_checks_run_in_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         return [Result(job, folder / job.name, 0, 1.0, summary, "") for job in jobs]
 
     monkeypatch.setattr(batch, "run", run)
-    monkeypatch.setattr(engine, "TimedRun", lambda result: result.folder)
+    monkeypatch.setattr(engine, "Run", lambda folder: folder)
     runs = (CheckRun("blocks.yaml", times=2), CheckRun("cylinders.yaml"))
     one = Check("one", "", runs, lambda runs: seen.extend(runs) or Sample(9.0), 1.0, timed=True)
     other = Check("other", "", runs, lambda runs: Sample(0.0), timed=True)  # of the same runs

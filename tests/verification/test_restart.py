@@ -11,11 +11,12 @@ import pytest
 from app.case.case import load
 from app.errors import StoppedError
 from app.results.reading import Run
-from app.simulation import coarser_case
+from app.simulation import model as models
 from app.simulation import session as running
 from app.simulation.session import run
 from app.system.folders import saved
 from tests import coupled, restarted, support
+from tests.parallel import test_ranks
 from tests.simulation import test_nested
 
 FIELDS = "output.fields=false"
@@ -47,7 +48,7 @@ def test_kinds_of_mechanics(tmp_path: Path, kind: str, steps: slice) -> None:
 
 def test_nested_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in test_nested.ALWAYS.items():
-        monkeypatch.setattr(coarser_case, name, value)
+        monkeypatch.setattr(models, name, value)
     options = (FIELDS, *test_nested.TURNS)
     case, files = restarted.whole(test_nested.STEM, tmp_path, *options)
     # Before the turn, which is where a cheaper model is asked.
@@ -126,6 +127,14 @@ def test_cure_and_what_it_leaves(tmp_path: Path, every: bool) -> None:
     case, files = restarted.whole(restarted.SETTING, tmp_path, FIELDS)
     for file in files if every else (files[len(files) // 2], files[-3]):
         restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, file, FIELDS))
+
+
+def test_mechanics_that_have_not_been_solved_yet(tmp_path: Path) -> None:
+    """The balance of energy begins at rest, not at the temperatures of the first checkpoint."""
+    steps = "time={tolerance: 0.5 K, mechanical_step: 10 K}"
+    options = ("stages.0.adaptive=true", steps)
+    case, files = restarted.whole(test_ranks.SETTING, tmp_path, *options)
+    restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, files[0], *options))
 
 
 def test_fields_go_on_in_their_file(tmp_path: Path) -> None:
