@@ -68,7 +68,7 @@ class Forces:
             b: load.work(v, OnBody(self._mechanics, b)) for b in range(len(self._bodies.names))
         }
         forms = {b: self._mechanics.form(w) for b, w in works.items() if w != 0}
-        return self._action({b: assembled_vector(form) for b, form in forms.items()})
+        return self.action((b, assembled_vector(form)) for b, form in forms.items())
 
     def _eigenstrain(self, e: Elastic, k: int) -> Action:
         """Nodal forces of an eigenstrain at full amplitude."""
@@ -78,12 +78,12 @@ class Forces:
         energy = mechanics.body_energy(body, mechanics.u, mechanics.cells())
         part = assembled_vector(mechanics.form(ufl.derivative(energy, mechanics.u, v)))
         part.scale(-1)
-        return self._action({body: part})
+        return self.action([(body, part)])
 
-    def _action(self, parts: Mapping[int, PETSc.Vec]) -> Action:
-        """Sum nodal forces on each body, on the displacement and on the jumps."""
+    def action(self, parts: Iterable[tuple[int, PETSc.Vec]]) -> Action:
+        """Forces on displacement and jumps, of nodal forces on bodies by number; collective."""
         total = self._sum([])
-        for body, part in parts.items():
+        for body, part in parts:
             nodal = part.array_r[: len(total.nodal)].copy()
             total.nodal[:] += nodal
             if self._contact and body in self._contact.coupling.jump_to_displacement:
@@ -104,7 +104,7 @@ class Forces:
 
     def set_eigenforces(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
         """Set the forces of the free strains of one cause: nodal forces on each body [N]."""
-        self._free[cause] = self._action(parts)
+        self._free[cause] = self.action(parts.items())
 
     def at(self, time: float) -> Action:
         """All forces at a time [N]."""
@@ -123,10 +123,15 @@ class Forces:
             for history, action in self._loads
         ]
 
-    def free_work(self, nodal: Floats) -> float:
-        """Half the work of the free strains' forces in a nodal displacement [N mm]; collective."""
-        work = sum(float(action.nodal @ nodal) / 2 for action in self._free.values())
-        return float(self.comm.allreduce(work, MPI.SUM))
+    def free_work(self, time: float, nodal: Floats, jump: Floats) -> float:
+        """Half the works of the forces of free strains in a motion [N mm]; collective.
+
+        Nothing cancels: the sum is that of their sizes. Displacement (3 nodes,), jumps (3 points,).
+        """
+        acting = [(amplitude(h, time), a) for h, a in self._eigenstrains]
+        acting += [(1.0, a) for a in self._free.values()]
+        works = [factor * (a.nodal @ nodal + a.jump @ jump) / 2 for factor, a in acting]
+        return float(np.abs(self.comm.allreduce(np.array(works), MPI.SUM)).sum())
 
 
 def _at_full(load: Load) -> Load:
