@@ -84,8 +84,8 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
     turned = (
         f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes inside "
-        "out: they are turned, and no cell overlaps its neighbours"
     )
+    turned += "out: they are turned, and no cell overlaps its neighbours"
     notes = {
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),

@@ -169,6 +169,17 @@ def estimate(
             size = max(abs(value), UNSETTLED * max(v for of, v in peaks if of == like))
             if (change := abs(value - coarser)) > UNSETTLED * size:
                 unsettled.append((change / max(size, abs(coarser)), f"{name}.{k}", values))
+    _put_in_zones(run, order, solved)
+    typical = float(np.median(changes)) if changes else 0.0
+    for numbers, key, least in raised:
+        own = f"{key}_error"
+        numbers[own] = max(numbers[own], least * typical * abs(numbers[key]))
+    worst = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
+    return {name: values for _, name, values in worst}
+
+
+def _put_in_zones(run: Numbers, order: int, solved: Others) -> None:
+    """Put errors beside the means of interfaces and the strain energy of Gruen zones."""
     for zone, numbers in run.get("gruen", {}).items():
         others = [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved]
         for name, own in numbers["interfaces"].items():
@@ -180,12 +191,6 @@ def estimate(
         errors = {region: _error(region, STRESS, order, density, found) for region in density}
         if known_errors := {region: e for region, e in errors.items() if e is not None}:
             numbers["strain_energy_density_error"] = known_errors
-    typical = float(np.median(changes)) if changes else 0.0
-    for numbers, key, least in raised:
-        own = f"{key}_error"
-        numbers[own] = max(numbers[own], least * typical * abs(numbers[key]))
-    worst = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
-    return {name: values for _, name, values in worst}
 
 
 def _put(numbers: Numbers, orders: Mapping[str, Orders], order: int, others: Others) -> None:
