@@ -149,8 +149,7 @@ def run(
             very configuration; take a checkpoint of another configuration.
         restart: Go on from a checkpoint: ``auto`` for the newest in the folder, or a file.
         walltime: Stop in time with the state saved [s].
-        signals: The process is mantle's own: signals save the state and stop the run, option files
-            are ignored, and one process at a time compiles forms. Else the host is left as it is.
+        signals: The process is ours: signals save the state and stop, option files are ignored.
         petsc_options: Raw options, as after ``--`` on the command line.
 
     Returns:

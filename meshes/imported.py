@@ -43,7 +43,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     Returns:
         Regions are the named physical volumes, boundaries the named physical surfaces on the
         exterior. ``notes`` name interior surfaces (no boundaries), count cells without a region
-        (left out), and list repairs and ignored entities (``told``).
+        (left out), and list repairs (``told``).
 
     Raises:
         GeometryError: A script that fails, no tetrahedra, other elements, missing or overlapping
@@ -82,10 +82,8 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     }
     boundaries = {name: mask for name, mask in masks.items() if mask.any()}
     data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
-    turned = (
-        f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes inside "
-    )
-    turned += "out: they are turned, and no cell overlaps its neighbours"
+    turned = f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes "
+    turned += "inside out: they are turned, and no cell overlaps its neighbours"
     notes = {
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),
