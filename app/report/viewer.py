@@ -89,9 +89,9 @@ def packed(
     """Pack the input of `viewer.js`: a head with the offsets of the arrays, and all their numbers.
 
     Numbers are little-endian: positions (n, 3) and values (n,) as 16-bit fractions of their range,
-    corners of triangles, and of cells that fill a cut, as 32-bit indices. Beyond ``most_bytes`` only
-    corners and the last stages are drawn, and cuts stay open. Fields of ``minus``, a run on the same
-    mesh, are subtracted at the end of the stage of the same name, or of the last.
+    corners of triangles, and of cells that fill a cut, as 32-bit indices. Beyond ``most_bytes``
+    only corners and the last stages are drawn, and cuts stay open. Fields of ``minus``, a run on
+    the same mesh, are subtracted at the end of the stage of the same name, or of the last.
     """
     ends, kinds = run.written_stages, _kinds(run)
     if minus is not None:
