@@ -149,9 +149,7 @@ def run(
             very configuration; take a checkpoint of another configuration.
         restart: Go on from a checkpoint: ``auto`` for the newest in the folder, or a file.
         walltime: Stop in time with the state saved [s].
-        signals: The process is mantle's own: SIGINT, SIGTERM, SIGHUP and SIGUSR1 save the state
-            and stop the run, dolfinx's option files are ignored, and forms are compiled by one
-            process at a time. Without it nothing of the host is changed.
+        signals: The process is ours: signals save the state and stop, option files are ignored.
         petsc_options: Raw options, as after ``--`` on the command line.
 
     Returns:

@@ -4,12 +4,9 @@
 the dolfinx mesh of them, ``meshes.picture.picture`` draws them. gmsh, scipy and dolfinx are
 imported when used, so that checking a configuration needs none of them.
 
-For femurs gmsh makes a straight reference body (``meshes.reference_body``), whose nodes a map puts
-on surfaces that are functions of angle and section (``meshes.swept``, ``meshes.femur_surfaces``).
-Sections of bone must be star-shaped about the stem's axis: a line that meets a surface twice is
-refused with its place. Radii may come from any function of angle and height, positions from any
-point on the stem's outline; so other bones, stems and mantles need other functions and no other
-mesher.
+``docs/mesh.md`` tells how femurs are meshed. Radii may come from any function of angle and height,
+positions from any point on the stem's outline: other bones, stems and mantles need other functions
+and no other mesher.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.arrays import Bools, Floats, Ints
-from meshes.data import connected
+from meshes.data import connected, cross, tangents
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -104,17 +104,14 @@ def sorted_facets(
 
 def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
     """Unit normals (f, q, 3) and area elements (f, q) of facets at barycentric points (q, 3)."""
-    # Derivatives of the shape functions by the barycentric coordinates (q, nodes, 3).
-    d = np.broadcast_to(np.eye(3), (len(at), 3, 3))
     if x.shape[1] == 6:
-        vertices = (4 * at[:, :, None] - 1) * np.eye(3)
-        middles = 4 * at[:, [2, 0, 1]][:, :, None] * np.eye(3)[[1, 2, 0]]
-        middles += 4 * at[:, [1, 2, 0]][:, :, None] * np.eye(3)[[2, 0, 1]]
-        d = np.concatenate([vertices, middles], axis=1)
-    t = np.einsum("qnk,fni->fqki", d, x)
-    cross = np.cross(t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0])
-    size = np.linalg.norm(cross, axis=2)
-    return cross / size[:, :, None], size
+        a, b = tangents(x, at, ((1, 2), (2, 0), (0, 1)))
+    else:
+        flat = (x[:, 1:] - x[:, :1]).transpose(1, 2, 0)[..., None]
+        a, b = np.broadcast_to(flat, (*flat.shape[:3], len(at)))
+    normal = np.moveaxis(cross(a, b), 0, -1)
+    size = np.linalg.norm(normal, axis=2)
+    return normal / size[:, :, None], size
 
 
 def nodal_normals(x: Floats, inside: Floats, at: Floats) -> Floats:

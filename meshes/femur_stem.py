@@ -80,13 +80,9 @@ class Body:
 
     def offset(self, thickness: float) -> Body:
         """The surface at a distance: exact on the flats, within t (1/cos - 1) at the corners."""
-        grown = (
-            thickness / math.cos(math.atan(self.slope[0])),
-            thickness / math.cos(math.atan(self.slope[1])),
-            thickness,
-        )
-        values = tuple(v + g for v, g in zip(self.half, grown, strict=True))
-        return Body((values[0], values[1], values[2]), self.slope)
+        a, b, r = self.half
+        across = [thickness / math.cos(math.atan(slope)) for slope in self.slope[:2]]
+        return Body((a + across[0], b + across[1], r + thickness), self.slope)
 
 
 def body(geometry: Any) -> Body:

@@ -7,14 +7,10 @@ process, on copies, with limits of memory and time.
 
 from __future__ import annotations
 
-import io
 import json
-import math
 import os
 import resource
-import subprocess
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,9 +33,8 @@ GROWTH = 0.4  # mm of element size per mm of distance from an interface
 MOST_EDGES = 20_000
 SECONDS = 3600
 WRITTEN = 1 << 30  # bytes in a file
-# Nodes of triangles and tetrahedra, straight and quadratic, by gmsh's number of the type.
-_NODES = {2: 3, 9: 6, 4: 4, 11: 10}
-_SERVE = "from meshes.gmsh_child import serve; serve()"
+# Nodes of triangles, tetrahedra (straight and quadratic) and prisms, by gmsh's number of the type.
+_NODES = {2: 3, 9: 6, 4: 4, 11: 10, 6: 6}
 
 
 @contextmanager
@@ -123,111 +118,30 @@ def tetrahedra(gmsh: Any, curved: bool) -> tuple[Floats, Ints, Ints]:
     gmsh.model.mesh.generate(3)
     if curved:
         gmsh.model.mesh.setOrder(2)
-    points, row = _nodes(gmsh)
+    points, row = nodes(gmsh)
     volumes = [volume for _, volume in gmsh.model.getEntities(3)]
-    blocks = [_elements(gmsh, 11 if curved else 4, [volume], row) for volume in volumes]
+    blocks = [elements(gmsh, 11 if curved else 4, [volume], row) for volume in volumes]
     cells = np.concatenate(blocks)
     if curved:
         points = untangle(points, cells)
     return points, cells, np.repeat(volumes, [*map(len, blocks)])
 
 
-def _nodes(gmsh: Any) -> tuple[Floats, Ints]:
+def nodes(gmsh: Any) -> tuple[Floats, Ints]:
     """Nodes (n, 3), and the row of each by its number, which begin with 1 from then on (n,)."""
     gmsh.model.mesh.renumberNodes()
     numbers, coordinates, _ = gmsh.model.mesh.getNodes()
     return coordinates.reshape(-1, 3), np.argsort(numbers)
 
 
-def _elements(gmsh: Any, kind: int, entities: Iterable[int], row: Ints) -> Ints:
-    """Nodes of the elements of a type in entities (k, 3, 4, 6 or 10)."""
+def elements(gmsh: Any, kind: int, entities: Iterable[int], row: Ints) -> Ints:
+    """Nodes of the elements of a type in entities (k, nodes)."""
     found = [gmsh.model.mesh.getElementsByType(kind, entity)[1] for entity in entities]
     return row[np.concatenate(found).astype(np.int64) - 1].reshape(-1, _NODES[kind])
 
 
-# ------------------------------------------------------------------------------- files of others
-
-
-def read(geometry: Any, mesh: Any) -> dict[str, Any]:
-    """Read a ``.msh`` file, or mesh a script, in a child process.
-
-    Args:
-        geometry: ``path``, ``unit``, ``interfaces``, ``content`` and ``copy_files``.
-        mesh: ``size``, ``far_size`` [mm], ``curved`` for a script.
-
-    Returns:
-        ``points``: nodes (n, 3), in the unit of the file; ``cells NAME``: cells of a region (m, 4
-        or 10); ``surfaces NAME``: triangles of a physical surface (k, 3 or 6); ``everything``:
-        number of cells, including cells without a region.
-
-    Raises:
-        GeometryError: Other elements, missing physical groups (with the names found), gmsh fails,
-            the file changes meanwhile.
-    """
-    path = geometry.path
-    with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
-        if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
-            raise GeometryError(f"{path} has changed since it was looked at: run it again")
-        request = {
-            "path": str(path),
-            "script": geometry.is_script,
-            "size": mesh.size,
-            "far_size": mesh.far_size or 4 * mesh.size,
-            "curved": mesh.curved,
-            "unit": MILLIMETRES[geometry.unit],
-            "regions": geometry.region_names,
-        }
-        try:
-            done = subprocess.run(
-                [sys.executable, "-P", "-c", _SERVE],
-                input=json.dumps(request).encode(),
-                cwd=folder,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                timeout=SECONDS,
-            )
-        except subprocess.TimeoutExpired as error:
-            raise GeometryError(f"{path}: gmsh took more than {SECONDS} s") from error
-    if done.returncode:
-        raise GeometryError(
-            f"{path}: gmsh crashed: the file is damaged or too large (limits are {SECONDS} s and "
-            "the memory of the machine)"
-        )
-    # No pickle: a file may have forged the answer.
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as answer:
-        found = dict(answer)
-    if "error" in found:
-        raise GeometryError(_not_numbers(path) or str(found["error"]))
-    return found
-
-
-def _not_numbers(path: Path) -> str:
-    """Line and node of the first coordinates in a file of text that are no numbers, or nothing."""
-    lines = path.read_text("utf-8", "replace").splitlines()
-    version, kind = (*lines[1].split(), "", "")[:2] if lines[1:] else ("", "")
-    if kind != "0" or "$Nodes" not in lines:  # binary, or a script
-        return ""
-    at, names = lines.index("$Nodes") + 2, list[str]()
-    for number, words in enumerate(map(str.split, lines[at:]), at + 1):
-        if words[:1] == ["$EndNodes"]:
-            break
-        if len(words) == 1:  # the nodes of a block in format 4.1, before their coordinates
-            names += words
-        if len(words) != (4 if version == "2.2" else 3):
-            continue
-        name = words[0] if version == "2.2" else names.pop(0)
-        try:
-            good = all(map(math.isfinite, map(float, words[-3:])))
-        except ValueError:
-            good = False
-        if not good:
-            where, x = f"{path}:{number}: node {name}", " ".join(words[-3:])
-            return f"{where}: the coordinates {x} are no numbers"
-    return ""
-
-
 def serve() -> None:
-    """Answer the request on standard input, within the limits."""
+    """Answer the request on standard input, within the limits: arrays by name, or an error."""
     request = json.load(sys.stdin)
     answer = os.dup(1)
     os.dup2(2, 1)  # scripts print
@@ -248,7 +162,13 @@ def serve() -> None:
 
 
 def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Read the requested arrays from the file, by name."""
+    """Read a ``.msh`` file, or mesh a script.
+
+    Returns:
+        ``points``: nodes (n, 3), in the unit of the file; ``cells NAME``: cells of a region (m, 4
+        or 10); ``surfaces NAME``: triangles of a physical surface (k, 3 or 6); ``everything``:
+        number of cells, including cells without a region.
+    """
     path = Path(request["path"])
     with session(path.name) as gmsh:
         if request["script"]:
@@ -277,21 +197,17 @@ def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
         numbers, x, _ = mesh.getNodes()
         if len(bad := numbers[~np.isfinite(x.reshape(-1, 3)).all(axis=1)]):
             raise GeometryError(f"{path}: node {bad[0]}: its coordinates are no numbers")
-        points, row = _nodes(gmsh)
+        points, row = nodes(gmsh)
         tet, triangle = (11, 9) if 11 in kinds else (4, 2)
-        cells = {name: _elements(gmsh, tet, on, row) for name, on in sorted(regions.items())}
+        cells = {name: elements(gmsh, tet, on, row) for name, on in sorted(regions.items())}
         if absent := [n for n in request["regions"] if not len(cells.get(n, ()))]:
             raise GeometryError(f"{found}; no cells in the volumes {_listed(absent)}")
         _, tags, _ = mesh.getElements(3)
-        return {
-            "points": points,
-            "everything": np.array(sum(map(len, tags))),
-            **{f"cells {name}": block for name, block in cells.items() if len(block)},
-            **{
-                f"surfaces {name}": _elements(gmsh, triangle, on, row)
-                for name, on in surfaces.items()
-            },
-        }
+        arrays = {"points": points, "everything": np.array(sum(map(len, tags)))}
+        arrays |= {f"cells {name}": block for name, block in cells.items() if len(block)}
+        for name, on in surfaces.items():
+            arrays[f"surfaces {name}"] = elements(gmsh, triangle, on, row)
+        return arrays
 
 
 def _run_script(gmsh: Any, request: Mapping[str, Any]) -> None:

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import json
+import math
+import subprocess
+import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +24,10 @@ from meshes.data import (
     number,
     same_triangles,
 )
-from meshes.gmsh_child import MILLIMETRES, read, session
+from meshes.gmsh_child import MILLIMETRES, SECONDS, session
 from meshes.quality import bent, overlapping, places, untangle
 
+_SERVE = "from meshes.gmsh_child import serve; serve()"
 # Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
 
@@ -36,13 +43,13 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     Returns:
         Regions are the named physical volumes, boundaries the named physical surfaces on the
         exterior. ``notes`` name interior surfaces (no boundaries), count cells without a region
-        (left out), and list repairs and ignored entities (``told``).
+        (left out), and list repairs (``told``).
 
     Raises:
         GeometryError: A script that fails, no tetrahedra, other elements, missing or overlapping
-            physical groups (with the names found), cells that overlap.
+            physical groups (with the names found), cells that overlap, a file that changes.
     """
-    found, path = read(geometry, mesh), geometry.path
+    found, path = _read(geometry, mesh), geometry.path
     blocks, surfaces = (
         {key.removeprefix(kind): block for key, block in found.items() if key.startswith(kind)}
         for kind in ("cells ", "surfaces ")
@@ -75,10 +82,8 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     }
     boundaries = {name: mask for name, mask in masks.items() if mask.any()}
     data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
-    turned = (
-        f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes inside "
-        "out: they are turned, and no cell overlaps its neighbours"
-    )
+    turned = f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes "
+    turned += "inside out: they are turned, and no cell overlaps its neighbours"
     notes = {
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),
@@ -86,6 +91,69 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "told": [turned] if negative.any() else [],
     }
     return replace(data, notes=notes)
+
+
+def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
+    """Arrays of the file by name, as a child process finds them (`meshes.gmsh_child.serve`)."""
+    path = geometry.path
+    with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
+        if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
+            raise GeometryError(f"{path} has changed since it was looked at: run it again")
+        request = {
+            "path": str(path),
+            "script": geometry.is_script,
+            "size": mesh.size,
+            "far_size": mesh.far_size or 4 * mesh.size,
+            "curved": mesh.curved,
+            "unit": MILLIMETRES[geometry.unit],
+            "regions": geometry.region_names,
+        }
+        try:
+            answer = subprocess.run(
+                [sys.executable, "-P", "-c", _SERVE],
+                input=json.dumps(request).encode(),
+                cwd=folder,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                timeout=SECONDS,
+                check=True,
+            ).stdout
+        except subprocess.SubprocessError as error:
+            raise GeometryError(
+                f"{path}: gmsh crashed or was stopped: the file is damaged or too large (limits "
+                f"are {SECONDS} s and the memory of the machine)"
+            ) from error
+    # No pickle: a file may have forged the answer.
+    with np.load(io.BytesIO(answer), allow_pickle=False) as arrays:
+        found = dict(arrays)
+    if "error" in found:
+        raise GeometryError(_not_numbers(path) or str(found["error"]))
+    return found
+
+
+def _not_numbers(path: Path) -> str:
+    """Line and node of the first coordinates in a file of text that are no numbers, or nothing."""
+    lines = path.read_text("utf-8", "replace").splitlines()
+    version, kind = (*lines[1].split(), "", "")[:2] if lines[1:] else ("", "")
+    if kind != "0" or "$Nodes" not in lines:  # binary, or a script
+        return ""
+    at, names = lines.index("$Nodes") + 2, list[str]()
+    for line, words in enumerate(map(str.split, lines[at:]), at + 1):
+        if words[:1] == ["$EndNodes"]:
+            break
+        if len(words) == 1:  # the nodes of a block in format 4.1, before their coordinates
+            names += words
+        if len(words) != (4 if version == "2.2" else 3):
+            continue
+        name = words[0] if version == "2.2" else names.pop(0)
+        try:
+            good = all(map(math.isfinite, map(float, words[-3:])))
+        except ValueError:
+            good = False
+        if not good:
+            where, x = f"{path}:{line}: node {name}", " ".join(words[-3:])
+            return f"{where}: the coordinates {x} are no numbers"
+    return ""
 
 
 def write(data: MeshData, path: Path) -> None:

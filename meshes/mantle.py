@@ -83,24 +83,39 @@ def triangles(points: Floats, facets: Ints) -> Floats:
 
 def distance(points: Floats, surface: Floats) -> Floats:
     """Distance of points (n, 3) from the triangles (m, 3, 3) nearest to them [mm]."""
+    found, weights = nearest(points, surface)
+    return np.linalg.norm(np.einsum("nk,nki->ni", weights, surface[found]) - points, axis=1)
+
+
+def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
+    """Nearest triangle (m, 3, 3) of each point (n, 3), and barycentric coordinates there (n, 3)."""
     a, b, c = surface.transpose(1, 0, 2)
     # Candidates by the distance to vertices, edge middles and centres.
     samples = np.concatenate([a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3])
     _, found = cKDTree(samples).query(points, k=NEAREST)
-    found = found % len(surface)
-    return np.min([_to_triangle(points, a[f], b[f], c[f]) for f in found.T], axis=0)
+    best, least = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
+    weights = np.zeros((len(points), 3))
+    for candidate in (found % len(surface)).T:
+        at = _foot(points, surface[candidate])
+        off = np.linalg.norm(np.einsum("nk,nki->ni", at, surface[candidate]) - points, axis=1)
+        nearer = off < least
+        best[nearer], least[nearer], weights[nearer] = candidate[nearer], off[nearer], at[nearer]
+    return best, weights
 
 
-def _to_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
-    """Distance of each point p from the triangle a, b, c; all of shape (n, 3)."""
-    normal = np.cross(b - a, c - a)
-    size = np.linalg.norm(normal, axis=1)
-    result = np.abs(np.sum((p - a) * normal, axis=1)) / size
-    inside = np.ones(len(p), dtype=bool)
-    edges = np.full(len(p), np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        side = end - start
-        inside &= np.sum(np.cross(side, p - start) * normal, axis=1) >= 0
-        s = np.clip(np.sum((p - start) * side, axis=1) / np.sum(side * side, axis=1), 0.0, 1.0)
-        edges = np.minimum(edges, np.linalg.norm(p - start - s[:, None] * side, axis=1))
-    return np.where(inside, result, edges)
+def _foot(x: Floats, corners: Floats) -> Floats:
+    """Barycentric coordinates (n, 3) of the point of each triangle nearest to x (n, 3)."""
+    edges, off = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
+    along = np.einsum("nki,nki->nk", off, edges) / np.einsum("nki,nki->nk", edges, edges)
+    # The foot of the perpendicular, if it is inside, by products of two edges and the way to x.
+    a, b, d = edges[:, 0], -edges[:, 2], off[:, 0]
+    aa, ab, bb, da, db = (
+        np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (a, b), (b, b), (d, a), (d, b))
+    )
+    v, w = bb * da - ab * db, aa * db - ab * da
+    inner = np.stack([aa * bb - ab**2 - v - w, v, w], axis=1) / (aa * bb - ab**2)[:, None]
+    s = np.clip(along, 0.0, 1.0)[:, :, None]
+    on_edges = (1 - s) * np.eye(3) + s * np.roll(np.eye(3), 1, axis=1)
+    away = np.linalg.norm(np.einsum("nek,nki->nei", on_edges, corners) - x[:, None], axis=2)
+    edge = on_edges[np.arange(len(x)), away.argmin(axis=1)]
+    return np.where((inner >= 0).all(axis=1)[:, None], inner, edge)

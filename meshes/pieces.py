@@ -16,7 +16,6 @@ from app.arrays import Floats, Ints
 from meshes.contact_facets import NODES, nodal_normals, shape_functions, surface
 from meshes.data import (
     MeshData,
-    boundary_areas,
     cell_faces,
     cell_volumes,
     components,
@@ -101,25 +100,29 @@ class Parts:
         joined: Pairs of pieces of one region that share nodes.
         boundaries: For each boundary and piece the nodes of the piece on it (n,).
         normals: Mean unit normals at the nodes of some boundaries, zero elsewhere (n, 3).
-        boundary_areas: Area of each boundary [mm2].
-        x: Coordinates of all nodes (n, 3) [mm].
-        corners: Corner nodes of the cells of each region (n, 4).
-        interfaces: Corner nodes of the facets of each interface (n,).
         doubled: Positions of coincident nodes of each pair of regions (n, 3) [mm].
-        told: Repairs and omissions of the mesher.
     """
 
+    data: MeshData
     pieces: tuple[Piece, ...]
     touches: tuple[Touch, ...]
     joined: frozenset[tuple[int, int]]
     boundaries: Mapping[str, Mapping[int, Ints]]
     normals: Mapping[str, Floats]
-    boundary_areas: Mapping[str, float]
-    x: Floats
-    corners: Mapping[str, Ints]
-    interfaces: Mapping[str, Ints]
     doubled: Mapping[tuple[str, str], Floats]
-    told: tuple[str, ...] = ()
+
+    @property
+    def x(self) -> Floats:
+        """Coordinates of all nodes (n, 3) [mm]."""
+        return self.data.points
+
+    def corners_of(self, region: str) -> Ints:
+        """Corner nodes of the cells of a region (n, 4)."""
+        return self.data.cells[self.data.cell_tags == self.data.regions[region], :4]
+
+    def on_interface(self, name: str) -> Ints:
+        """Corner nodes of the facets of an interface (n,)."""
+        return np.unique(interface_facets(self.data, name)[0][:, :3])
 
 
 def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = ()) -> Parts:
@@ -161,22 +164,13 @@ def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = 
         pieces.append(Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, part))
     rows = np.flatnonzero(mine < other)
     return Parts(
+        data=data,
         pieces=tuple(pieces),
         touches=tuple(_touches(data.points, faces[rows], mine[rows], other[rows])),
         joined=_joined(data.cells, piece, pieces),
         boundaries={name: _nodes_on(data, name, piece_of_facet) for name in data.boundaries},
         normals={name: _normals(data, name, cell_of_facet, middles) for name in curved},
-        boundary_areas=boundary_areas(data),
-        x=data.points,
-        corners={
-            name: data.cells[data.cell_tags == tag, :4].astype(np.int32)
-            for tag, name in names.items()
-        },
-        interfaces={
-            name: np.unique(interface_facets(data, name)[0][:, :3]) for name in data.interfaces
-        },
         doubled=_doubled(data, piece, pieces),
-        told=tuple(data.notes.get("told", ())),
     )
 
 

@@ -16,11 +16,10 @@ from meshes.data import (
     Tags,
     cell_faces,
     cross,
-    determinants,
     dot,
     edge_vectors,
-    jacobians,
     match_faces,
+    tangents,
 )
 
 BAD = 0.01  # below: refused
@@ -29,14 +28,6 @@ WORST_SHOWN = 5
 STEPS = 7  # halvings of a bend; what is still bad then is made straight
 ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be off
 
-# Columns: the edges of a regular tetrahedron of edge 1 from its first vertex.
-_REGULAR = np.array(
-    [
-        [1.0, 0.5, 0.5],
-        [0.0, np.sqrt(3) / 2, np.sqrt(3) / 6],
-        [0.0, 0.0, np.sqrt(2 / 3)],
-    ]
-)
 _SAMPLES = np.vstack([np.eye(4), np.eye(4)[np.array(EDGES)].mean(axis=1), np.full((1, 4), 0.25)])
 
 
@@ -47,20 +38,12 @@ def sicn(points: Floats, cells: Ints) -> Floats:
     norms, gmsh's ``minSICN``; for curved cells the least value at the ten nodes and the centre.
     """
     if cells.shape[1] == 4:
-        return np.concatenate([_straight(*edges) for edges in edge_vectors(points, cells)])
-    a = jacobians(points, cells, _SAMPLES) @ np.linalg.inv(_REGULAR)
-    det = determinants(a)
-    # |A^-1| = |cofactor(A)| / |det A|, finite for flat cells
-    c0, c1, c2 = (np.cross(a[..., i], a[..., j]) for i, j in ((1, 2), (2, 0), (0, 1)))
-    cofactor = np.sqrt(sum(np.sum(c * c, axis=-1) for c in (c0, c1, c2)))
-    norm = np.sqrt(np.sum(a * a, axis=(-2, -1)))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        value = np.where(norm * cofactor > 0, 3 * det / (norm * cofactor), 0.0)
-    return value.min(axis=1)
+        return np.concatenate([_by_edges(*edges) for edges in edge_vectors(points, cells)])
+    return _by_edges(*tangents(points[cells], _SAMPLES, EDGES)).min(axis=1)
 
 
-def _straight(a: Floats, b: Floats, c: Floats) -> Floats:
-    """SICN of straight cells from the edges at their first corner (3, k); shape (k,).
+def _by_edges(a: Floats, b: Floats, c: Floats) -> Floats:
+    """SICN of straight cells from the edges at their first corner (3, ...).
 
     Both norms are sums over all edges and all faces: 18 V / sqrt(sum length^2 sum area^2).
     """

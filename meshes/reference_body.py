@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from app.arrays import Floats, Ints
-from meshes.gmsh_child import grade, session
+from meshes.gmsh_child import elements, grade, nodes, session
 
 # Part of y that x is sheared by: mirrored cells would be cut by either diagonal equally well, and
 # rounding would decide.
@@ -79,17 +79,9 @@ def make(outline: Floats, through: Sequence[int], segments: Sequence[Segment]) -
         edge = np.sqrt(((corners - np.roll(corners, 1, axis=0)) ** 2).sum(axis=1)).mean()
         grade(gmsh, (), COARSER * edge, COARSER * edge)
         gmsh.model.mesh.generate(3)
-        tags, nodes, _ = gmsh.model.mesh.getNodes()
-        prisms = [
-            np.concatenate(
-                [
-                    gmsh.model.mesh.getElementsByType(PRISM, volume)[1]
-                    for volume in gmsh.model.getEntitiesForPhysicalGroup(3, group)
-                ]
-            )
-            for group in range(1, len(names) + 1)
-        ]
-    x = nodes.reshape(-1, 3)
+        x, row = nodes(gmsh)
+        groups = [gmsh.model.getEntitiesForPhysicalGroup(3, k + 1) for k in range(len(names))]
+        prisms = [elements(gmsh, PRISM, volumes, row) for volumes in groups]
     rho = np.concatenate(
         [[1.0], *(1.0 + ring + np.arange(1, k + 1) / k for ring, k in enumerate(through))]
     )
@@ -99,16 +91,14 @@ def make(outline: Floats, through: Sequence[int], segments: Sequence[Segment]) -
     inside = inside[np.lexsort(np.round(inside, 6).T)]
     at = np.concatenate([lines, inside])
     column = cKDTree(at).query(x[:, :2])[1]
-    row = np.zeros(int(tags.max()) + 1, dtype=np.int64)
-    row[tags.astype(np.int64)] = np.arange(len(tags))
-    prism = row[np.concatenate(prisms).astype(np.int64)].reshape(-1, 6)
+    prism = np.concatenate(prisms)
     return ReferenceBody(
         rho=rho,
         weights=_mean_values(inside, corners),
         at=at - np.outer(at[:, 1], [SHEAR, 0.0]),
         columns=column[prism[:, :3]],
         slab=np.round(x[prism[:, 0], 2]).astype(np.int64),
-        region=np.repeat(np.arange(len(names)), [len(p) // 6 for p in prisms]),
+        region=np.repeat(np.arange(len(names)), [*map(len, prisms)]),
         names=names,
     )
 

@@ -8,6 +8,7 @@ computes it.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -115,10 +116,18 @@ class Quantity:
         return [f"{self.key}.{axis}" for axis in "xyz"] if self.vector else [self.key]
 
     def text(self, numbers: Mapping[str, Any]) -> str:
-        """Format the number: ``41.3 ± 1.8`` with its error, a dash if it is missing."""
-        known = (numbers.get(self.key), numbers.get(f"{self.key}_error"))
-        texts = [f"{self.factor * v:.{self.digits}f}" for v in known if v is not None]
-        return " ± ".join(texts) or "-"
+        """Format the number: ``41.3 ± 1.8`` with its error, a dash if it is missing.
+
+        Errors show one digit at least; one below two decimals more than usual is left out.
+        """
+        value, error = numbers.get(self.key), self.factor * (numbers.get(f"{self.key}_error") or 0)
+        if value is None:
+            return "-"
+        if error < 10.0 ** -(self.digits + 2):
+            return f"{self.factor * value:.{self.digits}f}"
+        digits = max(self.digits, -math.floor(math.log10(error)))
+        text = f"{self.factor * value:.{digits}f} ± {error:.{digits}f}"
+        return text + (" (not resolved)" if error > self.factor * abs(value) else "")
 
 
 PLACES = {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}

@@ -128,6 +128,17 @@ class CuringStress:
             loads.mechanical_work(σ, elasticity.strain(v)) * dx for _, dx in self._regions(body)
         )
 
+    def complementary_energy(self) -> Any:
+        """Energy that the stress would have in elastic regions of the current moduli [N mm]."""
+        mechanics, σ = self._mechanics, elasticity.symmetric(list(self._stress))
+        return sum(
+            ufl.inner(σ, σ)
+            / (2 * mechanics.growth[e.region] * mechanics.constant(max(e.moduli)))
+            * dx
+            for b in self.bodies
+            for e, dx in self._regions(b)
+        )
+
     def _prestress(self, body: int, v: Any) -> Any:
         ε = elasticity.strain(self._before[body])
         held = sum(

@@ -49,7 +49,7 @@ class Forces:
         known: Forces | None = None,
     ) -> None:
         self._mechanics, self._bodies, self._contact = mechanics, bodies, contact
-        self.comm = mechanics.mesh.comm
+        self.comm, self._given = mechanics.mesh.comm, scene.loads
         found: dict[Load, Action] = known._full if known else {}
         self._full: dict[Load, Action] = {
             _at_full(s): found.get(_at_full(s)) or self._load(s) for s in scene.loads
@@ -63,7 +63,7 @@ class Forces:
         self._free: dict[str, Action] = {}
 
     def _load(self, load: Load) -> Action:
-        return self._action(self._on_bodies(load))
+        return self.action(self._on_bodies(load).items())
 
     def _on_bodies(self, load: Load) -> dict[int, PETSc.Vec]:
         v = ufl.TestFunction(self._mechanics.space)
@@ -81,12 +81,12 @@ class Forces:
         energy = mechanics.body_energy(body, mechanics.u, mechanics.cells())
         part = assembled_vector(mechanics.form(ufl.derivative(energy, mechanics.u, v)))
         part.scale(-1)
-        return self._action({body: part})
+        return self.action([(body, part)])
 
-    def _action(self, parts: Mapping[int, PETSc.Vec]) -> Action:
-        """Sum nodal forces on each body, on the displacement and on the jumps."""
+    def action(self, parts: Iterable[tuple[int, PETSc.Vec]]) -> Action:
+        """Forces on displacement and jumps, of nodal forces on bodies by number; collective."""
         total = self._sum([])
-        for body, part in parts.items():
+        for body, part in parts:
             nodal = part.array_r[: len(total.nodal)].copy()
             total.nodal[:] += nodal
             if self._contact and body in self._contact.coupling.jump_to_displacement:
@@ -107,7 +107,7 @@ class Forces:
 
     def set_eigenforces(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
         """Set the forces of the free strains of one cause: nodal forces on each body [N]."""
-        self._free[cause] = self._action(parts)
+        self._free[cause] = self.action(parts.items())
 
     def at(self, time: float) -> Action:
         """All forces at a time [N]."""
@@ -130,15 +130,20 @@ class Forces:
         """Work of the loads in motions of own nodes (n, 3, k), by body (bodies, k); collective."""
         work = np.zeros((len(self._bodies.names), motions.shape[2]))
         flat = motions.reshape(-1, motions.shape[2])
-        for load, (history, _) in zip(self._mechanics.scene.loads, self._loads, strict=True):
+        for load in self._given:
             for body, nodal in self._on_bodies(_at_full(load)).items():
-                work[body] += amplitude(history, time) * (nodal.array_r[: len(flat)] @ flat)
+                work[body] += amplitude(load.history, time) * (nodal.array_r[: len(flat)] @ flat)
         return np.asarray(self.comm.allreduce(work))
 
-    def free_work(self, nodal: Floats) -> float:
-        """Half the work of the free strains' forces in a nodal displacement [N mm]; collective."""
-        work = sum(float(action.nodal @ nodal) / 2 for action in self._free.values())
-        return float(self.comm.allreduce(work, MPI.SUM))
+    def free_work(self, time: float, nodal: Floats, jump: Floats) -> float:
+        """Half the works of the forces of free strains in a motion [N mm]; collective.
+
+        Nothing cancels: the sum is that of their sizes. Displacement (3 nodes,), jumps (3 points,).
+        """
+        acting = [(amplitude(h, time), a) for h, a in self._eigenstrains]
+        acting += [(1.0, a) for a in self._free.values()]
+        works = [factor * (a.nodal @ nodal + a.jump @ jump) / 2 for factor, a in acting]
+        return float(np.abs(self.comm.allreduce(np.array(works), MPI.SUM)).sum())
 
 
 def _at_full(load: Load) -> Load:

@@ -20,7 +20,7 @@ from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.curing_stress import CuringStress
 from app.mechanics.external_forces import Forces
-from app.mechanics.stiffness import Stiffness
+from app.mechanics.stiffness import Stiffness, rounding
 from app.mechanics.thermal_strain import ThermalStrain
 from app.numerics.saved_state import node_keys
 from app.scene.bodies import bodies_of
@@ -228,6 +228,13 @@ class Problem:
             for forces in (self.contact.own.project_free(e), self.f_q):
                 scale += float(np.sqrt(self.comm.allreduce(float(np.sum(forces**2)), MPI.SUM)))
         return scale + float(reactions.norm())
+
+    def rounding(self, u: PETSc.Vec, q: PETSc.Vec | None = None) -> float:
+        """Residual by rounding alone, large for a stiff body that moves [N]."""
+        lost = rounding(self.stiffness.K, u)
+        if self.contact and q is not None:
+            lost += rounding(self.contact.coupling.D, q)
+        return lost
 
     # State
 

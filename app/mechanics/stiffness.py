@@ -89,7 +89,6 @@ class Stiffness:
         diagonal = K.getDiagonal()
         self.typical = float(diagonal.sum()) / diagonal.getSize()
         K.zeroRowsColumns(self.rows, diag=self.typical)
-        self._diagonal = K.getDiagonal()
         return K
 
     def update(self) -> None:
@@ -114,10 +113,6 @@ class Stiffness:
         self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))
         return True
 
-    def rounding(self, u: PETSc.Vec) -> float:
-        """Residual by rounding alone, large for a stiff body that moves [N]."""
-        return ROUNDING * float(np.finfo(float).eps) * (self._diagonal * u).norm()
-
     def prescribed(self, f: PETSc.Vec, amplitudes: Sequence[float]) -> Floats:
         """Prescribed displacements at amplitudes (n,); their forces are taken from f [N]."""
         given = np.zeros(len(f.array_r))
@@ -125,3 +120,8 @@ class Stiffness:
             given += a * unit
             f.axpy(-a, lift)
         return given
+
+
+def rounding(K: PETSc.Mat, u: PETSc.Vec) -> float:
+    """Rounding error of K u, from the terms of the diagonal."""
+    return ROUNDING * float(np.finfo(float).eps) * float((K.getDiagonal() * u).norm())

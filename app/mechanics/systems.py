@@ -63,7 +63,7 @@ class BondedSystem(System):
         """Out-of-balance forces, with their scale [N]."""
         problem, (u, *q) = self._problem, x
         scale = problem.force_scale(u, q[0] if q else None)
-        return [Measure(size(f), scale, problem.stiffness.rounding(u))]
+        return [Measure(size(f), scale, problem.rounding(u, *q))]
 
 
 class ContactSystem(BondedSystem):

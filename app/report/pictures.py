@@ -274,10 +274,7 @@ def sides(run: Run, folder: Path) -> list[Figure]:
     for suffix in ("png", "pdf"):
         figure.savefig(folder / f"{SIDES}.{suffix}", dpi=130)
     names = " and ".join(name.replace("_", "-") for name in shown)
-    caption = (
-        "Net slip in contact, opening and contact pressure at the end, on the inner body of each "
-        "interface."
-    )
+    caption = "Slip, opening and contact pressure at the end, on the inner body of each interface."
     text = f"Slip, gap and pressure of {names}, drawn on the surface from three sides."
     return [Figure(f"{SIDES}.png", "The interfaces from three sides", caption, text)]
 
@@ -303,7 +300,7 @@ def _three(ax: Any, x: Floats, triangles: Ints, values: Floats, colours: str) ->
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     high, left = corners[:, :, 2].max(), 0.0
-    room = 0.13 * np.ptp(corners[:, :, 2])  # for the word above each
+    room = 0.16 * np.ptp(corners[:, :, 2])  # for the word above each
     for view, ways in VIEWS.items():
         eye, right = (np.array(w) for w in ways)
         light = normal @ eye
@@ -313,14 +310,15 @@ def _three(ax: Any, x: Floats, triangles: Ints, values: Floats, colours: str) ->
             continue
         flat = np.stack([corners @ right, corners[:, :, 2]], axis=2)[order]
         low, wide = flat[:, :, 0].min(), np.ptp(flat[:, :, 0])
-        flat[:, :, 0] += left - low
+        box = max(1.3 * wide, room)
+        flat[:, :, 0] += left + (box - wide) / 2 - low
         shade = np.column_stack([*[1 - LIGHT * (1 - light[order])] * 3, np.ones(len(order))])
         paint = rgba[order] * shade
         drawn = PolyCollection(list(flat), facecolors=paint, edgecolors=paint, linewidths=0.2)
         drawn.set_rasterized(True)  # in files of lines: there are thousands
         ax.add_collection(drawn)
-        ax.text(left + wide / 2, high + 2, view, ha="center", va="bottom", fontsize=8)
-        left += max(1.3 * wide, room)
+        ax.text(left + box / 2, high + 2, view, ha="center", va="bottom", fontsize=8)
+        left += box
     ax.autoscale_view()
     ax.set_aspect("equal")
     ax.set_axis_off()

@@ -198,7 +198,7 @@
     // The colour of a value; what has none keeps the tint of its body.
     function colour(value, tint, into) {
       const [least, most] = v.span;
-      if (isNaN(value) || !(most > least)) return into.copy(tint);
+      if (isNaN(value) || !(most > least && most < Infinity)) return into.copy(tint);
       const part = (value - least) / (most - least) * (map.length - 1);
       const low = Math.max(0, Math.min(Math.floor(part), map.length - 2));
       return into.copy(map[low]).lerp(map[low + 1], part - low);
@@ -214,7 +214,7 @@
         }
         own.needsUpdate = true;
       }
-      legend.hidden = !(v.step && most >= least);
+      legend.hidden = !(v.step && most >= least && most < Infinity);
       highest.textContent = shown(most);
       lowest.textContent = shown(Math.abs(least) < 1e-9 * Math.abs(most) ? 0 : least);
       unit.textContent = v.step ? v.field.label + (v.field.unit ? " (" + v.field.unit + ")" : "") : "";

@@ -89,28 +89,16 @@ def packed(
     """Pack the input of `viewer.js`: a head with the offsets of the arrays, and all their numbers.
 
     Numbers are little-endian: positions (n, 3) and values (n,) as 16-bit fractions of their range,
-    corners of triangles, and of the cells that fill a cut, as 32-bit indices of positions.
-
-    Args:
-        run: The run to draw.
-        minus: A run on the same mesh whose fields are subtracted, at the end of the stage of the
-            same name, or of the last.
-        most_bytes: Limit of the numbers; beyond it only corners and the last stages are drawn, and
-            cut faces stay open.
+    corners of triangles, and of cells that fill a cut, as 32-bit indices. Beyond ``most_bytes``
+    only corners and the last stages are drawn, and cuts stay open. Fields of ``minus``, a run on
+    the same mesh, are subtracted at the end of the stage of the same name, or of the last.
     """
     ends, kinds = run.written_stages, _kinds(run)
     if minus is not None:
         ends = [s for s in ends if s == ends[-1] or s in minus.written_stages]
         kinds = [kind for kind in kinds if kind[0] in minus.point_fields]
-    every = {name: run.cells[run.region == k][:, :4] for name, k in run.regions.items()}
-    none = {name: run.cells[:0, :4] for name in every}
-    for curved, inside in ((True, every), (False, every), (True, none), (False, none)):
-        fine = outsides(run, curved)
-        nodes = np.unique(np.concatenate([a.ravel() for a in (*fine.values(), *inside.values())]))
-        # Three for the places, three for the displacement that deforms.
-        size = 2 * len(nodes) * (3 + len(ends) * (3 + len(kinds)))
-        if size + 16 * sum(map(len, inside.values())) <= most_bytes:
-            break
+    # Three for the places, three for the displacement that deforms.
+    fine, inside, nodes = _drawn(run, 2 * (3 + len(ends) * (3 + len(kinds))), most_bytes)
     ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
     numbers = bytearray()
 
@@ -154,6 +142,18 @@ def packed(
             steps.append({"at": add(parts), "min": least, "max": most})
         head["fields"].append({"name": name, "label": label, "unit": unit, "steps": steps})
     return head, bytes(numbers)
+
+
+def _drawn(run: Run, of_node: int, most: int) -> tuple[dict[str, Ints], dict[str, Ints], Ints]:
+    """Triangles and cells of the bodies, and their nodes; fewer where bytes exceed a limit."""
+    every = {name: run.cells[run.region == k][:, :4] for name, k in run.regions.items()}
+    none = {name: run.cells[:0, :4] for name in every}
+    for curved, inside in ((True, every), (False, every), (True, none), (False, none)):
+        fine = outsides(run, curved)
+        nodes = np.unique(np.concatenate([a.ravel() for a in (*fine.values(), *inside.values())]))
+        if of_node * len(nodes) + 16 * sum(map(len, inside.values())) <= most:
+            break
+    return fine, inside, nodes
 
 
 def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, float]:

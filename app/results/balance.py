@@ -32,6 +32,9 @@ from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from forms import elasticity, loads
 
+# Rounding of the assembled forces in units of the scale, whose hundredfold is still balanced.
+ROUNDING = 1e-10
+
 # Forces and the motions that they do work in.
 Pairs = list[tuple[Floats, Floats]]
 
@@ -42,13 +45,19 @@ class _State:
 
     external: Pairs  # loads, reactions and free strains with their motions
     setting: Pairs  # forces of curing regions with their displacement
-    energy: float  # stored by all ranks [N mm]
+    energy: float  # stored [N mm]
     outer: Floats  # loads, reactions and forces of springs (3 nodes,) [N]
     reaction: Floats  # reactions alone (3 nodes,) [N]
+    left: Floats  # forces on unknowns and jumps that nothing balances [N]
 
 
 class Balance:
     """Sums of force, moment and energy over the steps, relative to the largest so far.
+
+    What is left over is compared with what could be there: forces with loads, reactions, forces of
+    free strains and of contact, energy with the work of them all, even where each is in balance by
+    itself, and both with the rounding of the assembled terms, which is all that acts in a body that
+    has moved without strain.
 
     Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
@@ -67,16 +76,14 @@ class Balance:
         dx = mechanics.cells()
         v = ufl.TestFunction(problem.space)
         displacements = problem.displacements()
-        energy = [
-            (e, U)
-            for b, U in enumerate(displacements)
-            if (e := mechanics.body_energy(b, U, dx)) != 0
+        energy = {
+            b: e for b, U in enumerate(displacements) if (e := mechanics.body_energy(b, U, dx)) != 0
+        }
+        # Energy of all bodies, and its derivatives by body; a rigid body has none.
+        self._elastic = mechanics.form(sum(energy.values())) if energy else None
+        self._internal = [
+            (b, mechanics.form(ufl.derivative(e, displacements[b], v))) for b, e in energy.items()
         ]
-        # Energy of all bodies and its derivative; a rigid body has none.
-        self._elastic: tuple[fem.Form, fem.Form] | None = None
-        if energy:
-            forces = sum(ufl.derivative(e, U, v) for e, U in energy)
-            self._elastic = mechanics.form(sum(e for e, _ in energy)), mechanics.form(forces)
         self._strain_work = [
             (s.history, mechanics.form(self._work_of(e, elasticity.symmetric(s.strain))))
             for e in scene.elastic
@@ -88,10 +95,11 @@ class Balance:
             (free, mechanics.form(self._work_of(elastic[region], swelling)))
             for region, free in mechanics.swelling.items()
         ]
-        self._setting: list[tuple[fem.Function, fem.Form]] = []
+        self._setting: list[tuple[int, fem.Form]] = []
+        self._set: fem.Form | None = None
         if s := problem.setting:
-            forms = [(b, mechanics.form(s.internal_work(b, v))) for b in s.bodies]
-            self._setting = [(displacements[b], form) for b, form in forms]
+            self._set = mechanics.form(s.complementary_energy())
+            self._setting = [(b, mechanics.form(s.internal_work(b, v))) for b in s.bodies]
         # The traction k_i U_i of each bed of springs on each body.
         beds = [
             sum(k[i] * U[i] * v[i] for i in range(3)) * ds
@@ -104,9 +112,6 @@ class Balance:
             : len(problem.stiffness.constraints.reacting) // 3
         ]
         self._arm = nodes - about
-        ends = np.concatenate([sign * nodes for sign in (1, -1)], axis=1).max(0, initial=-np.inf)
-        problem.comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
-        self._diagonal = float(np.linalg.norm(ends[:3] + ends[3:]))
         self._rest = self._measure(problem.stiffness.K.createVecLeft(), None)
         self.begin()
 
@@ -130,20 +135,20 @@ class Balance:
 
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> _State:
         problem, constraints = self._problem, self._problem.stiffness.constraints
-        internal, energy = np.zeros(len(constraints.reacting)), 0.0
-        if self._elastic:
-            internal += self._assemble(self._elastic[1])
-            energy = problem.comm.allreduce(fem.assemble_scalar(self._elastic[0]))
-        setting = [
-            (self._assemble(form), U.x.array[: len(internal)].copy()) for U, form in self._setting
-        ]
-        internal += sum(forces for forces, _ in setting)
+        energy = fem.assemble_scalar(self._elastic) if self._elastic else 0.0
+        displacements = problem.displacements()
+        setting = [(b, assembled_vector(form)) for b, form in self._setting]
+        elastic = [(b, assembled_vector(form)) for b, form in self._internal]
+        inner = problem.forces.action([*elastic, *setting])
         acting = problem.forces.applied(problem.time)
-        reaction = np.where(constraints.reacting, internal - acting.nodal, 0.0)
-        jump = held_q = np.zeros_like(acting.jump)
+        left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)
+        reaction = np.where(constraints.reacting, left, 0.0)
+        loose = constraints.vector(PETSc.Vec().createWithArray(left, comm=problem.comm))
+        missing = held_q = jump
         if trial is not None:
             jump, e = trial.jump.ravel().copy(), trial.equilibrium
             held_q = (e - trial.contact.own.project_free(e)).ravel()
+            missing = inner.jump - acting.jump - e.ravel()
         outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()
         external = [(outer, displacement), (acting.jump + held_q, jump)]
         for free, form in self._swelling:
@@ -153,7 +158,9 @@ class Balance:
             strain = np.array([amplitude(history, problem.time)])
             external.append((np.array([fem.assemble_scalar(form)]), strain))
         springs = self._assemble(self._springs) if self._springs else 0.0
-        return _State(external, setting, float(energy), outer - springs, reaction)
+        set_in = [(f.array, displacements[b].x.array[: len(outer)].copy()) for b, f in setting]
+        left = np.concatenate([loose.array[~constraints.constrained], missing])
+        return _State(external, set_in, float(energy), outer - springs, reaction, left)
 
     @staticmethod
     def _assemble(form: fem.Form) -> Floats:
@@ -166,30 +173,36 @@ class Balance:
         self._last = new
         problem, comm = self._problem, self._problem.comm
         contact = trial.contact.state.work.sum() if trial else 0.0
-        local = [_work(old.external, new.external), _work(old.setting, new.setting), contact]
-        work, set_in, contact = comm.allreduce(np.array(local))
-        self._work, self._spent = self._work + float(work), self._spent + float(set_in)
-        spent = (new.energy, self._spent, float(contact))
-        free = problem.forces.free_work(new.external[0][1])
-        self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))
+        works = (_work(a, b) for a, b in ((old.external, new.external), (old.setting, new.setting)))
+        local = [*works, contact, new.energy]
+        work, set_in, *stored = comm.allreduce(np.array(local)).tolist()
+        self._work, self._spent = self._work + work, self._spent + set_in
+        spent = (self._spent, *stored)
+        (_, displacement), (_, jump), *_ = new.external
+        free = problem.forces.free_work(problem.time, displacement, jump)
+        held = comm.allreduce(fem.assemble_scalar(self._set)) if self._set else 0.0
+        q = PETSc.Vec().createWithArray(jump, comm=comm) if trial else None
+        rounding = problem.rounding(u, q) / ROUNDING
+        far = comm.allreduce(np.abs(displacement).max(initial=0.0), MPI.MAX)
+        sizes = (self._work, *spent, free, held, rounding * far)
+        self._scale = max(self._scale, *map(abs, sizes))
         self.energy = _relative(self._work - sum(spent), self._scale)
-        self._forces(new)
+        self._forces(new, max(problem.force_scale(u, q), rounding))
 
-    def _forces(self, new: _State) -> None:
+    def _forces(self, new: _State, scale: float) -> None:
         problem, comm = self._problem, self._problem.comm
         outer = new.outer.reshape(-1, 3)
         force, moment = comm.allreduce(
             np.array([outer.sum(axis=0), np.cross(self._arm, outer).sum(axis=0)])
         )
-        scale = float(sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.time)))
-        if not scale:
-            # Free strain alone leaves reactions of rounding.
-            scale = float(comm.allreduce(np.abs(new.reaction).sum(), MPI.SUM))
-            scale = max(scale, problem.load_size)
+        loads = sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.time))
+        reactions = comm.allreduce(np.abs(new.reaction).sum(), MPI.SUM)
         # After unloading only forces of rounding are left.
-        scale = self._largest = max(self._largest, scale)
-        self.force = _relative(float(np.linalg.norm(force)), scale)
-        self.moment = _relative(float(np.linalg.norm(moment)), scale * self._diagonal)
+        scale = self._largest = max(self._largest, scale, float(loads), float(reactions))
+        left = float(np.sqrt(comm.allreduce(new.left @ new.left)))
+        self.force = _relative(max(left, float(np.linalg.norm(force))), scale)
+        far = comm.allreduce(np.linalg.norm(self._arm, axis=1).max(initial=0.0), MPI.MAX)
+        self.moment = _relative(float(np.linalg.norm(moment)), scale * float(far))
 
 
 def _work(old: Pairs, new: Pairs) -> float:

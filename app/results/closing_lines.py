@@ -194,6 +194,8 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
         half, worst = (100 * shares[key] for key in (share[len(share) // 2], share[-1]))
         text = f"half of the percentiles within ± {half:.2g} %"
         text += f", the least sure ({share[-1]}) within ± {worst:.2g} %"
+        if within := estimated.get("within"):
+            text += f"; about {10 * within:.0f} of 10 such numbers lie within their ±"
     of = estimated.get("of", BOTH)
     return Verdict(f"{of}: {text}" + ("" if of == BOTH else "; error of the mesh not estimated"))
 

@@ -311,6 +311,7 @@ def _errors(
         log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
     return {
         "companions": [str(c) for c, _ in solved],
+        "within": error_estimate.WITHIN[case.mesh.order - 1],
         "of": error_estimate.error_sources([c for c, _ in solved]),
         "failed": failed,
         "unsettled": error_estimate.estimate(summary, case, solved),

@@ -56,7 +56,7 @@ def gaps_of(case: Case, found: Parts) -> dict[str, Floats]:
     """Gap at full amplitude at the nodes of each contact interface (n,) [mm]."""
     laws: Mapping[str, Any] = case.interfaces
     return {
-        name: field(f"interfaces.{name}.gap", law.initial_gap[0])(found.x[found.interfaces[name]])
+        name: field(f"interfaces.{name}.gap", law.initial_gap[0])(found.x[found.on_interface(name)])
         for name, law in laws.items()
         if law.can_open
     }

@@ -21,6 +21,7 @@ from app.laws.materials import Conductor, Rigid
 from app.soundness.loose_bodies import BodiesOnMesh
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
 from app.system.layout import point_text
+from meshes.data import boundary_areas
 from meshes.pieces import Parts, parts
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def judge(case: Case, found: Parts) -> list[str]:
     Raises:
         InputError: It cannot be solved: with all the reasons.
     """
-    notes = [*found.told, *_cracks(case, found), *_size(case, found)]
+    notes = [*found.data.notes.get("told", ()), *_cracks(case, found), *_size(case, found)]
     if errors := _on_axis(case, found):
         raise InputError(errors)
     if all(isinstance(region, Conductor) for region in case.regions.values()):
@@ -134,7 +135,7 @@ def _on_axis(case: Case, found: Parts) -> list[str]:
             fibre = getattr(owner, "fibre", None)
             if not isinstance(fibre, Circumferential):
                 continue
-            cells = found.corners[name]
+            cells = found.corners_of(name)
             met = _meets(found.x[cells], np.array(fibre.axis), np.array(fibre.through))
             if met.any():
                 middle = found.x[cells[np.argmax(met)]].mean(axis=0)
@@ -173,7 +174,7 @@ def _clamped(case: Case, found: Parts) -> list[str]:
                     if found.pieces[piece].region in side:
                         d = directions(s, found, nodes)
                         here[nodes] += d.swapaxes(1, 2) @ d
-            held.append(np.linalg.eigvalsh(here[found.interfaces[name]])[:, 0] > SAME)
+            held.append(np.linalg.eigvalsh(here[found.on_interface(name)])[:, 0] > SAME)
         both = float(np.mean(np.logical_and(*held)))
         if both > MOSTLY:
             notes.append(
@@ -187,10 +188,10 @@ def _not_enforced(case: Case, found: Parts) -> list[str]:
     """Vertices at which interfaces go round in a circle of bodies: one follows from the others."""
     on = [name for name, law in case.interfaces.items() if law.can_part]
     groups = {frozenset(found.pieces[p].region for p in g) for g in groups_of(case, found)}
-    here = np.array([np.isin(np.arange(len(found.x)), found.interfaces[n]) for n in on])
+    here = np.array([np.isin(np.arange(len(found.x)), found.on_interface(n)) for n in on])
     bodies = np.zeros(len(found.x), dtype=int)
     for regions in groups:
-        bodies[np.unique(np.concatenate([found.corners[r] for r in regions]))] += 1
+        bodies[np.unique(np.concatenate([found.corners_of(r) for r in regions]))] += 1
     rows = np.flatnonzero((bodies > 2) & (here.sum(axis=0) >= bodies))
     if not on or not len(rows):
         return []
@@ -265,10 +266,10 @@ def _far(case: Case, found: Parts) -> list[str]:
 
 def _strained(case: Case, found: Parts) -> list[str]:
     """Loads that strain the material under them by more than `STRAIN`."""
-    notes = []
+    notes, areas = [], boundary_areas(found.data)
     for name, load in case.loads.items():
         boundary = getattr(load, "boundary", "")
-        area = found.boundary_areas.get(boundary, 0.0)
+        area = areas.get(boundary, 0.0)
         under = {found.pieces[p].region for p in found.boundaries.get(boundary, {})}
         softest = min((m for r in under if (m := modulus(case.regions[r]))), default=0.0)
         if not area or not softest:

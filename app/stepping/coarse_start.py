@@ -34,8 +34,6 @@ log = logging.getLogger("mantle")
 ROUGH = 0.1
 # A start is good enough if its residual is below this part of that of the unloaded state.
 GOOD = 0.1
-# Number of triangles, nearest by their centres, that are searched for the nearest to a point.
-NEAREST = 8
 
 
 class CoarseModelStart:
@@ -154,42 +152,16 @@ def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> c
     Returns:
         Matrix with a row for each of these and a column for each source point.
     """
+    from scipy.sparse import csr_array  # imported late, as the next: few runs need them
+
+    from meshes.mantle import nearest
+
     none = np.zeros(0, dtype=np.int64)
     entries: list[tuple[Ints, Ints, Floats]] = [(none, none, np.zeros(0))]
     for i, triangles in enumerate(source.triangles):
         here = np.flatnonzero(target.interface[mine] == i)
         if len(here) and len(triangles):
-            nearest, weights = _nearest(source.x[triangles], target.x[mine[here]])
-            entries.append((np.repeat(here, 3), triangles[nearest].ravel(), weights.ravel()))
+            found, weights = nearest(target.x[mine[here]], source.x[triangles])
+            entries.append((np.repeat(here, 3), triangles[found].ravel(), weights.ravel()))
     rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
-    from scipy.sparse import csr_array  # imported late: few runs need it
-
     return csr_array((values, (rows, columns)), shape=(len(mine), len(source.weight)))
-
-
-def _nearest(corners: Floats, x: Floats) -> tuple[Ints, Floats]:
-    """Nearest triangle (t, 3, 3) of each point (n, 3), and barycentric coordinates there (n, 3)."""
-    k = min(NEAREST, len(corners))
-    from scipy.spatial import cKDTree  # imported late, too
-
-    _, candidates = cKDTree(corners.mean(axis=1)).query(x, k=k)
-    candidates = candidates.reshape(len(x), k)
-    t = corners[candidates]
-    a, b = t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0]
-    d = x[:, None] - t[:, :, 0]
-    aa, ab, bb = ((p * q).sum(axis=2) for p, q in ((a, a), (a, b), (b, b)))
-    da, db = (d * a).sum(axis=2), (d * b).sum(axis=2)
-    v, w = (bb * da - ab * db), (aa * db - ab * da)
-    foot = np.stack([aa * bb - ab**2 - v - w, v, w], axis=2)
-    inside = np.asarray((foot >= 0).all(axis=2))
-    foot /= foot.sum(axis=2, keepdims=True)
-    # Otherwise the nearest point is on an edge.
-    edges = np.roll(t, -1, axis=2) - t
-    s = ((x[:, None, None] - t) * edges).sum(axis=3) / (edges**2).sum(axis=3)
-    s = np.clip(s, 0.0, 1.0)[..., None]
-    on_edges = (1 - s) * np.eye(3) + s * np.roll(np.eye(3), 1, axis=1)
-    weights = np.where(inside[:, :, None, None], foot[:, :, None], on_edges)
-    off = np.linalg.norm(np.einsum("nkec,nkci->nkei", weights, t) - x[:, None, None], axis=3)
-    rows = np.arange(len(x))
-    best, edge = np.unravel_index(off.reshape(len(x), -1).argmin(axis=1), off.shape[1:])
-    return candidates[rows, best], weights[rows, best, edge]

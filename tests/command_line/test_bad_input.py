@@ -181,6 +181,7 @@ def test_command_says_it_once_and_exits_with_2(
         ("check none.yaml -- -log_view", "takes no PETSc options"),
         ("run none.yaml -n zero", "-n: 'zero' is not a number of ranks"),
         ("run none.yaml -o", "expected one argument"),
+        ("report a b -o page.pdf", "-o page.pdf: expected a folder, or a file that ends in .html"),
     ],
 )
 def test_command_line(arguments: str, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -201,6 +202,9 @@ def test_run_folder(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ):
         assert main(["run", str(path), "-o", str(folder)]) == 2
         assert capsys.readouterr().err.startswith(f"-o {folder}: {expected}")
+    (full / "checkpoint-3.state").touch()  # of a run that was killed
+    assert main(["run", str(path), "-o", str(full)]) == 2
+    assert ", --restart auto to go on from its checkpoint, or --force" in capsys.readouterr().err
 
 
 @pytest.mark.parallel

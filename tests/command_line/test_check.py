@@ -290,7 +290,7 @@ def test_cores_are_those_that_this_process_may_use(
     ("error", "code", "said"),
     [
         (ConvergenceError("stem_cement did not settle"), 4, "stem_cement did not settle"),
-        (KeyboardInterrupt(), 5, "stopped"),
+        (KeyboardInterrupt(), 5, "stopped: no step had converged, nothing of this run is on disk"),
         (ZeroDivisionError("a bug"), 70, "ZeroDivisionError: a bug"),
     ],
 )
@@ -307,7 +307,7 @@ def test_exit_codes(
     monkeypatch.setattr(cli, "dispatch", fail)
     aborted: list[int] = []
     monkeypatch.setattr(cli, "_abort", aborted.append)
-    assert main([]) == code
+    assert main(["run"]) == code
     assert capsys.readouterr().err.rstrip().endswith(said)
     # Errors that all ranks have alike leave by themselves; others end the ranks that would wait.
     assert aborted == ([] if code == 4 else [code])

@@ -260,7 +260,7 @@ def test_written_files_are_read_back(tmp_path: Path, unit: str, curved: bool) ->
     assert back.notes["cells_without_region"] == 0
 
 
-def test_files_in_format_2_2_are_read(tmp_path: Path) -> None:
+def test_files_in_format_2_2_are_read_without_interior_boundaries(tmp_path: Path) -> None:
     data, path = mesh(STACK, 3.0), tmp_path / "old.msh"
     meshes.write_msh(data, tmp_path / "new.msh")
     with session("old") as gmsh:
@@ -269,6 +269,9 @@ def test_files_in_format_2_2_are_read(tmp_path: Path) -> None:
         gmsh.write(str(path))
     back = meshes.build(MeshFile(path=path, interfaces=STACK.interface_sides), options(1.0))
     assert region_volumes(back) == pytest.approx(region_volumes(data))
+    # Interfaces are written with their names, too.
+    assert back.notes["interior_surfaces"] == sorted(STACK.interface_sides)
+    assert not set(back.boundaries) & set(STACK.interface_sides)
 
 
 def test_files_without_names_or_regions_say_what_was_found(tmp_path: Path) -> None:
@@ -325,15 +328,6 @@ def test_a_hole_in_the_mantle_is_no_tie(rod: MeshData, monkeypatch: pytest.Monke
     with pytest.raises(GeometryError, match=r"^stem meets bone where .* about \(\d") as caught:
         mesh(ROD, 2.0)
     assert "cement" not in str(caught.value)
-
-
-def test_interior_surfaces_of_a_file_are_no_boundaries(tmp_path: Path) -> None:
-    """Interfaces are written with their names, too."""
-    path = tmp_path / "a.msh"
-    meshes.write_msh(mesh(STACK, 3.0), path)
-    back = meshes.build(MeshFile(path=path, interfaces=STACK.interface_sides), options(1.0))
-    assert back.notes["interior_surfaces"] == sorted(STACK.interface_sides)
-    assert not set(back.boundaries) & set(STACK.interface_sides)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -14,7 +14,7 @@ from app.case.geometries import MeshFile
 from app.case.gmsh_header import ALLOWED, physical_names
 from app.case.shapes import MeshOptions
 from app.errors import GeometryError, InputError
-from meshes import cache, gmsh_child
+from meshes import cache, imported
 from meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
 from meshes.gmsh_child import session
 from tests import support
@@ -250,7 +250,7 @@ def test_a_script_that_never_ends_is_stopped(
     few = "from meshes import gmsh_child as g; g.SECONDS = 2; "
     if grows:  # of a machine with 1 GiB
         few = "import os; os.sysconf = lambda name: 1 << 15; "
-    monkeypatch.setattr(gmsh_child, "_SERVE", few + gmsh_child._SERVE)
+    monkeypatch.setattr(imported, "_SERVE", few + imported._SERVE)
     step = "a() = {a(), a()};" if grows else "a() = {i};"
     loop = f"a() = {{1}};\nFor i In {{1:1000000000}}\n{step}\nEndFor\n"
     with pytest.raises(GeometryError, match=r"file is damaged or too large|Out of memory"):

@@ -1,20 +1,33 @@
-"""Balances: of forces where nothing acts at the end; of heat for what was integrated, or not."""
+"""Balances: of forces, what they refuse and what not; of heat, what was integrated or not."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 from app.results.balance import HeatBalance
-from app.results.closing_lines import BALANCES
+from app.results.closing_lines import unbalanced
 from tests import support
+from tests.heated import Heated, expanding
+from tests.mechanics.test_setting import cure, setting
+from tests.mechanics.test_thermoelastic import BAR, CLAMPS, CYLINDERS
 
-# A stem pressed in and let go: friction holds it, and reactions vanish.
-LET_GO = (
-    "stages=[{name: push}, {name: release}]",
-    "loads.hip.history=[1, 0]",
-)
-# A rod pressed against a wall and drawn off it: nothing is strained at the end.
+ORDERS = pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.slow)])
+
+
+def refused(*sums: float) -> list[str]:
+    """Sums of force, moment and energy that are not closed."""
+    return unbalanced({"balance": dict(zip(("force", "moment", "energy"), sums, strict=True))})
+
+
+def judged(model: Heated) -> list[str]:
+    return refused(model.balance.force, model.balance.moment, model.balance.energy)
+
+
+# A rod on a wall: its end is moved, or pushed at with a gap before the wall or none.
 ROD = """
 geometry: {kind: blocks, blocks: [{name: wall, size: [3 mm, 3 mm, 3 mm]},
                                   {name: rod, size: [3 mm, 3 mm, 6 mm]}]}
@@ -28,21 +41,152 @@ supports:
   grip: {kind: displacement, boundary: top, x: 0 mm, y: 0 mm, z: -0.01 mm, history: [1, -1]}
 stages: [{name: press}, {name: draw}]
 """
+ONCE, TWICE = "stages=[{name: a, increments: 2}]", "stages=[{name: a}, {name: b}]"
+OFF = "supports.grip={kind: displacement, boundary: top, x: 0.03 mm, y: -0.02 mm, z: 0.11 mm}"
+GRIP = "supports.grip={kind: displacement, boundary: top, x: 0 mm, y: 0 mm}"
+GAP = "interfaces.wall_rod.gap=0.05 mm"
+WHOLE = "interfaces.wall_rod={kind: bonded}"
 
 
-@pytest.mark.parametrize(
-    ("text", "changes"), [(support.STEM, LET_GO), (ROD, ())], ids=["stem", "rod"]
-)
-def test_forces_that_have_gone_are_balanced(text: str, changes: tuple[str, ...]) -> None:
-    """Relative to the largest forces that there were."""
-    solved = support.solve(text, *changes, balances=True)
-    loaded, gone = solved.balances[[0, -1]]
-    for name, then, now in zip(("force", "moment", "energy"), loaded, gone, strict=True):
-        assert then < BALANCES[name], name
-        assert now < BALANCES[name], name
+def push(size: str, history: str = "[1, 1]") -> str:
+    force = f"force: [0 N, 0 N, -{size}], history: {history}"
+    return f"loads.push={{kind: force, boundary: top, {force}}}"
 
 
-# One lump that cools by c T' = -k T, by the implicit trapezoidal rule and by backward Euler.
+RODS = ["rod={rigid: true}", "wall={rigid: true}", "rod.youngs_modulus=1e6 GPa"]
+STACKS = [(OFF, ONCE, f"regions.{rod}") for rod in [*RODS, "wall.youngs_modulus=1 Pa"]]
+STACKS += [(OFF.replace(" mm", unit), ONCE) for unit in ("e-8 mm", " mm", "e5 mm")]
+STACKS += [(OFF, ONCE, WHOLE, OFF.replace("grip", "floor").replace("top", "bottom"))]
+STACKS += [("supports.grip.z=0 mm",), ("supports.grip.history=[1, 0]",), ()]
+for size in ("1e-12 N", "1 N", "1e6 N"):
+    loads = (push(size), push(size, "[1, 1e-18]"))
+    STACKS += [(GRIP, TWICE, load, *gap) for load in loads for gap in ((), (GAP,))]
+# A stem pressed in and let go: friction holds it, and reactions vanish.
+LET_GO = (support.STEM, ("stages=[{name: push}, {name: release}]", "loads.hip.history=[1, 0]"))
+
+
+@ORDERS
+@pytest.mark.parametrize("stack", [LET_GO, *((ROD, changes) for changes in STACKS)])
+def test_what_is_lifted_off_or_hardly_loaded(
+    stack: tuple[str, tuple[str, ...]], order: int
+) -> None:
+    text, changes = stack
+    solved = support.solve(text, *changes, f"mesh.order={order}", balances=True)
+    assert not [row for row in solved.balances if refused(*row)]
+
+
+def swollen(history: str = "[1, 1]") -> tuple[str, ...]:
+    strain = f"{{strain: [2e-3, 2e-3, 2e-3, 0, 0, 0], history: {history}}}"
+    return tuple(f"regions.{name}.eigenstrains=[{strain}]" for name in ("one", "two"))
+
+
+APART = "interfaces.one_two={kind: contact, friction_coefficient: 0}"
+TOUCHED = push("1e-12 N")
+BARS = [(), (APART,), (TOUCHED,), (APART, TOUCHED), swollen("[50, 1e-12]"), (*swollen(), APART)]
+
+
+def heated(changes: tuple[str, ...], *rises: float) -> Heated:
+    """A bar free to grow, before its last step."""
+    model = Heated.make(BAR, expanding(one=8e-5, two=8e-5), TWICE, *changes)
+    for k, rise in enumerate(rises, 1):
+        model.problem.set_time(float(k))
+        model.problem.set_temperature({r: model.scalar(300 + rise) for r in ("one", "two")})
+        if k < len(rises):
+            model.step()
+            assert not judged(model)
+    return model
+
+
+@ORDERS
+@pytest.mark.parametrize("rises", [(1e-9, 0), (40, 20), (1e3, 0), (-60, 40)])
+@pytest.mark.parametrize("changes", BARS)
+def test_a_bar_that_grows(changes: tuple[str, ...], rises: tuple[float, ...], order: int) -> None:
+    model = heated((*changes, f"mesh.order={order}"), *rises)
+    model.step()
+    assert not judged(model), (model.balance.force, model.balance.energy)
+
+
+SMOOTH, ROUGH = (f"contact, friction_coefficient: {mu}" for mu in (0, 0.4))
+LOOSE = "supports.top.boundary=bottom"
+
+
+def set_on(stem: str, bone: str, *changes: str) -> Heated:
+    """Rings about a rigid core whose cement sets and shrinks by 1.7 %, before the last step."""
+    sides = {"stem_cement": stem, "cement_bone": bone}
+    changes += tuple(f"interfaces.{name}={{kind: {law}}}" for name, law in sides.items())
+    size = ("mesh.size=3 mm", "mesh.far_size=3 mm", "geometry.length=2 mm")
+    law = setting(cure("cement", 0.1, gel=0.25))
+    model = Heated.make(CYLINDERS, law, *size, "regions.stem={rigid: true}", *changes)
+    for k in range(1, 5):
+        model.problem.set_time(k / 4)
+        model.set(0.1 + 0.225 * k, -0.017 / 3 * (k - 1) / 3, "cement")
+        if k < 4:
+            model.step()
+            assert not judged(model), (k, model.balance.force, model.balance.energy)
+    return model
+
+
+@ORDERS
+@pytest.mark.parametrize("ends", [(), (LOOSE,)])
+@pytest.mark.parametrize("stem", [SMOOTH, ROUGH, SMOOTH + ", gap: 0.1 mm", "bonded"])
+@pytest.mark.parametrize("bone", [SMOOTH, "bonded"])
+def test_cement_that_sets(stem: str, bone: str, ends: tuple[str, ...], order: int) -> None:
+    curved = f"mesh.curved={str(order == 2).lower()}"
+    model = set_on(stem, bone, *ends, f"mesh.order={order}", curved)
+    model.step()
+    assert not judged(model), (model.balance.force, model.balance.energy)
+
+
+# Planted faults: each alone, between the last solution and its balances.
+
+
+def pushed(size: str = "100 N") -> Heated:
+    model = Heated.make(ROD, lambda scene: scene, TWICE, GAP, GRIP, push(size))
+    model.problem.set_time(1.0)
+    return model
+
+
+def ring(law: str) -> Heated:
+    return set_on(law, law, LOOSE, "mesh.order=1", "mesh.curved=false")
+
+
+def load(model: Heated) -> Any:
+    return model.problem.forces._loads[0][1].nodal
+
+
+PARTS: dict[str, tuple[Callable[[], Heated], Callable[[Any], Any]]] = {
+    "load": (pushed, load),
+    "weak-load": (lambda: pushed("1e-3 N"), load),
+    "load-beside-heat": (lambda: heated((push("1 N"),), 1e3), load),
+    "motion": (pushed, lambda m: m.problem.displacements()[1].x.array),
+    "contact": (pushed, lambda m: m.problem.contact.state.work),
+    "modulus": (pushed, lambda m: m.problem.mechanics._constants["rod"][0][0].value),
+    "heat": (lambda: heated((CLAMPS,), 40), lambda m: m.problem.mechanics.swelling["one"].x.array),
+    "stress": (lambda: ring(SMOOTH), lambda m: m.problem.setting._stress.x.array),
+    "rough-stress": (lambda: ring(ROUGH), lambda m: m.problem.setting._stress.x.array),
+}
+FAULTS = {"lost": 0.0, "turned": -1.0, "off": 1.001, "unknown": np.nan}
+
+
+@pytest.mark.parametrize("fault", [*FAULTS, "largest-lost"])
+@pytest.mark.parametrize("what", PARTS)
+def test_a_planted_fault_is_refused(what: str, fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    make, part = PARTS[what]
+    model = make()
+    update = model.balance.update
+
+    def faulty(*state: Any) -> None:
+        values = part(model).reshape(-1)
+        where = slice(None) if fault in FAULTS else np.abs(values).argmax()
+        values[where] *= FAULTS.get(fault, 0.0)
+        update(*state)
+
+    monkeypatch.setattr(model.balance, "update", faulty)
+    model.step()
+    assert judged(model), (model.balance.force, model.balance.energy)
+
+
+# Heat: one lump that cools by c T' = -k T, by the implicit trapezoidal rule and by backward Euler.
 C, K, STEP = 3.0, 0.7, 0.4
 
 

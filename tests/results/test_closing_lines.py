@@ -53,11 +53,11 @@ def test_what_is_bad_stands_out() -> None:
 
 def test_the_error_is_told_without_peaks() -> None:
     unsettled = {"stem_cement.pressure_max": [[4.0, 9.0], [8.0, 6.1], [12.0, 4.25]]}
-    error = {"companions": ["mesh 8 mm", "mesh 12 mm"], "unsettled": unsettled}
+    error = {"companions": ["mesh 8 mm", "mesh 12 mm"], "unsettled": unsettled, "within": 0.9}
     lines = told(summary(error=error))
     words = (
         "half of the percentiles within ± 5 %, the least sure (pressure_p95 of stem_cement) within "
-        "± 5 %"
+        "± 5 %; about 9 of 10 such numbers lie within their ±"
     )
     assert lines["mesh and step"] == (words, "")
     assert "load step" not in lines

@@ -11,6 +11,7 @@ from app.case import quantities
 from app.case.case import Case
 from app.results import error_estimate
 from tests import support
+from tests.frozen import frozen
 
 STACK = """
 geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
@@ -136,8 +137,10 @@ def test_the_estimate_is_exact_for_its_model(increments: int) -> None:
         run, case(f"stages.0.increments={increments}"), lambda size, n: numbers(size, n, p)
     )
     q = run["interfaces"]["lower_upper"]
-    assert q["slip_p99_error"] == pytest.approx(q["slip_p99"] - 1)
-    assert q["force_error"] == pytest.approx(q["force"])
+    # At second order the factor a of motions is 1: the difference from 2 h, and the steps.
+    error = 0.01 * (2**p - 1) + 0.02 / increments
+    assert q["slip_p99_error"] == pytest.approx(error)
+    assert q["force_error"] == pytest.approx([error, 2 * error, 0])
     # The peak changes by 0.2 of 1.2, the gap by far less than any slip.
     assert list(unsettled) == ["lower_upper.slip_max"]
     assert "slip_max_error" not in q
@@ -189,15 +192,15 @@ def test_peaks_are_compared_on_the_meshes_that_were_solved() -> None:
 
 
 def test_an_error_that_is_small_by_chance_is_raised() -> None:
-    """To half the median of its interface, relative to the numbers; a peak has none."""
+    """To b times the median of all numbers, relative to the numbers; a peak has none."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
     values = {"slip_p99": 2.0, "slip_p95": 1.0, "slip_mean": 0.5, "gap_p99": 4.0}
     other = {"slip_p99": 2.2, "slip_p95": 1.1, "slip_mean": 0.55, "gap_p99": 4.0}
     run: dict[str, Any] = {"interfaces": {"lower_upper": values}}
     compared(run, this, {"interfaces": {"lower_upper": other}})
-    part = 0.1 / (2 ** quantities.MOTION[1] - 1)
-    assert values["slip_p99_error"] == pytest.approx(2.0 * part)
-    assert values["gap_p99_error"] == pytest.approx(4.0 * part / 2)
+    factor, least = error_estimate.FACTORS[quantities.MOTION][1]
+    assert values["slip_p99_error"] == pytest.approx(0.2 * factor)
+    assert values["gap_p99_error"] == pytest.approx(4.0 * 0.1 * least)
 
 
 def test_gruen_zones_have_errors() -> None:
@@ -215,10 +218,12 @@ def test_gruen_zones_have_errors() -> None:
     first, second = run["gruen"]["1"], run["gruen"]["2"]
     assert first["interfaces"]["a_b"] == pytest.approx(
         {"gap_mean": 2, "gap_max": 3, "area": 5}
-        | {"gap_mean_error": 0.2 / (2 ** quantities.MOTION[1] - 1)}
+        | {"gap_mean_error": 0.2 * error_estimate.FACTORS[quantities.MOTION][1][0]}
     )
     errors = first["strain_energy_density_error"]
-    assert errors == pytest.approx({"cortex": 0.4 / (2 ** quantities.STRESS[1] - 1)})
+    assert errors == pytest.approx(
+        {"cortex": 0.4 * error_estimate.FACTORS[quantities.STRESS][1][0]}
+    )
     assert second == zone(1.0)
 
 
@@ -264,3 +269,34 @@ def test_numbers_of_heat_converge_as_temperature_does() -> None:
     assert cure["time_50_error"] == pytest.approx(60 * wrong) and "time_90_error" not in cure
     # The mechanics keep their own.
     assert "slip_p99_error" in run["interfaces"]["lower_upper"]
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.04131, 0.0018, "41.3 ± 1.8"),
+        (0.04131, None, "41.3"),
+        (0.04131, 0.00002, "41.31 ± 0.02"),
+        (0.04131, 1e-9, "41.3"),
+        (0.0003, 0.0005, "0.3 ± 0.5 (not resolved)"),
+        (None, None, "-"),
+    ],
+)
+def test_digits_go_by_the_error(value: float | None, error: float | None, text: str) -> None:
+    q = quantities.TABLE["interfaces"]["gap_p99"]  # mm, shown in um with one decimal
+    assert q.text({"gap_p99": value, "gap_p99_error": error}) == text
+
+
+def test_the_stances_errors_cover_the_truth() -> None:
+    """Of 4 mm against 1.44 mm: of 53 numbers most, and none is off by two errors."""
+    stated = frozen("stance")
+    truth = json.loads(
+        (support.ROOT / "tests" / "reference" / "stance_fine.json").read_text("utf-8")
+    )
+    off = []
+    for name, exact in truth.items():
+        value, error = (stated[f".:summary.{name}{end}"] for end in ("", "_error"))
+        off.append(abs(value - exact) / error)
+    assert len(off) > 50
+    assert sum(x <= 1 for x in off) >= 0.85 * len(off), sorted(off)
+    assert max(off) < 2

@@ -18,6 +18,7 @@ from app.case.run_options import Stage
 from app.errors import InputError
 from app.laws.interface_laws import Bonded
 from app.laws.loads import Force
+from app.laws.materials import Rigid
 from app.schema.expressions import evaluate
 from tests import support
 from tests.support import CONFIGS
@@ -80,6 +81,15 @@ def test_defaults_are_filled_in() -> None:
     assert case.mesh.far == 8.0
     assert case.loads == {}
     assert case.geometry.blocks[0].size == case.geometry.blocks[1].size == (10.0, 20.0, 5.0)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("change", ["={kind: rigid}", ".kind=rigid", ".rigid=true"])
+def test_a_region_is_rigid_by_its_kind_too(change: str) -> None:
+    """Its moduli go with its old kind; what tissue it is stays."""
+    text = MINIMAL.replace("{rigid: true}", "{material: PMMA, tissue: cement}")
+    region = support.case(text, f"regions.upper{change}").regions["upper"]
+    assert isinstance(region, Rigid)
+    assert region.tissue == ("other" if "{" in change else "cement")
 
 
 def test_overrides_reach_everything() -> None:

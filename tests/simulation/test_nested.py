@@ -19,6 +19,7 @@ from app.simulation.model import Model
 from app.stepping import coarse_start, load_steps
 from app.stepping.load_steps import LoadStep
 from app.system.timing import Timing
+from meshes.mantle import nearest
 from tests import support
 
 STEM = """
@@ -271,7 +272,7 @@ def test_the_nearest_point_of_a_triangle() -> None:
     """No point of a fine grid on any of the triangles is nearer, beside a corner or an edge too."""
     random = np.random.default_rng(1)
     corners, x = random.normal(size=(5, 3, 3)), 2 * random.normal(size=(200, 3))
-    triangle, weights = coarse_start._nearest(corners, x)
+    triangle, weights = nearest(x, corners)
     assert weights.min() >= 0 and np.allclose(weights.sum(axis=1), 1)
     off = np.linalg.norm(np.einsum("nc,nci->ni", weights, corners[triangle]) - x, axis=1)
     n = 60

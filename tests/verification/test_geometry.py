@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +28,12 @@ SIZE = 3.0
 @cache
 def femur(thickness: float, size: float = SIZE) -> MeshData:
     return meshes.build(Femur(cement_thickness=f"{thickness} mm"), MeshOptions(size=f"{size} mm"))
+
+
+def volume(radius: Callable[..., Any], low: float, high: float) -> float:
+    """Volume within a surface r(theta, z) between two levels [mm3]."""
+    angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 361)[:-1], np.linspace(low, high, 800))
+    return float(np.pi * (radius(angles, levels) ** 2).mean() * (high - low))
 
 
 THICKNESSES = [
@@ -55,9 +63,7 @@ def test_the_mantle_has_the_volume_of_the_exact_clip(thickness: float) -> None:
     offset = femur_stem.body(geometry).offset(thickness)
     canal = femur_bone.Tube(femur_bone.CANAL)
     low, high = geometry.stem_tip_z - geometry.plug_length, -40.0
-    angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 721)[:-1], np.linspace(low, high, 800))
-    clipped = np.minimum(offset.radius(angles, levels), canal.radius(angles, levels))
-    exact = 0.5 * (clipped**2).mean() * 2 * np.pi * (high - low)
+    exact = volume(lambda *at: np.minimum(offset.radius(*at), canal.radius(*at)), low, high)
     inside = np.isin(data.cell_tags, [data.regions["cement"], data.regions["stem"]])
     below = (data.points[data.cells[:, :4], 2] @ mantle.LATTICE.T < high).mean(axis=1)
     found = cell_volumes(data.points, data.cells[inside]) @ below[inside]
@@ -83,10 +89,8 @@ def test_thickness_is_reported() -> None:
 def test_the_plug_fills_the_canal_below_the_tip() -> None:
     """Its volume is that of the canal over its length: 7 mm of stem and cement find 6.2."""
     geometry, plug = Femur(), femur(4.0).notes["mantle"]["plug_volume"]
-    canal = femur_bone.Tube(femur_bone.CANAL)
     low, high = geometry.stem_tip_z - geometry.plug_length, geometry.stem_tip_z
-    angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 361)[:-1], np.linspace(low, high, 100))
-    exact = np.pi * (canal.radius(angles, levels) ** 2).mean() * (high - low)
+    exact = volume(femur_bone.Tube(femur_bone.CANAL).radius, low, high)
     # Flat facets of 3 mm lose 4 % of a circle of 6 mm.
     assert plug == pytest.approx(exact, rel=0.05)
 
@@ -100,15 +104,14 @@ def test_the_shaft_of_the_intact_femur_has_the_volume_of_its_surfaces() -> None:
     """Cortex and canal, far from the head."""
     data = intact()
     assert set(data.boundaries) == set(IntactFemur().boundary_names)
-    angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 361)[:-1], np.linspace(-200, -140, 100))
     tubes = (femur_bone.PERIOSTEUM, femur_bone.Tube(femur_bone.CANAL))
-    bone, canal = (60 * np.pi * (t.radius(angles, levels) ** 2).mean() for t in tubes)
+    bone, canal = (volume(tube.radius, -200.0, -140.0) for tube in tubes)
     exact = {"cortical_bone": bone - canal, "cancellous_bone": canal}
     below = (data.points[data.cells[:, :4], 2] @ mantle.LATTICE.T < -140.0).mean(axis=1)
-    for region, volume in exact.items():
+    for region, wanted in exact.items():
         own = data.cell_tags == data.regions[region]
         found = cell_volumes(data.points, data.cells[own]) @ below[own]
-        assert found == pytest.approx(volume, rel=0.01), region
+        assert found == pytest.approx(wanted, rel=0.01), region
 
 
 def test_the_head_is_a_sphere_on_a_neck() -> None:
