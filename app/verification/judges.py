@@ -280,7 +280,7 @@ def close(runs: Sequence[Run], factor: float = 1.0) -> Sample:
     off = {}
     for name, q in other.summary["interfaces"].items():
         mine = run.summary["interfaces"][name]
-        for key in ("slip_mean", "pressure_mean", "shear_mean"):
+        for key in ("slip_path_mean", "pressure_mean", "shear_mean"):
             off[f"{key} of {name}"] = abs(mine[key] - q[key]) / (abs(q[key]) or 1.0)
         off[f"force of {name}"] = abs(mine["force"][2] / (factor * q["force"][2]) - 1)
     return _worst(off)
