@@ -194,7 +194,8 @@ def result_of(job: Job, run: BatchRun, *, over: bool = True) -> Result:
         why = "; ".join(reasons_not_to_use(summary))
         code = UnusableError.exit_code if why else 0
         return result(code, seconds, summary, f"do not use: {why}" if why else "")
-    if not over and not run.ended:
+    # A run that was stopped before it could listen ends by the signal.
+    if not over and (not run.ended or code - 128 in (signal.SIGINT, signal.SIGTERM)):
         return result(StoppedError.exit_code, 0.0, {}, "")
     with suppress(OSError):
         # A process that continues with other runs leaves the reason in the folder of this one.
