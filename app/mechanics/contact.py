@@ -211,7 +211,6 @@ class ContactInterfaces:
         facets: All interface facets, replicated.
         edge_lengths: Mean edge of the facets of each interface [mm].
         own: The points of this rank.
-        row_keys: Their keys (n,).
         coupling: Their coupling to the displacement.
         law: Their laws.
         state: Their committed state.
@@ -246,7 +245,7 @@ class ContactInterfaces:
         refuse_released(scene.supports, self.points)
         refuse_moving_rigid(scene, bodies, holds, self.points, entries)
         rows, number = owners(self.comm, space.dofmap.index_map, self.points.dof)
-        self.own, self.row_keys = OwnPoints.of(self.points, rows), rows
+        self.own = OwnPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [float(edges[self.facets.interface == i].mean()) for i in range(parts)]
         self._by_supports = [
@@ -317,6 +316,11 @@ class ContactInterfaces:
     def scale_augmentation(self, factor: float) -> None:
         """As `PointLaw.scale_augmentation`."""
         self.law.scale_augmentation(factor)
+
+    @property
+    def row_keys(self) -> Ints:
+        """Keys of own contact points."""
+        return self.own.rows
 
     # Residual and Jacobian
 
