@@ -19,8 +19,8 @@ from app.schema.section import did_you_mean, fail, show
 from app.schema.units import Dimension, Plain
 
 # Orders of convergence of P1 and P2 for estimates of errors (docs/verification.md): of
-# displacements, of tractions, of stress, of temperature.
-MOTION, TRACTION, STRESS, HEAT = (0.8, 1.3), (0.8, 0.8), (0.8, 1.0), (1.5, 1.5)
+# displacements, of tractions, of stress, of temperature, of doses, times and cure.
+MOTION, TRACTION, STRESS, HEAT, DOSE = (0.8, 1.3), (0.8, 0.8), (0.8, 1.0), (1.5, 1.5), (1.0, 1.0)
 # Dimension of each unit in summary.json, with its article.
 UNITS = {
     "mm": "a length",
@@ -216,20 +216,21 @@ add_quantity(
     *(Quantity("bonds", f"shear_{how}", "MPa") for how in ("mean", "max")),
 )
 _heated = partial(Quantity, "thermal.regions", order=HEAT, digits=1)
+_dose = partial(Quantity, "thermal.regions", order=DOSE, digits=1)
 _between = partial(Quantity, "thermal.interfaces", order=HEAT, digits=1)
-_cure = partial(Quantity, "cure", order=HEAT, digits=4)
+_cure = partial(Quantity, "cure", order=DOSE, digits=4)
 add_quantity(
     _heated("temperature_max", "degC", headline=True),
     *(_heated(f"temperature_{what}", "degC") for what in ("min", "mean", "end_max")),
-    _heated("temperature_max_time", "s"),
-    *(_heated(f"seconds_over_{level}", "s") for level in (47, 50, 56)),
-    *(_heated(f"volume_over_{level}", "mm^3") for level in (47, 50, 56)),
-    _heated("cem43_max", "min"),
-    _heated("henriques_moritz_max", "-"),
-    *(_heated(f"necrosis_{rule}_volume", "mm^3") for rule in NECROSIS),
-    *(_heated(f"necrosis_{rule}_depth", "mm", digits=2) for rule in NECROSIS),
+    _dose("temperature_max_time", "s"),
+    *(_dose(f"seconds_over_{level}", "s") for level in (47, 50, 56)),
+    *(_dose(f"volume_over_{level}", "mm^3") for level in (47, 50, 56)),
+    _dose("cem43_max", "min"),
+    _dose("henriques_moritz_max", "-"),
+    *(_dose(f"necrosis_{rule}_volume", "mm^3") for rule in NECROSIS),
+    *(_dose(f"necrosis_{rule}_depth", "mm", digits=2) for rule in NECROSIS),
     *(_between(f"temperature_max_{s}", "degC", headline=True) for s in ("first", "second")),
-    *(_between(f"temperature_max_{side}_time", "s") for side in ("first", "second")),
+    *(_between(f"temperature_max_{side}_time", "s", order=DOSE) for side in ("first", "second")),
     _between("temperature_jump_max", "K"),
     _between("heat_flux_max", "W/m^2", digits=0),
     *(_between(f"entropy_production_{end}", "W/(m^2 K)", order=None) for end in ("min", "max")),

@@ -195,7 +195,7 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
         text = f"half of the percentiles within ± {half:.2g} %"
         text += f", the least sure ({share[-1]}) within ± {worst:.2g} %"
         if within := estimated.get("within"):
-            text += f"; about {10 * within:.0f} of 10 such numbers lie within their ±"
+            text += f"; about {100 * within:.0f} of 100 such numbers lie within their ±"
     of = estimated.get("of", BOTH)
     return Verdict(f"{of}: {text}" + ("" if of == BOTH else "; error of the mesh not estimated"))
 

@@ -57,7 +57,7 @@ def test_the_error_is_told_without_peaks() -> None:
     lines = told(summary(error=error))
     words = (
         "half of the percentiles within ± 5 %, the least sure (pressure_p95 of stem_cement) within "
-        "± 5 %; about 9 of 10 such numbers lie within their ±"
+        "± 5 %; about 90 of 100 such numbers lie within their ±"
     )
     assert lines["mesh and step"] == (words, "")
     assert "load step" not in lines
