@@ -120,7 +120,7 @@ class MeshOptions(Section):
     """Polynomial degree of the displacement."""
     curved: Truth | None = None
     """Whether the cells are curved (second order) to follow the geometry; by default where it is
-    curved and `order` is 2."""
+    curved and `order` is 2. Not at first order."""
 
     around: Annotated[int, Plain(integer=True, at_least=4, at_most=1000)] | None = None
     """Lines around the stem of a femur, 4 to 1000; by default its perimeter over `size`, but 8 at
@@ -128,6 +128,13 @@ class MeshOptions(Section):
     through_cement: Annotated[int, Plain(integer=True, at_least=1, at_most=100)] | None = None
     """Cells through the cement of a femur, 1 to 100; by default from its thickness over `size`, and
     at least 2."""
+
+    @model_validator(mode="after")
+    def _conforming(self) -> MeshOptions:
+        if self.curved and self.order == 1:
+            # Linear functions on curved cells do not contain the linear displacements.
+            fail("curved cells need second order; expected false, or `order: 2`", at=("curved",))
+        return self
 
     @property
     def far(self) -> float:

@@ -102,10 +102,15 @@ class Model:
         stop: Returns the name of a pending stop signal, or "".
         reuse: An earlier model with the same options. Its meshes are reused, and its mechanics
             too if loads and laws alone differ; it must not be used afterwards.
+        judged: Whether to look for what makes the case unsolvable or doubtful on its mesh.
 
     Attributes:
         mesh_hash: Digest of the mesh.
         parts: Connected pieces of the mesh, on rank 0.
+        notes: Warnings about the case on its mesh.
+
+    Raises:
+        InputError: The case cannot be solved.
     """
 
     def __init__(
@@ -116,6 +121,7 @@ class Model:
         timing: Timing,
         stop: Callable[[], str],
         reuse: Model | None = None,
+        judged: bool = True,
     ) -> None:
         self._case, self._timing = case, timing
         self.options, self.stop = options, stop
@@ -124,6 +130,9 @@ class Model:
         timing.about |= cost.phases(case)
         with timing.phase("mesh"):
             self.tagged, self.mesh_hash, self.parts = self._mesh(comm)
+            # Before matrices of bodies that nothing holds are factorized.
+            found = self.parts if judged else None
+            self.notes = on_root(comm, lambda: found and well_posedness.judge(case, found)) or []
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
             self.mechanics = self._mechanics()
@@ -141,18 +150,6 @@ class Model:
         found = well_posedness.look(case, data) if data is not None else None
         digest = comm.bcast(_mesh_hash(data) if data is not None else "")
         return distribute(data, comm), digest, found
-
-    def judge(self) -> list[str]:
-        """Warnings about the case on its mesh; collective.
-
-        Raises:
-            InputError: The case cannot be solved.
-        """
-        parts = self.parts
-        notes = on_root(
-            self.tagged.mesh.comm, lambda: parts and well_posedness.judge(self._case, parts)
-        )
-        return notes or []
 
     def deforms_like(self, case: Case) -> bool:
         """Whether a case differs from this one in loads and laws alone."""
@@ -279,7 +276,8 @@ class Model:
         return LoadStepper(m.problem, m.solver, _nothing, log.debug, other._predictors(m))
 
     def _other(self, case: Case, timing: Timing) -> Model:
-        return Model(case, self.tagged.mesh.comm, self.options, timing, self.stop, self)
+        comm = self.tagged.mesh.comm
+        return Model(case, comm, self.options, timing, self.stop, self, judged=False)
 
     # Published numbers of the state last committed
 

@@ -206,7 +206,7 @@ class _CaseRun:
             found = checkpoint.find(comm, setup.restart, output, case, setup.force)
         model = Model(case, comm, setup.options, setup.timing, setup.stop, setup.model)
         self._model = setup.model = model
-        self._notes = [*preview.warnings(case), *model.judge()]
+        self._notes = [*preview.warnings(case), *model.notes]
         setup.note(self._notes)
         if lost := unused(case.solver.petsc | setup.options):
             setup.note([f"PETSc has no use for {', '.join(lost)} here: misspelt?"])

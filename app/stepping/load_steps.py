@@ -93,6 +93,10 @@ class Progress:
         goal = (math.floor(self.done / whole + 1e-9) + 1) * whole
         return 1.0 if goal > 1.0 - 1e-9 else goal
 
+    def reach(self, goal: float) -> float:
+        """End of the next step: the goal if hardly anything would be left before it."""
+        return goal if self.done + 1.001 * self.step > goal else self.done + self.step
+
     def may_halve(self, stage: Stage, free: bool) -> bool:
         """Whether to try half of a failed step; once only if a body is free, as it hardly helps."""
         most = min(1, stage.max_cut_backs) if free else stage.max_cut_backs
@@ -174,16 +178,14 @@ class LoadStepper:
         Raises:
             ConvergenceError: A failed step cannot or may not be cut, or a body runs away.
         """
-        problem, solver = self.problem, self.solver
-        progress = progress or Progress(whole)
+        problem, solver, progress = self.problem, self.solver, progress or Progress(whole)
         self._line.begin(begin)
         while progress.done < 1.0:
             started, goal = clock.perf_counter(), progress.goal(whole)
             start, predictors = solver.x.copy(), self.predictors
             halved: list[float] = []
             while True:
-                near = progress.done + 1.001 * progress.step > goal
-                reach = goal if near else progress.done + progress.step
+                reach = progress.reach(goal)
                 time = begin + reach * (end - begin)
                 set_load(reach)
                 problem.update_stiffness()

@@ -7,6 +7,7 @@ tested with an mmdebstrap that makes an empty tree.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import json
 import os
 import signal
@@ -201,6 +202,8 @@ def made(tmp_path: Path, mmdebstrap: str, *arguments: str) -> tuple[Path, str]:
 
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="others unpack an archive instead")
+MS_BIND, MNT_DETACH = 4096, 2
+UNMOUNT = "import ctypes, sys; sys.exit(ctypes.CDLL(None).umount2(sys.argv[1].encode(), 2))"
 EMPTY_TREE = 'mkdir -p "$TARGET/etc" "$TARGET/mnt"\n'
 # As mmdebstrap keeps the options of apt and the archives.
 KEEPING = """
@@ -221,6 +224,31 @@ def test_a_failed_set_up_is_never_used_and_is_cleared_by_the_next(tmp_path: Path
     assert all(".part" in tree.name for tree in trees(tmp_path))
     tree, _ = made(tmp_path, EMPTY_TREE)
     assert ".part" not in tree.name and not (tree / "half").exists()
+
+
+@as_root
+def test_what_a_killed_set_up_left_mounted_is_not_removed(tmp_path: Path) -> None:
+    """The host's folders, such as /dev, were mounted below the half tree."""
+    failed = set_up(tmp_path, EMPTY_TREE + 'mkdir "$TARGET/dev"; exit 1\n')
+    failed.communicate(timeout=60)
+    (half,) = trees(tmp_path)
+    host, libc = tmp_path / "host", ctypes.CDLL(None)  # the stack has no mount and umount
+    host.mkdir()
+    (host / "null").touch()
+    program(tmp_path / "bin" / "umount", f"exec {sys.executable} -c '{UNMOUNT}' \"$2\"")
+    if libc.mount(bytes(host), bytes(half / "dev"), None, MS_BIND, None):
+        pytest.skip("this root may not mount")
+    try:
+        tree, _ = made(tmp_path, EMPTY_TREE)
+    finally:
+        libc.umount2(bytes(half / "dev"), MNT_DETACH)
+    assert (host / "null").exists() and not (tree / "dev").exists()
+
+
+@as_root
+def test_a_set_up_has_its_mounts_to_itself(tmp_path: Path) -> None:
+    made(tmp_path, EMPTY_TREE + 'readlink /proc/self/ns/mnt >>"$LOG"\n')
+    assert os.readlink("/proc/self/ns/mnt") not in (tmp_path / "log").read_text()
 
 
 @as_root

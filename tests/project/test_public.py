@@ -39,9 +39,10 @@ def test_the_package_is_the_command() -> None:
 
 # What a run, its report and its results may not change in the process that calls them.
 GUEST = """
-import os, signal, sys, ufl
+import locale, os, signal, sys, ufl, warnings
 from dolfinx import fem
 import dolfinx.jit, ffcx.codegeneration.jit, ffcx.options, numpy, logging
+import ruamel.yaml, scipy.sparse, scipy.special  # which add warnings filters of their own
 import matplotlib.pyplot as plt
 plt.rcParams["font.size"] = 23
 
@@ -53,6 +54,8 @@ def settings():
         **{str(s): signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)},
         "numpy": (numpy.geterr(), numpy.get_printoptions()), "hook": sys.excepthook,
         "log": (list(logging.root.handlers), logging.root.level), "here": os.getcwd(),
+        "filters": list(warnings.filters), "show": warnings.showwarning,
+        "locale": locale.setlocale(locale.LC_ALL), "backend": plt.get_backend(),
     }
 
 before = settings()

@@ -19,10 +19,12 @@ from app.cli import main
 from app.errors import ConvergenceError, GeometryError, InputError
 from app.numerics.newton import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
+from app.simulation.model import Model
 from app.soundness import preview, well_posedness
 from app.soundness.failure import pulled_off
 from app.soundness.mesh_parts import gaps_of, groups_of
 from app.system import folders
+from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.pieces import coincident
 from tests import support
@@ -157,12 +159,16 @@ def test_a_smooth_pin_may_turn_and_a_smooth_taper_slide(order: int) -> None:
     assert "'stem': it is free to turn about z:" in note  # the cone is steep enough
 
 
-def test_a_body_that_nothing_holds_is_refused() -> None:
-    """A block that a crack parts from the one below, though its interface is bonded."""
+def test_a_body_that_nothing_holds_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block that a crack parts from the one below, though its interface is bonded.
+
+    A run refuses it in the same words, before it factorizes a singular matrix.
+    """
     case = support.case(TWO, "interfaces={}")
     found = well_posedness.look(case, build(case))
     assert len(groups_of(case, found)) == 1
-    cracked = well_posedness.look(case, torn(build(case), case, "bone_metal"))
+    data = torn(build(case), case, "bone_metal")
+    cracked = well_posedness.look(case, data)
     assert len(groups_of(case, cracked)) == 2
     with pytest.raises(InputError) as caught:
         well_posedness.judge(case, cracked)
@@ -172,6 +178,10 @@ def test_a_body_that_nothing_holds_is_refused() -> None:
         "x, y, z, by a support"
     )
     assert "regions 'bone' and 'metal'" in crack and "nodes coincide" in crack
+    monkeypatch.setattr(meshes, "build", lambda *_: data)
+    with pytest.raises(InputError) as run:
+        Model(case, MPI.COMM_WORLD, {}, Timing(), str)
+    assert run.value.messages == caught.value.messages
 
 
 def test_a_turn_that_supports_leave_is_refused() -> None:
