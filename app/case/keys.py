@@ -275,9 +275,11 @@ def _mentions(word: str) -> str:
 
 
 def _results(word: str) -> str:
-    """Results and words of the glossary with a word in their names; empty without any."""
+    """Entries of the library, results and words of the glossary with a word; empty if none has."""
     part = word.lower()
-    lines = [
+    entries = [text for kind in library.KINDS for text in library.listed(kind).splitlines()[1:]]
+    lines = [text for text in entries if part in text.lower().replace(" ", "_")]
+    lines += [
         f"  {f'{section}.{q.key}':<44} {q.label} ({q.unit}), a result"
         for section, own in quantities.TABLE.items()
         for q in own.values()

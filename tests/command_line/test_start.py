@@ -220,6 +220,7 @@ geometry.cement_thickness  (kind intact_femur)
         ("contact pressure", 0, ["  interfaces.pressure_p95  "]),
         ("motion", 0, ["interfaces.motion_p99", "  motion: length of the whole relative"]),
         ("gap", 0, ["interfaces.<name>.gap  (kind contact)", "\n  interfaces.gap_p99  "]),
+        ("titanium", 0, ["  Ti-6Al-4V  "]),
         ("E", 0, ["regions.<name>.youngs_modulus  (kind isotropic)"]),
         ("body_weight", 0, ["hip 1800 N (3 body weights of 600 N)"]),
         ("", 0, ["\n  mesh  ", "Mesh size and order.", "\n  PMMA  ", "\n  walking  "]),
