@@ -42,7 +42,7 @@ QUANTITIES = {
 
 
 def written(page: Path, size: str = "") -> str:
-    """A page with what its commands print, with meshes of another size if one is given."""
+    """A page with what its commands print; with a size, its own cases have meshes of that."""
     text = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as name:
         folder, printed = Path(name), ""
@@ -52,10 +52,11 @@ def written(page: Path, size: str = "") -> str:
             nonlocal printed
             file, language, inner = found.groups()
             if file:
-                (folder / file).write_text(inner, encoding="utf-8")
+                case = re.sub(r"size: \d+ mm", f"size: {size}", inner) if size else inner
+                (folder / file).write_text(case, encoding="utf-8")
             for line in inner.splitlines() if language == "sh" else ():
                 if not SKIPPED.match(line):
-                    printed = _output(line, folder, size)
+                    printed = _output(line, folder)
             return f"```text\n{printed}```\n" if language == "text" else found[0]
 
         return BLOCK.sub(block, tabled(text))
@@ -66,13 +67,11 @@ def tabled(text: str) -> str:
     return re.sub(r"(\|[^|\n]*\|[^|\n]*\|)([^|\n]*)(\|[^|\n]*\|)([^|\n]*)(\|.*)", _row, text)
 
 
-def _output(line: str, folder: Path, size: str) -> str:
+def _output(line: str, folder: Path) -> str:
     """What a command of a page prints, without what it tells of its progress."""
     words = shlex.split(line, comments=True)
     if words[0] == "./mantle":
         words = [sys.executable, "-m", "mantle", *words[1:]]
-        if size and words[3] == "run" and "configs" not in words[4]:
-            words[5:5] = ["--set", f"mesh.size={size}"]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "120", "NO_COLOR": "1"}
     done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
     return PROGRESS.sub("", done.stdout + done.stderr)
