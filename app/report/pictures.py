@@ -28,8 +28,9 @@ from app.results.reading import FACES, Run
 
 Chosen = list[tuple[str, SweptCase]]
 
-TEMPERATURE = "temperature (°C)"
+TEMPERATURE = "highest temperature (°C)"
 SHOWN = {"gap": "YlGnBu", "slip": "YlGnBu", "motion": "YlGnBu", "pressure": "YlOrRd"}
+PEAK = "temperature_peak"
 SIDES = "interfaces"  # name of the picture from three sides
 # Directions to the eye and to the right: anterior is +y, medial +x, proximal +z.
 VIEWS = {
@@ -117,13 +118,8 @@ def _rows(name: str, columns: Sequence[Column]) -> list[Row]:
             for _, run, _ in columns
         ]
         rows.append((f"{WORDS[quantity]} ({unit})", colours, values))
-    return [*rows, (TEMPERATURE, "inferno", [_hottest(run, own) for _, run, own in columns])]
-
-
-def _hottest(run: Run, sheet: Sheet) -> Floats | None:
-    """Temperature [degC] at the written step at which an interface is hottest."""
-    steps = [run.temperature(k) for k in range(len(run.times))] if run.hot else []
-    return max(steps, key=lambda T: float(T[sheet.nodes].max())) if steps else None
+    peaks = [run.on_points(PEAK) if PEAK in run.point_fields else None for _, run, _ in columns]
+    return [*rows, (TEMPERATURE, "inferno", peaks)]
 
 
 def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[str]) -> Figure:
@@ -136,7 +132,7 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
             "beyond the resection."
         )
     if TEMPERATURE in labels:
-        caption += " Temperature: of the second body, at the hottest step that was written."
+        caption += " Temperature: the highest at each place of the second body, at any time."
     place = f"{named(name)} interface"
     of, to = (f"{word}{'; '.join(titles)}" if titles else "" for word in (" of ", ": "))
     return Figure(file, place + to, caption, f"{', '.join(labels)} on the {place}{of}")

@@ -35,6 +35,7 @@ NODAL = {
     "von_mises": ("von Mises stress", "MPa", 1.0),
     "principal_max": ("largest principal stress", "MPa", 1.0),
     "principal_min": ("smallest principal stress", "MPa", 1.0),
+    "temperature_peak": ("highest temperature so far", "°C", 1.0),
     "temperature": ("temperature", "°C", 1.0),
 }
 

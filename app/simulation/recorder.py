@@ -226,12 +226,10 @@ class Recorder:
         self._writer.write_fields(self.time, self.samples)
 
     def flush(self) -> None:
-        """Write pending fields of the last step, fields of the last step alone, and pictures."""
+        """Write pending fields of the last step, and fields of the last step alone."""
         if self._written < self.step_count:
             self._fields()
         self._writer.last_fields()
-        if t := self._model.thermal:
-            self._writer.section(t.operators, t.record)
 
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
