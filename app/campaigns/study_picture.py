@@ -122,10 +122,9 @@ def _against_time(report: Report, axes: Any, m: Measured) -> None:
     _limits(axes, report, error)
     target = f"target {percent(report.target)}"
     axes.axhline(report.target, color="0.3", lw=1, ls=(0, (5, 3)), label=target)
-    if m.reference is not None and m.reference.uncertainty and m.reference.value:
-        own = m.reference.uncertainty / abs(m.reference.value)
+    if m.own:
         below = {"color": "0.88", "lw": 0, "zorder": 0.9, "label": "uncertainty of the reference"}
-        axes.axhspan(axes.get_ylim()[0], own, **below)
+        axes.axhspan(axes.get_ylim()[0], m.own, **below)
     if all(e is None for e in error):
         axes.text(0.5, 0.5, "no known error", transform=axes.transAxes, ha="center", color="0.4")
 
