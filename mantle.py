@@ -74,12 +74,7 @@ def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
 
     keys = {key: key if "." in key else key.replace("__", ".") for key in overrides}
     changes = points.as_overrides({keys[key]: value for key, value in overrides.items()})
-    try:
-        loaded = case.load(Path(path), changes)
-    except InputError as error:
-        raise InputError([m.removeprefix("--set ") for m in error.messages]) from None
-    loaded.file.option = ""  # Python has no options
-    return loaded
+    return case.load(Path(path), changes, option="")
 
 
 def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
