@@ -46,6 +46,10 @@ class Case(Section):
 
     title: Text = ""
     """A line for people."""
+    question: Text = ""
+    """The question of interest, for `mantle report --evidence`."""
+    context_of_use: Text = ""
+    """What the answer is used for, and how much hangs on it."""
     geometry: Geometry
     """Bodies, interfaces and boundaries."""
     side: Literal["left", "right"] = "left"

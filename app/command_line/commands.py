@@ -193,9 +193,14 @@ def _many(options: argparse.Namespace, folder: Path) -> Options:
 def _report(options: argparse.Namespace) -> int:
     configure_log("info")
     with stack_needed():
-        from app.report import compare, run_report, sweep_report
+        from app.report import compare, evidence, run_report, sweep_report
 
     folder, *others = options.folders
+    if options.evidence or options.methods:
+        files = evidence.write(options.folders) if options.evidence else []
+        files += [evidence.methods(folder)] if options.methods else []
+        print(*files, sep="\n")
+        return 0
     if others:
         page = _writable(options.output or Path("out")) / "compare.html"
         print(compare.write(options.folders, page))

@@ -46,7 +46,7 @@ COMMANDS = {
         "run many cases of one base case, and compare them",
         f"sweep --set --allow-scripts {MANY}",
     ),
-    "report": ("the page of a run or a sweep, or of several runs side by side", "folders -o"),
+    "report": ("the page of a run or a sweep, or of several runs side by side", "folders -o --evidence --methods"),
     "verify": ("solve the verification problems and compare with what is known", SUITE),
     "stress": ("stiff and extreme cases: right, refused with a reason, or wrong", SUITE),
     "bench": ("measure what contact costs, from 20 000 unknowns up (20 minutes)", SUITE),
@@ -73,6 +73,12 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         help="a key such as interfaces.friction_coefficient, a material or load of the library, or "
         "materials or loads for a list of them",
     ),
+    "--evidence": dict(
+        action="store_true",
+        help="the credibility factors of ASME V&V 40 of a run: evidence.html and .json; further "
+        "folders are of mantle verify",
+    ),
+    "--methods": dict(action="store_true", help="a section on methods of a run: methods.md"),
     "-o": dict(dest="output", type=_folder, metavar="FOLDER"),
     "-n": dict(
         type=_number_of_ranks, default=1, metavar="N", help="number of MPI ranks (default 1)"

@@ -1,0 +1,263 @@
+"""Evidence for a referee or an authority: credibility factors of ASME V&V 40-2018, and methods.
+
+Each factor is filled from what runs computed; what no program can know is left to the applicant, in
+these words.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from app.case import quantities
+from app.case.case import Case, load
+from app.case.quantities import TABLE
+from app.errors import InputError
+from app.report import page
+from app.results import closing_lines
+from app.results.reading import Results
+from app.system.folders import write_json, write_text
+
+APPLICANT = "the applicant writes this"
+# Names of the factors, in their order, and what they belong to.
+VERIFICATION = ("code verification", "calculation verification")
+VALIDATION = ("validation: computational model", "validation: comparator", "validation: assessment")
+PARTS = (
+    (VERIFICATION[0], "software quality assurance"),
+    (VERIFICATION[0], "numerical code verification"),
+    (VERIFICATION[1], "discretization error"),
+    (VERIFICATION[1], "numerical solver error"),
+    (VERIFICATION[1], "use error"),
+    (VALIDATION[0], "model form"),
+    (VALIDATION[0], "model inputs"),
+    (VALIDATION[1], "test samples"),
+    (VALIDATION[1], "test conditions"),
+    (VALIDATION[2], "equivalency of inputs"),
+    (VALIDATION[2], "output comparison"),
+    ("applicability", "relevance of the quantities of interest"),
+    ("applicability", "relevance of the validation to the context of use"),
+)
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A credibility factor.
+
+    Attributes:
+        number: 1 to 13, in the order of the standard.
+        part: Group that it belongs to.
+        evidence: Sentences from what was computed, or `APPLICANT`.
+    """
+
+    number: int
+    part: str
+    name: str
+    evidence: tuple[str, ...]
+
+
+def write(folders: Sequence[Path]) -> list[Path]:
+    """Write ``evidence.html`` and ``evidence.json`` into the folder of the run.
+
+    Args:
+        folders: That of the run first; then of ``mantle verify``, also of its validation problems.
+
+    Raises:
+        InputError: The first folder has no finished run, or another one no outcomes.
+    """
+    run = _finished(folders[0])
+    checks = [check for folder in folders[1:] for check in _checks(folder)]
+    case = load(run.folder / "case.yaml").config
+    found = factors(case, run.summary, _json(run.folder / "provenance.json"), checks)
+    head = {"question": case.question or APPLICANT, "context_of_use": case.context_of_use}
+    head["context_of_use"] = head["context_of_use"] or APPLICANT
+    content = head | {"standard": "ASME V&V 40-2018", "factors": [asdict(f) for f in found]}
+    write_json(run.folder / "evidence.json", content)
+    rows = [[str(f.number), f.part, f.name, list(f.evidence)] for f in found]
+    table = page.table(["", "part", "factor", "evidence"], rows)
+    html = page.page(
+        f"Evidence: {case.title or run.folder.name}",
+        [
+            ("question", "Question", page.bullets([head["question"]])),
+            ("context", "Context of use", page.bullets([head["context_of_use"]])),
+            ("factors", "Credibility factors of ASME V&V 40-2018", table),
+        ],
+        facts=f"from {run.folder}",
+        lead="What was computed for each factor; the rest is for the applicant.",
+        summary=[],
+    )
+    write_text(run.folder / "evidence.html", html)
+    return [run.folder / "evidence.html", run.folder / "evidence.json"]
+
+
+def factors(
+    case: Case, summary: Mapping[str, Any], record: Mapping[str, Any], checks: Sequence[Any]
+) -> list[Factor]:
+    """The factors of a run, with outcomes of verification and validation problems."""
+    validated = [c for c in checks if c["group"] == "validation"]
+    verified = [c for c in checks if c["group"] != "validation"]
+    measured = tuple(_outcome(c) for c in validated)
+    left = (APPLICANT,)
+    sentences: tuple[tuple[str, ...], ...] = (
+        tuple(_software(record)),
+        tuple(_code(verified)),
+        tuple(_discretization(summary)),
+        tuple(v.text for v in closing_lines.verdict(dict(summary)) if v.text.startswith(SOLVED)),
+        tuple(_use(summary, record)),
+        tuple(_form(case)),
+        tuple(_inputs(case)),
+        tuple(f"{c['name']}: {c['note']}" for c in validated if c["note"]) or left,
+        left,
+        left,
+        measured or left,
+        (f"the question: {case.question}",) if case.question else left,
+        (f"the context of use: {case.context_of_use}", *left) if case.context_of_use else left,
+    )
+    return [Factor(k + 1, *PARTS[k], s) for k, s in enumerate(sentences)]
+
+
+# Verdicts of a run that are about the solver.
+SOLVED = ("equilibrium", "contact", "heat")
+
+
+def _finished(folder: Path) -> Results:
+    if not (folder / "DONE").exists() or not (folder / "summary.json").exists():
+        raise InputError(f"{folder}: holds no finished run; evidence begins with one")
+    return Results(folder)
+
+
+def _checks(folder: Path) -> list[Any]:
+    files = sorted(folder.glob("verify*.json"))
+    if not files:
+        raise InputError(f"{folder}: holds no verify.json; mantle verify -o {folder} writes it")
+    return [check for file in files for check in _json(file)]
+
+
+def _json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _software(record: Mapping[str, Any]) -> Iterator[str]:
+    parts = ", ".join(f"{name} {version}" for name, version in record["identity"].items())
+    yield f"sources by digest and versions: {parts}"
+    yield f"{record['ranks']} rank(s), {record['processor']}, {record['started'][:10]}"
+    yield "`mantle test` checks this version: lint, types, tests, planted faults of its equations"
+
+
+def _code(checks: Sequence[Any]) -> Iterator[str]:
+    if not checks:
+        yield f"no outcomes of `mantle verify` were given: {APPLICANT}"
+        return
+    passed = [c for c in checks if c["outcome"] in ("passed", "refused")]
+    yield f"{len(passed)} of {len(checks)} problems with known answers are solved within tolerance"
+    for check in checks:
+        if check["outcome"] not in ("passed", "refused"):
+            yield _outcome(check)
+    orders = [c for c in checks if c["order"] is not None]
+    if orders:
+        least = min(c["order"] / c["expected_order"] for c in orders)
+        yield f"{len(orders)} orders of convergence, the least {least:.0%} of theory's"
+
+
+def _outcome(check: Mapping[str, Any]) -> str:
+    value, reference = check["value"], check["reference"]
+    numbers = f": {value:.4g}, reference {reference:.4g}" if value and reference else ""
+    return f"{check['name']}: {check['outcome']}{numbers}"
+
+
+def _discretization(summary: Mapping[str, Any]) -> Iterator[str]:
+    if "error" not in summary:
+        yield f"not estimated (`mantle run --error` does): {APPLICANT}"
+        return
+    for section, name, numbers in quantities.numbers_of(summary):
+        shown = [q for q in TABLE[section].values() if q.headline and f"{q.key}_error" in numbers]
+        if shown:
+            texts = (f"{q.label} {q.text(numbers)} {quantities.printed(q.shown)}" for q in shown)
+            yield f"{name}: {', '.join(texts)}"
+    yield "the exact solution lies within ± for about 90 of 100 such numbers"
+    yield from (v.text for v in closing_lines.peaks(summary))
+
+
+def _use(summary: Mapping[str, Any], record: Mapping[str, Any]) -> Iterator[str]:
+    yield "the case was checked against its schema: units, names, ranges, balance of loads"
+    yield f"input by digest: {record['case_sha256'][:16]}; case.yaml has every default"
+    yield from (f"note: {note}" for note in summary.get("notes", []))
+
+
+def _form(case: Case) -> Iterator[str]:
+    laws = ", ".join(f"{name} {law.kind}" for name, law in case.interfaces.items())
+    yield f"small strains and slips, linear elasticity, quasi-static loads; interfaces: {laws}"
+    yield "no plasticity, creep, damage or remodelling"
+    yield f"sensitivity to the form of the model: {APPLICANT}"
+
+
+def _inputs(case: Case) -> Iterator[str]:
+    for section, parts in (("regions", case.regions), ("loads", case.loads)):
+        for name, part in parts.items():
+            source = f", {part.source}" if part.source else ""
+            yield f"{section}.{name}: {part.status or 'without status'}{source}"
+    yield "spread over inputs: `mantle report --spread` shows it beside the error"
+
+
+# Methods
+
+
+def methods(folder: Path) -> Path:
+    """Write ``methods.md``: a section on methods with every number from the run.
+
+    Raises:
+        InputError: The folder has no finished run.
+    """
+    run = _finished(folder)
+    case, record = load(folder / "case.yaml").config, _json(folder / "provenance.json")
+    text = "\n\n".join(_paragraphs(case, run.summary, record))
+    write_text(folder / "methods.md", text + "\n")
+    return folder / "methods.md"
+
+
+def _paragraphs(
+    case: Case, summary: Mapping[str, Any], record: Mapping[str, Any]
+) -> Iterator[str]:
+    yield f"## Methods: {case.title}"
+    order, size = case.mesh.order, case.mesh.size
+    solver = summary["solver"]
+    cement = summary.get("mantle", {}).get("thickness")
+    achieved = f" Its cement mantle is {cement['mean']:.2f} mm thick in the mean, " if cement else ""
+    least = f"{cement['min']:.2f} mm at the least (nominal {cement['nominal']:g} mm)." if cement else ""
+    yield (
+        f"The model ({case.geometry.kind}) was meshed by gmsh {record['identity']['gmsh']} with "
+        f"tetrahedra of {size:g} mm and order {order}: {solver['dofs']} unknowns.{achieved}{least}"
+    )
+    yield "Materials: " + "; ".join(_material(n, r) for n, r in case.regions.items()) + "."
+    yield "Interfaces: " + "; ".join(_interface(n, i) for n, i in case.interfaces.items()) + "."
+    yield "Loads: " + "; ".join(_load(n, p) for n, p in case.loads.items()) + "."
+    stages = ", ".join(stage.name for stage in case.stages)
+    balance = ", ".join(f"{key} {value:.1g}" for key, value in summary["balance"].items())
+    yield (
+        f"The stages {stages} were solved by an augmented Lagrangian and a semismooth Newton method "
+        f"(mantle {record['mantle']}, DOLFINx {record['identity']['dolfinx']}, PETSc "
+        f"{record['identity']['petsc']}) in {solver['steps']} steps and "
+        f"{solver['newton_iterations']} iterations; relative imbalance: {balance}."
+    )
+    yield "Errors of mesh and step: " + "; ".join(_discretization(summary)) + "."
+
+
+def _values(part: Any, leave: Sequence[str]) -> str:
+    """Keys and values of a part of a case, in the units of the file."""
+    fields = part.model_dump(mode="json", exclude_none=True)
+    kept = {k: v for k, v in fields.items() if k not in leave and v not in ([], {}, "")}
+    return ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in kept.items())
+
+
+def _material(name: str, region: Any) -> str:
+    return f"{name.replace('_', ' ')}: {_values(region, ('kind', 'tissue', 'source', 'status'))}"
+
+
+def _interface(name: str, law: Any) -> str:
+    return f"{name.replace('_', ' ')}: {law.kind}, {_values(law, ('kind',))}"
+
+
+def _load(name: str, part: Any) -> str:
+    return f"{name.replace('_', ' ')}: {_values(part, ('kind', 'source', 'status', 'history'))}"
