@@ -46,7 +46,10 @@ COMMANDS = {
         "run many cases of one base case, and compare them",
         f"sweep --set --allow-scripts {MANY}",
     ),
-    "report": ("the page of a run or a sweep, or of several runs side by side", "folders -o --evidence --methods"),
+    "report": (
+        "the page of a run or a sweep, or of several runs side by side",
+        "folders -o --evidence --methods",
+    ),
     "verify": ("solve the verification problems and compare with what is known", SUITE),
     "stress": ("stiff and extreme cases: right, refused with a reason, or wrong", SUITE),
     "bench": ("measure what contact costs, from 20 000 unknowns up (20 minutes)", SUITE),

@@ -217,15 +217,17 @@ def methods(folder: Path) -> Path:
     return folder / "methods.md"
 
 
-def _paragraphs(
-    case: Case, summary: Mapping[str, Any], record: Mapping[str, Any]
-) -> Iterator[str]:
+def _paragraphs(case: Case, summary: Mapping[str, Any], record: Mapping[str, Any]) -> Iterator[str]:
     yield f"## Methods: {case.title}"
     order, size = case.mesh.order, case.mesh.size
     solver = summary["solver"]
     cement = summary.get("mantle", {}).get("thickness")
-    achieved = f" Its cement mantle is {cement['mean']:.2f} mm thick in the mean, " if cement else ""
-    least = f"{cement['min']:.2f} mm at the least (nominal {cement['nominal']:g} mm)." if cement else ""
+    achieved = (
+        f" Its cement mantle is {cement['mean']:.2f} mm thick in the mean, " if cement else ""
+    )
+    least = (
+        f"{cement['min']:.2f} mm at the least (nominal {cement['nominal']:g} mm)." if cement else ""
+    )
     yield (
         f"The model ({case.geometry.kind}) was meshed by gmsh {record['identity']['gmsh']} with "
         f"tetrahedra of {size:g} mm and order {order}: {solver['dofs']} unknowns.{achieved}{least}"
