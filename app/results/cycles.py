@@ -80,21 +80,26 @@ def trend(first: float, lost: list[float]) -> str:
     return "grows" if lost[-1] > lost[-2] else "falls"
 
 
+def rows(found: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    """Motions of a stage with cycles: what it is, its permanent and its inducible part."""
+    for place, own in found["permanent"].items():
+        for key, value in own.items():
+            both = value, found["inducible"][place][key]
+            if key in ("retroversion", "varus"):
+                yield f"{key} (deg)", *(f"{v:.3f}" for v in both)
+            else:
+                name = f"motion p99 of {place}" if key == "motion_p99" else key
+                yield f"{name} (um)", *(f"{1e3 * v:.1f}" for v in both)
+
+
+def dissipation(found: Mapping[str, Any]) -> str:
+    """A sentence on the friction of a stage with cycles."""
+    lost = ", ".join(f"{d:.3g}" for d in found["dissipation"])
+    return f"dissipation per cycle {found['trend']}: {lost} N mm"
+
+
 def sentences(cycles: Mapping[str, Any]) -> Iterator[str]:
     """A line for the log for each stage."""
     for stage, found in cycles.items():
-        parts = []
-        for place, own in found["permanent"].items():
-            for key, value in own.items():
-                more = found["inducible"][place][key]
-                name = f"motion p99 of {place}" if key == "motion_p99" else key
-                turn = key in ("retroversion", "varus")
-                shown = f"{value:.3f} / {more:.3f} deg"
-                parts.append(
-                    f"{name} {shown if turn else f'{1e3 * value:.1f} / {1e3 * more:.1f} um'}"
-                )
-        lost = ", ".join(f"{d:.3g}" for d in found["dissipation"])
-        yield (
-            f"{stage}: permanent / inducible: {', '.join(parts)}; "
-            f"dissipation per cycle {found['trend']}: {lost} N mm"
-        )
+        parts = ", ".join(f"{name} {low} / {more}" for name, low, more in rows(found))
+        yield f"{stage}: permanent / inducible: {parts}; {dissipation(found)}"
