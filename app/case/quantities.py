@@ -78,7 +78,7 @@ class Quantity:
         peak: Whether it is a maximum, which may diverge with refinement.
         exact: Whether it has no discretization error: counts, run times, penetrations.
         vector: Whether it has three components, ``.x`` .. in a study.
-        history: Whether history.csv has it; of interfaces alone.
+        history: Whether history.csv has it; of interfaces and the stem.
         headline: Whether sweeps and variations compare runs by it.
         compute: Function of an added quantity, in `unit`. For an interface it takes the contact
             points (`ContactSamples`) and a mask of those of the interface (n,), and returns the
@@ -204,9 +204,9 @@ add_quantity(
     _region("principal_p99", "MPa", order=STRESS),
     _region("principal_min", "MPa", peak=True),
     *(_region(f"mean_stress_{end}", "MPa") for end in ("min", "max")),
-    Quantity("stem", "subsidence", "mm", "um", 1, order=MOTION, headline=True),
-    Quantity("stem", "retroversion", "deg", digits=3, order=MOTION, headline=True),
-    Quantity("stem", "varus", "deg", digits=3, order=MOTION, headline=True),
+    Quantity("stem", "subsidence", "mm", "um", 1, order=MOTION, history=True, headline=True),
+    Quantity("stem", "retroversion", "deg", digits=3, order=MOTION, history=True, headline=True),
+    Quantity("stem", "varus", "deg", digits=3, order=MOTION, history=True, headline=True),
     *(
         Quantity("stem", f"{end}_displacement", "mm", "um", 1, order=MOTION, vector=True)
         for end in ("tip", "top")

@@ -29,12 +29,31 @@ class Stage(Section):
     """Time that the stage takes; by default none, and temperatures stay as they are."""
     steady: Truth = False
     """Whether the stage goes to the steady state of the temperature."""
+    cycles: units.PositiveInteger = 1
+    """How often loads, gaps and supports reach their values of the end of the stage. Between, they
+    go back to `valley`; `increments` are those of each way."""
+    valley: units.Share = 0.1
+    """What is left between two cycles of the change that the stage brings."""
 
     @model_validator(mode="after")
     def _one_end(self) -> Stage:
         if self.steady and self.duration is not None:
             fail("a steady stage takes no `duration`", at=("duration",))
+        if self.cycles > 1 and self.takes_time:
+            fail("a stage that takes time has no cycles", at=("cycles",))
         return self
+
+    @property
+    def ways(self) -> int:
+        """How often loads turn, and the way to the end."""
+        return 2 * self.cycles - 1
+
+    def reached(self, part: float) -> float:
+        """How much of the stage's change is there after a part of it: 1 at the end and at peaks."""
+        way = min(int(self.ways * part), self.ways - 1)
+        low = self.valley if way else 0.0
+        up = self.ways * part - way
+        return low + (1.0 - low) * (1.0 - up if way % 2 else up)
 
     @property
     def seconds(self) -> float:

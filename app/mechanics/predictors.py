@@ -11,8 +11,7 @@ Every variation is solved from rest, for friction has a memory; others only prov
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from mpi4py import MPI
@@ -52,10 +51,10 @@ class Predictor(Protocol):
 
 
 class Extrapolation:
-    """Line through the last two states; all states at the start of a stage, where loads turn."""
+    """Line through the last two states; all states where loads turn, as where a stage begins."""
 
-    def __init__(self, solver: Solver) -> None:
-        self._solver = solver
+    def __init__(self, solver: Solver, last_turn: Callable[[float], float]) -> None:
+        self._solver, self._last_turn = solver, last_turn
         self._trail: list[tuple[float, PETSc.Vec]] = []
 
     def begin(self, time: float) -> None:
@@ -68,7 +67,7 @@ class Extrapolation:
         if len(self._trail) < 2:
             return
         (t0, x0), (t1, x1) = self._trail[-2:]
-        if t0 >= math.ceil(time) - 1:
+        if t0 >= self._last_turn(time) - 1e-9:
             s = (time - t1) / (t1 - t0)
             x = x1.copy()
             x.axpby(-s, 1.0 + s, x0)

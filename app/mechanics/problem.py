@@ -151,7 +151,8 @@ class Problem:
 
     def set_time(self, time: float) -> None:
         """Set loads, supports and gaps to a time; the state itself is unchanged."""
-        self.time = time
+        self.time, time = time, self.scene.load_time(time)
+        self.load_time = time
         action = self.forces.at(time)
         nodal = PETSc.Vec().createWithArray(action.nodal, comm=self.comm)
         self.f, self.f_q = self.stiffness.constraints.vector(nodal), action.jump

@@ -20,6 +20,7 @@ from app.report import curves, gruen, page, pictures, sentence, sweep_figures, v
 from app.report.page import Blocks, bullets, table
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
+from app.results import cycles
 from app.results.reading import Run
 from app.system.folders import write_text
 from app.system.layout import noted, plain
@@ -192,6 +193,11 @@ def _verdict(summary: dict[str, Any]) -> list[str]:
 def _numbers(summary: dict[str, Any]) -> Blocks:
     """The numbers of the closing table, a column for each interface, region and so on."""
     found = _tables(summary, every=False)
+    for stage, own in summary.get("cycles", {}).items():
+        head = ["", "permanent", "inducible"]
+        rows = [[in_print(name), *both] for name, *both in cycles.rows(own)]
+        found += page.titled(f"Cycles of {stage}", table(head, rows))
+        found += bullets([cycles.dissipation(own)])
     found += page.titled("Peaks that still change with the mesh", _unsettled(summary))
     if note := summary.get("thermal", {}).get("note"):
         found += bullets([note])

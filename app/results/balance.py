@@ -140,7 +140,7 @@ class Balance:
         setting = [(b, assembled_vector(form)) for b, form in self._setting]
         elastic = [(b, assembled_vector(form)) for b, form in self._internal]
         inner = problem.forces.action([*elastic, *setting])
-        acting = problem.forces.applied(problem.time)
+        acting = problem.forces.applied(problem.load_time)
         left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)
         reaction = np.where(constraints.reacting, left, 0.0)
         loose = constraints.vector(PETSc.Vec().createWithArray(left, comm=problem.comm))
@@ -155,7 +155,7 @@ class Balance:
             work = self._assemble(form)
             external.append((work, free.x.array[: len(work)].copy()))
         for history, form in self._strain_work:
-            strain = np.array([amplitude(history, problem.time)])
+            strain = np.array([amplitude(history, problem.load_time)])
             external.append((np.array([fem.assemble_scalar(form)]), strain))
         springs = self._assemble(self._springs) if self._springs else 0.0
         set_in = [(f.array, displacements[b].x.array[: len(outer)].copy()) for b, f in setting]
@@ -179,7 +179,7 @@ class Balance:
         self._work, self._spent = self._work + work, self._spent + set_in
         spent = (self._spent, *stored)
         (_, displacement), (_, jump), *_ = new.external
-        free = problem.forces.free_work(problem.time, displacement, jump)
+        free = problem.forces.free_work(problem.load_time, displacement, jump)
         held = comm.allreduce(fem.assemble_scalar(self._set)) if self._set else 0.0
         q = PETSc.Vec().createWithArray(jump, comm=comm) if trial else None
         rounding = problem.rounding(u, q) / ROUNDING
@@ -195,7 +195,7 @@ class Balance:
         force, moment = comm.allreduce(
             np.array([outer.sum(axis=0), np.cross(self._arm, outer).sum(axis=0)])
         )
-        loads = sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.time))
+        loads = sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.load_time))
         reactions = comm.allreduce(np.abs(new.reaction).sum(), MPI.SUM)
         # After unloading only forces of rounding are left.
         scale = self._largest = max(self._largest, scale, float(loads), float(reactions))

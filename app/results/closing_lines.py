@@ -14,6 +14,7 @@ import numpy as np
 from app.case import quantities
 from app.case.quantities import NECROSIS, TABLE, numbers_of
 from app.errors import UnusableError
+from app.results.cycles import sentences
 from app.system import layout
 
 if TYPE_CHECKING:
@@ -276,6 +277,7 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
         yield note
     for section in ("cure", "stem"):
         yield from (_sentence(section, *row) for row in rows[section].items())
+    yield from sentences(summary.get("cycles", {}))
 
 
 def keys(section: str) -> list[str]:

@@ -60,9 +60,13 @@ class ContactSamples:
         own: History variables of the laws, by name: (n, ...).
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
         numbers: Motion, tractions and states of each interface, by its name.
+
+    Args:
+        since: Jumps of own points at the last valley of the loads (n, 3) [mm]: ``inducible``
+            sizes are those of the way since then.
     """
 
-    def __init__(self, problem: Problem, trial: TrialState) -> None:
+    def __init__(self, problem: Problem, trial: TrialState, since: Floats | None = None) -> None:
         contact, history = trial.contact, trial.contact.state
         own, points = contact.own, contact.points
         order = np.argsort(np.concatenate(problem.comm.allgather(own.rows)))
@@ -95,6 +99,9 @@ class ContactSamples:
             "pressure": self.pressure,
             "shear": self.shear,
         }
+        if since is not None:
+            way = whole(trial.jump - since)
+            self.sizes["inducible"] = np.linalg.norm(way, axis=1)
         depths = overlap(contact, trial.jump)
         self.numbers: dict[str, dict[str, Any]] = {
             c.name: {

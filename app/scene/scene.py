@@ -96,6 +96,17 @@ class Scene:
         """Whether a support is active in a stage."""
         return support.stages is None or self.stages[stage].name in support.stages
 
+    def load_time(self, time: float) -> float:
+        """Time without cycles, at which the histories of loads have their value of a time."""
+        k = max(math.ceil(time) - 1, 0)
+        return k + self.stages[k].reached(time - k)
+
+    def last_turn(self, time: float) -> float:
+        """The last time before a time at which loads turn, or a stage begins."""
+        k = max(math.ceil(time) - 1, 0)
+        ways = self.stages[k].ways
+        return k + (math.ceil((time - k) * ways - 1e-9) - 1) / ways
+
 
 def build_scene(case: Case) -> Scene:
     """Build the scene of a case."""

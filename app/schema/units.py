@@ -333,6 +333,7 @@ ActivationEnergy = Annotated[float, _per_amount(at_least=0.0)]
 Number = Annotated[float, Plain()]
 PositiveNumber = Annotated[float, Plain(above=0.0)]
 NonNegativeNumber = Annotated[float, Plain(at_least=0.0)]
+Share = Annotated[float, Plain(at_least=0.0, at_most=1.0)]
 PositiveInteger = Annotated[int, Plain(integer=True, at_least=1)]
 NonNegativeInteger = Annotated[int, Plain(integer=True, at_least=0)]
 

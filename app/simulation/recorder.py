@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -20,6 +21,8 @@ from app.heat.nodes import Probes
 from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
+from app.results.cycles import Cycles
+from app.results.hip import stem_motion
 from app.results.interface_numbers import ContactSamples
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import Stage
@@ -75,7 +78,7 @@ class Recorder:
 
     saved = (
         *("step_count", "time", "_frames", "_written", "_total", "_mechanical", "_contact"),
-        *("_balance", "_writer"),
+        *("_balance", "_writer", "_cycles", "_valley"),
     )
 
     def __init__(
@@ -108,7 +111,9 @@ class Recorder:
         self.time = 0.0
         self.step_count = self._written = self._frames = 0
         self._total = Summary()
-        self._takes_time = False
+        self._stage = Stage(name="rest")
+        self._cycles = Cycles()
+        self._valley: dict[str, Any] = {}
         self._mechanical: dict[str, Any] = {}
 
     @property
@@ -116,7 +121,7 @@ class Recorder:
         """Keys of owned contact points."""
         m = self._model.mechanics
         contact = m.problem.contact if m else None
-        return {"_contact": contact.row_keys} if contact else {}
+        return dict.fromkeys(("_contact", "_valley"), contact.row_keys) if contact else {}
 
     def restored(self) -> None:
         """Continue from a restored model; collective."""
@@ -139,8 +144,8 @@ class Recorder:
 
     def stage(self, stage: Stage) -> None:
         """Write the header of a stage's lines."""
-        self._takes_time = stage.takes_time
-        columns = text.HEAT if self._takes_time else text.STEP
+        self._stage = stage
+        columns = text.HEAT if stage.takes_time else text.STEP
         log.info("%s", text.line(columns, columns))
 
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
@@ -151,13 +156,29 @@ class Recorder:
             balance.update(m.solver.u_and_q()[0], trial)
             if trial is not None:
                 self._contact = {"pressures": trial.law.pressures, "status": trial.law.status}
-                self.samples = ContactSamples(m.problem, trial)
+                self.samples = ContactSamples(m.problem, trial, self._valley.get("jump"))
             self._total.count(step.outcome)
-            self._mechanical = self._row_of(step, balance)
+            stem = stem_motion(m.problem, self._case)
+            self._mechanical = self._row_of(step, balance) | {
+                f"stem {key} [{q.unit}]": stem[key]
+                for key, q in TABLE["stem"].items()
+                if q.history and key in stem
+            }
+            self._turn(step, stem, trial)
             # The steps of heat, which come more often, have the rows of stages that take time.
-            if not self._takes_time:
+            if not self._stage.takes_time:
                 self._row(step)
                 self._line(step)
+
+    def _turn(self, step: LoadStep, stem: Mapping[str, Any], trial: TrialState | None) -> None:
+        """Keep the numbers at peaks and valleys of a stage with cycles."""
+        way = (step.time - math.ceil(step.time) + 1) * self._stage.ways
+        if self._stage.cycles == 1 or not step.whole or abs(way - round(way)) > 1e-6:
+            return
+        interfaces = self.samples.numbers if self.samples else {}
+        self._cycles.add(step.stage, {"stem": stem, "interfaces": interfaces})
+        if trial is not None and round(way) % 2 == 0:
+            self._valley = {"jump": trial.jump.copy()}
 
     def heat(self, step: LoadStep, accepted: HeatStep) -> None:
         """Record a step of the heat, with the mechanics at its end; collective."""
@@ -243,7 +264,9 @@ class Recorder:
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
         if self.step_count:  # at rest all would be zero
             numbers = model.numbers(self.samples) | model.places(self.samples)
-            if sections := section_loads(self._case, self.time):
+            if cycles := self._cycles.summary():
+                numbers["cycles"] = cycles
+            if sections := section_loads(self._case, model.scene.load_time(self.time)):
                 numbers["section_loads"] = [asdict(section) for section in sections]
         result = {
             "status": status,

@@ -130,7 +130,7 @@ def _solution(case: Case, size: _Size) -> float:
     timed = sum(1 for stage in case.stages if stage.duration)
     sets = any(r.thermal is not None and r.thermal.cure is not None for r in case.regions.values())
     moments = HEAT_STEPS * timed + SETTING_STEPS * (sets and timed > 0)
-    steps = sum(stage.increments for stage in case.stages if not stage.duration)
+    steps = sum(stage.increments * stage.ways for stage in case.stages if not stage.duration)
     if _proportional(case):
         steps -= case.stages[0].increments - 1  # the first step tells the others
     loading = price * (1.0 + LATER * max(0, steps + moments - 1)) if mechanical else 0.0

@@ -80,6 +80,7 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
 def _stage(stage: Stage) -> str:
     time = f"{stage.seconds:g} s, " if stage.seconds else "until nothing changes, " * stage.steady
     steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
+    steps += f" for each way, {stage.cycles} cycles" if stage.cycles > 1 else ""
     return f"  {stage.name}: {time}{steps}{', adaptive' if stage.adaptive else ''}"
 
 

@@ -138,13 +138,13 @@ class LoadStepper:
 
     def __post_init__(self) -> None:
         """Put extrapolation before the other predictors."""
-        self._line = Extrapolation(self.solver)
+        self._line = Extrapolation(self.solver, self.problem.scene.last_turn)
         self.predictors = (self._line, *self.predictors)
         self._progress = Progress()
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Take load steps through a stage that takes no time."""
-        whole = 1.0 / stage.increments
+        whole = 1.0 / (stage.increments * stage.ways)
         if not self._progress.step:
             self._progress = Progress(whole)
 

@@ -507,6 +507,18 @@ def check_residual(s: dict[str, Any]) -> None:
     np.testing.assert_allclose(stem, HIP, rtol=0.05, atol=20)
 
 
+def check_history(s: dict[str, Any]) -> None:
+    """After three steps: all of the motion at a peak is permanent or inducible."""
+    found = s["cycles"]["walking"]
+    whole = found["permanent"]["stem"]["subsidence"] + found["inducible"]["stem"]["subsidence"]
+    assert whole == pytest.approx(s["stem"]["subsidence"]) and len(found["dissipation"]) == 2
+    for name, own in found["inducible"].items():
+        most = s["interfaces"].get(name, {}).get("motion_p99", np.inf)
+        assert (
+            0 < own.get("motion_p99", 1e-9) < most + found["permanent"][name].get("motion_p99", 0)
+        )
+
+
 STANCE = ["mesh.size=6 mm", "stages.0.increments=1", "output.error=false"]
 # Numbers of the first two are those of the frozen ones, and of the patch tests.
 SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = {
@@ -522,6 +534,13 @@ SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = 
         ["mesh.size=0.8 mm", "time.tolerance=0.02 K", "output.error=true"],
     ),
     "cure.yaml": (check_cure, ["mesh.size=6 mm", "mesh.far_size=10 mm", "time.tolerance=0.2 K"]),
+    "history.yaml": (
+        check_history,
+        [
+            *("mesh.size=10 mm", "mesh.order=1", "time.tolerance=0.2 K"),
+            *("time.mechanical_step=100 K", "stages.2.cycles=3"),
+        ],
+    ),
     "residual.yaml": (
         check_residual,
         [

@@ -1,0 +1,64 @@
+"""Cycles of load: a sliding block on a spring has permanent and inducible motions by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.results.cycles import sentences, trend
+from tests import support
+
+AREA, SPRING = 16.0, 2.0  # mm2, MPa/mm
+PRESS, FRICTION = 0.05, 0.4  # MPa: 1000 GPa times 2e-7 mm over the 4 mm of both
+CASE = f"""
+geometry: {{kind: blocks, blocks: [{{name: lower, size: [4 mm, 4 mm, 2 mm]}},
+                                  {{name: upper, size: [4 mm, 4 mm, 2 mm]}}]}}
+mesh: {{order: 1, size: 2 mm, far_size: 2 mm}}
+regions:
+  lower: {{youngs_modulus: 1000 GPa, poisson_ratio: 0}}
+  upper: {{youngs_modulus: 1000 GPa, poisson_ratio: 0}}
+interfaces: {{lower_upper: {{kind: contact, friction_coefficient: {FRICTION}}}}}
+supports:
+  floor: {{kind: fixed, boundary: bottom}}
+  press: {{kind: displacement, boundary: top, z: -2e-4 um, history: [1, 1]}}
+  side: {{kind: roller, boundary: top, axis: y}}
+  spring: {{kind: foundation, boundary: top, stiffness: [{SPRING} MPa/mm, 0 MPa/mm, 0 MPa/mm]}}
+output: {{fields: false, report: false}}
+"""
+
+
+@pytest.mark.parametrize(("pull", "way"), [(0.1, "stays"), (0.035, "vanishes")])
+def test_a_block_on_a_spring(pull: float, way: str, tmp_path: Path) -> None:
+    """It slides back in every valley if what is taken off exceeds friction twice."""
+    valley, τ = 0.1, FRICTION * PRESS
+    results = support.run(
+        CASE,
+        tmp_path,
+        f"loads.pull={{kind: force, boundary: top, force: [{pull * AREA} N, 0 N, 0 N]}}",
+        "loads.pull.history=[0, 1]",
+        f"stages=[{{name: press}}, {{name: pull, cycles: 3, valley: {valley}, increments: 2}}]",
+    )
+    # Sliding, friction bears τ and the spring the rest; the blocks hardly deform.
+    peak, back = (pull - τ) / SPRING, max(((1 - valley) * pull - 2 * τ) / SPRING, 0.0)
+    found = results.summary["cycles"]["pull"]
+    motion = {key: found[key]["lower_upper"]["motion_p99"] for key in ("permanent", "inducible")}
+    assert motion["permanent"] == pytest.approx(peak - back, rel=1e-4)
+    assert motion["inducible"] == pytest.approx(back, rel=1e-4, abs=1e-9)
+    assert found["trend"] == way
+    np.testing.assert_allclose(found["dissipation"], 2 * τ * AREA * back, rtol=1e-4, atol=1e-9)
+    assert results.summary["interfaces"]["lower_upper"]["motion_p99"] == pytest.approx(
+        peak, rel=1e-4
+    )
+    # Five ways of two increments, and the stage before.
+    assert len(results.history["step"]) == 1 + 2 * 5
+    (line,) = sentences(results.summary["cycles"])
+    assert line.startswith("pull: permanent / inducible: motion p99 of lower_upper") and way in line
+
+
+def test_trends() -> None:
+    assert trend(20.0, [18.0, 18.0, 17.0]) == "stays"
+    assert trend(20.0, [10.0, 5.0, 0.3]) == "vanishes"
+    assert trend(20.0, [10.0, 5.0]) == "falls"
+    assert trend(20.0, [10.0, 15.0]) == "grows"
