@@ -49,6 +49,7 @@ many-runs
 cluster
 administrators
 restart
+evidence
 paraview
 python
 trouble

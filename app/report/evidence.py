@@ -14,12 +14,14 @@ from typing import Any
 
 from app.case import quantities
 from app.case.case import Case, load
+from app.case.library import ORIGIN
 from app.case.quantities import TABLE
 from app.errors import InputError
 from app.report import page
 from app.results import closing_lines
 from app.results.reading import Results
 from app.system.folders import write_json, write_text
+from app.system.layout import plain
 
 APPLICANT = "the applicant writes this"
 # Names of the factors, in their order, and what they belong to.
@@ -232,13 +234,14 @@ def _paragraphs(case: Case, summary: Mapping[str, Any], record: Mapping[str, Any
         f"The model ({case.geometry.kind}) was meshed by gmsh {record['identity']['gmsh']} with "
         f"tetrahedra of {size:g} mm and order {order}: {solver['dofs']} unknowns.{achieved}{least}"
     )
-    yield "Materials: " + "; ".join(_material(n, r) for n, r in case.regions.items()) + "."
-    yield "Interfaces: " + "; ".join(_interface(n, i) for n, i in case.interfaces.items()) + "."
-    yield "Loads: " + "; ".join(_load(n, p) for n, p in case.loads.items()) + "."
+    for title in ("regions", "interfaces", "supports", "loads"):
+        parts = getattr(case, title).items()
+        lines = (f"- {name.replace('_', ' ')}: {_values(part)}" for name, part in parts)
+        yield "\n".join([f"{title.capitalize()}:", "", *lines])
     stages = ", ".join(stage.name for stage in case.stages)
     balance = ", ".join(f"{key} {value:.1g}" for key, value in summary["balance"].items())
     yield (
-        f"The stages {stages} were solved by an augmented Lagrangian and a semismooth Newton method "
+        f"Stages: {stages}. They were solved by an augmented Lagrangian and Newton's method "
         f"(mantle {record['mantle']}, DOLFINx {record['identity']['dolfinx']}, PETSc "
         f"{record['identity']['petsc']}) in {solver['steps']} steps and "
         f"{solver['newton_iterations']} iterations; relative imbalance: {balance}."
@@ -246,20 +249,8 @@ def _paragraphs(case: Case, summary: Mapping[str, Any], record: Mapping[str, Any
     yield "Errors of mesh and step: " + "; ".join(_discretization(summary)) + "."
 
 
-def _values(part: Any, leave: Sequence[str]) -> str:
-    """Keys and values of a part of a case, in the units of the file."""
-    fields = part.model_dump(mode="json", exclude_none=True)
-    kept = {k: v for k, v in fields.items() if k not in leave and v not in ([], {}, "")}
-    return ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in kept.items())
-
-
-def _material(name: str, region: Any) -> str:
-    return f"{name.replace('_', ' ')}: {_values(region, ('kind', 'tissue', 'source', 'status'))}"
-
-
-def _interface(name: str, law: Any) -> str:
-    return f"{name.replace('_', ' ')}: {law.kind}, {_values(law, ('kind',))}"
-
-
-def _load(name: str, part: Any) -> str:
-    return f"{name.replace('_', ' ')}: {_values(part, ('kind', 'source', 'status', 'history'))}"
+def _values(part: Any) -> str:
+    """Keys and values of a part of a case, with units."""
+    fields = part.model_dump(mode="json", exclude_none=True, exclude={"tissue", *ORIGIN})
+    kept = {key: value for key, value in fields.items() if value not in ([], {}, "")}
+    return ", ".join(f"{key.replace('_', ' ')} {plain(value)}" for key, value in kept.items())
