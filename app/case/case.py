@@ -62,10 +62,14 @@ class Case(Section):
     """Supports of the bodies."""
     loads: Annotated[dict[Name, AnyLoad], MAPPING] = Field(
         default_factory=dict,
-        json_schema_extra={"properties": {"library": {"type": "string"}}},
+        json_schema_extra={
+            "properties": {k: {"type": "string"} for k in ("library", *overlay.MEASURED)}
+        },
     )
     """Loads on the bodies. `library: NAME` among them stands for all loads of that name in the
-    library, in place of those of the base; further keys change them."""
+    library, in place of those of the base; further keys change them. `body_weight: 750 N` scales
+    their forces. `sagittal_tilt: 8.4 deg` turns them about x, from the frame of measured forces to
+    that of the shaft, whose proximal end is that far posterior in it."""
     heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
     """Sources, fluxes and given temperatures."""
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)
@@ -176,17 +180,18 @@ class LoadedCase:
         return Path("out") / self.path.stem
 
 
-def load(path: Path, overrides: Sequence[str] = ()) -> LoadedCase:
+def load(path: Path, overrides: Sequence[str] = (), option: str = "--set ") -> LoadedCase:
     """Read, check and resolve a case.
 
     Args:
         path: The YAML file.
         overrides: ``a.b.c=value`` each, applied in order before anything is checked.
+        option: What stands before their keys in messages.
 
     Raises:
         InputError: Every error of the file at once, one line each.
     """
-    file = overlay.read(path, overrides)
+    file = overlay.read(path, overrides, option)
     case = resolve(file, path.parent)
     return LoadedCase(case, path, tuple(overrides), file, _varied(file, path.parent, case))
 

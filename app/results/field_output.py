@@ -7,7 +7,7 @@ and an open one may conduct; the grid separates both.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,7 +121,8 @@ class HeatFields:
     def point(self, nodes: OutputNodes, samples: ContactSamples | None) -> dict[str, Floats]:
         """By node.
 
-        Temperature [degC]; in bone seconds at or above 47 degC, CEM43 [min] and Henriques-Moritz;
+        Temperature now and its highest so far [degC]; in bone seconds at or above 47 degC, CEM43
+        [min] and Henriques-Moritz;
         degree of cure in curing regions; by interface of finite conductance the temperature jump
         (second side minus first) [K] and the heat flux from first to second side [W/m2], zero away
         from it.
@@ -129,20 +130,14 @@ class HeatFields:
         x = self._heating.vectors()
         temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]
         found = {"temperature": self._at(nodes, temperatures)}
-        for name, dose in DOSES.items() if self._record.bone else ():
-            doses = self._zeros()
-            for region in self._record.bone:
-                r = self._record.regions[region]
-                # Regions of one body agree on the nodes that they share.
-                here = self._spread(r.nodes.dof, dose(r.exposure))
-                doses[r.nodes.body] = np.maximum(doses[r.nodes.body], here)
-            found[name] = self._at(nodes, doses)
+        regions, bone = self._record.regions, self._record.bone
+        peaks = {name: r.peak for name, r in regions.items()}
+        found["temperature_peak"] = self._of_regions(nodes, peaks) - CELSIUS
+        for name, dose in DOSES.items() if bone else ():
+            doses = {region: dose(regions[region].exposure) for region in bone}
+            found[name] = self._of_regions(nodes, doses)
         if cure := self._heating.degrees():
-            degrees = self._zeros()
-            for region, values in cure.items():
-                own = self._record.regions[region].nodes
-                degrees[own.body] += self._spread(own.dof, values)
-            found["degree_of_cure"] = self._at(nodes, degrees)
+            found["degree_of_cure"] = self._of_regions(nodes, cure)
         if (j := self._operators.jumps) is not None:
             τ = x[1].array
             every = np.zeros((2, len(j.points.dof)))
@@ -160,15 +155,17 @@ class HeatFields:
         """Nothing."""
         return {}
 
-    def _zeros(self) -> list[Floats]:
-        return [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
-
-    def _spread(self, dof: Ints, values: Floats) -> Floats:
-        """Values of own nodes on all nodes of this rank, zero elsewhere; collective."""
-        self._work.x.array[:] = 0.0
-        self._work.x.array[dof] = values
-        self._work.x.scatter_forward()
-        return self._work.x.array.copy()
+    def _of_regions(self, nodes: OutputNodes, values: Mapping[str, Floats]) -> Floats:
+        """Values of the regions' own nodes at the nodes of the grid, zero elsewhere; collective."""
+        found = [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
+        for region, own in values.items():
+            at = self._record.regions[region].nodes
+            self._work.x.array[:] = 0.0
+            self._work.x.array[at.dof] = own
+            self._work.x.scatter_forward()
+            # Regions of one body agree on the nodes that they share.
+            found[at.body] = np.maximum(found[at.body], self._work.x.array)
+        return self._at(nodes, found)
 
     def _at(self, nodes: OutputNodes, values: Sequence[Floats]) -> Floats:
         """Values of the bodies at the nodes of the grid: linear along edges."""

@@ -104,7 +104,6 @@ class Run(Results):
         contacts: Names of the interfaces that have contact points.
         point_fields: Names of the fields on points.
         cell_fields: Names of the fields on cells.
-        hot: Whether there is a temperature.
 
     Raises:
         OSError: It has no fields, or they cannot be read.
@@ -123,7 +122,6 @@ class Run(Results):
             self.cell_fields = tuple(root["CellData"])
         names = [n for n in self.point_fields if n.endswith("_status")]
         self.contacts = tuple(n.removesuffix("_status") for n in names)
-        self.hot = "temperature" in self.point_fields
 
     @cached_property
     def written_stages(self) -> list[str]:

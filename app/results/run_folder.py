@@ -21,11 +21,8 @@ from mpi4py import MPI
 from app import files
 from app.case import quantities
 from app.errors import StoppedError, on_root
-from app.heat.operators import HeatOperators
-from app.results import temperature_section
 from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
-from app.results.thermal_record import ThermalRecord
 from app.system import identity
 from app.system.folders import csv_text, saved, write_json, write_text
 from app.version import __version__
@@ -33,9 +30,8 @@ from meshes.distribute import TaggedMesh
 
 UNITS = {what.partition(" ")[2]: unit for unit, what in quantities.UNITS.items() if unit != "-"}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
-SECTION = "temperature_section.png"
 # Files written at the end, and all of a run directory.
-ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", SECTION, "report.html"),)
+ENDS = ("DONE", "summary.json", "provenance.json", "final.vtkhdf", "report.html")
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
 PACKAGES = "fenics-dolfinx petsc4py fenics-ufl fenics-basix mpi4py numpy h5py".split()
 log = logging.getLogger("mantle")
@@ -155,11 +151,6 @@ class Writer:
     def _table(self) -> None:
         path = self.folder / "history.csv"
         _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
-
-    def section(self, operators: HeatOperators, record: ThermalRecord) -> None:
-        """Draw the temperature in a section when the bone was hottest; collective."""
-        with _full_disk(SECTION):
-            temperature_section.section(self.folder / SECTION, operators, record)
 
     def finish(self, summary: dict[str, Any], done: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""

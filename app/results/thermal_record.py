@@ -95,10 +95,6 @@ class ThermalRecord:
         bone: Regions of bone.
         row: Columns of history.csv for the last recorded state.
         regions: Temperatures and doses of each region.
-        hottest: Temperatures of the bodies (nodes of this rank, ghosts too) [K] when the bone side
-            of the interfaces, or without bone the whole model after the start, was hottest.
-        hottest_time: Its time [s].
-        hottest_at: Its hottest point (3,) [mm].
 
     Args:
         of_region: Thermal body of each region.
@@ -109,10 +105,7 @@ class ThermalRecord:
         InputError: A probe is not in its region.
     """
 
-    saved = (
-        *("_seconds", "row", "_extremes", "regions"),
-        *("_watched", "hottest", "hottest_time", "hottest_at"),
-    )
+    saved = ("_seconds", "row", "_extremes", "regions")
 
     def __init__(
         self,
@@ -140,11 +133,7 @@ class ThermalRecord:
         """Record the initial state; collective."""
         for name, nodes in self._nodes.items():
             self.regions[name] = RegionTemperatures(nodes, temperatures, seconds)
-        self._watched = -np.inf
         self._take(seconds, temperatures)
-        if not self._bone_sides:
-            # The start is not compared with what follows.
-            self._watched = -np.inf
 
     def update(
         self,
@@ -191,7 +180,7 @@ class ThermalRecord:
             r.expose(bends[name], pieces, seconds - self._seconds)
 
     def _take(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
-        """Keep the reported histories, and the hottest state."""
+        """Keep the reported histories."""
         local = {
             f"{name} temperature_max [degC]": r.now.max(initial=-np.inf) - CELSIUS
             for name, r in self.regions.items()
@@ -210,22 +199,10 @@ class ThermalRecord:
         probed = self._probes.values(temperatures)[:, 0] - CELSIUS
         row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
         self._seconds, self.row = seconds, {"seconds [s]": seconds, **row}
-        self._watch(seconds, temperatures)
 
     def _on(self, side: Side, values: Callable[[RegionTemperatures], Floats]) -> Floats:
         """Values of the nodes of a side of an interface (n, ...)."""
         return np.concatenate([values(self.regions[name])[rows] for name, rows in side.items()])
-
-    def _watch(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
-        """Keep the state if it is the hottest where it matters."""
-        every: Side = {name: np.arange(len(n.dof)) for name, n in self._nodes.items()}
-        sides = self._bone_sides or [every]
-        T = np.concatenate([self._on(side, lambda r: r.now) for side in sides])
-        x = np.concatenate([self._on(side, lambda r: r.nodes.x) for side in sides])
-        hot, place, _ = largest(self._comm, T, x, T)
-        if hot > self._watched:
-            self._watched, self.hottest_time, self.hottest_at = hot, seconds, place
-            self.hottest = [t.x.array.copy() for t in temperatures]
 
     def moved(self, capacities: Mapping[str, float]) -> float:
         """Heat that moved in the last step, by capacities of regions [N/(mm2 K)]; [N mm]."""
@@ -237,9 +214,9 @@ class ThermalRecord:
 
     @property
     def row_keys(self) -> dict[str, Any]:
-        """Keys of nodes, for the hottest state with ghosts."""
+        """Keys of the regions' nodes."""
         nodes = node_keys(self._forms.space)
-        return {"hottest": nodes, "regions": {n: nodes[own.dof] for n, own in self._nodes.items()}}
+        return {"regions": {n: nodes[own.dof] for n, own in self._nodes.items()}}
 
     # The summary
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time as clock
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from app.arrays import Ints
 from app.case.case import Case
 from app.case.quantities import TABLE
+from app.case.section_loads import section_loads
 from app.errors import StoppedError
 from app.heat.nodes import Probes
 from app.mechanics.contact import TrialState
@@ -226,12 +227,10 @@ class Recorder:
         self._writer.write_fields(self.time, self.samples)
 
     def flush(self) -> None:
-        """Write pending fields of the last step, fields of the last step alone, and pictures."""
+        """Write pending fields of the last step, and fields of the last step alone."""
         if self._written < self.step_count:
             self._fields()
         self._writer.last_fields()
-        if t := self._model.thermal:
-            self._writer.section(t.operators, t.record)
 
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
@@ -244,6 +243,8 @@ class Recorder:
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
         if self.step_count:  # at rest all would be zero
             numbers = model.numbers(self.samples) | model.places(self.samples)
+            if sections := section_loads(self._case, self.time):
+                numbers["section_loads"] = [asdict(section) for section in sections]
         result = {
             "status": status,
             "title": self._case.title,

@@ -12,6 +12,7 @@ from typing import Any
 
 from app.case.case import Case
 from app.case.run_options import Stage
+from app.case.section_loads import section_loads, table
 from app.laws.materials import Rigid
 from app.laws.thermal import PressureConductance
 from app.schema.section import Section
@@ -120,6 +121,10 @@ def _resultant(case: Case) -> Iterable[str]:
     components = ", ".join(f"{c:.6g}" for c in total)
     rest = "" if len(loads) == len(case.loads) else ", without pressures and body forces"
     yield f"  sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
+    if sections := section_loads(case, len(case.stages)):
+        rest = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
+        yield f"  section loads at the end{rest}; the last level is the knee's"
+        yield from (f"    {line}" for line in table(sections).splitlines())
 
 
 # Doubtful input

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-import numpy as np
 import pytest
 
 import meshes
@@ -89,9 +88,6 @@ def test_heat_kills_bone_alone() -> None:
     regions = play.through(60.0, 120.0)["regions"]
     assert regions["cement"]["necrosis_47C_1min_volume"] == pytest.approx(4 * 4 * 2)
     assert not any(key.startswith("necrosis") for key in regions["bone"])
-    # The hottest place is watched on the bone's side, which is 80 degC.
-    space = forms.space.tabulate_dof_coordinates()
-    assert np.allclose(play.record.hottest[1][space[:, 2] >= 2], 353.15)
 
 
 def test_reports_look_for_bone_by_what_it_is(tmp_path: Path) -> None:

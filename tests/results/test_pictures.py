@@ -1,4 +1,4 @@
-"""Pictures: interfaces in the plane, and sections of the temperature; places and sizes known."""
+"""Pictures of interfaces in the plane; places and sizes known."""
 
 from __future__ import annotations
 
@@ -6,16 +6,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
-from dolfinx import fem
 
-from app.report import pictures
-from app.results import temperature_section
+from app import figures
+from app.report import curves, pictures
+from app.report.sweep_results import Number
 from app.results.reading import Run
-from tests.results.test_thermal_quantities import BODIES, ZERO, two_blocks
 
 N, LAYERS, RADIUS, LENGTH = 12, 3, 5.0, 30.0
 
@@ -96,7 +93,13 @@ def test_a_flat_interface_is_drawn_in_its_own_plane() -> None:
     assert pictures.sheet(run, "blocks", (("a",), ("b",)), ("a", "b")) is None
 
 
-def test_a_picture_has_the_rows_that_there_are(tmp_path: Path) -> None:
+def test_a_picture_has_the_rows_that_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And titles that cover neither each other nor what is beside them."""
+    drawn: list[Any] = []
+    new = figures.new
+    monkeypatch.setattr(figures, "new", lambda *size: drawn.append(new(*size)) or drawn[-1])
     points, triangles = cylinder(0.0)
     corners, nodes = pictures.unroll(points, triangles)
     run: Run = SimpleNamespace()  # type: ignore[assignment]
@@ -106,40 +109,25 @@ def test_a_picture_has_the_rows_that_there_are(tmp_path: Path) -> None:
         ("nothing", "viridis", [None] * 2),
     ]
     path = tmp_path / "map.png"
-    assert pictures.draw(path, [("one", run, sheet), ("two", run, sheet)], rows) == ["height (mm)"]
+    names = (f"friction_coefficient={f}_cement_thickness=4mm" for f in (0.2, 0.4))
+    columns = [(name, run, sheet) for name in names]
+    assert pictures.draw(path, columns, rows) == ["height (mm)"]
+    first, second = (axes.title.get_window_extent() for axes in drawn[0].axes[:2])
+    assert first.x1 < second.x0
     assert path.read_bytes().startswith(b"\x89PNG")
     assert pictures.draw(tmp_path / "none.png", [("one", run, sheet)], rows[1:]) == []
     assert not (tmp_path / "none.png").exists()
 
 
-def test_a_section_is_whole_and_outlined() -> None:
-    tagged = two_blocks(MPI.COMM_SELF)
-    space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
-    z = space.tabulate_dof_coordinates()[:, 2]
-    T = [ZERO + 40 + z, ZERO + 80 - z]
-    corners, tags = temperature_section._corners(tagged, space.dofmap.list, BODIES.of_region, T)
-    triangles, outline = temperature_section._cut(corners, tags, 1, 1.7)
-    x, t = triangles[:, :, :3], triangles[:, :, 3]
-    area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
-    assert area.sum() == pytest.approx(16)
-    bone = x[:, :, 2].mean(axis=1) < 2
-    assert t[bone] == pytest.approx(40 + x[bone][:, :, 2])
-    assert t[~bone] == pytest.approx(80 - x[~bone][:, :, 2])
-    # Around it and, from either side, between the regions.
-    length = np.linalg.norm(outline[:, 1, :3] - outline[:, 0, :3], axis=1)
-    assert length.sum() == pytest.approx(16 + 2 * 4)
-
-
-def test_sections_are_drawn(tmp_path: Path) -> None:
-    tagged = two_blocks(MPI.COMM_SELF)
-    space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
-    T = ZERO + 40 + 4 * space.tabulate_dof_coordinates()[:, 2]
-    path = tmp_path / "section.png"
-    operators: Any = SimpleNamespace(
-        tagged=tagged, forms=SimpleNamespace(space=space), bodies=BODIES
-    )
-    for z in (0.0, 2.0, 4.0):
-        record: Any = SimpleNamespace(hottest=[T, T], hottest_time=12.0, hottest_at=(1.0, 1.0, z))
-        temperature_section.section(path, operators, record)
-        assert path.read_bytes().startswith(b"\x89PNG")
-        path.unlink()
+def test_points_and_bars_keep_off_the_frame() -> None:
+    """Of numbers far from zero and alike, whose axis begins at zero; inside a page as well."""
+    values = {0.2: Number(98.8, 2.0), 0.8: Number(91.0, 2.0)}
+    panel = curves.Panel("slip", "µm", [curves.Line("a", 0, values)])
+    axes = figures.new(4.0, 3.0).subplots()
+    curves._draw(axes, panel)
+    low, high = axes.get_ylim()
+    assert low == 0 and high > 1.04 * 100.8
+    drawn = curves.drawing(panel, "friction", from_zero=True)
+    assert drawn["up"][0] == (0.0, "0") and drawn["columns"] == 2
+    for _, middle, least, most in drawn["lines"][0][2]:
+        assert 0 < least < middle < most <= 1 and middle == pytest.approx((least + most) / 2)

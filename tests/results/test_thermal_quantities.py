@@ -152,14 +152,6 @@ def test_no_peak_is_made_up(stack: TaggedMesh) -> None:
     assert bone["temperature_max"] == pytest.approx(57.0)
 
 
-def test_the_hottest_moment_of_the_bone_is_kept(stack: TaggedMesh) -> None:
-    play = Play(stack, lambda x, t: 50 - (t - 2) ** 2 + x[:, 2], lambda x, t: 90 - t + 0 * x[:, 0])
-    play.through(1.0, 2.0, 3.0)
-    assert play.record.hottest_time == 2.0
-    hottest = [T.max() - ZERO for T in play.record.hottest]
-    assert hottest == pytest.approx([54.0, 88.0])  # the bone's at the top, 4 mm up
-
-
 @pytest.mark.parametrize(("step", "error"), [(6.0, 0.008), (12.0, 0.035)])
 def test_doses_follow_the_curve_and_not_its_chords(
     stack: TaggedMesh, step: float, error: float
@@ -357,7 +349,6 @@ def main(path: str) -> None:
     summary = play.through(*np.arange(10.0, 120.0, 10.0))
     summary["row"] = play.record.row
     summary["moved"] = play.record.moved({"bone": 2.0, "cement": 3.0})
-    summary["hottest"] = play.record.hottest_time
     if comm.rank == 0:
         Path(path).write_text(json.dumps(summary))
 
