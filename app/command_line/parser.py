@@ -32,7 +32,7 @@ SUITE = f"{MANY} -k --tier"
 COMMANDS = {
     "init": ("write a short case to start from; it runs as it is", "name --kind --stem"),
     "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error -v"),
-    "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh"),
+    "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh -o"),
     "mesh": ("make the mesh of a case, a .msh file, and pictures of it", f"{CASE} -o"),
     "study": ("error against run time of a case, by a study file", f"{CASE} {SUITE}"),
     "sweep": (
@@ -47,6 +47,7 @@ COMMANDS = {
     "doctor": ("tell what mantle finds on this machine: MPI, BLAS, compiler, threads", ""),
 }
 OUTPUTS = {
+    "check": "draw the case on its mesh: a folder, or a file that ends in .png",
     "mesh": "a folder, or a file that ends in .msh (default: out/<name of CASE>.msh)",
     "report": "of several runs: a folder, or a file that ends in .html (default: out/compare.html)",
     "run": "default: out/<name of CASE>",

@@ -59,7 +59,7 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
             lines.append("    conductance: perfect, one temperature")
     if solid(case):
         lines += ["supports", *_table(case.supports)]
-        lines += ["loads", *_table(case.loads), *_resultant(case)]
+        lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
     if case.conducts:
         lines += ["heat", *_table(case.heat)]
     lines += ["stages", *map(_stage, case.stages)]
@@ -109,8 +109,8 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
     return lines or ["  none"]
 
 
-def _resultant(case: Case) -> Iterable[str]:
-    """Resultant force at the end of the last stage."""
+def resultant(case: Case) -> Iterable[str]:
+    """Resultant force at the end of the last stage in words; nothing without forces."""
     loads = [load for load in case.loads.values() if load.resultant is not None]
     if not loads:
         return
@@ -119,7 +119,7 @@ def _resultant(case: Case) -> Iterable[str]:
     total = [math.sumprod(factors, along) for along in forces]
     components = ", ".join(f"{c:.6g}" for c in total)
     rest = "" if len(loads) == len(case.loads) else ", without pressures and body forces"
-    yield f"  sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
+    yield f"sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
 
 
 # Doubtful input
