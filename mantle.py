@@ -74,7 +74,7 @@ def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
 
     keys = {key: key if "." in key else key.replace("__", ".") for key in overrides}
     changes = points.as_overrides({keys[key]: value for key, value in overrides.items()})
-    return case.load(Path(path), changes)
+    return case.load(Path(path), changes, option="")
 
 
 def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 project = "mantle"
-author = "The mantle authors"
+author = "The mantle developers"
 extensions = ["myst_parser"]
 myst_enable_extensions = ["dollarmath"]
 # As forges make them.
@@ -27,10 +27,13 @@ CONTENTS = {
 tutorial
 howto/README
 reference/README
+gallery
+faq
 theory
 verification
 notebook
 paper
+joss/paper
 mesh
 developer
 glossary
@@ -55,6 +58,7 @@ case
 campaigns
 results
 commands
+python
 """,
 }
 

@@ -1,7 +1,8 @@
 """Write the generated pages of the reference: ``./mantle shell -c 'python3 docs/reference.py'``.
 
 ``case.md`` and ``campaigns.md`` come from the schema, ``commands.md`` from the argument parser and
-the errors. A test compares the committed pages with what this writes.
+the errors, ``python.md`` from docstrings. A test compares the
+committed pages with what this writes.
 """
 
 from __future__ import annotations
@@ -9,20 +10,28 @@ from __future__ import annotations
 import argparse
 import ast
 import inspect
+import re
 from collections.abc import Iterator
 from enum import Enum
 from itertools import pairwise
 from pathlib import Path
+from textwrap import dedent
+from typing import Any
 
 from pydantic import BaseModel
 
+import mantle
 from app import errors
 from app.case import keys
-from app.case.case import Case
+from app.case.case import Case, LoadedCase
 from app.case.keys import Key, prose
 from app.case.study import StudyFile
 from app.case.sweep import Sweep
 from app.command_line.parser import parser
+from app.results.reading import Results, Run
+from app.simulation.recorder import AcceptedStep
+from app.soundness.preview import CheckedCase
+from meshes import MeshData
 
 # Number of equal rows of two kinds that are written once.
 SHARED = 8
@@ -63,6 +72,7 @@ def pages() -> dict[str, str]:
         "case.md": f"{NOTE}\n{case_page()}",
         "campaigns.md": f"{NOTE}\n{campaigns_page()}",
         "commands.md": commands_page(),
+        "python.md": python_page(),
     }
 
 
@@ -183,6 +193,47 @@ def _enum_docs(enum: type[Enum]) -> Iterator[tuple[str, str]]:
         match member, text:
             case ast.Assign(value=ast.Constant(str(word))), ast.Expr(ast.Constant(str(doc))):
                 yield word, doc
+
+
+# ---------------------------------------------------------------------------------------- python
+
+
+def python_page() -> str:
+    """Functions and classes for Python, with their docstrings."""
+    functions = (mantle.load, mantle.check, mantle.mesh, mantle.run, mantle.read)
+    parts = [NOTE, "# Python\n", "How to use them: [Use mantle from Python](../howto/python.md).\n"]
+    for function in functions:
+        parts.append(f"## `mantle.{function.__name__}`\n\n{_signature(function)}{_doc(function)}")
+    for kind in (LoadedCase, CheckedCase, MeshData, AcceptedStep, Results, Run):
+        parts.append(f"## `{kind.__name__}`\n\n{_doc(kind)}")
+        own = {n: v for n, v in vars(kind).items() if not n.startswith("_") and v.__doc__}
+        for name, value in own.items():
+            if callable(value):
+                parts.append(f"### `{kind.__name__}.{name}`\n\n{_signature(value)}{_doc(value)}")
+            elif hasattr(value, "func") or isinstance(value, property):
+                parts.append(f"### `{kind.__name__}.{name}`\n\n{_doc(value)}")
+    return "\n".join(parts)
+
+
+def _signature(function: Any) -> str:
+    """The call of a function as a block of Python."""
+    (tree,) = ast.parse(dedent(inspect.getsource(function))).body
+    assert isinstance(tree, ast.FunctionDef)
+    text = ast.unparse(tree.args).removeprefix("self").removeprefix(", ")
+    result = f" -> {ast.unparse(tree.returns)}" if tree.returns else ""
+    return f"```python\n{tree.name}({text}){result}\n```\n\n"
+
+
+def _doc(thing: Any) -> str:
+    """A docstring in Markdown: its sections as lists."""
+    lines = []
+    for line in (inspect.getdoc(thing) or "").splitlines():
+        if re.fullmatch(r"(Args|Attributes|Returns|Raises):", line):
+            line = f"**{line[:-1]}**\n"
+        elif found := re.match(r" {4}(\*{0,2}\w+): (.*)", line):
+            line = f"- `{found[1]}`: {found[2]}"
+        lines.append(re.sub("^ {4}( *)", lambda m: m[1][:2], line.replace("``", "`")))
+    return "\n".join(lines) + "\n"
 
 
 def main() -> None:

@@ -26,6 +26,7 @@ from app.version import __version__
 log = logging.getLogger("mantle")
 
 QUICK = 2  # points of each line
+FINER = 5  # part of the target whose cost is told, too
 
 
 def run(path: Path, overrides: Sequence[str], options: Options) -> None:
@@ -129,13 +130,11 @@ def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
     compared = [m for m in measured if m.compared]
     refused = {m.name: _refusal(study.target, m) for m in compared}
     good = [m for m in compared if not refused[m.name]]
-    advice = {
-        m.name: refused[m.name] or _advice(study.target, m.name, curve, [m]) for m in compared
-    }
+    advice = {m.name: refused[m.name] or _costs(study.target, m.name, curve, [m]) for m in compared}
     if len(compared) > 1 and good:
         left_out = [m.name for m in compared if m not in good]
-        what = f"all but {', '.join(left_out)}" if left_out else f"all {len(good)} quantities"
-        advice[""] = _advice(study.target, what, curve, good)
+        what = f"every number but {', '.join(left_out)}" if left_out else "every number"
+        advice[""] = _costs(study.target, what, curve, good)
     return Report(study.target, curve, ladder, measured, advice)
 
 
@@ -184,28 +183,34 @@ def _refusal(target: float, m: Measured) -> str:
     if m.reference is None or m.reference.value == 0.0:
         but = "" if m.reference is None else " but 0"
         return f"no advice on {m.name}: it has no reference{but}"
-    own = m.reference.uncertainty / abs(m.reference.value)
-    why = f"is known to {percent(own)} only" if own > target else ""
+    why = f"is known to {percent(m.own)} only" if m.own > target else ""
     if m.reference.method == wp.NOT_CONVERGING:
         why = f"is {wp.NOT_CONVERGING}"
     return f"no advice on {m.name}: its reference {why}; refine study.reference.run" if why else ""
 
 
-def _advice(
+def _costs(
     target: float, what: str, curve: Sequence[StudyRun], measured: Sequence[Measured]
 ) -> str:
-    """The fastest run in which all of these quantities are accurate enough, else the closest."""
-    wanted = percent(target)
+    """What it costs to have all of these quantities within the target, and within a part of it."""
     errors = [
         None if None in own else max(e for e in own if e is not None)
         for own in zip(*(m.errors for m in measured), strict=True)
     ]
-    i = wp.best([r.time for r in curve], errors, target)
-    if i is None:
-        return f"no advice on {what}: no run has a known error"
-    r, time, error = curve[i], duration(curve[i].time or 0.0), errors[i] or 0.0
-    at = r.label if r.key == "mesh.size" else f"{r.key} = {r.label}"
-    if error <= target:
-        return f"for {wanted} in {what} use {r.line} at {at}: {time}"
-    closest = f"{r.line} at {at}: {percent(error)} in {time}"
-    return f"nothing reaches {wanted} in {what}; closest is {closest}"
+    said: list[str] = []
+    for level in (target, target / FINER):
+        i = wp.best([r.time for r in curve], errors, level)
+        if i is None:
+            return f"no advice on {what}: no run has a known error"
+        r, time, error = curve[i], duration(curve[i].time or 0.0), errors[i] or 0.0
+        at = f"{r.line} at {r.label if r.key == 'mesh.size' else f'{r.key} = {r.label}'}"
+        if error <= level:
+            said.append(f"{percent(level)} costs {time} ({at})")
+            continue
+        known = max(m.own for m in measured)
+        why = f"is reached by no run (closest {percent(error)} in {time}, {at})"
+        if known > level:
+            why = f"cannot be told, as the reference is known to {percent(known)} only"
+        said.append(f"{percent(level)} {why}")
+        break
+    return f"{what} within {', '.join(said)}"

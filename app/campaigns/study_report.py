@@ -80,6 +80,12 @@ class Measured:
     front: list[int]
 
     @property
+    def own(self) -> float:
+        """Relative uncertainty of the reference; 0 without one that is not 0."""
+        known = self.reference is not None and self.reference.value
+        return self.reference.uncertainty / abs(known) if self.reference and known else 0.0
+
+    @property
     def errors(self) -> list[float | None]:
         """Error of each point, at least the reference's own; None if unknown."""
         return [p.bound for p in self.points]
@@ -93,7 +99,7 @@ class Report:
         target: Relative error wanted.
         runs: The runs of all lines.
         ladder: The runs of the reference.
-        advice: Recommended run for each quantity that is compared; for all of several as "".
+        advice: What accuracy costs, for each quantity that is compared; for all of several as "".
     """
 
     target: float

@@ -176,17 +176,18 @@ class LoadedCase:
         return Path("out") / self.path.stem
 
 
-def load(path: Path, overrides: Sequence[str] = ()) -> LoadedCase:
+def load(path: Path, overrides: Sequence[str] = (), option: str = "--set ") -> LoadedCase:
     """Read, check and resolve a case.
 
     Args:
         path: The YAML file.
         overrides: ``a.b.c=value`` each, applied in order before anything is checked.
+        option: What stands before their keys in messages.
 
     Raises:
         InputError: Every error of the file at once, one line each.
     """
-    file = overlay.read(path, overrides)
+    file = overlay.read(path, overrides, option)
     case = resolve(file, path.parent)
     return LoadedCase(case, path, tuple(overrides), file, _varied(file, path.parent, case))
 

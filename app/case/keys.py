@@ -242,7 +242,7 @@ def explained(key: str = "") -> str:
         InputError: There is no such key.
     """
     every = _every()
-    asked = key.strip().strip(".")
+    asked = key.strip().strip(".").replace(" ", "_")
     asked = WITHIN.get(asked, asked)
     if not asked:
         return "\n".join([*map(_line, table()[0].keys), "", *map(library.listed, library.KINDS)])
@@ -251,7 +251,7 @@ def explained(key: str = "") -> str:
     entries = library.described()
     if not found and (listed or key in entries):
         return listed or entries[key]
-    if not found and (mentions := _mentions(asked)):
+    if not found and (mentions := _mentions(asked) or _mentions(key.split()[-1])):
         return mentions
     if not found:
         names = {re.sub(r"\.<name>|\[\]", "", k.path): None for k in every}
@@ -270,7 +270,7 @@ def explained(key: str = "") -> str:
 
 def _mentions(word: str) -> str:
     """Keys, results and words of the glossary with a word in their names; empty without any."""
-    part = word.lower().replace(" ", "_")
+    part = word.lower()
     lines = [_line(k) for k in _every() if part in k.name.lower()]
     lines += [
         f"  {f'{section}.{q.key}':<44} {q.label} ({q.unit}), a result"

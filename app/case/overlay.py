@@ -45,18 +45,19 @@ STUDY_APART = "a study stands in a file of its own: base: CASE and this section;
 AXES = frozenset({"grid", "lists", "table", "latin_hypercube", "parts"})
 
 
-def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
+def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") -> CaseFile:
     """Merge a case file with its bases and apply overrides; the content is not checked.
 
     Args:
         path: The file.
         overrides: ``a.b.c=value`` each, the value in YAML.
+        option: What stands before their keys in messages.
 
     Raises:
         InputError: The file, a base or a library cannot be read or used.
     """
     chain = _chain(path)
-    case = CaseFile(chain[0].name)
+    case = CaseFile(chain[0].name, option=option)
     for file in chain:
         case.digests |= file.digests
         case.complaints += file.complaints

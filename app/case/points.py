@@ -286,8 +286,8 @@ def at_override(message: str, places: Mapping[str, Path]) -> Fault | None:
         places: Path of each override in the file, by key.
     """
     for key, place in places.items():
-        if message.startswith(start := f"--set {key}: "):
-            return Fault(place, message.removeprefix(start))
+        if (text := message.removeprefix("--set ")).startswith(f"{key}: "):
+            return Fault(place, text.removeprefix(f"{key}: "))
     return None
 
 

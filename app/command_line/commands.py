@@ -132,7 +132,7 @@ def _mesh(options: argparse.Namespace) -> int:
     from app.soundness import cost, memory
 
     memory.check(case.file, case.config)
-    path = _output_file(options.output or Path("out"), f"{options.case.stem}.msh")
+    path = _writable(options.output or Path("out")) / f"{options.case.stem}.msh"
     configure_log("info", sys.stderr)
     log.info("meshing")
     data = mantle.mesh(case)
@@ -156,19 +156,15 @@ def _mesh(options: argparse.Namespace) -> int:
     return 0
 
 
-def _output_file(output: Path, name: str) -> Path:
-    """A file of the name in the folder that ``-o`` names, or the file itself."""
-    known = Path(name).suffix
-    if output.suffix != known and output.suffix[1:2].isalpha() and not output.is_dir():
-        raise InputError(f"-o {output}: expected a folder, or a file that ends in {known}")
-    path = output if output.suffix == known and not output.is_dir() else output / name
+def _writable(folder: Path) -> Path:
+    """The folder that ``-o`` names, made if necessary."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"-o {path.parent}: cannot be made: {error.strerror}") from error
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise InputError(f"-o {path}: is not writable")
-    return path
+        raise InputError(f"-o {folder}: cannot be made: {error.strerror}") from error
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"-o {folder}: is not writable")
+    return folder
 
 
 def _campaign(options: argparse.Namespace) -> int:
@@ -210,7 +206,7 @@ def _report(options: argparse.Namespace) -> int:
 
     folder, *others = options.folders
     if others:
-        page = _output_file(options.output or Path("out"), "compare.html")
+        page = _writable(options.output or Path("out")) / "compare.html"
         print(compare.write(options.folders, page))
         return 0
     if run_report.is_run(folder):
@@ -236,7 +232,7 @@ def _explain(options: argparse.Namespace) -> int:
     if options.schema:
         print(json.dumps(keys.json_schema(), indent=2, ensure_ascii=False))
     else:
-        print(keys.explained(options.key))
+        print(keys.explained(" ".join(options.key)))
     return 0
 
 

@@ -26,6 +26,13 @@ def _number_of_ranks(text: str) -> int:
     return int(text)
 
 
+def _folder(text: str) -> Path:
+    path = Path(text)
+    if path.suffix[1:2].isalpha() and not path.exists():
+        raise InputError(f"-o {path}: expected a folder, whose name does not end in {path.suffix}")
+    return path
+
+
 CASE, MANY = "case --set --allow-scripts", "-o --cores --dry-run --slurm"
 SUITE = f"{MANY} -k --tier"
 # Each command: its help and its arguments.
@@ -47,9 +54,9 @@ COMMANDS = {
     "doctor": ("tell what mantle finds on this machine: MPI, BLAS, compiler, threads", ""),
 }
 OUTPUTS = {
-    "check": "draw the case on its mesh: a folder, or a file that ends in .png",
-    "mesh": "a folder, or a file that ends in .msh (default: out/<name of CASE>.msh)",
-    "report": "of several runs: a folder, or a file that ends in .html (default: out/compare.html)",
+    "check": "draw the case on its mesh, too: <name of CASE>.png",
+    "mesh": "default: out, for <name of CASE>.msh",
+    "report": "of several runs; default: out, for compare.html",
     "run": "default: out/<name of CASE>",
     "study": "default: out/<name of the study>-study",
     "sweep": "default: out/<name>-sweep",
@@ -62,13 +69,12 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         type=Path, nargs="+", metavar="DIR", help="written by mantle run or sweep; several: of runs"
     ),
     "key": dict(
-        nargs="?",
-        default="",
+        nargs="*",
         metavar="KEY",
         help="a key such as interfaces.friction_coefficient, a material or load of the library, or "
         "materials or loads for a list of them",
     ),
-    "-o": dict(dest="output", type=Path, metavar="PATH"),
+    "-o": dict(dest="output", type=_folder, metavar="FOLDER"),
     "-n": dict(
         type=_number_of_ranks, default=1, metavar="N", help="number of MPI ranks (default 1)"
     ),
@@ -200,7 +206,7 @@ def parser() -> argparse.ArgumentParser:
         for word in arguments.split():
             options = ARGUMENTS[word]
             if word == "-o":
-                options = options | {"help": OUTPUTS.get(name, f"default: out/{name}")}
+                options = options | {"help": f"({OUTPUTS.get(name, f'default: out/{name}')})"}
             elif word == "--cores":
                 options = options | {"default": len(os.sched_getaffinity(0))}
             command.add_argument(*[word, LONG[word]] if word in LONG else [word], **options)

@@ -94,7 +94,7 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     title = f"{case.title or path.stem}\n{len(data.cells):,} cells"
     place = {"ha": "center", "va": "center", "parse_math": False}
     figure.text(0.5, 1 - 0.3 / tall, title, fontsize=12, **place)
-    words = f"{len(forces)} loads, {''.join(preview.resultant(case))}" if len(forces) > 1 else ""
+    words = f"{len(forces)} loads, {next(preview.resultant(case), '')}" if len(forces) > 1 else ""
     figure.text(0.5, 1 - 0.7 / tall, words, color=LOAD, **place)
     figure.legend(handles=_handles(case, data), loc="lower center", ncols=5, frameon=False)
     figure.savefig(path, dpi=110, format="png")

@@ -104,7 +104,8 @@ def _lead(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str])
         most = f", most of all {most}" if most else ""
         those = f"{len(differing) or 'none'} of {count[known]} main numbers"
         if count[known] and known:
-            said.append(f"By more than their errors {those} differ from those of {names[0]}{most}.")
+            text = f"{those} differ from those of {names[0]} by more than their errors{most}."
+            said.append(f"{text[0].upper()}{text[1:]}")
         elif count[known]:
             said.append(
                 f"Of {count[known]} main numbers errors were not estimated (mantle run --error): "

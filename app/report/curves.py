@@ -146,7 +146,7 @@ def _draw(axes: Any, panel: Panel) -> None:
         axes.yaxis.set_minor_formatter(NullFormatter())
     elif values and min(values) >= 0 and panel.y != "°C":
         # From zero, so that differences within the noise of the mesh look small.
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
     if not xs:
         axes.text(0.5, 0.5, "no results", transform=axes.transAxes, ha="center", color="0.4")
     elif len(xs) < 9:
@@ -224,11 +224,13 @@ def of_solver(history: History) -> Blocks:
     return page.table([*own], [[plain(float(f"{v:.3g}")) for v in row] for row in rows])
 
 
-def drawing(panel: Panel, x: str) -> dict[str, Any]:
-    """A panel as `page.html` draws it: ticks and points as fractions of the axes."""
+def drawing(panel: Panel, x: str, from_zero: bool = False) -> dict[str, Any]:
+    """A panel as `page.html` draws it: ticks, points and bars as fractions of the axes."""
     xs = [t for line in panel.lines for t in line.numbers]
-    ys = [n.value for line in panel.lines for n in line.numbers.values()]
-    zero = [0.0] if panel.y != "°C" and (min(ys) < 0 or max(ys) > 2 * min(ys)) else []
+    numbers = [n for line in panel.lines for n in line.numbers.values()]
+    ys = [n.value + sign * (n.error or 0.0) for n in numbers for sign in (-1, 1)]
+    far = from_zero or min(ys) < 0 or max(ys) > 2 * min(ys)
+    zero = [0.0] if far and panel.y != "°C" else []
     across, up = ticks(min(xs), max(xs)), ticks(min(ys + zero), max(ys + zero))
 
     def part(v: float, of: Sequence[float]) -> float:
@@ -238,13 +240,17 @@ def drawing(panel: Panel, x: str) -> dict[str, Any]:
         (
             line.label,
             COLOURS[line.style % len(COLOURS)],
-            [(part(t, across), part(n.value, up)) for t, n in page.sparse([*line.numbers.items()])],
+            [
+                (part(t, across), *(part(n.value + k * (n.error or 0.0), up) for k in (0, -1, 1)))
+                for t, n in page.sparse([*line.numbers.items()])
+            ],
         )
         for line in panel.lines
     ]
     return {
         "title": f"{panel.title} ({panel.y})" if panel.y else panel.title,
         "x": x,
+        "columns": 2 if max(len(line.label) for line in panel.lines) < 18 else 1,
         "lines": lines,
         "across": [(part(v, across), f"{v:g}") for v in across],
         "up": [(part(v, up), f"{v:g}") for v in up],

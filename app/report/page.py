@@ -50,7 +50,7 @@ def render(name: str, **values: Any) -> str:
 
     folder = FileSystemLoader(Path(__file__).parent)
     environment = Environment(loader=folder, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.tests["number_text"] = re.compile(r"[-−]?\d").match
+    environment.tests["number_text"] = re.compile(r"[-−+]?\d[\d.,]*(e[-+]\d+)?([\s%]|$)").match
     # Text that cannot end the script around it.
     environment.filters["inert"] = lambda t: t.replace("</", "<\\/").replace("<!--", "<\\!--")
     return environment.get_template(name).render(values)

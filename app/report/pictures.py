@@ -9,6 +9,7 @@ their own plane.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,9 @@ from app.arrays import Floats, Ints
 from app.case.case import read_geometry
 from app.case.geometries import Sides
 from app.errors import MantleError
+from app.report import sentence
 from app.report.page import Figure
+from app.report.sweep_figures import headlines
 from app.report.sweep_results import QUANTITIES, WORDS, SweepResults, SweptCase, named
 from app.report.viewer import INTERFACE, lengths, outsides
 from app.results.reading import FACES, Run
@@ -61,9 +64,11 @@ Row = tuple[str, str, Sequence[Floats | None]]
 
 
 def ends(sweep: SweepResults) -> list[Chosen]:
-    """The first and the last case with fields, as one group to draw."""
+    """The cases with the least and the most of the first number that varies, as one group."""
     done = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
-    return [[(c.name, c) for c in (*done[:1], *done[1:][-1:])]] if done else []
+    first_and_last = [*done[:1], *done[1:][-1:]]
+    _, shown = next(sentence.ranges(done, headlines(done)), ("", first_and_last))
+    return [[(c.name, c) for c in shown]] if done else []
 
 
 def maps(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str]]:
@@ -222,7 +227,7 @@ def draw(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> list[str
         extend = "max" if every.max() > top * (1 + 1e-6) else "neither"
         figure.colorbar(shade, ax=list(axes_row), label=label, extend=extend, pad=0.04)
     for axes, (title, _, _) in zip(grid[0], columns, strict=True):
-        axes.set_title(title, fontsize=10)
+        axes.set_title(textwrap.fill(title.replace("_", " "), 30), fontsize=10)
     for axes in grid[:, 0]:
         axes.set_ylabel("height (mm)" if round else "mm")
     figure.savefig(path, dpi=110)

@@ -244,7 +244,7 @@ def _unsettled(summary: dict[str, Any]) -> Blocks:
     found = {k: dict(v) for k, v in summary.get("error", {}).get("unsettled", {}).items()}
     sizes = sorted({size for values in found.values() for size in values})
     rows = [
-        [f"{name} ({printed(q.shown)})", *(q.text({q.key: values.get(s)}) for s in sizes)]
+        [quantities.titled(name), *(q.text({q.key: values.get(s)}) for s in sizes)]
         for name, values in found.items()
         if (q := quantities.get(name))
     ]
@@ -281,13 +281,12 @@ def _variations(folder: Path, share: float) -> list[Path]:
     every = sweep_figures.headlines(cases)
     names = [n for n in every if not ((q := quantities.get(n)) and q.exact)]
     drawings = folder / PICTURES
-    figures: list[Figure] = []
-    if share == math.inf:
+    if whole := share == math.inf:
         drawings.mkdir(exist_ok=True)
-        figures = sweep_figures.multiples(cases, drawings)
+    drawn, files = sweep_figures.multiples(cases, drawings if whole else None)
     sections = [
         ("cases", "All variations", sweep_figures.cases_table(cases, names, links)),
-        ("curves", "What varies", page.figures(figures, drawings)),
+        ("curves", "What varies", drawn),
         ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
     done = sum(c.done for c in cases)
@@ -295,12 +294,12 @@ def _variations(folder: Path, share: float) -> list[Path]:
     html = page.page(
         f"Variations: {folder.resolve().name}",
         sections,
-        lead=sentence.spread(cases, names),
+        lead=sentence.spread(cases, names, "variations"),
         summary=[f"{done} of {len(cases)} variations converged", *bad],
     )
     write_text(folder / PAGE, html)
     pages = [folder / PAGE, *(folder / link for link in links.values())]
-    return pages + [drawings / f.name for f in figures]
+    return pages + files
 
 
 def _text(path: Path) -> str:

@@ -160,16 +160,27 @@ def _errors(summary: Numbers) -> str:
     return f"every main number is known to {percent} % or better{exceptions}"
 
 
-def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> str:
-    """Ranges of some numbers over several runs."""
+def spread(cases: Sequence[SweptCase], names: Sequence[str], what: str) -> str:
+    """Ranges of some numbers over several runs, which are called variations or cases."""
     found = []
+    for name, ends in ranges(cases, names):
+        words, unit = in_words(name)
+        values = [(c, n.value) for c in ends if (n := c.number(name))]
+        least, most = (
+            f"{v if abs(v) > NOTHING else 0:.3g} {unit} ({c.name.replace('_', ' ')})"
+            for c, v in values
+        )
+        found.append(f"{words} from {least} to {most}")
+    return f"Over all {what}: {'; '.join(found)}." if found else ""
+
+
+def ranges(
+    cases: Sequence[SweptCase], names: Sequence[str]
+) -> Iterator[tuple[str, list[SweptCase]]]:
+    """Names of slip, gap and temperature, and the cases with the least and with the most of it."""
     for name in names:
-        values = {c.name: n.value for c in cases if (n := c.number(name)) is not None}
+        values = [(n.value, k) for k, c in enumerate(cases) if (n := c.number(name))]
         if len(values) > 1 and name.endswith((".slip_p99", ".gap_p99", ".temperature_max")):
-            low, high = min(values, key=values.__getitem__), max(values, key=values.__getitem__)
-            if values[high] > NOTHING:
-                words, unit = in_words(name)
-                ends = ((k, values[k] if abs(values[k]) > NOTHING else 0) for k in (low, high))
-                least, most = (f"{v:.3g} {unit} ({k})" for k, v in ends)
-                found.append(f"{words} from {least} to {most}")
-    return f"Over all variations: {'; '.join(found)}." if found else ""
+            (_, least), (largest, most) = min(values), max(values)
+            if largest > NOTHING and least != most:
+                yield name, [cases[least], cases[most]]

@@ -11,8 +11,8 @@ from typing import Any
 from app.campaigns.uncertainty import correlation
 from app.case import keys, quantities
 from app.report import page
-from app.report.curves import ROUNDED, Line, Panel, draw, in_words, too_few
-from app.report.page import Blocks, Figure
+from app.report.curves import ROUNDED, Line, Panel, draw, drawing, too_few
+from app.report.page import Blocks
 from app.report.sweep_results import PERCENTILES, SweptCase, by_part, magnitude, named
 from app.schema.units import NUMBER, conversion
 from app.system import layout
@@ -83,14 +83,14 @@ def cases_table(
     cases: Sequence[SweptCase], names: Sequence[str], links: Mapping[str, str] | None = None
 ) -> Blocks:
     """Cases with their outcome, the first of their numbers, and links to pages."""
-    names = names[:MOST_NUMBERS]
+    names, keys = names[:MOST_NUMBERS], varied(cases)
     head = ["case", "status", "changes", *map(quantities.titled, names)]
     head += ["unknowns", "ranks", "time", "message"]
     rows = [
         [
             {"text": c.name, "to": links.get(c.name)} if links else c.name,
             c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}",
-            [f"{key} = {layout.plain(level)}" for key, level in c.overrides.items()],
+            [f"{key} = {layout.plain(level)}" for key, level in c.overrides.items() if key in keys],
             *(cell(c, name) for name in names),
             f"{c.unknowns or '-'}",
             f"{c.ranks}",
@@ -111,11 +111,10 @@ def cell(case: SweptCase, name: str) -> str:
     return str(n) if abs(n.value) > 0.01 * 10.0**-q.digits else "0"
 
 
-def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
-    """Draw each headline number over each numeric key that varies."""
-    done = [c for c in cases if c.done]
-    drawn = []
-    for key in dict.fromkeys(key for c in done for key in c.overrides):
+def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[Blocks, list[Path]]:
+    """Draw each headline number over each numeric key that varies; also as files in a folder."""
+    done, found, files = [c for c in cases if c.done], Blocks(), list[Path]()
+    for key in varied(done):
         groups = _groups(done, key)
         panels = []
         for name in headlines([c for _, own in groups for c in own.values()]):
@@ -124,24 +123,36 @@ def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
             for k, (common, own) in enumerate(groups[:MOST_SERIES]):
                 values = {x: n for x, c in own.items() if (n := c.number(name))}
                 lines.append(Line(common or "mantle", k, values))
-            if any(map(_varies, lines)):
+            if any(_varies([n.value for n in line.numbers.values()]) for line in lines):
                 panels.append(Panel(text, unit or "value", lines))
         panels = panels[:MOST_PANELS]
         if too_few(panels):
             continue
         words, unit = title(key), levels(done, key)[0]
-        file = f"over_{''.join(c if c.isalnum() else '_' for c in key)}.png"
-        draw(folder / file, panels, f"{words} ({unit})" if unit else words, 3)
+        x = f"{words} ({unit})" if unit else words
+        if folder:
+            file = f"over_{''.join(c if c.isalnum() else '_' for c in key)}.png"
+            files += draw(folder / file, panels, x, 3)[:1]
         left = len(groups) - MOST_SERIES
         more = f" {left} further curves are left out." if left > 0 else ""
         caption = f"Bars: estimated errors, where they are known.{more}"
-        drawn.append(Figure(file, f"Numbers over {words}", caption, in_words(panels)))
-    return drawn
+        drawings = {"drawings": [drawing(p, x, from_zero=True) for p in panels], "caption": caption}
+        found += page.titled(f"Numbers over {words}", [("drawings", drawings)])
+    return found, files
 
 
-def _varies(line: Line) -> bool:
-    """Whether a curve varies by more than rounding."""
-    values = [n.value for n in line.numbers.values()]
+def varied(cases: Sequence[SweptCase]) -> list[str]:
+    """Keys whose values are not the same in all cases of a part; of a single case all of them."""
+    return [
+        key
+        for key in dict.fromkeys(key for c in cases for key in c.overrides)
+        if len(cases) == 1
+        or any(len({str(c.overrides.get(key)) for c in own}) > 1 for own in by_part(cases).values())
+    ]
+
+
+def _varies(values: Sequence[float]) -> bool:
+    """Whether numbers vary by more than rounding."""
     return max(values, default=0.0) - min(values, default=0.0) > max(ROUNDED.values())
 
 
@@ -169,19 +180,20 @@ def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None
 def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float, SweptCase]]]:
     """Cases that differ in a numeric key alone, by what they have in common."""
     found: dict[str, dict[float, SweptCase]] = {}
+    others = set(varied(cases)) - {key}
     for c, x in zip(cases, levels(cases, key)[1], strict=True):
         if x is not None:
-            rest = [f"{title(k)} {value(v)}" for k, v in c.overrides.items() if k != key]
+            rest = [f"{title(k)} {value(v)}" for k, v in c.overrides.items() if k in others]
             found.setdefault(": ".join(filter(None, (c.part, ", ".join(rest)))), {})[x] = c
     return [(t, dict(sorted(own.items()))) for t, own in found.items() if len(own) > 1]
 
 
-def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str | Sequence[str]]]]:
-    """Spearman's coefficients of each headline number with each key: head and rows.
+def sensitivity(cases: Sequence[SweptCase]) -> list[tuple[str, str, list[str]]]:
+    """Spearman's coefficients of each headline number with each key: part, number, coefficients.
 
     Parts with fewer than two varied numeric keys have none, as a curve shows more.
     """
-    rows: list[list[str | Sequence[str]]] = []
+    rows: list[tuple[str, str, list[str]]] = []
     for part, own in by_part([c for c in cases if c.done]).items():
         numbers = {
             key: [x for x in levels(own, key)[1] if x is not None] for key in own[0].overrides
@@ -190,11 +202,13 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str | 
         if len(varied) < 2 or len(own) < FEWEST:
             continue
         for name in headlines(own)[:MOST_NUMBERS]:
-            y = [found.value for c in own if (found := c.number(name)) is not None]
+            y = [n.value for c in own if (n := c.number(name)) is not None]
+            if ((q := quantities.get(name)) and q.exact) or not _varies(y):
+                continue
             ranks = {k: correlation(x, y) for k, x in varied.items() if len(y) == len(own)}
             known = [(r, title(key)) for key, r in ranks.items() if r is not None]
             known.sort(key=lambda pair: -abs(pair[0]))
             if known:
                 words = quantities.in_words(name)[0]
-                rows.append([part or "all", words, [f"{r:+.2f} {k}" for r, k in known]])
-    return ["part", "number", "rank correlation with"], rows
+                rows.append((part, words, [f"{r:+.2f} {k}" for r, k in known]))
+    return rows

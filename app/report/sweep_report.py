@@ -6,11 +6,23 @@ import statistics
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import quote
 
 from app.campaigns import uncertainty
 from app.case.quantities import printed
 from app.errors import StoppedError
-from app.report import gruen, page, paper, paper_claims, paper_numbers, pictures, sweep_figures
+from app.report import (
+    gruen,
+    page,
+    paper,
+    paper_claims,
+    paper_numbers,
+    pictures,
+    run_report,
+    sentence,
+    sweep_figures,
+    viewer,
+)
 from app.report.page import Blocks, bullets, table
 from app.report.paper_claims import Trend
 from app.report.paper_numbers import ComparedNumber
@@ -38,15 +50,15 @@ def run(folder: Path) -> tuple[list[Path], Sequence[Trend], Sequence[SweptCase]]
     try:
         drawings.mkdir(exist_ok=True)
         remove(old for pattern in OURS for old in drawings.glob(pattern))
-        multiples = sweep_figures.multiples([c for c in sweep.cases if c.done], drawings)
+        curves, drawn = sweep_figures.multiples(sweep.cases, drawings)
         mapped, unmapped = pictures.maps(groups, drawings)
         shown = cases.over("stem") or dict(chosen)
         shields = gruen.shielding_picture(shown, gruen.intact(sweep.cases), drawings)
         sections = [
-            ("varied", "What varies", page.figures(multiples, drawings)),
-            ("sensitive", "What matters most", table(*sweep_figures.sensitivity(sweep.cases))),
+            ("varied", "What varies", curves),
+            ("sensitive", "What matters most", _sensitive(sweep.cases)),
             ("uncertain", "What is not known well", _uncertain(sweep)),
-            ("cases", "All cases", _parts(sweep.cases)),
+            ("cases", "All cases", _parts(sweep)),
             ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in sweep.cases))),
             ("maps", "Maps of the interfaces", page.figures(mapped, drawings) + bullets(unmapped)),
             ("gruen", "Gruen zones", page.figures(shields, drawings) + gruen.blocks(chosen)),
@@ -56,12 +68,18 @@ def run(folder: Path) -> tuple[list[Path], Sequence[Trend], Sequence[SweptCase]]
         summary = _summary(sweep)
         if papers:
             summary.append(f"The paper's figures, numbers and trends are beside it, in {PAPER}.")
-        text = page.page(sweep.title, sections, facts=_facts(sweep), summary=summary)
-        write_text(folder / PAGE, text)
+        lead, view = _lead(sweep.cases), _view(chosen[:2])
+        head = {"facts": _facts(sweep), "lead": lead, "summary": summary, "view": view}
+        write_text(folder / PAGE, page.page(sweep.title, sections, **head))
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
-    figures = (drawings / f.name for f in (*mapped, *shields, *multiples))
-    return [folder / PAGE, *papers, *figures], trends, sweep.cases
+    figures = (drawings / f.name for f in (*mapped, *shields))
+    return [folder / PAGE, *papers, *figures, *drawn], trends, sweep.cases
+
+
+def _view(chosen: pictures.Chosen) -> str:
+    """Cases in three dimensions."""
+    return viewer.viewer(*(c.folder for _, c in chosen), names={c.folder: n for n, c in chosen})
 
 
 def _paper(
@@ -87,6 +105,13 @@ def _paper(
     return files, trends
 
 
+def _sensitive(cases: Sequence[SweptCase]) -> Blocks:
+    """Rank correlations of each number, by part if there are several."""
+    head, rows = ["part", "number", "rank correlation with"], sweep_figures.sensitivity(cases)
+    first = 0 if any(part for part, *_ in rows) else 1
+    return table(head[first:], [row[first:] for row in rows])
+
+
 def _uncertain(sweep: SweepResults) -> Blocks:
     """Spread of numbers over samples of uncertain inputs."""
     parts: Blocks = []
@@ -98,7 +123,7 @@ def _uncertain(sweep: SweepResults) -> Blocks:
 
 def _facts(sweep: SweepResults) -> str:
     took = f"{duration(sweep.seconds)} on {sweep.cores} core{'s' * (sweep.cores > 1)}"
-    facts = (sweep.file, took if sweep.seconds else "", f"mantle {sweep.program}")
+    facts = (sweep.file, took if sweep.seconds else "", f"mantle {sweep.program[:18]}")
     return " · ".join(filter(None, facts))
 
 
@@ -132,8 +157,25 @@ def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
     ]
 
 
-def _parts(cases: Sequence[SweptCase]) -> Blocks:
+def _lead(cases: Sequence[SweptCase]) -> str:
+    """Range of the main numbers over all cases, and what the first depends on most."""
+    found = [sentence.spread(cases, sweep_figures.headlines(cases), "cases")]
+    for _, words, (most, *_) in sweep_figures.sensitivity(cases)[:1]:
+        rank, _, key = most.partition(" ")
+        said = f"{words[0].upper()}{words[1:]} depends most on {key}"
+        found.append(f"{said} (rank correlation {rank}).")
+    return " ".join(found)
+
+
+def _parts(sweep: SweepResults) -> Blocks:
+    """The cases by part, with links to the pages of their runs."""
     found: Blocks = []
-    for part, own in by_part(cases).items():
-        found += page.titled(part, sweep_figures.cases_table(own, sweep_figures.headlines(own)))
+    links = {
+        c.name: quote(str((c.folder / run_report.PAGE).relative_to(sweep.folder)))
+        for c in sweep.cases
+        if (c.folder / run_report.PAGE).exists()
+    }
+    for part, own in by_part(sweep.cases).items():
+        names = sweep_figures.headlines(own)
+        found += page.titled(part, sweep_figures.cases_table(own, names, links))
     return found

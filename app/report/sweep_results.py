@@ -167,8 +167,9 @@ def read(folder: Path) -> SweepResults:
             f.name: data[f.name] for f in fields(SweepResults) if data.get(f.name)
         }
     except FileNotFoundError:
+        what = "has no sweep.json" if folder.is_dir() else "no such folder"
         raise InputError(
-            f"{folder}: has no sweep.json; expected a directory written by mantle run or sweep"
+            f"{folder}: {what}; expected a folder written by mantle run or sweep"
         ) from None
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path}: cannot be read: {error!r}") from error

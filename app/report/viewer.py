@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,22 +41,24 @@ NODAL = {
 }
 
 
-def viewer(*folders: Path) -> str:
+def viewer(*folders: Path, names: Mapping[Path, str] | None = None) -> str:
     """The view as HTML; nothing without fields or without three.js.
 
     Several runs are shown side by side under one camera, followed by the differences of the others
-    from the first where the mesh is the same. Folders without fields are left out.
+    from the first where the mesh is the same. Folders without fields are left out. Runs have the
+    names given, or those of their folders.
     """
     scripts = [THREE / name for name in SCRIPTS]
     runs = [Run(folder) for folder in folders if (folder / "fields.vtkhdf").exists()]
     if not runs or not all(s.exists() for s in scripts):
         return ""
-    names = distinct([run.folder for run in runs])
+    own = distinct([run.folder for run in runs])
+    own = [(names or {}).get(run.folder, name) for run, name in zip(runs, own, strict=True)]
     pairs: list[tuple[str, Run, Run | None]]
-    pairs = [(n if len(folders) > 1 else "", run, None) for n, run in zip(names, runs, strict=True)]
-    for name, run in zip(names[1:], runs[1:], strict=True):
+    pairs = [(n if len(folders) > 1 else "", run, None) for n, run in zip(own, runs, strict=True)]
+    for name, run in zip(own[1:], runs[1:], strict=True):
         if same_mesh(run, runs[0]):
-            pairs.append((f"{name} less {names[0]}", run, runs[0]))
+            pairs.append((f"{name} less {own[0]}", run, runs[0]))
     views = []
     for name, run, minus in pairs:
         head, values = packed(run, minus, MOST // len(pairs))

@@ -191,9 +191,10 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
     }
     share, text = sorted(shares, key=shares.__getitem__), "± is their estimated error"
     if share:
-        half, worst = (100 * shares[key] for key in (share[len(share) // 2], share[-1]))
-        text = f"half of the percentiles within ± {half:.2g} %"
-        text += f", the least sure ({share[-1]}) within ± {worst:.2g} %"
+        of_them = (share[len(share) // 2], share[-1])
+        half, worst = (f"{float(f'{100 * shares[key]:.2g}'):g}" for key in of_them)
+        text = f"half of the percentiles within ± {half} %"
+        text += f", the least sure ({share[-1]}) within ± {worst} %"
         if within := estimated.get("within"):
             text += f"; about {100 * within:.0f} of 100 such numbers lie within their ±"
     of = estimated.get("of", BOTH)

@@ -7,10 +7,10 @@ import difflib
 import inspect
 import re
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import Annotated, Any, NoReturn, Self, get_args
 
 from pydantic import (
@@ -43,18 +43,20 @@ class Section(BaseModel):
         try:
             return handler(value)
         except ValidationError as error:
-            lines = [_defect(f.text, f.path) for f in faults(error, cls)]
+            lines = [_defect(f.text, f.path) for f in faults(error, cls, value)]
             raise ValidationError.from_exception_data(
                 cls.__name__, [{"type": line, "input": None} for line in lines]
             ) from None
 
 
-def faults(error: ValidationError, model: type[Section] = Section) -> list[Fault]:
-    """The errors of pydantic in a section, in words of the file."""
-    return [Fault(*_in_words(entry, model)) for entry in error.errors(include_url=False)]
+def faults(
+    error: ValidationError, model: type[Section] = Section, given: Any = None
+) -> list[Fault]:
+    """The errors of pydantic in a section, of which a mapping was given, in words of the file."""
+    return [Fault(*_in_words(entry, model, given)) for entry in error.errors(include_url=False)]
 
 
-def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
+def _in_words(entry: ErrorDetails, model: type[Section], given: Any) -> tuple[Path, str]:
     path = tuple(i for i in entry["loc"] if i != "[key]" and not str(i).startswith(TAG))
     value, keys = show(entry["input"]), tuple(model.model_fields)
     match entry["type"]:
@@ -66,10 +68,9 @@ def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
             return path[:-1], f"'{path[-1]}' is missing; expected{expected}"
         case "extra_forbidden":
             hint = did_you_mean(str(path[-1]), keys)
-            for name, field in model.model_fields.items():
-                if path[-1] in getattr(field.annotation, "model_fields", ()):
-                    text = f"it belongs below '{name}', indented: is its indentation lost?"
-                    return path, f"unknown key; {text}"
+            if above := _above(path[-1], model, given):
+                text = f"it belongs below '{above}', indented: is its indentation lost?"
+                return path, f"unknown key; {text}"
             return path, f"unknown key; allowed: {', '.join(keys)}{hint}"
         case "model_type" | "model_attributes_type":
             return path, f"{value} is not a mapping; expected keys {', '.join(keys)}"
@@ -85,6 +86,21 @@ def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
             text = not_one_of(given["kind"], kinds) if "kind" in given else missing
             return (*path, "kind"), text
     return path, f"{value}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
+
+
+def _above(key: str | int, model: type[Section], given: Mapping[str, Any]) -> str:
+    """The section that an unknown key belongs to: an empty one before it, or one that has it."""
+    empty = ""
+    for name in takewhile(lambda name: name != key, given):
+        if name in model.model_fields:
+            empty = name if given[name] is None else ""
+    having = (name for name, field in model.model_fields.items() if _has(field.annotation, key))
+    return empty or next(having, "")
+
+
+def _has(kind: Any, key: str | int) -> bool:
+    """Whether sections of a type, or of any in it, have a key."""
+    return key in getattr(kind, "model_fields", ()) or any(_has(k, key) for k in get_args(kind))
 
 
 def docstrings(model: type) -> dict[str, str]:

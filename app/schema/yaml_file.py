@@ -81,6 +81,7 @@ class CaseFile:
         given: Values of overrides as given, by key.
         digests: SHA-256 of the file, its bases and libraries, by name.
         libraries: Files of materials and loads by name, the newest last.
+        option: What stands before the key of an override in messages.
     """
 
     name: str
@@ -90,6 +91,7 @@ class CaseFile:
     given: dict[str, Any] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
     libraries: list[CaseFile] = field(default_factory=list)
+    option: str = "--set "
 
     def raise_all(self, problems: Sequence[Fault]) -> None:
         """Raise one error for all problems, in the order of the file.
@@ -135,11 +137,14 @@ class CaseFile:
         if option and not isinstance(place, str):
             # An option changed the kind of a section of the file, whose other keys stay.
             section = option.rpartition(".")[0]
-            place, change = option, f"; --set '{section}={{kind: ...}}' replaces the whole section"
+            place, change = (
+                option,
+                f"; {self.option}'{section}={{kind: ...}}' replaces the whole section",
+            )
             fault = Fault(fault.path, fault.text + change)
         text = f"{key}: {fault.text}" if key and key != place else fault.text
         if isinstance(place, str):
-            return LAST, f"--set {path_text((place,))}: {text}"
+            return LAST, f"{self.option}{path_text((place,))}: {text}"
         file, line, column = place
         order = [self.name, *self.digests].index(file)
         return (order, line, column), f"{file}:{line}:{column}: {text}"

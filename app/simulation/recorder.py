@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time as clock
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from app.arrays import Ints
 from app.case.case import Case
 from app.case.quantities import TABLE
+from app.case.section_loads import section_loads
 from app.errors import StoppedError
 from app.heat.nodes import Probes
 from app.mechanics.contact import TrialState
@@ -242,6 +243,8 @@ class Recorder:
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
         if self.step_count:  # at rest all would be zero
             numbers = model.numbers(self.samples) | model.places(self.samples)
+            if sections := section_loads(self._case, self.time):
+                numbers["section_loads"] = [asdict(section) for section in sections]
         result = {
             "status": status,
             "title": self._case.title,

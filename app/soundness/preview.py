@@ -6,12 +6,13 @@ Doubtful are wrong units, nothing that acts, elements that lock.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from app.case.case import Case
 from app.case.run_options import Stage
+from app.case.section_loads import section_loads, table
 from app.laws.materials import Rigid
 from app.laws.thermal import PressureConductance
 from app.schema.section import Section
@@ -109,7 +110,7 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
     return lines or ["  none"]
 
 
-def resultant(case: Case) -> Iterable[str]:
+def resultant(case: Case) -> Iterator[str]:
     """Resultant force at the end of the last stage in words; nothing without forces."""
     loads = [load for load in case.loads.values() if load.resultant is not None]
     if not loads:
@@ -120,6 +121,10 @@ def resultant(case: Case) -> Iterable[str]:
     components = ", ".join(f"{c:.6g}" for c in total)
     rest = "" if len(loads) == len(case.loads) else ", without pressures and body forces"
     yield f"sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
+    if sections := section_loads(case, len(case.stages)):
+        rest = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
+        yield f"section loads at the end{rest}; the last level is the knee's"
+        yield from (f"  {line}" for line in table(sections).splitlines())
 
 
 # Doubtful input

@@ -83,11 +83,21 @@ def test_errors_orders_front_and_advice(file: Path, caplog: pytest.LogCaptureFix
     assert errors == pytest.approx([0.16, 0.08, 0.04, 0.08, 0.04, 0.03])
     assert [p["time"] for p in pressure["points"]] == pytest.approx([2, 4, 8, 2, 4, 16 / 3])
     assert [p["pareto"] for p in pressure["points"]] == [False] * 3 + [True] * 3
-    assert slip["advice"] == "for 2 % in lower_upper.slip_p99 use P1 at 1 mm: 8.0 s"
-    assert pressure["advice"] == (
-        "nothing reaches 2 % in lower_upper.pressure_p99; closest is P2 at 1.5 mm: 3 % in 5.3 s"
+    assert slip["advice"] == (
+        "lower_upper.slip_p99 within 2 % costs 8.0 s (P1 at 1 mm), 0.4 % is reached by no run "
+        "(closest 1 % in 8.0 s, P1 at 1 mm)"
     )
-    assert record["advice"].startswith("nothing reaches 2 % in all 2 quantities; closest is P2")
+    assert pressure["advice"] == (
+        "lower_upper.pressure_p99 within 2 % is reached by no run "
+        "(closest 3 % in 5.3 s, P2 at 1.5 mm)"
+    )
+    assert record["advice"].startswith("every number within 2 % is reached by no run (closest 3 %")
+    two = "study.reference={run: {mesh.order: 2, mesh.size: [0.8 mm, 0.5 mm]}}"  # 5.08, 5.05 MPa
+    study.run(file, [two, "study.target=0.025"], Options(out, 2))
+    assert (
+        "lower_upper.pressure_p99 within 2.5 % costs 5.3 s (P2 at 1.5 mm), 0.5 % cannot be told, "
+        "as the reference is known to 0.59 % only"
+    ) in caplog.text
     assert len(rows) == 12 and {r["unit"] for r in rows} == {"mm", "MPa"}
     assert [float(r["error [-]"]) for r in rows[6:]] == pytest.approx(errors)
     assert rows[0]["mesh [s]"] == "3.0" and rows[0]["newton iterations"] == "4"
@@ -115,7 +125,7 @@ def test_given_values_estimates_and_a_target(file: Path, caplog: pytest.LogCaptu
     assert [float(r["effectivity [-]"]) for r in rows] == pytest.approx([2] * 6 + [8] * 6)
     assert "within 0.5 to 3 for 6 of 12 numbers (50 %)" in caplog.text
     assert "lower_upper.pressure_p99 with P2 at 4 mm: 8" in caplog.text
-    assert record["advice"] == "for 5 % in all 2 quantities use P2 at 2 mm: 4.0 s"
+    assert record["advice"].startswith("every number within 5 % costs 4.0 s (P2 at 2 mm), 1 % is")
     assert record["quantities"]["lower_upper.slip_p99"]["reference"]["uncertainty"] == 0
     assert record["reference_runs"] == []
 
@@ -177,7 +187,9 @@ def test_a_study_over_a_penalty(file: Path, caplog: pytest.LogCaptureFixture) ->
     for each in (depth, newton, condition, time):
         assert each["reference"] is None and each["advice"] == "" and not each["compared"]
         assert {p["error"] for p in each["points"]} == {None}
-    assert record["advice"] == "" and slip["advice"].startswith("for 10 % in lower_upper.slip_p99")
+    assert record["advice"] == "" and slip["advice"].startswith(
+        "lower_upper.slip_p99 within 10 % costs"
+    )
     assert "reference 38.4 um, of one run" in caplog.text
     assert "lower_upper.penetration_max\n" in caplog.text
     assert [r["number [internal]"] for r in rows[:3]] == ["100.0", "1000.0", "10000.0"]
@@ -313,7 +325,7 @@ study:
     assert [abs(float(r["value"])) for r in rows] == pytest.approx([2, 2, 32, 32])
     points = record["quantities"]["lower_upper.pressure_mean"]["points"]
     assert all(p["error"] < 1e-9 for p in points)
-    assert re.search("use size at [24] mm", capsys.readouterr().out)
+    assert re.search(r"within 2 % costs .* \(size at [24] mm\)", capsys.readouterr().out)
     summary = json.loads((Path(record["runs"][0]["folder"]) / "summary.json").read_text())
     for section in ("interfaces", "regions"):
         name = next(iter(summary[section]))

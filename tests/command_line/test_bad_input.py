@@ -181,7 +181,9 @@ def test_command_says_it_once_and_exits_with_2(
         ("check none.yaml -- -log_view", "takes no PETSc options"),
         ("run none.yaml -n zero", "-n: 'zero' is not a number of ranks"),
         ("run none.yaml -o", "expected one argument"),
-        ("report a b -o page.pdf", "-o page.pdf: expected a folder, or a file that ends in .html"),
+        ("report a b -o page.pdf", "-o page.pdf: expected a folder, whose name"),
+        ("report none", "none: no such folder; expected a folder written by mantle run or sweep"),
+        ("run none.yaml -o out.html", "-o out.html: expected a folder, whose name"),
     ],
 )
 def test_command_line(arguments: str, expected: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -222,7 +222,7 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["check", str(given), "--mesh"]) == 0
     out = capsys.readouterr().out
     assert "joint 100" in out and "estimated" not in out
-    assert main(["mesh", case, "-o", str(given / "below.msh"), *coarse]) == 2
+    assert main(["mesh", case, "-o", str(given / "below"), *coarse]) == 2
     assert "cannot be made" in capsys.readouterr().err
 
 

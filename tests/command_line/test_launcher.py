@@ -430,7 +430,7 @@ def test_somebody_else_writes_only_to_the_cache_and_the_output(tmp_path: Path) -
                 pytest.skip(f"others cannot read {ROOT}")
         case = ROOT / "configs" / "blocks.yaml"
         done = subprocess.run(
-            [*who, "sh", MANTLE, "mesh", case, "-o", "out/$(touch PWNED);'\"/mesh.msh"],
+            [*who, "sh", MANTLE, "mesh", case, "-o", "out/$(touch PWNED);'\"/mesh"],
             cwd=folder / "work",
             env={
                 "PATH": os.environ["PATH"],

@@ -214,6 +214,8 @@ geometry.cement_thickness  (kind intact_femur)
         ("regions.kind", 0, ["  {kind: rigid}\n    Rigid: the region moves as one body"]),
         ("friction", 0, ["  interfaces.<name>.friction_coefficient ", "\n  friction disc: "]),
         ("slip", 0, ["  interfaces.slip_p99  ", "slip, p99 (mm), a result", "  slip: tangential"]),
+        ("von Mises", 0, ["  regions.von_mises_p99  "]),
+        ("contact pressure", 0, ["  interfaces.pressure_p95  "]),
         ("motion", 0, ["interfaces.motion_p99", "  motion: length of the whole relative"]),
         ("E", 0, ["regions.<name>.youngs_modulus  (kind isotropic)"]),
         ("body_weight", 0, ["hip 1800 N (3 body weights of 600 N)"]),
@@ -239,7 +241,7 @@ geometry.cement_thickness  (kind intact_femur)
 def test_names_and_keys_are_explained(
     word: str, code: int, parts: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["explain", word]) == code
+    assert main(["explain", *word.split()]) == code
     said = capsys.readouterr()[code // 2]
     assert all(part in said for part in parts), said
 

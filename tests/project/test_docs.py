@@ -152,11 +152,26 @@ def test_the_case_of_the_tutorial_is_what_init_writes() -> None:
     assert shown == (ROOT / "configs" / "start" / "femur.yaml").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", ["case.md", "campaigns.md", "commands.md"])
+@pytest.mark.parametrize("name", ["case.md", "campaigns.md", "commands.md", "python.md"])
 def test_generated_pages_are_up_to_date(name: str) -> None:
     module = script("reference")
     committed = (DOCS / "reference" / name).read_text(encoding="utf-8")
     assert committed == module.pages()[name], f"run: {module.COMMAND}"
+
+
+def test_the_readme_shows_what_a_run_prints() -> None:
+    outputs, page = script("outputs"), ROOT / "README.md"
+    text = page.read_text(encoding="utf-8")
+    assert outputs.tabled(text) == text, "run docs/outputs.py"
+    assert outputs.words(outputs.written(page, size="10 mm")) == outputs.words(text)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorial.md"])
+def test_numbers_of_the_manual_are_those_of_runs(name: str) -> None:
+    outputs, page = script("outputs"), ROOT / name
+    shown = page.read_text(encoding="utf-8")
+    assert list(outputs.differences(shown, outputs.written(page))) == []
 
 
 def test_results_page_names_every_number_of_a_study() -> None:

@@ -36,7 +36,7 @@ def test_the_page_says_what_differs(stems: tuple[Run, Run], tmp_path: Path) -> N
     assert html.count('class="one"') == 3  # two runs and their difference
     # No errors were estimated: none is claimed to be known, in sentence, table or verdict.
     assert "errors were not estimated (mantle run --error)" in html and row[3].endswith("unknown")
-    assert "By more than their errors" not in html and "within the errors" not in html
+    assert "by more than their errors" not in html and "within the errors" not in html
     assert html.count("converged</span>: smooth; errors not estimated") == 1
     for run in stems:  # as if they had been: 1 % of the smooth run, all of the other
         copy = tmp_path / run.folder.name
@@ -46,7 +46,7 @@ def test_the_page_says_what_differs(stems: tuple[Run, Run], tmp_path: Path) -> N
             q |= {f"{key}_error": 0.01 * q[key] for key in ("slip_p99", "motion_p99")}
         (copy / "summary.json").write_text(json.dumps(numbers))
     html = compare.write([tmp_path / r.folder.name for r in stems], tmp_path / "b.html").read_text()
-    assert re.search(r"By more than their errors \d of 4 main numbers differ from", html)
+    assert re.search(r"\d of 4 main numbers differ from those of smooth by more than", html)
     assert re.search(r"Of \d+ main numbers errors were not estimated", html)
     scripts = re.sub(r"<script>.*?</script>", "", html, flags=re.S)
     assert not re.search(r"(src|href)=\"(?!#|data:)", scripts)

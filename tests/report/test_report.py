@@ -373,14 +373,20 @@ def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
     data = femur()
     for taper in (1.0, 2.0, 3.0):
         numbers = contact(lambda *a, x=taper: x, "", 0, 0, 0.1)
-        more = {"overrides": {"geometry.taper": f"{taper:g} deg", "title": "x"}}
+        keys = {"geometry.taper": f"{taper:g} deg", "title": "x", "mesh.size": "4 mm"}
+        more = {"overrides": keys}
         maker.add(f"taper {taper:g}", data, {"interfaces": numbers}, **more)
     files, trends, _ = sweep_report.run(maker.write(compare_with=""))
     assert [f.name for f in files] == ["report.html", "over_geometry_taper.png"]
     page = files[0].read_text()
     assert not trends and "Rakotomanana" not in page
     assert "Numbers over taper" in page and "cement-bone slip, p99" in page
-    assert "taper (°): 1, 2, 3." in page
+    assert "taper (°): 1, 2, 3." in page and "mesh.size" not in page  # the same in all
+    assert page.count('role="img"') == 10 and "data:image" not in page
+    run = rs.read(maker.folder).cases[1].folder
+    (run / "report.html").touch()
+    sweep_report.run(maker.folder)
+    assert f'<a href="runs/{run.name}/report.html">taper 2</a>' in files[0].read_text()
     assert page.index("What varies") < page.index("All cases")
     for name in ("over_old.png", "mine.png"):
         (maker.folder / "report" / name).write_text("")
@@ -420,13 +426,18 @@ def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
             keys = {"geometry.taper": written, "geometry.length": f"{length:g} mm"}
             name = f"{taper:g} {length:g}"
             maker.add(name, data, {"interfaces": numbers}, overrides=keys)
-    head, rows = sweep_figures.sensitivity(rs.read(maker.write(compare_with="")).cases)
-    assert len(head) == 3 and rows
+    rows = sweep_figures.sensitivity(rs.read(maker.write(compare_with="")).cases)
+    assert rows
     for part, name, words in rows:
         assert part == "thickness" and name
         assert words == ["+1.00 taper", "+0.00 length"]
     # With one key alone a curve says it.
-    assert sweep_figures.sensitivity(rs.read(maker.folder).cases[::2])[1] == []
+    assert sweep_figures.sensitivity(rs.read(maker.folder).cases[::2]) == []
+    # The page begins with the range of the first numbers and with what they depend on.
+    page = sweep_report.run(maker.folder)[0][0].read_text()
+    lead = page[page.index('"lead">') : page.index('class="summary"')]
+    assert "Over all cases: cement-bone debonding, p99 from 1 µm (1 20) to 27 µm (3 30); " in lead
+    assert "Cement-bone debonding, p99 depends most on taper (rank correlation +1.00)." in lead
 
 
 # What is no sweep

@@ -133,12 +133,9 @@ def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
     line = "peaks that still change with the mesh: stem_cement.gap_max 12.3 µm at 4 mm, 9.0 at 8"
     assert line in html and " ± " in html
     # The table has all of them.
-    rows = html[html.index("Peaks that still change with the mesh") :].split()
-    assert rows[7:13] == ["4", "mm", "8", "mm", "12", "mm"]
-    assert rows[13:18] == ["stem_cement.gap_max", "(µm)", "12.3", "9.0", "-"]
-    for name in regions:
-        place = rows.index(f"{name}.von_mises_max", 13)
-        assert rows[place + 1 : place + 5] == ["(MPa)", "20.00", "-", "9.00"]
+    rows = " ".join(html[html.index("Peaks that still change with the mesh") :].split())
+    assert "mesh 4 mm 8 mm 12 mm stem-cement debonding, max (µm) 12.3 9.0 - " in rows
+    assert all(f"{name} von Mises max (MPa) 20.00 - 9.00" in rows for name in regions)
 
     numbers["error"] = error | {"companions": ["mesh 4 mm, 0.5 times"], "of": "load step"}
     html = shown(changed(done, tmp_path / "steps", numbers))

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.report import pictures
+from app import figures
+from app.report import curves, pictures
+from app.report.sweep_results import Number
 from app.results.reading import Run
 
 N, LAYERS, RADIUS, LENGTH = 12, 3, 5.0, 30.0
@@ -91,7 +93,13 @@ def test_a_flat_interface_is_drawn_in_its_own_plane() -> None:
     assert pictures.sheet(run, "blocks", (("a",), ("b",)), ("a", "b")) is None
 
 
-def test_a_picture_has_the_rows_that_there_are(tmp_path: Path) -> None:
+def test_a_picture_has_the_rows_that_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And titles that cover neither each other nor what is beside them."""
+    drawn: list[Any] = []
+    new = figures.new
+    monkeypatch.setattr(figures, "new", lambda *size: drawn.append(new(*size)) or drawn[-1])
     points, triangles = cylinder(0.0)
     corners, nodes = pictures.unroll(points, triangles)
     run: Run = SimpleNamespace()  # type: ignore[assignment]
@@ -101,7 +109,25 @@ def test_a_picture_has_the_rows_that_there_are(tmp_path: Path) -> None:
         ("nothing", "viridis", [None] * 2),
     ]
     path = tmp_path / "map.png"
-    assert pictures.draw(path, [("one", run, sheet), ("two", run, sheet)], rows) == ["height (mm)"]
+    names = (f"friction_coefficient={f}_cement_thickness=4mm" for f in (0.2, 0.4))
+    columns = [(name, run, sheet) for name in names]
+    assert pictures.draw(path, columns, rows) == ["height (mm)"]
+    first, second = (axes.title.get_window_extent() for axes in drawn[0].axes[:2])
+    assert first.x1 < second.x0
     assert path.read_bytes().startswith(b"\x89PNG")
     assert pictures.draw(tmp_path / "none.png", [("one", run, sheet)], rows[1:]) == []
     assert not (tmp_path / "none.png").exists()
+
+
+def test_points_and_bars_keep_off_the_frame() -> None:
+    """Of numbers far from zero and alike, whose axis begins at zero; inside a page as well."""
+    values = {0.2: Number(98.8, 2.0), 0.8: Number(91.0, 2.0)}
+    panel = curves.Panel("slip", "µm", [curves.Line("a", 0, values)])
+    axes = figures.new(4.0, 3.0).subplots()
+    curves._draw(axes, panel)
+    low, high = axes.get_ylim()
+    assert low == 0 and high > 1.04 * 100.8
+    drawn = curves.drawing(panel, "friction", from_zero=True)
+    assert drawn["up"][0] == (0.0, "0") and drawn["columns"] == 2
+    for _, middle, least, most in drawn["lines"][0][2]:
+        assert 0 < least < middle < most <= 1 and middle == pytest.approx((least + most) / 2)

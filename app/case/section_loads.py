@@ -1,0 +1,69 @@
+"""Section loads of a femur: what the loads above a cut across the shaft transmit through it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from app.case.case import Case
+from app.case.femurs import Femur, IntactFemur
+from app.laws.loads import Force
+from app.laws.values import amplitude
+from app.system import layout
+
+# The highest level [mm], below the insertions at the greater trochanter, and the number of levels.
+TOP, LEVELS = 25.0, 10
+# Level of the knee [mm], 404 mm below the head; its centre is about on the axis of the shaft.
+KNEE = -350.0
+
+
+@dataclass(frozen=True)
+class SectionLoad:
+    """What acts on the femur above a level, by loads that name their point.
+
+    Attributes:
+        z: The level [mm].
+        force: Sum of the loads (3,) [N].
+        moment: Their moment about the shaft's axis at the level (3,) [N mm].
+        medial_of_shaft: Place where the line of action of the sum, seen from the front, crosses the
+            level [mm]; None without axial force.
+        medial_of_head: The same from the centre of the head [mm].
+    """
+
+    z: float
+    force: tuple[float, ...]
+    moment: tuple[float, ...]
+    medial_of_shaft: float | None
+    medial_of_head: float | None
+
+
+def section_loads(case: Case, time: float) -> list[SectionLoad]:
+    """Section loads at ten levels and at the knee, where all loads act; none without such loads."""
+    import numpy as np
+
+    geometry = case.geometry
+    loads = [load for load in case.loads.values() if isinstance(load, Force) and load.at]
+    if not (isinstance(geometry, Femur | IntactFemur) and loads):
+        return []
+    F = np.array([np.multiply(load.force, amplitude(load.history, time)) for load in loads])
+    x = np.array([load.at for load in loads])
+    found = []
+    for z in [*map(float, np.linspace(TOP, geometry.distal_cut_z, LEVELS)), KNEE]:
+        above = x[:, 2] > z
+        force = F[above].sum(axis=0).tolist()
+        moment = np.cross(x[above] - [0.0, 0.0, z], F[above]).sum(axis=0).tolist()
+        medial = -moment[1] / force[2] if force[2] else None
+        off = None if medial is None else medial - geometry.head_offset
+        found.append(SectionLoad(z, tuple(force), tuple(moment), medial, off))
+    return found
+
+
+def table(found: list[SectionLoad]) -> str:
+    """Section loads as a text table, moments in N m."""
+    head = ["z", "force x", "y", "z", "moment x", "y", "z", "medial of shaft", "of head"]
+    units = ["mm", *["N"] * 3, *["N m"] * 3, "mm", "mm"]
+    rows = [
+        [f"{s.z:.0f}", *(f"{f:z.0f}" for f in s.force), *(f"{m / 1e3:z.1f}" for m in s.moment)]
+        + ["-" if v is None else f"{v:.0f}" for v in (s.medial_of_shaft, s.medial_of_head)]
+        for s in found
+    ]
+    return layout.table(head, rows, units)

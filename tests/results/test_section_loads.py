@@ -1,0 +1,54 @@
+"""Section loads: by hand, and against the stress of a solved hip."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.case.section_loads import KNEE, section_loads
+from app.results.stresses import Stresses
+from app.system.timing import Timing
+from tests import support
+
+
+def test_section_loads_of_two_forces_by_hand() -> None:
+    """A hip force at (43, 0, 54) and a muscle at (-20, 10, -60), which only lower cuts bear."""
+    muscle = "{kind: force, boundary: psoas, at: [-20 mm, 10 mm, -60 mm], force: '[0, 50, 300] N'}"
+    case = support.case(
+        "base: intact\nloads: {library: walking_hip}\n",
+        "loads.hip.boundary=head",
+        "loads.hip.force=[-400 N, -100 N, -1400 N]",
+        "loads.hip.history=[0.5]",
+        f"loads.muscle={muscle}",
+    )
+    found = {s.z: s for s in section_loads(case, 1.0)}
+    assert len(found) == 11 and list(found)[-2:] == [-200.0, KNEE]
+    # Half the hip force, 54 mm above: r x F = (43, 0, 54) x (-200, -50, -700).
+    upper = found[0.0]
+    assert upper.force == (-200.0, -50.0, -700.0)
+    assert upper.moment == (54 * 50.0, -54 * 200.0 + 43 * 700.0, -43 * 50.0)
+    assert upper.medial_of_shaft == pytest.approx(19300 / 700)
+    # At z = -100 the hip is 154 mm above and the muscle 40.
+    lower = found[-100.0]
+    assert lower.force == (-200.0, 0.0, -400.0)
+    hip = (154 * 50.0, -154 * 200.0 + 43 * 700.0, -43 * 50.0)
+    muscle_ = (10 * 300.0 - 40 * 50.0, 20 * 300.0, -20 * 50.0)
+    assert lower.moment == tuple(a + b for a, b in zip(hip, muscle_, strict=True))
+    assert lower.medial_of_head == pytest.approx((-700.0 + 6000.0) / 400 - 43)
+
+
+def test_the_stress_over_a_cut_has_the_section_loads() -> None:
+    """Above the tip, through stem, cement and bone: means over 40 mm about the cut."""
+    solved = support.solve((support.CONFIGS / "stance.yaml").read_text(), "mesh.size=10 mm")
+    level = -75.0
+    wanted = next(s for s in section_loads(solved.case, 1.0) if s.z == level)
+    stresses, force, moment = Stresses(solved.problem, Timing()), np.zeros(3), np.zeros(3)
+    for region in solved.case.regions:
+        x, volume = stresses.places(region)
+        weight = np.maximum(0.0, 1 - np.abs(x[:, 2] - level) / 20) / 20 * volume.ravel()
+        # What is above acts on what is below, whose outward normal is z.
+        t = stresses.evaluate(region).reshape(-1, 3, 3)[:, :, 2] * weight[:, None]
+        force += t.sum(axis=0)
+        moment += np.cross(x * [1.0, 1.0, 0.0], t).sum(axis=0)
+    assert np.linalg.norm(force - wanted.force) < 0.02 * np.linalg.norm(wanted.force)
+    assert np.linalg.norm(moment - wanted.moment) < 0.02 * np.linalg.norm(wanted.moment)
