@@ -118,7 +118,7 @@ def _check(options: argparse.Namespace) -> int:
     if options.output:
         from app.report import case_picture
 
-        path = _output_file(options.output, f"{options.case.stem}.png")
+        path = _writable(options.output) / f"{options.case.stem}.png"
         case_picture.draw(case.config, mantle.mesh(case), path)
         print(path)
     for message in found.notes:

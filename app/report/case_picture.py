@@ -190,8 +190,8 @@ def _labels(view: View) -> None:
     """Write labels in a column on either side, one above the other, with lines to their places."""
     middle = (view.low + view.high)[view.across] / 2
     for side, end in ((-1, view.low), (1, view.high)):
-        own = (m for m in view.labels if (m[2][0] > middle) == (side > 0))
-        own = sorted(own, key=lambda m: float(m[2][1]))
+        every = sorted(view.labels, key=lambda m: float(m[2][1]))
+        own = [m for m in every if (m[2][0] > middle) == (side > 0)]
         y = np.array([place[1] for *_, place in own])
         steps = LABEL * view.inch * np.arange(len(y))
         spread = np.maximum.accumulate(y - steps) + steps
