@@ -58,6 +58,7 @@ def test_a_run_writes_a_page_that_stands_alone(done: Path) -> None:
     assert "&lt;script&gt;alert(1)" in html
     assert not list(done.glob("*.partial")) and not (done / "report").exists()
     assert (done / "case.png").exists() and "Bodies, supports and loads" in html
+    assert html.count("Jasty") == 1  # why 30 um
 
 
 def test_its_numbers_are_those_of_the_summary(done: Path) -> None:
