@@ -31,7 +31,7 @@ from app.system.ranks import rank
 
 PAGE, PICTURES = "report.html", "report"
 # The part of a run's time that its page may take; the time of maps and of the view.
-SHARE, MAPS, VIEW = 0.03, 0.9, 0.3  # s
+SHARE, MAPS, VIEW = 0.03, 1.2, 0.3  # s
 TITLES = {
     "interfaces": "Interfaces",
     "regions": "Stresses",
@@ -56,8 +56,11 @@ def after_run(folder: Path, failed: bool) -> None:
     """
     if rank() != 0:
         return
+    import matplotlib as mpl
+
     try:
-        write(folder, 0.0 if failed else SHARE)
+        with mpl.rc_context():  # those of the process that we are a guest of
+            write(folder, 0.0 if failed else SHARE)
     except Exception as error:  # the results are there, whatever the page lacks
         log.warning("%s was not written: %s: %s", folder / PAGE, type(error).__name__, error)
 
