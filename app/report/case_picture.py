@@ -20,7 +20,7 @@ from app.case.case import Case
 from app.laws.loads import BodyForce, Pressure
 from app.soundness import preview
 from app.system.layout import plain
-from app.system.style import COLOURS
+from app.system.style import COLOURS, handles
 from meshes import picture
 from meshes.data import MeshData, cell_volumes, exterior_facets, interface_facets
 from meshes.picture import AXES
@@ -96,7 +96,8 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     figure.text(0.5, 1 - 0.3 / tall, title, fontsize=12, **place)
     words = f"{len(forces)} loads, {next(preview.resultant(case), '')}" if len(forces) > 1 else ""
     figure.text(0.5, 1 - 0.7 / tall, words, color=LOAD, **place)
-    figure.legend(handles=_handles(case, data), loc="lower center", ncols=5, frameon=False)
+    legend = handles(figure.axes)
+    figure.legend(legend.values(), legend, loc="lower center", ncols=5, frameon=False)
     figure.savefig(path, dpi=110, format="png")
 
 
@@ -104,8 +105,10 @@ def _bodies(view: View, data: MeshData, name: str) -> None:
     """Draw the outside, and the section."""
     from matplotlib.colors import to_rgb
 
-    colours = picture.colours_of(data.regions).values()
-    pale = 0.5 + 0.5 * np.array([(0, 0, 0), *map(to_rgb, colours)])
+    colours = picture.colours_of(data.regions)
+    for region, colour in colours.items():
+        view.ax.plot([], [], color=colour, lw=7.0, label=region.replace("_", " "))
+    pale = 0.5 + 0.5 * np.array([(0, 0, 0), *map(to_rgb, colours.values())])
     facets, cells = exterior_facets(data.cells)
     x = data.points[facets]
     picture.surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], np.full(len(x), "0.7"), name)
@@ -114,28 +117,22 @@ def _bodies(view: View, data: MeshData, name: str) -> None:
 
 def _lines(view: View, case: Case, data: MeshData) -> None:
     """Draw sections of interfaces, supports and heat conditions."""
-    for name, colour, style, _ in _interfaces(case):
-        nodes = interface_facets(data, name)[0][:, :3]
-        view.lines(data.points[nodes], colors=colour, lw=2.2, ls=style)
-    parts = [(SUPPORT, *item) for item in case.supports.items()]
-    for colour, name, part in parts + [(HEAT, *item) for item in case.heat.items()]:
+    for (name, law), colour in zip(case.interfaces.items(), BETWEEN, strict=False):
+        friction = getattr(law, "friction_coefficient", None)
+        words = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
+        style = {"ls": "--" if law.kind == "bonded" else "-", "lw": 2.2, "colors": colour}
+        facets = data.points[interface_facets(data, name)[0][:, :3]]
+        view.lines(facets, label=f"{name.replace('_', '-')}: {words}", **style)
+    parts: list[Any] = [("support", SUPPORT, *item) for item in case.supports.items()]
+    for word, colour, name, part in parts + [("heat", HEAT, *item) for item in case.heat.items()]:
         facets = _boundary(data, getattr(part, "boundary", ""))
-        middles = view.lines(facets, colors=colour, lw=4.0, alpha=0.8)
+        middles = view.lines(facets, colors=colour, lw=4.0, alpha=0.8, label=word)
         keys = part.model_dump(mode="json", exclude_none=True)
         own = [f"{k} {plain(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
         if len(middles):
             away = np.abs(middles - middles.mean(axis=0)) @ (1.0, -0.3)
             text = f"{name.replace('_', ' ')}\n{', '.join([part.kind, *own])}"
             view.labels.append((text, colour, middles[away.argmax()]))
-
-
-def _interfaces(case: Case) -> Iterator[tuple[str, str, str, str]]:
-    """Name, colour, style of line, and words for the legend."""
-    for (name, law), colour in zip(case.interfaces.items(), BETWEEN, strict=False):
-        friction = getattr(law, "friction_coefficient", None)
-        words = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
-        style = "--" if law.kind == "bonded" else "-"
-        yield name, colour, style, f"{name.replace('_', '-')}: {words}"
 
 
 def _boundary(data: MeshData, name: str) -> Floats:
@@ -182,7 +179,7 @@ def _arrows(view: View, forces: Sequence[Force]) -> None:
             start, end = (at, at + step) if out else (at - step, at)
             style = {"arrowstyle": "-|>", "color": LOAD, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
             view.ax.annotate("", end, start, arrowprops=style)
-            view.ax.plot(*at, "o", color=LOAD, ms=3.5)
+            view.ax.plot(*at, "o", color=LOAD, ms=3.5, label="load")
         view.labels.append((text, LOAD, end if out else start))
 
 
@@ -215,15 +212,3 @@ def _scale(view: View, names: Sequence[tuple[str, str]]) -> None:
     view.ax.text(x, z - 0.1 * view.inch, f"{long:g} mm\n{way}", ha="center", va="top")
     at = view.low[view.across] - 0.4 * view.inch, view.low[2] + 0.9 * view.inch
     view.ax.text(*at, " → ".join(names[2]), ha="center", va="center", rotation=90)
-
-
-def _handles(case: Case, data: MeshData) -> list[Any]:
-    """Legend: bodies, interfaces, and colours of conditions."""
-    from matplotlib.lines import Line2D
-
-    rows = [(n.replace("_", " "), c, 7.0, "-") for n, c in picture.colours_of(data.regions).items()]
-    rows += [(words, colour, 2.2, style) for _, colour, style, words in _interfaces(case)]
-    parts = zip((SUPPORT, HEAT, LOAD), (case.supports, case.heat, case.loads), strict=True)
-    words = ("support", "heat", "load")
-    rows += [(word, c, 3.0, "-") for word, (c, of) in zip(words, parts, strict=True) if of]
-    return [Line2D([], [], color=c, lw=w, ls=s, label=label) for label, c, w, s in rows]
