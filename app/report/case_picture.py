@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from app import figures
-from app.arrays import Floats
+from app.arrays import Floats, Ints
 from app.case.case import Case
 from app.laws.loads import BodyForce, Pressure
 from app.soundness import preview
@@ -72,6 +72,7 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     figure = figures.new(wide.sum(), tall)
     figure.set_layout_engine("none")
     forces, left = [*_forces(case, data)], 0.0
+    outside = exterior_facets(data.cells)
     for name in picture.FRONT_AND_SIDE:
         across, leftward, toward = picture.VIEWS[name]
         ax = figure.add_axes((left / wide.sum(), 0.0, wide[across] / wide.sum(), 1.0))
@@ -80,7 +81,7 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
         if case.geometry.is_around_z and low[toward] > -1e-6 * size[toward]:
             at = low[toward] + 1e-6 * size[toward]  # a sector: its plane of symmetry
         view = View(ax, across, toward, at, low, high, inch)
-        _bodies(view, data, name)
+        _bodies(view, data, name, *outside)
         _lines(view, case, data)
         _arrows(view, forces)
         _labels(view)
@@ -101,15 +102,14 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     figure.savefig(path, dpi=110, format="png")
 
 
-def _bodies(view: View, data: MeshData, name: str) -> None:
-    """Draw the outside, and the section."""
+def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) -> None:
+    """Draw the outside, of which facets and their cells are given, and the section."""
     from matplotlib.colors import to_rgb
 
     colours = picture.colours_of(data.regions)
     for region, colour in colours.items():
         view.ax.plot([], [], color=colour, lw=7.0, label=region.replace("_", " "))
     pale = 0.5 + 0.5 * np.array([(0, 0, 0), *map(to_rgb, colours.values())])
-    facets, cells = exterior_facets(data.cells)
     x = data.points[facets]
     picture.surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], np.full(len(x), "0.7"), name)
     picture.fill(view.ax, data, view.toward, view.at)
@@ -189,12 +189,14 @@ def _labels(view: View) -> None:
     for side, end in ((-1, view.low), (1, view.high)):
         every = sorted(view.labels, key=lambda m: float(m[2][1]))
         own = [m for m in every if (m[2][0] > middle) == (side > 0)]
-        y = np.array([place[1] for *_, place in own])
-        steps = LABEL * view.inch * np.arange(len(y))
-        spread = np.maximum.accumulate(y - steps) + steps
-        lower, x = (spread - y).sum() / max(1, len(y)), end[view.across] + side * GAP * view.inch
+        n, x = len(own), end[view.across] + side * GAP * view.inch
+        steps = LABEL * view.inch * np.arange(n)
+        # As near to their places as the gaps allow: isotonic regression.
+        y = np.array([place[1] for *_, place in own]) - steps
+        least = [[y[j:k].mean() for k in range(j + 1, n + 1)] for j in range(n)]
+        spread = [max(min(least[j][i - j :]) for j in range(i + 1)) for i in range(n)] + steps
         right = (side < 0) == view.ax.xaxis_inverted()
-        for (text, colour, place), height in zip(own, spread - lower, strict=True):
+        for (text, colour, place), height in zip(own, spread, strict=True):
             line = {"arrowstyle": "-", "color": colour, "lw": 0.6, "relpos": (1 - right, 0.5)}
             style = {"va": "center", "ha": "left" if right else "right", "color": colour}
             view.ax.annotate(text, place, (x, height), fontsize=8, arrowprops=line, **style)
