@@ -67,7 +67,7 @@ class InputSpread:
         """What the samples are."""
         mesh, inputs = self.samples[0].data["mesh"], "; ".join(map(title, self.inputs))
         return (
-            f"Over inputs: {len(self.samples)} of {self.drawn} samples in {self.folder}, on meshes of "
+            f"Inputs: {len(self.samples)} of {self.drawn} samples in {self.folder}, on meshes of "
             f"{mesh['size']} at order {mesh['order']}, of {inputs}. In brackets: rank correlation."
         )
 
