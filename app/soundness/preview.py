@@ -6,11 +6,12 @@ Doubtful are wrong units, nothing that acts, elements that lock.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from app.case.case import Case
+from app.case.library import ORIGIN
 from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table
 from app.laws.materials import Rigid
@@ -60,7 +61,9 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
             lines.append("    conductance: perfect, one temperature")
     if solid(case):
         lines += ["supports", *_table(case.supports)]
-        lines += ["loads", *_table(case.loads), *_resultant(case)]
+        lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
+    if missing := [*_not_measured(case)]:
+        lines += ["not measured", *missing]
     if case.conducts:
         lines += ["heat", *_table(case.heat)]
     lines += ["stages", *map(_stage, case.stages)]
@@ -86,7 +89,7 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
     written = model.model_dump(mode="json", exclude_none=True)
     source = given if isinstance(given, dict) else {}
     for key, value in written.items():
-        if value in ([], {}) or (indent > 2 and key in ("kind", "rigid")):
+        if value in ([], {}) or key in ORIGIN or (indent > 2 and key in ("kind", "rigid")):
             continue  # nothing to say, or said already in the line above
         if isinstance(part := getattr(model, key), Section):
             kind = f" {value['kind']}" if "kind" in value else ""
@@ -106,13 +109,25 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
         fields = entry.model_dump(mode="json", exclude_none=True)
         kind, place = fields.pop("kind", ""), fields.pop("boundary", "")
         words = [f"{kind} on {place}" if place else kind] if kind else []
-        words += [f"{k} {plain(v)}" for k, v in fields.items()]
+        words += [f"{k} {plain(v)}" for k, v in fields.items() if k not in ORIGIN]
         lines.append(f"  {name}: {', '.join(words)}")
     return lines or ["  none"]
 
 
-def _resultant(case: Case) -> Iterable[str]:
-    """Resultant force at the end of the last stage."""
+def _not_measured(case: Case) -> Iterable[str]:
+    """Names of regions and loads whose values are not measured, a line for each status."""
+    for status in ("assumed", "unverified", None):
+        found = []
+        for section, parts in (("regions", case.regions), ("loads", case.loads)):
+            names = [name for name, part in parts.items() if part.status == status]
+            every = len(names) == len(parts)
+            found += [f"all {section}" if every else f"{section} {', '.join(names)}"] * bool(names)
+        if found:
+            yield f"  {status or 'without status'}: {'; '.join(found)}"
+
+
+def resultant(case: Case) -> Iterator[str]:
+    """Resultant force at the end of the last stage in words; nothing without forces."""
     loads = [load for load in case.loads.values() if load.resultant is not None]
     if not loads:
         return
@@ -121,11 +136,11 @@ def _resultant(case: Case) -> Iterable[str]:
     total = [math.sumprod(factors, along) for along in forces]
     components = ", ".join(f"{c:.6g}" for c in total)
     rest = "" if len(loads) == len(case.loads) else ", without pressures and body forces"
-    yield f"  sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
+    yield f"sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
     if sections := section_loads(case, len(case.stages)):
         rest = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
-        yield f"  section loads at the end{rest}; the last level is the knee's"
-        yield from (f"    {line}" for line in table(sections).splitlines())
+        yield f"section loads at the end{rest}; the last level is the knee's"
+        yield from (f"  {line}" for line in table(sections).splitlines())
 
 
 # Doubtful input

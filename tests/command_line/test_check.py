@@ -52,6 +52,9 @@ Single-limb stance, titanium stem, 4 mm mantle; changed: cement_thickness 0.3 cm
   hip: force on stem_trunnion, force [-399.5, -159.9, -1747.8] N, at [43, 0, 54] mm
   psoas: force on psoas, force [11.8, 35.3, 100] N, at [21.035, -1.503, -7] mm
   sum at the end: [0.1, -0.1, -503.4] N, 503.4 N
+not measured
+  assumed: regions stem, cement, cancellous_bone
+  unverified: regions cortical_bone
   stance: 2 increments, adaptive
 """
 HEAT = """
@@ -236,6 +239,9 @@ def test_mesh_draws_the_mantle(tmp_path: Path, capsys: pytest.CaptureFixture[str
     ]
     for line in out[1:4]:
         assert Path(line).read_bytes().startswith(b"\x89PNG")
+    drawn = tmp_path / "check" / "stance.png"
+    assert main(["check", str(CONFIGS / "stance.yaml"), "-o", str(drawn.parent), *sizes]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(drawn) and drawn.exists()
 
 
 def test_a_press_fit_acts_by_penalty_too() -> None:
