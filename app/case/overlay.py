@@ -424,7 +424,7 @@ def _put(case: CaseFile, holder: Any, path: Path, value: Any) -> None:
         return
     if _new_value(path, value):
         for key in library.ORIGIN:
-            case.data[path[0]][path[1]].pop(key, None)
+            case.data[str(path[0])][path[1]].pop(key, None)
     own = {p: place for p, place in case.places.items() if p[: len(path)] == path}
     of_entry = step in ("material", "library") and path[0] in ("regions", "loads")
     if (of_entry and isinstance(value, str)) or (path[0] == "loads" and step in MEASURED):

@@ -13,6 +13,7 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,10 +111,16 @@ def _check(options: argparse.Namespace) -> int:
     case = _load(options)
     found = mantle.check(case)
     print(found.description)
-    if options.mesh:
+    if options.mesh or options.output:
         configure_log("info", sys.stderr)
         found = mantle.check(case, meshed=True)
     print(found.size)
+    if options.output:
+        from app.report import case_picture
+
+        path = _writable(options.output) / f"{options.case.stem}.png"
+        case_picture.draw(case.config, mantle.mesh(case), path)
+        print(path)
     for message in found.notes:
         print(painted(f"note: {message}", "doubtful", sys.stderr), file=sys.stderr)
     return 0
@@ -129,9 +136,11 @@ def _mesh(options: argparse.Namespace) -> int:
     configure_log("info", sys.stderr)
     log.info("meshing")
     data = mantle.mesh(case)
+    from app.report import case_picture
     from meshes import picture
 
-    drawings = {path.with_suffix(".png"): picture.picture}
+    draw_case = partial(case_picture.draw, case.config)
+    drawings: dict[Path, Callable[..., None]] = {path.with_suffix(".png"): draw_case}
     if case.config.geometry.mantles:
         for draw in (picture.sections, picture.interfaces):
             drawings[path.with_name(f"{path.stem}_{draw.__name__}.png")] = draw
@@ -196,6 +205,8 @@ def _report(options: argparse.Namespace) -> int:
         from app.report import compare, evidence, run_report, sweep_report
 
     folder, *others = options.folders
+    if options.spread and (others or not run_report.is_run(folder)):
+        raise InputError("--spread: goes with one DIR, that of a run")
     if options.evidence or options.methods:
         files = evidence.write(options.folders) if options.evidence else []
         files += [evidence.methods(folder)] if options.methods else []
@@ -206,7 +217,7 @@ def _report(options: argparse.Namespace) -> int:
         print(compare.write(options.folders, page))
         return 0
     if run_report.is_run(folder):
-        for path in run_report.write(folder):
+        for path in run_report.write(folder, spread=options.spread):
             print(path)
         return 0
     files, trends, cases = sweep_report.run(folder)

@@ -39,7 +39,7 @@ SUITE = f"{MANY} -k --tier"
 COMMANDS = {
     "init": ("write a short case to start from; it runs as it is", "name --kind --stem"),
     "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error -v"),
-    "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh"),
+    "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh -o"),
     "mesh": ("make the mesh of a case, a .msh file, and pictures of it", f"{CASE} -o"),
     "study": ("error against run time of a case, by a study file", f"{CASE} {SUITE}"),
     "sweep": (
@@ -48,7 +48,7 @@ COMMANDS = {
     ),
     "report": (
         "the page of a run or a sweep, or of several runs side by side",
-        "folders -o --evidence --methods",
+        "folders -o --spread --evidence --methods",
     ),
     "verify": ("solve the verification problems and compare with what is known", SUITE),
     "stress": ("stiff and extreme cases: right, refused with a reason, or wrong", SUITE),
@@ -57,6 +57,7 @@ COMMANDS = {
     "doctor": ("tell what mantle finds on this machine: MPI, BLAS, compiler, threads", ""),
 }
 OUTPUTS = {
+    "check": "draw the case on its mesh, too: <name of CASE>.png",
     "mesh": "default: out, for <name of CASE>.msh",
     "report": "of several runs; default: out, for compare.html",
     "run": "default: out/<name of CASE>",
@@ -144,6 +145,11 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         choices=("quick", "default", "long"),
         default="default",
         help="how much: what takes seconds, the usual, or also what takes long",
+    ),
+    "--spread": dict(
+        type=Path,
+        metavar="SWEEP",
+        help="of a run: what its numbers owe to inputs, by the folder of a sweep that samples them",
     ),
     "--schema": dict(action="store_true", help="print the JSON schema of case files, for editors"),
 }

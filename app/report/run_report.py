@@ -9,26 +9,43 @@ import json
 import logging
 import math
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import meshes
 from app.case import quantities
+from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
-from app.report import curves, gruen, page, pictures, sentence, sweep_figures, viewer
-from app.report.page import Blocks, bullets, table
+from app.report import (
+    case_picture,
+    curves,
+    gruen,
+    input_spread,
+    page,
+    pictures,
+    sentence,
+    sweep_figures,
+    viewer,
+)
+from app.report.input_spread import InputSpread
+from app.report.page import Blocks, Figure, bullets, table
 from app.report.sweep_results import CONVERGED, SweptCase
+from app.report.sweep_results import named as words
 from app.results import closing_lines as text
 from app.results import cycles
 from app.results.reading import Run
+from app.results.run_folder import CASE_PICTURE
+from app.system import folders
 from app.system.folders import write_text
 from app.system.layout import noted, plain
 from app.system.ranks import rank
 
 PAGE, PICTURES = "report.html", "report"
 # The part of a run's time that its page may take; the time of maps and of the view.
-SHARE, MAPS, VIEW = 0.05, 3.0, 0.3  # s
+SHARE, MAPS, VIEW = 0.03, 1.2, 0.3  # s
 TITLES = {
     "interfaces": "Interfaces",
     "regions": "Stresses",
@@ -53,8 +70,11 @@ def after_run(folder: Path, failed: bool) -> None:
     """
     if rank() != 0:
         return
+    import matplotlib as mpl
+
     try:
-        write(folder, 0.0 if failed else SHARE)
+        with mpl.rc_context():  # those of the process that we are a guest of
+            write(folder, 0.0 if failed else SHARE)
     except Exception as error:  # the results are there, whatever the page lacks
         log.warning("%s was not written: %s: %s", folder / PAGE, type(error).__name__, error)
 
@@ -64,24 +84,27 @@ def is_run(folder: Path) -> bool:
     return any((folder / name).exists() for name in ("case.yaml", "variations.json"))
 
 
-def write(folder: Path, share: float = math.inf) -> list[Path]:
+def write(folder: Path, share: float = math.inf, spread: Path | None = None) -> list[Path]:
     """Write the page of a run, or of its variations and over them.
 
     Args:
         folder: The run directory.
         share: Part of the run's time that may be spent; if infinite, pictures become files, too.
+        spread: Folder of a sweep over uncertain inputs of the run's case.
 
     Returns:
         The pages and pictures, the page of the folder first.
 
     Raises:
-        InputError: The results cannot be read.
+        InputError: The results cannot be read, or the sweep does not fit.
         StoppedError: The page cannot be written.
     """
     try:
         if (folder / "variations.json").exists():
+            if spread:
+                raise InputError(f"--spread: {folder} has variations; name the folder of one")
             return _variations(folder, share)
-        return _run(folder, share)
+        return _run(folder, share, spread=spread)
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -93,10 +116,11 @@ def opened(folder: Path, **more: Any) -> SweptCase:
     return SweptCase(folder.name, folder, **{"status": CONVERGED} | more)
 
 
-def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
+def _run(folder: Path, share: float, alone: bool = True, spread: Path | None = None) -> list[Path]:
     """Write the page of a run; of one among many, as its share of time allows."""
     case, summary = opened(folder), UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
+    over = input_spread.of_run(spread, case) if spread else None
     panels, x = curves.of_history(case.history)
     spent = share * summary["timing"]["total"]
     view, lacking = _view(folder) if alone or spent >= VIEW else ("", [])
@@ -108,7 +132,8 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     case_file = _text(folder / "case.yaml")
     verbatim: Blocks = [("verbatim", {"text": case_file})] if case_file else []
     sections = [
-        ("numbers", "Numbers", _numbers(summary)),
+        ("model", "Bodies, supports and loads", _model(folder) if alone or spent >= VIEW else []),
+        ("numbers", "Numbers", _numbers(summary, over)),
         ("sides", "From three sides", sides),
         ("curves", "Over time", [("drawings", {"drawings": drawn})] if panels else []),
         ("maps", "Maps of the interfaces", maps),
@@ -127,12 +152,32 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
         case.data.get("title") or folder.name,
         sections,
         facts=_facts(folder, record),
-        lead=sentence.sentence(summary, case) if summary["time"] else NO_NUMBERS,
+        lead=_lead(summary, case, over),
         summary=[*_verdict(summary), *lacking],
         view=view,
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
+
+
+def _model(folder: Path) -> Blocks:
+    """The picture of the case, which is drawn once; without it, why."""
+    words = "Pale: the outside. Arrows are the longer the larger the force, as its square root."
+    try:
+        if not (folder / CASE_PICTURE).exists():
+            case = load(folder / "case.yaml").config
+            data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+            case_picture.draw(case, data, folder / CASE_PICTURE)
+        return page.figures([Figure(CASE_PICTURE, "", words, "The case in two views")], folder)
+    except Exception as error:  # a mesh that is not there any more must not cost the page
+        return bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
+
+
+def _lead(summary: dict[str, Any], case: SweptCase, spread: InputSpread | None) -> str:
+    if not summary["time"]:
+        return NO_NUMBERS
+    said = sentence.sentence(summary, case)
+    return f"{said} {spread.sentence(case)}" if spread else said
 
 
 def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]]:
@@ -190,9 +235,10 @@ def _verdict(summary: dict[str, Any]) -> list[str]:
     return [in_print(line) for line in lines]
 
 
-def _numbers(summary: dict[str, Any]) -> Blocks:
+def _numbers(summary: dict[str, Any], spread: InputSpread | None) -> Blocks:
     """The numbers of the closing table, a column for each interface, region and so on."""
-    found = _tables(summary, every=False)
+    found = bullets([spread.about] if spread else [])
+    found += _tables(summary, every=False, spread=spread)
     for stage, own in summary.get("cycles", {}).items():
         head = ["", "permanent", "inducible"]
         rows = [[in_print(name), *both] for name, *both in cycles.rows(own)]
@@ -204,8 +250,8 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
     return found
 
 
-def _tables(summary: dict[str, Any], every: bool) -> Blocks:
-    """Tables of the numbers by section, of all of them or of the main ones."""
+def _tables(summary: dict[str, Any], every: bool, spread: InputSpread | None = None) -> Blocks:
+    """Tables of the numbers by section, of all of them or of the main ones with their spread."""
     sections: dict[str, dict[str, dict[str, Any]]] = {}
     for section, name, numbers in quantities.numbers_of(summary):
         sections.setdefault(section, {})[name] = numbers
@@ -214,13 +260,19 @@ def _tables(summary: dict[str, Any], every: bool) -> Blocks:
         own, named = TABLE[section], sections[section]
         added = [k for k, q in own.items() if q.compute]
         keys = [] if every else [*text.keys(section), *MORE.get(section, ()), *added]
-        rows = [
-            [_label(own[k]), *(own[k].text(numbers) for numbers in named.values())]
-            for k in keys or own
-            if not own[k].vector
-        ]
+        shown = [own[k] for k in keys or own if not own[k].vector]
+        head: Sequence[str] = ["", *named]
+        rows = [[_label(q), *(q.text(numbers) for numbers in named.values())] for q in shown]
         rows = [row for row in rows if set(row[1:]) != {"-"}]
-        found += page.titled(TITLES[section], table(["", *named], rows))
+        if spread:
+            head = input_spread.HEAD
+            rows = [
+                [_label(q), words(name), *spread.cells(f"{name}.{q.key}", q, numbers)]
+                for q in shown
+                for name, numbers in named.items()
+                if q.key in numbers
+            ]
+        found += page.titled(TITLES[section], table(head, rows))
         if section == "thermal.regions" and not every:
             found += page.titled("Dead bone", _necrosis(named))
     return found

@@ -49,7 +49,11 @@ def test_methods_have_the_numbers_of_the_run(stems: tuple[Run, Run], tmp_path: P
     shutil.copytree(stems[0].folder, tmp_path / "run")
     text = evidence.methods(tmp_path / "run").read_text()
     summary = support.summary(tmp_path / "run")
-    for number in (f"{summary['solver']['dofs']} unknowns", "friction coefficient 0.4", "[300, 0, -900] N"):
+    for number in (
+        f"{summary['solver']['dofs']} unknowns",
+        "friction coefficient 0.4",
+        "[300, 0, -900] N",
+    ):
         assert number in text
 
 
