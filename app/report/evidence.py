@@ -24,6 +24,7 @@ from app.system.folders import write_json, write_text
 from app.system.layout import plain
 
 APPLICANT = "the applicant writes this"
+LEFT = (APPLICANT,)
 # Names of the factors, in their order, and what they belong to.
 VERIFICATION = ("code verification", "calculation verification")
 VALIDATION = ("validation: computational model", "validation: comparator", "validation: assessment")
@@ -88,7 +89,7 @@ def write(folders: Sequence[Path]) -> list[Path]:
         ],
         facts=f"from {run.folder}",
         lead="What was computed for each factor; the rest is for the applicant.",
-        summary=[],
+        summary=[f"{sum(f.evidence != LEFT for f in found)} of {len(found)} have evidence"],
     )
     write_text(run.folder / "evidence.html", html)
     return [run.folder / "evidence.html", run.folder / "evidence.json"]
@@ -101,7 +102,6 @@ def factors(
     validated = [c for c in checks if c["group"] == "validation"]
     verified = [c for c in checks if c["group"] != "validation"]
     measured = tuple(_outcome(c) for c in validated)
-    left = (APPLICANT,)
     sentences: tuple[tuple[str, ...], ...] = (
         tuple(_software(record)),
         tuple(_code(verified)),
@@ -110,12 +110,12 @@ def factors(
         tuple(_use(summary, record)),
         tuple(_form(case)),
         tuple(_inputs(case)),
-        tuple(f"{c['name']}: {c['note']}" for c in validated if c["note"]) or left,
-        left,
-        left,
-        measured or left,
-        (f"the question: {case.question}",) if case.question else left,
-        (f"the context of use: {case.context_of_use}", *left) if case.context_of_use else left,
+        tuple(f"{c['name']}: {c['note']}" for c in validated if c["note"]) or LEFT,
+        LEFT,
+        LEFT,
+        measured or LEFT,
+        (f"the question: {case.question}",) if case.question else LEFT,
+        (f"the context of use: {case.context_of_use}", *LEFT) if case.context_of_use else LEFT,
     )
     return [Factor(k + 1, *PARTS[k], s) for k, s in enumerate(sentences)]
 
@@ -145,12 +145,12 @@ def _software(record: Mapping[str, Any]) -> Iterator[str]:
     parts = ", ".join(f"{name} {version}" for name, version in record["identity"].items())
     yield f"sources by digest and versions: {parts}"
     yield f"{record['ranks']} rank(s), {record['processor']}, {record['started'][:10]}"
-    yield "`mantle test` checks this version: lint, types, tests, planted faults of its equations"
+    yield "mantle test checks this version: lint, types, tests, planted faults of its equations"
 
 
 def _code(checks: Sequence[Any]) -> Iterator[str]:
     if not checks:
-        yield f"no outcomes of `mantle verify` were given: {APPLICANT}"
+        yield f"no outcomes of mantle verify were given: {APPLICANT}"
         return
     passed = [c for c in checks if c["outcome"] in ("passed", "refused")]
     yield f"{len(passed)} of {len(checks)} problems with known answers are solved within tolerance"
@@ -171,7 +171,7 @@ def _outcome(check: Mapping[str, Any]) -> str:
 
 def _discretization(summary: Mapping[str, Any]) -> Iterator[str]:
     if "error" not in summary:
-        yield f"not estimated (`mantle run --error` does): {APPLICANT}"
+        yield f"not estimated (mantle run --error does): {APPLICANT}"
         return
     for section, name, numbers in quantities.numbers_of(summary):
         shown = [q for q in TABLE[section].values() if q.headline and f"{q.key}_error" in numbers]
@@ -200,7 +200,7 @@ def _inputs(case: Case) -> Iterator[str]:
         for name, part in parts.items():
             source = f", {part.source}" if part.source else ""
             yield f"{section}.{name}: {part.status or 'without status'}{source}"
-    yield "spread over inputs: `mantle report --spread` shows it beside the error"
+    yield "spread over inputs: mantle report --spread shows it beside the error"
 
 
 # Methods
