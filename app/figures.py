@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -20,6 +23,16 @@ def new(width: float, height: float) -> Any:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+@contextmanager
+def options_kept() -> Iterator[None]:
+    """Leave matplotlib's options, which `new` sets, to who calls from Python."""
+    loaded = sys.modules.get("matplotlib")
+    with loaded.rc_context() if loaded else nullcontext():
+        yield
+    if not loaded and (own := sys.modules.get("matplotlib")):
+        own.rc_file_defaults()
 
 
 def shaded(

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from app import figures
 from app.case import quantities
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
@@ -78,9 +79,10 @@ def write(folder: Path, share: float = math.inf) -> list[Path]:
         StoppedError: The page cannot be written.
     """
     try:
-        if (folder / "variations.json").exists():
-            return _variations(folder, share)
-        return _run(folder, share)
+        with figures.options_kept():
+            if (folder / "variations.json").exists():
+                return _variations(folder, share)
+            return _run(folder, share)
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
