@@ -53,13 +53,6 @@ COMMANDS = {
     "explain": ("tell what a key of a case, or a name of the library, means", "key --schema"),
     "doctor": ("tell what mantle finds on this machine: MPI, BLAS, compiler, threads", ""),
 }
-OUTPUTS = {
-    "mesh": "default: out, for <name of CASE>.msh",
-    "report": "of several runs; default: out, for compare.html",
-    "run": "default: out/<name of CASE>",
-    "study": "default: out/<name of the study>-study",
-    "sweep": "default: out/<name>-sweep",
-}
 ARGUMENTS: dict[str, dict[str, Any]] = {
     "name": dict(type=Path, metavar="NAME", help="the case, NAME.yaml"),
     "case": dict(type=Path, metavar="CASE", help="the case, a YAML file"),
@@ -73,7 +66,12 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         help="a key such as interfaces.friction_coefficient, a material or load of the library, or "
         "materials or loads for a list of them",
     ),
-    "-o": dict(dest="output", type=_folder, metavar="FOLDER"),
+    "-o": dict(
+        dest="output",
+        type=_folder,
+        metavar="FOLDER",
+        help="default: out/NAME; of a mesh and of a page out",
+    ),
     "-n": dict(
         type=_number_of_ranks, default=1, metavar="N", help="number of MPI ranks (default 1)"
     ),
@@ -204,9 +202,7 @@ def parser() -> argparse.ArgumentParser:
         )
         for word in arguments.split():
             options = ARGUMENTS[word]
-            if word == "-o":
-                options = options | {"help": f"({OUTPUTS.get(name, f'default: out/{name}')})"}
-            elif word == "--cores":
+            if word == "--cores":
                 options = options | {"default": len(os.sched_getaffinity(0))}
             command.add_argument(*[word, LONG[word]] if word in LONG else [word], **options)
     commands.choices["run"].epilog = "What follows -- goes to PETSc, e.g. -- -ksp_monitor -ksp_view"
