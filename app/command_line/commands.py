@@ -13,6 +13,7 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,10 +111,16 @@ def _check(options: argparse.Namespace) -> int:
     case = _load(options)
     found = mantle.check(case)
     print(found.description)
-    if options.mesh:
+    if options.mesh or options.output:
         configure_log("info", sys.stderr)
         found = mantle.check(case, meshed=True)
     print(found.size)
+    if options.output:
+        from app.report import case_picture
+
+        path = _writable(options.output) / f"{options.case.stem}.png"
+        case_picture.draw(case.config, mantle.mesh(case), path)
+        print(path)
     for message in found.notes:
         print(painted(f"note: {message}", "doubtful", sys.stderr), file=sys.stderr)
     return 0
@@ -125,17 +132,15 @@ def _mesh(options: argparse.Namespace) -> int:
     from app.soundness import cost, memory
 
     memory.check(case.file, case.config)
-    path = (options.output or Path("out")) / f"{options.case.stem}.msh"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"-o {path.parent}: cannot be made: {error.strerror}") from error
+    path = _writable(options.output or Path("out")) / f"{options.case.stem}.msh"
     configure_log("info", sys.stderr)
     log.info("meshing")
     data = mantle.mesh(case)
+    from app.report import case_picture
     from meshes import picture
 
-    drawings = {path.with_suffix(".png"): picture.picture}
+    draw_case = partial(case_picture.draw, case.config)
+    drawings: dict[Path, Callable[..., None]] = {path.with_suffix(".png"): draw_case}
     if case.config.geometry.mantles:
         for draw in (picture.sections, picture.interfaces):
             drawings[path.with_name(f"{path.stem}_{draw.__name__}.png")] = draw
@@ -149,6 +154,17 @@ def _mesh(options: argparse.Namespace) -> int:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
     print(cost.exact_size(case.config, data))
     return 0
+
+
+def _writable(folder: Path) -> Path:
+    """The folder that ``-o`` names, made if necessary."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"-o {folder}: cannot be made: {error.strerror}") from error
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"-o {folder}: is not writable")
+    return folder
 
 
 def _campaign(options: argparse.Namespace) -> int:
@@ -190,7 +206,8 @@ def _report(options: argparse.Namespace) -> int:
 
     folder, *others = options.folders
     if others:
-        print(compare.write(options.folders, (options.output or Path("out")) / "compare.html"))
+        page = _writable(options.output or Path("out")) / "compare.html"
+        print(compare.write(options.folders, page))
         return 0
     if run_report.is_run(folder):
         for path in run_report.write(folder):

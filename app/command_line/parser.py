@@ -39,7 +39,7 @@ SUITE = f"{MANY} -k --tier"
 COMMANDS = {
     "init": ("write a short case to start from; it runs as it is", "name --kind --stem"),
     "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error -v"),
-    "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh"),
+    "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh -o"),
     "mesh": ("make the mesh of a case, a .msh file, and pictures of it", f"{CASE} -o"),
     "study": ("error against run time of a case, by a study file", f"{CASE} {SUITE}"),
     "sweep": (
@@ -52,6 +52,14 @@ COMMANDS = {
     "bench": ("measure what contact costs, from 20 000 unknowns up (20 minutes)", SUITE),
     "explain": ("tell what a key of a case, or a name of the library, means", "key --schema"),
     "doctor": ("tell what mantle finds on this machine: MPI, BLAS, compiler, threads", ""),
+}
+OUTPUTS = {
+    "check": "draw the case on its mesh, too: <name of CASE>.png",
+    "mesh": "default: out, for <name of CASE>.msh",
+    "report": "of several runs; default: out, for compare.html",
+    "run": "default: out/<name of CASE>",
+    "study": "default: out/<name of the study>-study",
+    "sweep": "default: out/<name>-sweep",
 }
 ARGUMENTS: dict[str, dict[str, Any]] = {
     "name": dict(type=Path, metavar="NAME", help="the case, NAME.yaml"),
@@ -66,12 +74,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         help="a key such as interfaces.friction_coefficient, a material or load of the library, or "
         "materials or loads for a list of them",
     ),
-    "-o": dict(
-        dest="output",
-        type=_folder,
-        metavar="FOLDER",
-        help="default: out/NAME; of a mesh and of a page out",
-    ),
+    "-o": dict(dest="output", type=_folder, metavar="FOLDER"),
     "-n": dict(
         type=_number_of_ranks, default=1, metavar="N", help="number of MPI ranks (default 1)"
     ),
@@ -202,7 +205,9 @@ def parser() -> argparse.ArgumentParser:
         )
         for word in arguments.split():
             options = ARGUMENTS[word]
-            if word == "--cores":
+            if word == "-o":
+                options = options | {"help": f"({OUTPUTS.get(name, f'default: out/{name}')})"}
+            elif word == "--cores":
                 options = options | {"default": len(os.sched_getaffinity(0))}
             command.add_argument(*[word, LONG[word]] if word in LONG else [word], **options)
     commands.choices["run"].epilog = "What follows -- goes to PETSc, e.g. -- -ksp_monitor -ksp_view"
