@@ -63,8 +63,6 @@ import mantle
 case = mantle.load(sys.argv[1], **{"mesh.size": "4 mm", "output.error": True})
 mantle.check(case, meshed=True)
 results = mantle.run(case, sys.argv[2])
-from app.report import run_report
-run_report.write(results.folder)  # with all pictures, as after a long run
 after = settings()
 print("changed:", *[k for k in {**before, **after} if before.get(k) != after.get(k)])
 print(len(repr(case).splitlines()), len(repr(results).splitlines()))
