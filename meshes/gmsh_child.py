@@ -8,6 +8,7 @@ process, on copies, with limits of memory and time.
 from __future__ import annotations
 
 import json
+import locale
 import os
 import resource
 import sys
@@ -51,7 +52,7 @@ def session(name: str) -> Iterator[Any]:
 
     if gmsh.isInitialized():
         gmsh.finalize()
-    home = str(Path.home())
+    home, language = str(Path.home()), locale.setlocale(locale.LC_ALL)
     os.environ["HOME"] = os.devnull  # the toolkit of its windows would make a folder there
     try:
         gmsh.initialize(readConfigFiles=False, interruptible=False)
@@ -85,6 +86,7 @@ def session(name: str) -> Iterator[Any]:
     finally:
         gmsh.logger.stop()  # it would survive finalize() with the lines of this case
         gmsh.finalize()
+        locale.setlocale(locale.LC_ALL, language)  # gmsh takes that of the environment
 
 
 def grade(gmsh: Any, distances: Sequence[str], size: float, far_size: float) -> None:
