@@ -55,6 +55,27 @@ def test_torsion_in_the_manual_is_that_of_tilt_and_anteversion(name: str) -> Non
         assert f"{-100 * torsion / 600:.2f}" == cell
 
 
+@pytest.mark.parametrize("name", ["one_leg_stance", "standing_up", "stairs_up"])
+def test_sets_with_muscles_are_in_balance(name: str) -> None:
+    """At the knee the line of action runs between shaft and head; 0.9 bodies stand on the leg."""
+    case = support.case(f"base: stance\nloads: {{library: {name}}}\n")
+    knee = section_loads(case, 1.0)[-1]
+    assert knee.medial_of_shaft is not None and 0.0 < knee.medial_of_shaft < 43.0
+    if name == "one_leg_stance":
+        forces = [np.array(load.resultant) for load in case.loads.values()]
+        # Without what the tensor pulls from below the trochanter.
+        assert np.linalg.norm(sum(forces[:-1])) == pytest.approx(0.9 * 600.0, abs=1.0)
+        assert np.linalg.norm(forces[-1]) == pytest.approx(np.linalg.norm(forces[-2]), abs=0.1)
+
+
+def test_the_potting_of_the_bench_test_bears_what_its_angles_give() -> None:
+    """2300 N at 10 and 9 degrees, 80 mm below a head at 43 mm."""
+    case = support.case("base: iso_7206_4\n", "geometry.distal_cut_z=-204.5 mm")
+    (at,) = (s for s in section_loads(case, 1.0) if s.z == -26.0)
+    assert at.force[2] == pytest.approx(-2237.0, abs=0.5)
+    assert np.array(at.moment) / 1e3 == pytest.approx([28.4, 64.3, -15.2], abs=0.1)
+
+
 def test_the_stress_over_a_cut_has_the_section_loads() -> None:
     """Above the tip, through stem, cement and bone: means over 40 mm about the cut."""
     solved = support.solve((support.CONFIGS / "stance.yaml").read_text(), "mesh.size=10 mm")
