@@ -161,12 +161,13 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
         clauses.append(_contact(summary["interfaces"]))
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
-    return [*clauses, *_physiology(summary.get("femur", {})), _mesh_and_step(summary)]
+    return [*clauses, *_physiology(summary), _mesh_and_step(summary)]
 
 
-def _physiology(femur: Mapping[str, Any]) -> Iterator[Verdict]:
-    """Motion of the head and strain of the cortex that are not those of a living femur."""
-    if not femur:
+def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
+    """Motion of the head and strain of the cortex that are not those of a loaded living femur."""
+    femur, loaded = summary.get("femur"), summary.get("section_loads", [])
+    if not femur or not any(any(section["force"]) for section in loaded):
         return
     head = float(np.linalg.norm(femur["head_displacement"]))
     strains = [1e6 * abs(v) for key, v in femur.items() if re.fullmatch(r"strain.*\d", key)]

@@ -141,20 +141,21 @@ def of_femur(problem: Problem, case: Case) -> dict[str, Any]:
     where there is bone: linear fits to the strain nearby.
     """
     geometry, elastic = case.geometry, {e.region for e in problem.scene.elastic}
-    if not isinstance(geometry, Femur | IntactFemur) or "cortical_bone" not in elastic:
+    bone = elastic.intersection(case.of_tissue("bone"))
+    if not isinstance(geometry, Femur | IntactFemur) or "cortical_bone" not in bone:
         return {}
     end = "head" if isinstance(geometry, IntactFemur) else "stem_trunnion"
     head = _surface(problem, bodies.boundary_facets(problem.tagged, end))
     f = bodies.boundary_facets(problem.tagged, "bone_surface")
-    bone = _surface(problem, f)
+    outside = _surface(problem, f)
     strain = np.concatenate(problem.comm.allgather(_axial_strain(problem, f)))
     found: dict[str, Any] = {
         "head_displacement": np.average(head.u, axis=0, weights=head.area).tolist()
     }
     for side, sign in (("lateral", -1.0), ("medial", 1.0)):
         for name, z in GAUGES.items():
-            x, y, up = (bone.x - [0.0, 0.0, z]).T
-            weight = bone.area * np.exp(-(up**2 + y**2) / (2 * GAUGE**2)) * (sign * x > 0)
+            x, y, up = (outside.x - [0.0, 0.0, z]).T
+            weight = outside.area * np.exp(-(up**2 + y**2) / (2 * GAUGE**2)) * (sign * x > 0)
             if z - 2 * GAUGE > geometry.distal_cut_z:
                 fit = np.sqrt(weight)[:, None] * np.stack([np.ones(len(x)), up, y, y * y], axis=1)
                 part = np.linalg.lstsq(fit, np.sqrt(weight) * strain)[0][0]

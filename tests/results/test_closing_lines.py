@@ -133,9 +133,12 @@ def test_a_run_of_heat_alone_says_nothing_of_forces() -> None:
 
 def test_a_femur_that_is_not_a_living_one_is_told() -> None:
     femur = {"head_displacement": [3.0, 0.0, -3.9], "strain_lateral_10": 1.2e-3}
-    assert "physiology" not in told(summary(femur=femur | {"strain_lateral_10_error": 0.1}))
+    loads = [{"force": (0.0, 0.0, -500.0)}]
+    good = femur | {"strain_lateral_10_error": 0.1}
+    assert "physiology" not in told(summary(femur=good, section_loads=loads))
     femur |= {"head_displacement": [3.0, 0.0, -4.1], "strain_medial_80": -2.6e-3}
-    assert told(summary(femur=femur))["physiology"] == (
+    assert "physiology" not in told(summary(femur=femur, section_loads=[{"force": (0.0,) * 3}]))
+    assert told(summary(femur=femur, section_loads=loads))["physiology"] == (
         "the head moves 5.1 mm, above 5; the cortex is strained by 1200 to 2600 um/m, not within "
         "500 to 2500",
         "doubtful",
