@@ -82,7 +82,8 @@ def order(*keys: Ints) -> Ints:
 
     Sorting a key together with its row as one number is several times faster.
     """
-    rows = number = np.arange(len(keys[0]))
+    rows: Ints = np.arange(len(keys[0]))
+    number = rows.copy()
     bits = len(rows).bit_length()
     for key in keys:
         if int(key.max(initial=0)) < 2 ** (63 - bits):
@@ -196,7 +197,7 @@ def edge_vectors(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
         yield [other - first for other in others]
 
 
-def dot(a: Floats, b: Floats) -> Floats:
+def dot(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> Floats:
     """Scalar products of vectors (3, ...)."""
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 

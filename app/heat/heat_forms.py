@@ -26,7 +26,7 @@ from app.errors import everywhere
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
 from app.laws.thermal import Thermal
 from app.numerics.sparse import diagonal, matrix_sum
-from app.scene.bodies import Bodies, cell_tags, facets_by_body
+from app.scene.bodies import Bodies, facets_by_body
 from app.system.timing import Timing
 from forms import heat
 from meshes.distribute import TaggedMesh
@@ -54,7 +54,6 @@ class HeatForms:
         self.comm = tagged.mesh.comm
         self.space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
         self.owned: int = self.space.dofmap.index_map.size_local
-        self._tags = cell_tags(tagged)
         self._volumes: dict[str, Floats] = {}
 
     def zeros(self) -> Floats:
@@ -65,9 +64,8 @@ class HeatForms:
 
     def cells(self, region: str) -> NDArray[np.int32]:
         """Cells of a region that this rank owns."""
-        owned = self._mesh.topology.index_map(3).size_local
-        here = self._tags[:owned] == self._tagged.regions[region]
-        return np.flatnonzero(here).astype(np.int32)
+        found = self._tagged.cell_tags.find(self._tagged.regions[region])
+        return np.asarray(found[found < self._mesh.topology.index_map(3).size_local])
 
     def held_nodes(self, condition: FixedTemperature) -> Bools:
         """Own nodes of each body that have a given temperature (b, n); collective."""
