@@ -1,5 +1,11 @@
-"""Draw the reference body beside its image: ``./mantle shell -c 'python3 docs/pictures.py'``."""
+"""Draw pictures of the manual: ``./mantle shell -c 'python3 docs/pictures.py'``.
 
+The reference body beside its image, and the study of the stance from the numbers in
+``study_stance.json``. ``python3 docs/pictures.py FOLDER`` takes those from a study first.
+"""
+
+import json
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -11,11 +17,18 @@ from matplotlib.patches import Patch
 
 from app import figures
 from app.arrays import Floats, Ints
+from app.campaigns import study, study_picture
+from app.campaigns.runs import Result
+from app.campaigns.study_report import Report
+from app.case import quantities
+from app.case import study as study_file
 from app.case.case import load
 from meshes import picture, reference_body, swept
 from meshes.femur_surfaces import FemurSurfaces
 
 DOCS = Path(__file__).resolve().parent
+STANCE, NUMBERS = DOCS.parent / "configs/studies/stance.yaml", DOCS / "study_stance.json"
+CACHED = ("mesh", "compile", "error")  # phases that a study does not count
 TETS = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])  # of a prism with sorted corners
 SIDES = {4: [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]}
 SIDES[6] = [(0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)]
@@ -48,21 +61,72 @@ def draw(ax: Any, title: str, x: Floats, cells: Ints, tets: Ints, colours: Float
     ax.set(aspect="equal", frame_on=False, xticks=[], yticks=[], title=title)
 
 
-case = load(DOCS.parent / "configs" / "stance.yaml").config
-surfaces = FemurSurfaces(case.geometry, case.mesh)
-body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.segments)
-image = swept.mesh(surfaces, curved=False)
-column, z = body.at, image.nodes.x[:, 2]
-levels = np.linspace(z.min(), z.max(), int(body.slab.max()) + 2)  # equidistant stations
-x = np.column_stack([np.tile(column, (len(levels), 1)), np.repeat(levels, len(column))])
-prisms = np.sort(body.columns, axis=1) + len(column) * body.slab[:, None]
-prisms = np.hstack([prisms, prisms + len(column)])
-colours = picture.colours_of(body.names)
-rgb = np.array([to_rgb(colours[name]) for name in body.names])
-figure = figures.new(7.5, 8.5)
-left, right = figure.subplots(1, 2, sharey=True)
-draw(left, "reference body, by gmsh", x, prisms, prisms[:, TETS].reshape(-1, 4), rgb[body.region])
-draw(right, "its image by the map", image.nodes.x, image.cells, image.cells, rgb[image.region])
-handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
-figure.legend(handles=handles, loc="outside lower center", ncols=4)
-figure.savefig(DOCS / "reference_body.png", dpi=110)
+def reference_body_and_image() -> None:
+    """Draw ``reference_body.png``."""
+    case = load(DOCS.parent / "configs" / "stance.yaml").config
+    surfaces = FemurSurfaces(case.geometry, case.mesh)
+    body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.segments)
+    image = swept.mesh(surfaces, curved=False)
+    column, z = body.at, image.nodes.x[:, 2]
+    levels = np.linspace(z.min(), z.max(), int(body.slab.max()) + 2)  # equidistant stations
+    x = np.column_stack([np.tile(column, (len(levels), 1)), np.repeat(levels, len(column))])
+    prisms = np.sort(body.columns, axis=1) + len(column) * body.slab[:, None]
+    prisms = np.hstack([prisms, prisms + len(column)])
+    colours = picture.colours_of(body.names)
+    rgb = np.array([to_rgb(colours[name]) for name in body.names])
+    figure = figures.new(7.5, 8.5)
+    left, right = figure.subplots(1, 2, sharey=True)
+    draw(
+        left, "reference body, by gmsh", x, prisms, prisms[:, TETS].reshape(-1, 4), rgb[body.region]
+    )
+    draw(right, "its image by the map", image.nodes.x, image.cells, image.cells, rgb[image.region])
+    handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    figure.savefig(DOCS / "reference_body.png", dpi=110)
+
+
+def store(folder: Path) -> None:
+    """Keep the numbers of the study of the stance in a folder.
+
+    The time of a run on one rank is its CPU time: another program may have run beside it.
+    """
+    record = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+    wanted, planned, _ = study_file.read(STANCE)
+    runs, kept = [*record["runs"], *record["reference_runs"]], {}
+    for plan, run in zip(planned, runs, strict=True):
+        path = folder / "runs" / Path(run["folder"]).name / "summary.json"
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        values = {q: quantities.read(summary, q) for q in wanted.quantities}
+        cpu = {phase: time for phase, time in summary["cpu"].items() if phase not in CACHED}
+        kept[plan.name] = {q: float(f"{v:.6g}") for q, v in values.items() if v is not None}
+        kept[plan.name]["cpu"] = round(sum(cpu.values()), 2)
+    NUMBERS.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+
+
+def stance() -> Report:
+    """The study of the stance, from the numbers that are kept."""
+    wanted, planned, _ = study_file.read(STANCE)
+    kept, runs = json.loads(NUMBERS.read_text(encoding="utf-8")), []
+    for plan in planned:
+        values = kept[plan.name]
+        summary: dict[str, Any] = {"timing": {"total": values["cpu"]}, "stem": {}, "interfaces": {}}
+        for name in wanted.quantities:
+            owner, _, key = name.partition(".")
+            part = summary if owner == "stem" else summary["interfaces"]
+            part.setdefault(owner, {})[key] = values[name]
+        job = study._job(plan)
+        runs.append(study._study_run(plan, Result(job, DOCS, 0, values["cpu"], summary, "")))
+    return study.evaluate(wanted, runs)
+
+
+def main() -> None:
+    """Draw all pictures."""
+    if sys.argv[1:]:
+        store(Path(sys.argv[1]))
+    reference_body_and_image()
+    (picture,) = study_picture.draw(stance(), DOCS)
+    (DOCS / picture).replace(DOCS / "study_stance.png")
+
+
+if __name__ == "__main__":
+    main()

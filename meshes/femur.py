@@ -15,6 +15,7 @@ import numpy as np
 from app.arrays import Floats, Ints
 from meshes import swept
 from meshes.data import MeshData, assemble, facet_areas, number
+from meshes.femur_bone import turned
 from meshes.femur_surfaces import FemurSurfaces
 
 PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
@@ -59,8 +60,9 @@ def assembled(
     tag_of = number(regions)
     tags = np.array([tag_of[name] for name in made.names])[made.region]
     facets, _ = made.facets
-    masks |= _patches(geometry, made.nodes.x, facets, made.on(facets, rho=4))
-    data = assemble(made.nodes.x, made.cells, tags, tag_of, interfaces, masks, facets)
+    x = turned(made.nodes.x, geometry.anteversion)
+    masks |= _patches(geometry, x, facets, made.on(facets, rho=4))
+    data = assemble(x, made.cells, tags, tag_of, interfaces, masks, facets)
     notes = {"head_centre": list(geometry.head_centre), "layers": made.describe()}
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -76,11 +76,13 @@ class Tube:
         table: Rows z, lateral, medial, antero-posterior half-width, exponent.
         bump: Height, angle, angular spread, axial spread of a Gaussian bump at z = 0.
         offset: Added to the radius [mm].
+        turn: Angle that is added to theta: theta is 0 where the bone has this angle.
     """
 
     table: Floats
     bump: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
     offset: float = 0.0
+    turn: float = 0.0
 
     @property
     def top(self) -> float:
@@ -94,7 +96,7 @@ class Tube:
 
     def radius(self, theta: Floats, z: Floats) -> Floats:
         """Distance from the z axis [mm]; beyond the table the end sections continue."""
-        level = np.clip(z, self.table[:, 0].min(), self.top)
+        theta, level = theta + self.turn, np.clip(z, self.table[:, 0].min(), self.top)
         lateral, medial, depth, n = np.moveaxis(self._sections(level), -1, 0)
         width = np.where(np.cos(theta) > 0, medial, lateral)
         r = ((np.abs(np.cos(theta)) / width) ** n + (np.abs(np.sin(theta)) / depth) ** n) ** (
@@ -108,19 +110,27 @@ class Tube:
 PERIOSTEUM = Tube(OUTER, TROCHANTER)
 
 
-def endosteum(widening: float) -> Callable[[Floats, Floats], Floats]:
+def endosteum(widening: float, turn: float = 0.0) -> Callable[[Floats, Floats], Floats]:
     """Distance of the endosteum from the z axis [mm]: reaming leaves `CORTEX` of the bone."""
-    inside = Tube(CANAL, offset=widening)
+    inside, outside = Tube(CANAL, offset=widening, turn=turn), replace(PERIOSTEUM, turn=turn)
 
     def radius(theta: Floats, z: Floats) -> Floats:
-        return np.minimum(inside.radius(theta, z), PERIOSTEUM.radius(theta, z) - CORTEX)
+        return np.minimum(inside.radius(theta, z), outside.radius(theta, z) - CORTEX)
 
     return radius
 
 
 def resection(geometry: Any) -> tuple[Floats, float]:
-    """Unit normal n and level c of the resection: bone is kept where n.x < c."""
+    """Unit normal n and level c of the resection in axes of the stem: n.x < c is kept."""
     angle = geometry.resection_angle
     normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
-    edge = PERIOSTEUM.radius(np.array(0.0), np.array(geometry.resection_height))
+    edge = PERIOSTEUM.radius(np.array(geometry.anteversion), np.array(geometry.resection_height))
     return normal, float(normal @ [float(edge), 0.0, geometry.resection_height])
+
+
+def turned(x: Floats, angle: float) -> Floats:
+    """Points (n, 3) turned about z, from x towards y."""
+    if not angle:
+        return x
+    c, s = math.cos(angle), math.sin(angle)
+    return np.asarray(x @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))

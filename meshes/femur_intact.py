@@ -5,9 +5,9 @@ lines are those of the stem that is planned (`femur_surfaces`). What the operati
 is a blend from the neck cut to a round neck, and a sphere about the head's centre, whose nodes are
 on no lines: a ball of sections that bulge, in a shell that a lid closes at its end. Assumed, for
 want of a published set that goes with this shaft: a neck of 0.70 of the head's diameter in
-its middle (means are 48 and 33 mm in men, not verified), round and without anteversion, as the
-implant; a cortex of 2 mm under the head, of 3.5 mm at the root of the neck, alike all around (it is
-thicker below and thinner above); no cartilage; no fovea; a round trochanter.
+its middle (means are 48 and 33 mm in men, not verified), round and turned as the implant is; a
+cortex of 2 mm under the head, of 3.5 mm at the root of the neck, alike all around (it is thicker
+below and thinner above); no cartilage; no fovea; a round trochanter.
 """
 
 from __future__ import annotations

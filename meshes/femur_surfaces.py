@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -110,7 +110,9 @@ class FemurSurfaces:
         self.mesh, thickness = mesh, geometry.cement_thickness
         self._body = femur_stem.body(geometry)
         self._grown = self._body.offset(thickness)
-        self._canal = femur_bone.endosteum(geometry.canal_widening)
+        # In axes that turn with the stem.
+        self._canal = femur_bone.endosteum(geometry.canal_widening, geometry.anteversion)
+        self._periosteum = replace(PERIOSTEUM, turn=geometry.anteversion)
         normal, level = femur_bone.resection(geometry)
         self._top, self._steepest = level / normal[2], normal[0] / normal[2]
         plug = geometry.stem_tip_z - geometry.plug_length
@@ -187,7 +189,7 @@ class FemurSurfaces:
         theta = 2 * np.pi * phi
         c, d = np.cos(theta), np.sin(theta)
         r = root(
-            lambda r, k: PERIOSTEUM.radius(theta[k], zeta[k] - slope[k] * r * c[k]) - r,
+            lambda r, k: self._periosteum.radius(theta[k], zeta[k] - slope[k] * r * c[k]) - r,
             np.full(len(s), REACH),
         )
         end = np.stack([r * c, r * d, zeta - slope * r * c], axis=1)
@@ -263,7 +265,7 @@ class FemurSurfaces:
         phi, s = (v.ravel() for v in np.meshgrid(around, along))
         lines = self._across(phi, s)
         start, end = lines.start, lines.end
-        for name, radius in (("periosteum", PERIOSTEUM.radius), ("endosteum", self._canal)):
+        for name, radius in (("periosteum", self._periosteum.radius), ("endosteum", self._canal)):
             inside = np.array([self._within(radius, start + part * (end - start)) for part in WAYS])
             twice = np.flatnonzero(((inside[1:] > 0) != (inside[:-1] > 0)).sum(axis=0) > 1)
             if len(twice):

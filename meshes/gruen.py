@@ -45,6 +45,7 @@ class Zones:
 
     def at(self, x: Floats) -> Ints:
         """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""
+        x = femur_bone.turned(x, -self._geometry.anteversion)
         third = np.floor(3 * (x[:, 2] - self.tip + EDGE) / (self.top - self.tip))
         third = np.clip(third, 0, 2)[:, None].astype(np.int64)
         # Medial and anterior to the stem's axis; lateral in the one view is posterior in the other.
@@ -59,10 +60,11 @@ class Zones:
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
         g = self._geometry
+        x = femur_bone.turned(x, -g.anteversion)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
         cavity = femur_stem.body(g).offset(g.cement_thickness).radius(theta, z)
-        canal = femur_bone.endosteum(g.canal_widening)(theta, z)
+        canal = femur_bone.endosteum(g.canal_widening, g.anteversion)(theta, z)
         # The mantle ends at the endosteum.
         cavity = np.minimum(cavity, canal)
         below_plug = z < self.tip - g.plug_length + EDGE

@@ -26,7 +26,7 @@ from app.version import __version__
 log = logging.getLogger("mantle")
 
 QUICK = 2  # points of each line
-FINER = 5  # part of the target whose cost is told, too
+PARTS = (1.0, 0.4, 0.2)  # of the target whose cost is told
 
 
 def run(path: Path, overrides: Sequence[str], options: Options) -> None:
@@ -192,17 +192,21 @@ def _refusal(target: float, m: Measured) -> str:
 def _costs(
     target: float, what: str, curve: Sequence[StudyRun], measured: Sequence[Measured]
 ) -> str:
-    """What it costs to have all of these quantities within the target, and within a part of it."""
-    errors = [
-        None if None in own else max(e for e in own if e is not None)
-        for own in zip(*(m.errors for m in measured), strict=True)
-    ]
+    """What it costs to have all of these quantities within the target, and within parts of it.
+
+    A run is as good as the worst of those that follow it in its line: it may be close by chance.
+    """
+    found, worst = zip(*(m.errors for m in measured), strict=True), dict[str, float]()
+    errors = [None if None in own else max(e for e in own if e is not None) for own in found]
+    for i, r in reversed([*enumerate(curve)]):
+        if (error := errors[i]) is not None:
+            errors[i] = worst[r.line] = max(error, worst.get(r.line, 0.0))
     said: list[str] = []
-    for level in (target, target / FINER):
-        i = wp.best([r.time for r in curve], errors, level)
-        if i is None:
+    for level in (part * target for part in PARTS):
+        best = wp.best([r.time for r in curve], errors, level)
+        if best is None:
             return f"no advice on {what}: no run has a known error"
-        r, time, error = curve[i], duration(curve[i].time or 0.0), errors[i] or 0.0
+        r, time, error = curve[best], duration(curve[best].time or 0.0), errors[best] or 0.0
         at = f"{r.line} at {r.label if r.key == 'mesh.size' else f'{r.key} = {r.label}'}"
         if error <= level:
             said.append(f"{percent(level)} costs {time} ({at})")
@@ -210,7 +214,7 @@ def _costs(
         known = max(m.own for m in measured)
         why = f"is reached by no run (closest {percent(error)} in {time}, {at})"
         if known > level:
-            why = f"cannot be told, as the reference is known to {percent(known)} only"
+            why = f"is below the reference's own {percent(known)}"
         said.append(f"{percent(level)} {why}")
         break
     return f"{what} within {', '.join(said)}"

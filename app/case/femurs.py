@@ -88,6 +88,8 @@ class _Femur(Shape):
     0.13 down to 45 mm, that of the bone, 0.11 at 40 mm and 0.06 at 32 mm."""
     neck_angle: Annotated[float, Dimension("rad", "an angle", "130 deg")] = math.radians(130.0)
     """Angle between neck and shaft (rad), 100 to 145 deg."""
+    anteversion: Angle = 0.0
+    """Turn of stem, neck and neck cut about the shaft's axis, the head to anterior (rad)."""
     resection_height: Length = 5.0
     """Height above mid lesser trochanter at which the cut leaves the medial cortex."""
     resection_angle: Angle = math.radians(38.0)
@@ -159,7 +161,8 @@ class _Femur(Shape):
     @property
     def head_centre(self) -> Point3:
         """Centre of the femoral head in the model's axes (mm)."""
-        return (self.head_offset, 0.0, self.head_height)
+        medial, anterior = math.cos(self.anteversion), math.sin(self.anteversion)
+        return (self.head_offset * medial, self.head_offset * anterior, self.head_height)
 
     @property
     def points(self) -> dict[str, Point3]:

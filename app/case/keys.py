@@ -265,13 +265,20 @@ def explained(key: str = "") -> str:
         own = k.path if k.name == "kind" or not k.kind else f"{k.path}  (kind {k.kind})"
         heads.setdefault(_kinds(k.path) if k.name == "kind" else _body(k), []).append(own)
     parts = ["\n".join([*dict.fromkeys(own), body]) for body, own in heads.items()]
-    return "\n\n".join([*parts, *([listed] if listed else [])])
+    return "\n\n".join(filter(None, [*parts, listed, _results(asked)]))
 
 
 def _mentions(word: str) -> str:
     """Keys, results and words of the glossary with a word in their names; empty without any."""
+    lines = [_line(k) for k in _every() if word.lower() in k.name.lower()]
+    return "\n".join(filter(None, [*dict.fromkeys(lines), _results(word)]))
+
+
+def _results(word: str) -> str:
+    """Entries of the library, results and words of the glossary with a word; empty if none has."""
     part = word.lower()
-    lines = [_line(k) for k in _every() if part in k.name.lower()]
+    entries = [text for kind in library.KINDS for text in library.listed(kind).splitlines()[1:]]
+    lines = [text for text in entries if part in text.lower().replace(" ", "_")]
     lines += [
         f"  {f'{section}.{q.key}':<44} {q.label} ({q.unit}), a result"
         for section, own in quantities.TABLE.items()
@@ -283,7 +290,7 @@ def _mentions(word: str) -> str:
         if part in words.lower().replace(" ", "_"):
             plain = re.sub("[*$`]", "", f"  {words}: {meaning}")
             lines.append(textwrap.fill(plain, WIDTH, subsequent_indent="    "))
-    return "\n".join(dict.fromkeys(lines))
+    return "\n".join(lines)
 
 
 def _line(key: Key) -> str:

@@ -55,7 +55,8 @@ def write(path: Path, kind: str, stem: str = "", meeting: Meeting | None = None)
     except FileExistsError:
         raise InputError(f"{path}: is there already; nothing is written") from None
     except (OSError, ValueError) as error:
-        why = "the folder is read-only" if getattr(error, "errno", 0) in (EROFS, EACCES) else error
+        why = getattr(error, "strerror", None) or error
+        why = "the folder is read-only" if getattr(error, "errno", 0) in (EROFS, EACCES) else why
         raise InputError(f"{path}: cannot be written: {why}") from error
     return path
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
-from math import hypot
+from math import cos, hypot, sin
 from os.path import expanduser
 from pathlib import Path as FilePath
 from typing import Any
@@ -22,13 +23,15 @@ from app.case import library
 from app.errors import InputError
 from app.schema import yaml_file
 from app.schema.section import VECTOR, Triple, did_you_mean, show
-from app.schema.units import FORCE
+from app.schema.units import ANGLE, FORCE, WEIGHT
 from app.schema.yaml_file import BadYaml, CaseFile, Fault, Path, Reader, key_parts, path_text
 
 MOST_BASES = 10
 # Keys that a region keeps when it gets another material.
 OF_REGION = ("thermal", "tissue", "eigenstrains")
 OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
+# Keys among the loads that change all forces there, and what they are.
+MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
 # Keys of a sweep alone.
 AXES = frozenset({"grid", "lists", "table", "latin_hypercube", "parts"})
@@ -141,6 +144,9 @@ def _over(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
             lower, upper = _named_entry(case, lower, upper, path)
     if not isinstance(upper, dict):
         return upper
+    if path == ("loads",) and MEASURED.keys() & upper:
+        lower = _measured(case, lower or {}, upper)
+        upper = {k: v for k, v in upper.items() if k not in MEASURED}
     if isinstance(lower, dict) and _kind(lower, path) != _kind(upper, path) and "kind" in upper:
         lower = None
     if path[:1] == ("regions",) and len(path) == 2 and upper.get("kind") == "rigid":
@@ -167,7 +173,7 @@ def _force(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
     if not (magnitude and vector):
         return upper
     try:
-        parts = [FORCE.read(value) for value in Triple("").spread(lower)]  # type: ignore[attr-defined]
+        parts = _vector(lower)
         size, length = FORCE.read(upper), hypot(*parts)
         if length > 0.0 and size >= 0.0:
             return [f"{part * size / length!r} N" for part in parts]
@@ -177,6 +183,46 @@ def _force(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
         text = (error.context or {})["text"]
     case.complaints.append(Fault(path, text))
     return lower
+
+
+def _vector(force: Any) -> list[float]:
+    """Components [N] of a force as written.
+
+    Raises:
+        PydanticCustomError: It is none.
+    """
+    return [FORCE.read(value) for value in Triple("").spread(force)]  # type: ignore[attr-defined]
+
+
+def _measured(case: CaseFile, loads: dict[str, Any], keys: Mapping[str, Any]) -> dict[str, Any]:
+    """The loads with all forces scaled to a body weight and turned by a sagittal tilt."""
+    old = dict(case.measured)
+    for key in MEASURED.keys() & keys:
+        if key in old and loads:
+            _measure(case, key, keys[key])
+        else:
+            text = f"there are no forces with a {key} here; it stands beside a library's set"
+            case.complaints.append(Fault(("loads", key), text))
+    new = case.measured
+    factor = new["body_weight"] / old["body_weight"] if "body_weight" in old else 1.0
+    turn = new["sagittal_tilt"] - old["sagittal_tilt"]
+    c, s = factor * cos(turn), factor * sin(turn)
+    result = dict(loads)
+    for name, load in loads.items():
+        if isinstance(load, dict) and "force" in load:
+            with suppress(PydanticCustomError):  # it is told where the load is read
+                x, y, z = _vector(load["force"])
+                turned = (factor * x, c * y + s * z, c * z - s * y)
+                result[name] = load | {"force": [f"{part!r} N" for part in turned]}
+    return result
+
+
+def _measure(case: CaseFile, key: str, value: Any) -> None:
+    """Note body weight or tilt of the loads; a fault becomes a complaint."""
+    try:
+        case.measured[key] = MEASURED[key].read(value)
+    except PydanticCustomError as error:
+        case.complaints.append(Fault(("loads", key), (error.context or {})["text"]))
 
 
 def _named_entry(
@@ -189,6 +235,10 @@ def _named_entry(
         return lower, upper
     rest = {k: v for k, v in upper.items() if k != key}
     entry = _entry(case, kind, name, (*path, key))
+    if kind == "loads" and entry:
+        case.measured = {"sagittal_tilt": 0.0}
+        if "body_weight" in entry:
+            _measure(case, "body_weight", entry.pop("body_weight"))
     if kind == "loads" or not entry:
         return entry or lower, rest
     if rest.get("kind", "conductor") not in ("conductor", own := _kind(entry, path)):
@@ -265,7 +315,8 @@ def _material(
 def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
     """A copy with more overrides, without reading the file again."""
     copies: dict[str, Any] = {"data": deepcopy(case.data), "places": dict(case.places)}
-    copy = replace(case, **copies, complaints=[], given=dict(case.given))
+    copies |= {"given": dict(case.given), "measured": dict(case.measured)}
+    copy = replace(case, **copies, complaints=[])
     apply(copy, overrides)
     return copy
 
@@ -344,7 +395,7 @@ def _put(case: CaseFile, holder: Any, path: Path, value: Any) -> None:
         return
     own = {p: place for p, place in case.places.items() if p[: len(path)] == path}
     of_entry = step in ("material", "library") and path[0] in ("regions", "loads")
-    if of_entry and isinstance(value, str):
+    if (of_entry and isinstance(value, str)) or (path[0] == "loads" and step in MEASURED):
         new = _over(case, holder, {step: value}, path[:-1])
     else:
         new = {step: _over(case, old if step == "force" else None, value, path)}

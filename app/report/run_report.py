@@ -178,7 +178,10 @@ def _verdict(summary: dict[str, Any]) -> list[str]:
     else:
         time = f"at time {summary['time']:.4g}"
         of = f": the numbers are those of the last converged state, {time}" * bool(summary["time"])
-        lines = [f"{status}{of}", *summary.get("failure", "").splitlines(), *lines]
+        told = summary.get("failure", "").splitlines()
+        # What happened, what to change, and then the details.
+        told = sorted(told, key=lambda line: (line != told[0], "what to change" not in line))
+        lines = [f"{status}{of}", *told, *lines]
     if failed := ", ".join(summary.get("error", {}).get("failed", [])):
         lines.append(f"note: the error is estimated without companions that failed: {failed}")
     lines += [clause.text for clause in text.peaks(summary)]

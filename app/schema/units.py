@@ -302,11 +302,13 @@ _heat = Dimension("J/cm^3", "an energy per volume", "1.55e8 J/m^3", at_least=0.0
 _per_pressure = partial(Dimension, "mW/(mm^2*K*MPa)", "a conductance per area and pressure")
 _per_amount = partial(Dimension, "J/mol", "an energy per amount of substance", "62866 J/mol")
 FORCE = Dimension("N", "a force", "1800 N")
+WEIGHT = Dimension("N", "a force", "750 N", above=0.0)
+ANGLE = Dimension("rad", "an angle", "1.5 deg")
 
 Length = Annotated[float, _length()]
 # The bound keeps volumes from overflow.
 PositiveLength = Annotated[float, _length(above=0.0, at_most=1e10)]
-Angle = Annotated[float, Dimension("rad", "an angle", "1.5 deg")]
+Angle = Annotated[float, ANGLE]
 Stress = Annotated[float, Dimension("MPa", "a pressure", "2 MPa")]
 Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa", above=0.0)]
 Stiffness = Annotated[float, _stiffness(at_least=0.0)]

@@ -131,7 +131,7 @@ def check(file: CaseFile, case: Case) -> None:
     cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.unknowns(case)
     text = (
         f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which take at least "
-        f"{least / GIGABYTE:.2g} GB; there are {memory / GIGABYTE:.2g} GB"
+        f"{least / GIGABYTE:.5g} GB; there are {memory / GIGABYTE:.1f} GB"
     )
     if isinstance(case.geometry, MeshFile):
         file.raise_all([Fault(("geometry", "path"), text)])

@@ -316,6 +316,7 @@ def test_nothing_converged_leaves_its_diagnosis(tmp_path: Path) -> None:
         text = unescape((output / "report.html").read_text())
         assert found["status"] in text and "There are no numbers" in text
         assert all(line.strip() in text for line in found["failure"].splitlines())
+        assert text.find("what to change: ") <= text.find("largest residual: ")
         found = {"status": "not finished", "failure": ""}
         (output / "summary.json").unlink(missing_ok=True)
         run_report.write(output)

@@ -87,6 +87,32 @@ def test_nodes_are_on_the_exact_surfaces(thickness: float, curved: bool) -> None
     assert notes["moved_nodes"] < 0.4 and notes["moved_max_mm"] < 0.25 * 6.0
 
 
+@pytest.mark.parametrize("build", [femur.build, femur_intact.build])
+def test_stem_and_neck_turn_in_a_bone_that_does_not(build: Any) -> None:
+    """By 15 degrees to anterior: what is of the stem turns, the outside of the bone stays."""
+    angle = np.deg2rad(15.0)
+    kind = Femur if build is femur.build else IntactFemur
+    geometry = kind().model_copy(update={"anteversion": angle})
+    data = build(geometry, sized(8.0))
+    assert quality.sicn(data.points, data.cells).min() > 0.12
+    end = "stem_trunnion" if kind is Femur else "head"
+    x = data.points[np.unique(data.facets[np.isin(data.facet_tags, data.boundaries[end])])]
+    across = x @ [-np.sin(angle), np.cos(angle), 0.0]
+    assert abs(across.max() + across.min()) < 0.2 and abs(across.mean()) < 0.2
+    assert geometry.head_centre == pytest.approx((41.535, 11.129, 54.0), abs=1e-3)
+    x = data.points[
+        np.unique(data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])])
+    ]
+    x, y, z = x[x[:, 2] < 0.0].T
+    off = np.hypot(x, y) - femur_bone.PERIOSTEUM.radius(np.arctan2(y, x), z)
+    assert np.abs(off).max() < 2e-6
+    if kind is Femur:
+        facets, _, _ = interface_facets(data, "stem_cement")
+        x, y, z = femur_bone.turned(data.points[np.unique(facets)], -angle).T
+        off = np.hypot(x, y) - femur_stem.body(geometry).radius(np.arctan2(y, x), z)
+        assert np.abs(off[z > geometry.stem_tip_z + 1e-6]).max() < 2e-6
+
+
 def test_facets_approach_the_normals_of_the_exact_surface() -> None:
     """Angles of the stem's facets to the exact normals halve with the mesh size."""
     geometry = hip()

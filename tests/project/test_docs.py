@@ -201,6 +201,30 @@ def test_the_citation_is_of_this_version() -> None:
     assert citation["license"] == project["license"]
 
 
+# Numbers of the study of the stance as README names them.
+COSTS = {
+    "stem_cement.slip_p99": "slip on the stem",
+    "stem_cement.gap_p99": "The gap there",
+    "cement_bone.pressure_p95": "Pressure on the bone",
+    "stem.subsidence": "Subsidence",
+}
+
+
+def test_the_readme_tells_what_the_study_of_the_stance_found() -> None:
+    advice = script("pictures").stance().advice
+    said = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    for name, words in COSTS.items():
+        assert re.sub(r" \([^)]*\)", "", advice[name]).replace(name, words) + "." in said
+
+
+def test_the_readme_compares_programs_by_measured_rows() -> None:
+    rows = re.findall(
+        r"^\| (?:program|mantle|GetFEM|CalculiX)\b.*$", parts(ROOT / "README.md")[0], re.M
+    )
+    measured = parts(DOCS / "verification.md")[0].splitlines()
+    assert len(rows) == 4 and set(rows) <= set(measured)
+
+
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
 

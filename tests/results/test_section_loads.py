@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,22 @@ def test_section_loads_of_two_forces_by_hand() -> None:
     muscle_ = (10 * 300.0 - 40 * 50.0, 20 * 300.0, -20 * 50.0)
     assert lower.moment == tuple(a + b for a, b in zip(hip, muscle_, strict=True))
     assert lower.medial_of_head == pytest.approx((-700.0 + 6000.0) / 400 - 43)
+
+
+@pytest.mark.parametrize("name", ["walking_hip", "standing_up_hip", "stairs_up_hip"])
+def test_torsion_in_the_manual_is_that_of_tilt_and_anteversion(name: str) -> None:
+    """With the head at 43 mm (cos a, sin a) and the force turned about x by the tilt."""
+    text = (support.ROOT / "docs/howto/loads.md").read_text()
+    (row,) = re.findall(rf"^\| `{name}` \| (.*) \|$", text, re.MULTILINE)
+    for cell, degrees in zip(row.split(" | "), [(0, 0), (8.4, 0), (0, 15), (8.4, 15)], strict=True):
+        tilt, turn = np.deg2rad(degrees)
+        changes = f"loads.sagittal_tilt={tilt} rad", f"geometry.anteversion={turn} rad"
+        case = support.case(f"base: stance\nloads: {{library: {name}}}\n", *changes)
+        torsion = section_loads(case, 1.0)[-1].moment[2] / 1e3
+        x, y, z = support.case(f"base: stance\nloads: {{library: {name}}}\n").loads["hip"].resultant
+        y = y * np.cos(tilt) + z * np.sin(tilt)
+        assert torsion == pytest.approx(0.043 * (np.cos(turn) * y - np.sin(turn) * x))
+        assert f"{-100 * torsion / 600:.2f}" == cell
 
 
 def test_the_stress_over_a_cut_has_the_section_loads() -> None:

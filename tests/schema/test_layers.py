@@ -242,7 +242,7 @@ def test_every_entry_of_the_library_has_a_source_and_is_valid(tmp_path: Path) ->
     for name, entry in shipped["loads"].items():
         assert len(entry["source"]) > 20 and entry["about"]
         case: Any = loaded(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
-        assert case.loads.keys() == entry.keys() - {"about", "source"}
+        assert case.loads.keys() == entry.keys() - {"about", "source", "body_weight"}
         if name == "single_limb_stance":
             assert case.loads == stance.loads
 
@@ -369,3 +369,27 @@ def test_reading_many_layers_of_many_values_takes_no_longer_than_reading(tmp_pat
     yaml_file.read(path)
     assert spent < 5 * (time.process_time() - begin) + 1.0
     assert len(file.data["regions"]) == 1502
+
+
+def test_body_weight_and_tilt_change_the_forces_that_are_there(tmp_path: Path) -> None:
+    """In the order given; turns about x add up, and a force beside them stays as it is."""
+    hip = loaded(tmp_path, "base: stance\nloads: {library: walking_hip}\n").loads["hip"].force
+    text = (
+        "base: stance\nloads: {library: walking_hip, body_weight: 1.2 kN, sagittal_tilt: 30 deg}\n"
+    )
+    x, y, z = (2.0 * part for part in hip)
+    c, s = math.cos(math.pi / 6), 0.5
+    both = (x, c * y + s * z, c * z - s * y)
+    assert loaded(tmp_path, text).loads["hip"].force == pytest.approx(both)
+    back = "loads.sagittal_tilt=0 deg", "loads.body_weight=600 N"
+    assert loaded(tmp_path, text, *back).loads["hip"].force == pytest.approx(hip)
+    own = loaded(tmp_path, text.replace("}", ", hip: {force: '[0, 0, -9] N'}}"))
+    assert own.loads["hip"].force == (0.0, 0.0, -9.0)
+    assert loaded(tmp_path, BLOCKS, "loads.sagittal_tilt=90 deg").loads["push"].force == (
+        pytest.approx((3.0, -4.0, 0.0))
+    )
+    for change, words in (
+        ("loads.body_weight=1 N", "there are no forces with a body_weight here"),
+        ("loads.sagittal_tilt=8.4", "8.4 needs a unit"),
+    ):
+        assert words in messages(write(tmp_path, blocks=BLOCKS), change)[0]
