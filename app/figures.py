@@ -22,26 +22,13 @@ def new(width: float, height: float) -> Any:
     return figure
 
 
-def shaded(
-    axes: Any,
-    x: Floats,
-    values: Floats,
-    colours: str,
-    limits: tuple[float, float],
-    least: Floats | float = 1e-9,
-) -> tuple[Any, Any, Floats]:
-    """Shade triangles of corners (m, 3, 2) by values there (m, 3).
-
-    Those with no more than twice the ``least`` area are left out. Returns the shading, and the
-    triangulation with its values.
-    """
+def shaded(axes: Any, x: Floats, values: Floats, colours: str, limits: tuple[float, float]) -> Any:
+    """Shade triangles of corners (m, 3, 2) by values there (m, 3); those without area are left."""
     from matplotlib.tri import Triangulation
 
     a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
-    solid = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > least
-    x, values = x[solid], values[solid].ravel()
-    x, y = x.reshape(-1, 2).T
-    mesh = Triangulation(x, y, np.arange(values.size).reshape(-1, 3))
-    low, high = limits
-    options = {"shading": "gouraud", "cmap": colours, "vmin": low, "vmax": high}
-    return axes.tripcolor(mesh, values, rasterized=True, **options), mesh, values
+    solid = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > 1e-9
+    x, y = x[solid].reshape(-1, 2).T
+    mesh = Triangulation(x, y, np.arange(x.size).reshape(-1, 3))
+    options = {"shading": "gouraud", "cmap": colours, "vmin": limits[0], "vmax": limits[1]}
+    return axes.tripcolor(mesh, values[solid].ravel(), rasterized=True, **options)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ufl import Identity, as_matrix, diff, dot, inner, outer, sqrt, sym, tr, variable
+from ufl import Identity, as_matrix, diff, dot, inner, outer, sym, tr, variable
 from ufl import grad as nabla
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
@@ -128,9 +128,3 @@ def swelling(e: Any) -> Expr:
     what a strain exceeds it by.
     """
     return e * Identity(3)
-
-
-def von_mises(σ: Expr) -> Expr:
-    r"""Von Mises stress :math:`\sqrt{\tfrac32 s:s}` [MPa] with s the deviator of σ."""
-    s = σ - tr(σ) / 3 * Identity(3)
-    return sqrt(3 / 2 * inner(s, s))

@@ -1,4 +1,4 @@
-"""A mesh as pictures: sections through it, and both interfaces of a cemented stem's mantle."""
+"""A mesh as pictures: sections through it, and its surfaces."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ OTHERS = ("#8fb7d9", "#f2b880", "#a8cf9b", "#c7a7d8", "#d9d07c", "#88c9c3")
 AXES = "xyz"
 INTERFACES = ("stem_cement", "cement_bone")
 INSIDE = 1.0  # mm of the sections from the tip and from the lowest point of the neck cut
-# The horizontal axis, whether it points to the left, and the axis towards the viewer.
-VIEWS = {"anterior": (0, True, 1), "medial": (1, False, 0)}
+# The horizontal axis, whether it points to the left, and the axis along which one looks.
+VIEWS = {"lateral": (1, True, 0), "anterior": (0, True, 1), "medial": (1, False, 0)}
+FRONT_AND_SIDE = ("anterior", "medial")
 LIGHT = np.array([-0.5, 0.4, 0.77])  # from the left, from above, from the viewer
-DARKEST = 0.45
+DARKEST = 0.7
 METAL, PLUG, CORTEX = "#b8c0cc", "0.85", "#d62728"  # the last: edges of what touches it
 # Edges cut by a plane, in order around the section, by the signs of the four vertices: bit v is
 # set where vertex v is on the positive side. Edges are numbered as in data.EDGES.
@@ -94,60 +95,44 @@ def outlines(polygons: Iterable[tuple[Floats, Ints]]) -> tuple[Floats, Ints]:
     return ends[outer], owner[outer]
 
 
-def picture(data: MeshData, path: Path) -> None:
-    """Write a PNG with the sections y = 0, x = 0 (through the mesh's middle) and one transverse."""
-    low, high = data.points.min(axis=0), data.points.max(axis=0)
-    wide, deep, tall = high - low
-    widths = np.array([wide, deep, max(wide, deep)])
-    height = 9.0
-    scale = (height - 1.5) / max(tall, 0.4 * widths[2])
-    figure = figures.new(float(np.clip(scale * widths.sum() + 4.0, 9.0, 24.0)), height)
-    axes = figure.subplots(1, 3, width_ratios=np.maximum(widths, 0.15 * widths[2]))
-    figure.suptitle(f"{len(data.cells)} cells, {len(data.points)} nodes")
-    planes = [("", axis, middle_plane(low[axis], high[axis])) for axis in (1, 0, 2)]
-    _sections(data, figure, axes, planes)
-    figure.savefig(path, dpi=130, format="png")
-
-
 def sections(data: MeshData, path: Path) -> None:
     """Write a PNG with sections near the neck cut, in the middle of the stem and above its tip."""
+    from matplotlib.patches import Patch
+
     stem = data.points[interface_facets(data, "stem_cement")[0], 2]
     top = stem.max()
     if tags := data.boundaries.get("resection"):
         top = data.points[data.facets[np.isin(data.facet_tags, tags)], 2].min()
     high, low = top - INSIDE, stem.min() + INSIDE
-    planes = [
-        ("near the neck cut, ", 2, float(np.floor(high))),
-        ("middle of the stem, ", 2, float(np.round(0.5 * (high + low)))),
-        ("above the tip, ", 2, float(np.ceil(low))),
-    ]
+    planes = {
+        "near the neck cut": float(np.floor(high)),
+        "middle of the stem": float(np.round(0.5 * (high + low))),
+        "above the tip": float(np.ceil(low)),
+    }
     figure = figures.new(12.0, 4.0)
-    _sections(data, figure, figure.subplots(1, 3, sharex=True, sharey=True), planes)
+    axes = figure.subplots(1, 3, sharex=True, sharey=True)
+    for ax, (place, at) in zip(axes, planes.items(), strict=True):
+        fill(ax, data, 2, at)
+        ax.set(aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
+        ax.set_title(f"{place}, z = {at:.4g} mm")
+    handles = [Patch(fc=c, ec="k", label=n) for n, c in colours_of(data.regions).items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=6)
     figure.savefig(path, dpi=110, format="png")
 
 
-def _sections(
-    data: MeshData, figure: Any, axes: Iterable[Any], planes: Iterable[tuple[str, int, float]]
-) -> None:
-    """Draw sections side by side, filled cells and outlines, with the names of regions below."""
+def fill(ax: Any, data: MeshData, axis: int, at: float) -> None:
+    """Draw a section: filled cells, and their outlines."""
     from matplotlib.collections import LineCollection, PolyCollection
-    from matplotlib.patches import Patch
 
     colours = colours_of(data.regions)
     shown = {tag: colours[name] for name, tag in data.regions.items()}
-    for ax, (place, axis, at) in zip(axes, planes, strict=True):
-        u, v = (i for i in range(3) if i != axis)
-        polygons, outlines, _ = section(data, axis, at)
-        for x, cell in polygons:
-            face, flat = [shown[int(tag)] for tag in data.cell_tags[cell]], list(x[:, :, [u, v]])
-            ax.add_collection(PolyCollection(flat, color=face, linewidths=0.3))
-        lines = list(outlines[:, :, [u, v]])
-        ax.add_collection(LineCollection(lines, colors="k", linewidths=0.25))
-        ax.autoscale_view()
-        ax.set(aspect="equal", xlabel=f"{AXES[u]} (mm)", ylabel=f"{AXES[v]} (mm)")
-        ax.set_title(f"{place}{AXES[axis]} = {at:.4g} mm")
-    handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(6, len(handles)))
+    u, v = (i for i in range(3) if i != axis)
+    polygons, edges, _ = section(data, axis, at)
+    for x, cell in polygons:
+        face, flat = [shown[int(tag)] for tag in data.cell_tags[cell]], list(x[:, :, [u, v]])
+        ax.add_collection(PolyCollection(flat, color=face, linewidths=0.3))
+    ax.add_collection(LineCollection(list(edges[:, :, [u, v]]), colors="#00000060", lw=0.25))
+    ax.autoscale_view()
 
 
 def middle_plane(low: float, high: float) -> float:
@@ -188,20 +173,20 @@ def interfaces(data: MeshData, path: Path) -> None:
     cortex = data.cell_tags[bone[2]] == data.regions.get("cortical_bone")
     edges = (np.full(len(stem[0]), "k"), np.where(cortex, CORTEX, "k"))
 
-    widths = [np.ptp(p[:, :, VIEWS[view][0]]) for p in patches for view in VIEWS]
+    widths = [np.ptp(p[:, :, VIEWS[view][0]]) for p in patches for view in FRONT_AND_SIDE]
     figure = figures.new(8.5, 10.5)
     axes = iter(figure.subplots(1, 4, sharey=True, width_ratios=widths))
     for k, facets in enumerate((stem[0], bone[0])):
-        for view in VIEWS:
+        for view in FRONT_AND_SIDE:
             ax = next(axes)
-            _surface(ax, data.points[facets], patches[k], (grey, tinted)[k], edges[k], view)
+            surface(ax, data.points[facets], patches[k], (grey, tinted)[k], edges[k], view)
             ax.set_title(f"{INTERFACES[k]}\nfrom {view}")
     figure.axes[0].set_ylabel("z (mm)")
     figure.colorbar(shown, ax=figure.axes, label="thickness of the cement (mm)", shrink=0.5)
     figure.savefig(path, dpi=95, format="png")
 
 
-def _surface(
+def surface(
     ax: Any, facets: Floats, pieces: Floats, colours: Floats, edges: Any, view: str
 ) -> None:
     """Draw a surface as a viewer sees it, lit from the upper left, with the edges of its facets.
@@ -211,30 +196,31 @@ def _surface(
         facets: Nodes of its facets, outward (k, 3 or 6, 3) [mm].
         pieces: Flat triangles of them (n, 3, 3) [mm].
         colours: Red, green and blue of each triangle (n, 3).
-        edges: Colour of the edges of each facet (k,).
+        edges: Colour of the edges of each facet (k,); None draws none.
         view: One of `VIEWS`.
     """
     from matplotlib.collections import PolyCollection
 
     across, leftward, toward = VIEWS[view]
+    eye = 1 if leftward == (toward == 1) else -1
 
     def normals(x: Floats) -> Floats:
         normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
         return np.asarray(normal / np.linalg.norm(normal, axis=1)[:, None])
 
     normal = normals(pieces)
-    normal[normal[:, toward] < 0] *= -1  # seen from inside, through the open top
+    normal[eye * normal[:, toward] < 0] *= -1  # seen from inside, through the open top
     right = -normal[:, across] if leftward else normal[:, across]
-    light = np.stack([right, normal[:, 2], normal[:, toward]], axis=1) @ LIGHT
+    light = np.stack([right, normal[:, 2], eye * normal[:, toward]], axis=1) @ LIGHT
     lit = colours * (DARKEST + (1 - DARKEST) * np.clip(light, 0.0, 1.0))[:, None]
-    order = np.argsort(pieces[:, :, toward].mean(axis=1))
+    order = np.argsort(eye * pieces[:, :, toward].mean(axis=1))
     flat = list(pieces[order][:, :, [across, 2]])
-    ax.add_collection(PolyCollection(flat, color=lit[order], linewidths=0.3))
-    near = normals(facets)[:, toward] > 0
-    ring = [0, 3, 1, 4, 2, 5] if facets.shape[1] == 6 else [0, 1, 2]
-    rings = list(facets[near][:, ring][:, :, [across, 2]])
-    drawn = PolyCollection(rings, facecolors="none", edgecolors=edges[near], linewidths=0.2)
-    ax.add_collection(drawn)
+    ax.add_collection(PolyCollection(flat, color=lit[order], linewidths=0.3, rasterized=True))
+    if edges is not None:
+        near = eye * normals(facets)[:, toward] > 0
+        ring = [0, 3, 1, 4, 2, 5] if facets.shape[1] == 6 else [0, 1, 2]
+        rings = list(facets[near][:, ring][:, :, [across, 2]])
+        ax.add_collection(PolyCollection(rings, fc="none", ec=edges[near], linewidths=0.2))
     ax.autoscale_view()
     ax.set(aspect="equal", xlabel=f"{AXES[across]} (mm)")
     if leftward:

@@ -127,7 +127,8 @@ def run(
             # Those that began without ending have failed.
             _log_ended(pending, total, lambda r: r.ended or r.file("status").exists())
         if pending:
-            said = folder / "snakemake.log"
+            jobs_said = (r.file("slurm") for r in pending.values())
+            said = next((path for path in jobs_said if path.exists()), folder / "snakemake.log")
             raise EnvironmentProblem(f"Snakemake failed, see {said}:\n{tail(said)}")
     return results(over=True)
 
@@ -207,7 +208,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
             command += ["-n", ranks] if ranks > 1 else []
             alone = any(r.job.alone for r in runs)
             jobs[id] = {
-                "command": shlex.join(map(str, ["env", *_environment(), *command])),
+                "command": shlex.join(map(str, ["env", *_environment(cores), *command])),
                 "threads": ranks if not cores else cores if alone else min(ranks, cores),
                 "memory": math.ceil(max(memory.needed(r.case) for r in runs) / engine.MEGABYTE),
             }
@@ -229,8 +230,10 @@ def _text(runs: Sequence[BatchRun]) -> str:
     return yaml_file.to_yaml(data | {"variations": variations})
 
 
-def _environment() -> list[str]:
+def _environment(cores: int | None) -> list[str]:
     """Arguments of ``env`` that undo what Snakemake sets."""
     one_thread = [f"{name}_NUM_THREADS=1" for name in THREADS]
+    if not cores and engine.TREE_JOB.exists():
+        return one_thread  # the cache is the node's
     cache = os.environ.get("XDG_CACHE_HOME")
     return ["-u", "XDG_CACHE_HOME", *one_thread] + ([f"XDG_CACHE_HOME={cache}"] if cache else [])

@@ -2,7 +2,8 @@
 
 On a cluster only ``sbatch``, ``squeue`` and ``scancel`` are called: no accounting is needed. Of
 jobs of one name Slurm runs one at a time, whoever submitted it: where a batch was killed and its
-jobs go on, none is run twice.
+jobs go on, none is run twice. In the launcher's tree these programs are the host's, and jobs enter
+the tree by a script that the launcher wrote.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ MEGABYTE = 1e6
 POLL = 0.1  # s
 SAME_SIGNAL = 1.0  # s
 JOBS_AT_ONCE = 1000  # in the queue of Slurm
+TREE_JOB = Path("/run/mantle/job")  # template of the script of a job
 LATENCY = 60  # s after which files that a node wrote are seen here
 
 
@@ -49,7 +51,7 @@ def check(slurm: bool) -> None:
         if shutil.which(program) is None:
             raise EnvironmentProblem(
                 f"Slurm was asked for, but {program} is not here (Debian: slurm-client); "
-                "mantle has to be installed where jobs are submitted, not in a container there"
+                "call mantle where jobs are submitted, not in a container there"
             )
     if slurm and not (version := metadata.version("snakemake")).startswith("7."):
         raise EnvironmentProblem(f"Slurm needs Snakemake 7 (as in Debian 13); this is {version}")
@@ -118,6 +120,7 @@ def _slurm_options(folder: Path, extra: Sequence[str], alone: bool) -> list[str]
         *("--cluster", shlex.join(["sbatch", "--parsable", *job])),
         *("--cluster-status", shlex.join(["sh", str(SLURM_STATUS)])),
         *("--cluster-cancel", "scancel"),
+        *(("--jobscript", str(TREE_JOB)) if TREE_JOB.exists() else ()),
         *("--jobs", str(JOBS_AT_ONCE), "--latency-wait", str(LATENCY)),
     ]
 

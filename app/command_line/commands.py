@@ -13,6 +13,7 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,10 +111,16 @@ def _check(options: argparse.Namespace) -> int:
     case = _load(options)
     found = mantle.check(case)
     print(found.description)
-    if options.mesh:
+    if options.mesh or options.output:
         configure_log("info", sys.stderr)
         found = mantle.check(case, meshed=True)
     print(found.size)
+    if options.output:
+        from app.report import case_picture
+
+        path = _writable(options.output) / f"{options.case.stem}.png"
+        case_picture.draw(case.config, mantle.mesh(case), path)
+        print(path)
     for message in found.notes:
         print(painted(f"note: {message}", "doubtful", sys.stderr), file=sys.stderr)
     return 0
@@ -129,9 +136,11 @@ def _mesh(options: argparse.Namespace) -> int:
     configure_log("info", sys.stderr)
     log.info("meshing")
     data = mantle.mesh(case)
+    from app.report import case_picture
     from meshes import picture
 
-    drawings = {path.with_suffix(".png"): picture.picture}
+    draw_case = partial(case_picture.draw, case.config)
+    drawings: dict[Path, Callable[..., None]] = {path.with_suffix(".png"): draw_case}
     if case.config.geometry.mantles:
         for draw in (picture.sections, picture.interfaces):
             drawings[path.with_name(f"{path.stem}_{draw.__name__}.png")] = draw

@@ -39,7 +39,7 @@ SUITE = f"{MANY} -k --tier"
 COMMANDS = {
     "init": ("write a short case to start from; it runs as it is", "name --kind --stem"),
     "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error -v"),
-    "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh"),
+    "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh -o"),
     "mesh": ("make the mesh of a case, a .msh file, and pictures of it", f"{CASE} -o"),
     "study": ("error against run time of a case, by a study file", f"{CASE} {SUITE}"),
     "sweep": (
@@ -54,6 +54,7 @@ COMMANDS = {
     "doctor": ("tell what mantle finds on this machine: MPI, BLAS, compiler, threads", ""),
 }
 OUTPUTS = {
+    "check": "draw the case on its mesh, too: <name of CASE>.png",
     "mesh": "default: out, for <name of CASE>.msh",
     "report": "of several runs; default: out, for compare.html",
     "run": "default: out/<name of CASE>",

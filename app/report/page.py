@@ -83,7 +83,7 @@ def _smaller(path: Path) -> str:
     into = io.BytesIO()
     with Image.open(path) as picture:
         few = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
-        few.save(into, "PNG", optimize=True)
+        few.save(into, "PNG")
     return base64.b64encode(into.getvalue()).decode("ascii")
 
 

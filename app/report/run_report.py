@@ -13,21 +13,25 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import meshes
 from app.case import quantities
+from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
-from app.report import curves, gruen, page, pictures, sentence, sweep_figures, viewer
-from app.report.page import Blocks, bullets, table
+from app.report import case_picture, curves, gruen, page, pictures, sentence, sweep_figures, viewer
+from app.report.page import Blocks, Figure, bullets, table
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
 from app.results.reading import Run
+from app.results.run_folder import CASE_PICTURE
+from app.system import folders
 from app.system.folders import write_text
 from app.system.layout import noted, plain
 from app.system.ranks import rank
 
 PAGE, PICTURES = "report.html", "report"
 # The part of a run's time that its page may take; the time of maps and of the view.
-SHARE, MAPS, VIEW = 0.05, 3.0, 0.3  # s
+SHARE, MAPS, VIEW = 0.03, 1.2, 0.3  # s
 TITLES = {
     "interfaces": "Interfaces",
     "regions": "Stresses",
@@ -52,8 +56,11 @@ def after_run(folder: Path, failed: bool) -> None:
     """
     if rank() != 0:
         return
+    import matplotlib as mpl
+
     try:
-        write(folder, 0.0 if failed else SHARE)
+        with mpl.rc_context():  # those of the process that we are a guest of
+            write(folder, 0.0 if failed else SHARE)
     except Exception as error:  # the results are there, whatever the page lacks
         log.warning("%s was not written: %s: %s", folder / PAGE, type(error).__name__, error)
 
@@ -107,6 +114,7 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     case_file = _text(folder / "case.yaml")
     verbatim: Blocks = [("verbatim", {"text": case_file})] if case_file else []
     sections = [
+        ("model", "Bodies, supports and loads", _model(folder) if alone or spent >= VIEW else []),
         ("numbers", "Numbers", _numbers(summary)),
         ("sides", "From three sides", sides),
         ("curves", "Over time", [("drawings", {"drawings": drawn})] if panels else []),
@@ -132,6 +140,19 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
+
+
+def _model(folder: Path) -> Blocks:
+    """The picture of the case, which is drawn once; without it, why."""
+    words = "Pale: the outside. Arrows are the longer the larger the force, as its square root."
+    try:
+        if not (folder / CASE_PICTURE).exists():
+            case = load(folder / "case.yaml").config
+            data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+            case_picture.draw(case, data, folder / CASE_PICTURE)
+        return page.figures([Figure(CASE_PICTURE, "", words, "The case in two views")], folder)
+    except Exception as error:  # a mesh that is not there any more must not cost the page
+        return bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
 
 
 def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]]:

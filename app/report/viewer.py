@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from app.arrays import Bools, Floats, Ints
 from app.report import page
 from app.report.sweep_results import QUANTITIES
-from app.results.reading import EDGES, FACES, Run
+from app.results.reading import Run
+from meshes.data import cell_volumes, exterior_facets
 
 THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")
@@ -189,31 +190,18 @@ def _kinds(run: Run) -> list[tuple[str, str, str, str, float]]:
 
 def outsides(run: Run, curved: bool) -> dict[str, Ints]:
     """Surface triangles of each region (t, 3), facing outwards; curved facets are four each."""
-    faces: Ints = np.array(FACES)
-    edge = {frozenset(ends): 4 + k for k, ends in enumerate(EDGES)}
-    middles = np.array([[edge[frozenset((f[k - 2], f[k - 1]))] for k in range(3)] for f in FACES])
-    six = np.hstack([faces, middles])  # node 3 + k is opposite corner k
-    found = {}
+    width, found = run.cells.shape[1], {}
     for name, number in run.regions.items():
-        cells = run.cells[run.region == number]
+        cells = run.cells[run.region == number][:, [*range(8), 9, 8][:width]]  # in gmsh's order
         if not len(cells):
             continue
-        opposite = run.points[cells[:, [3, 2, 1, 0]]].reshape(-1, 3)
-        width = 6 if curved and cells.shape[1] == 10 else 3
-        facets = cells[:, six[:, :width]].reshape(-1, width)
-        _, first, count = np.unique(
-            np.sort(facets[:, :3], axis=1), axis=0, return_index=True, return_counts=True
-        )
-        facets, inside = facets[first[count == 1]], opposite[first[count == 1]]
-        x = run.points[facets[:, :3]]
-        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        turn = np.einsum("fi,fi->f", normal, inside - x[:, 0]) > 0
-        swapped = [0, 2, 1, 3, 5, 4][:width]
-        facets[turn] = facets[turn][:, swapped]
-        if width == 6:
-            parts = [[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]]
-            facets = facets[:, parts].reshape(-1, 3)
-        found[name] = facets
+        facets, owner = exterior_facets(cells)
+        inverted = cell_volumes(run.points, cells)[owner] < 0
+        turned = facets[:, [0, 2, 1, 5, 4, 3][: facets.shape[1]]]
+        facets = np.where(inverted[:, None], turned, facets)
+        parts = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+        six = curved and width == 10
+        found[name] = facets[:, parts].reshape(-1, 3) if six else facets[:, :3]
     return found
 
 

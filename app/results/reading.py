@@ -26,8 +26,6 @@ from app.errors import InputError
 from app.results.vtkhdf import QUADRATIC_NODES
 from app.schema import yaml_file
 
-# Vertices of the edges that carry the middle nodes of a quadratic tetrahedron, in VTK's order.
-EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
 
 

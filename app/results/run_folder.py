@@ -30,8 +30,9 @@ from meshes.distribute import TaggedMesh
 
 UNITS = {what.partition(" ")[2]: unit for unit, what in quantities.UNITS.items() if unit != "-"}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
+CASE_PICTURE = "case.png"
 # Files written at the end, and all of a run directory.
-ENDS = ("DONE", "summary.json", "provenance.json", "final.vtkhdf", "report.html")
+ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", CASE_PICTURE, "report.html"),)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
 PACKAGES = "fenics-dolfinx petsc4py fenics-ufl fenics-basix mpi4py numpy h5py".split()
 log = logging.getLogger("mantle")

@@ -6,7 +6,7 @@ Doubtful are wrong units, nothing that acts, elements that lock.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,7 +60,7 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
             lines.append("    conductance: perfect, one temperature")
     if solid(case):
         lines += ["supports", *_table(case.supports)]
-        lines += ["loads", *_table(case.loads), *_resultant(case)]
+        lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
     if case.conducts:
         lines += ["heat", *_table(case.heat)]
     lines += ["stages", *map(_stage, case.stages)]
@@ -110,8 +110,8 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
     return lines or ["  none"]
 
 
-def _resultant(case: Case) -> Iterable[str]:
-    """Resultant force at the end of the last stage."""
+def resultant(case: Case) -> Iterator[str]:
+    """Resultant force at the end of the last stage in words; nothing without forces."""
     loads = [load for load in case.loads.values() if load.resultant is not None]
     if not loads:
         return
@@ -120,11 +120,11 @@ def _resultant(case: Case) -> Iterable[str]:
     total = [math.sumprod(factors, along) for along in forces]
     components = ", ".join(f"{c:.6g}" for c in total)
     rest = "" if len(loads) == len(case.loads) else ", without pressures and body forces"
-    yield f"  sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
+    yield f"sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
     if sections := section_loads(case, len(case.stages)):
         rest = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
-        yield f"  section loads at the end{rest}; the last level is the knee's"
-        yield from (f"    {line}" for line in table(sections).splitlines())
+        yield f"section loads at the end{rest}; the last level is the knee's"
+        yield from (f"  {line}" for line in table(sections).splitlines())
 
 
 # Doubtful input

@@ -236,6 +236,9 @@ def test_mesh_draws_the_mantle(tmp_path: Path, capsys: pytest.CaptureFixture[str
     ]
     for line in out[1:4]:
         assert Path(line).read_bytes().startswith(b"\x89PNG")
+    drawn = tmp_path / "check" / "stance.png"
+    assert main(["check", str(CONFIGS / "stance.yaml"), "-o", str(drawn.parent), *sizes]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(drawn) and drawn.exists()
 
 
 def test_a_press_fit_acts_by_penalty_too() -> None:

@@ -175,6 +175,7 @@ def set_up(tmp_path: Path, mmdebstrap: str, *arguments: str) -> subprocess.Popen
             "PATH": f"{programs}:{os.environ['PATH']}",
             "MANTLE_BACKEND": "tree",
             "MANTLE_INSIDE": "",
+            "MANTLE_TREE": "",
             "XDG_CACHE_HOME": str(tmp_path / "cache"),
             "LOG": str(tmp_path / "log"),
         },
@@ -303,6 +304,13 @@ def test_a_tree_is_made_again_if_it_is_older_than_asked(tmp_path: Path) -> None:
     assert "slurm-wlm" not in (tree / "etc/mantle-tree").read_text().split()
     tree, _ = made(tmp_path, EMPTY_TREE, "--all")
     assert "slurm-wlm" in (tree / "etc/mantle-tree").read_text().split()
+
+
+def test_a_tree_that_is_named_is_never_set_up(tmp_path: Path) -> None:
+    more = {"MANTLE_BACKEND": "tree", "MANTLE_TREE": "/no/tree", "XDG_CACHE_HOME": str(tmp_path)}
+    result = run("doctor", MANTLE_INSIDE="", **more)
+    assert result.returncode == 69 and "no solver stack in MANTLE_TREE=/no/tree" in result.stderr
+    assert trees(tmp_path) == []
 
 
 def test_a_container_client_without_an_engine_is_not_enough(tmp_path: Path) -> None:

@@ -57,6 +57,8 @@ def test_a_run_writes_a_page_that_stands_alone(done: Path) -> None:
     assert set(re.findall(r'href="#([^"]*)"', html)) <= set(ids)
     assert "&lt;script&gt;alert(1)" in html
     assert not list(done.glob("*.partial")) and not (done / "report").exists()
+    assert (done / "case.png").exists() and "Bodies, supports and loads" in html
+    assert html.count("Jasty") == 1  # why 30 um
 
 
 def test_its_numbers_are_those_of_the_summary(done: Path) -> None:
@@ -87,7 +89,7 @@ def test_the_command_draws_maps_and_files(
     assert capsys.readouterr().out.splitlines()[0] == str(copy / "report.html")
     names = {p.name for p in (copy / "report").iterdir()}
     assert {"curves.png", "curves.svg", "map1_stem_cement.png"} <= names
-    assert page(copy).count("data:image/png") == 3 and len(page(copy)) < 3e6
+    assert page(copy).count("data:image/png") == 4 and len(page(copy)) < 3e6
 
 
 def test_no_page_where_none_is_wanted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 # Every fifth begins with an empty cache: it is killed while it meshes and compiles.
 COLD = 5
 FILES = {"case.yaml", "fields.vtkhdf", "history.csv", "provenance.json", "summary.json", "DONE"}
-FILES |= {"final.vtkhdf", "report.html", "checkpoint-2.state", "checkpoint-3.state"}
+FILES |= {"final.vtkhdf", "case.png", "report.html", "checkpoint-2.state", "checkpoint-3.state"}
 
 
 def start(output: Path, folder: Path, *more: str) -> subprocess.Popen[str]:

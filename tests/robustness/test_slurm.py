@@ -21,7 +21,7 @@ import pytest
 
 from app.campaigns import batch
 from app.campaigns.runs import Job, Result
-from app.errors import EnvironmentProblem
+from app.errors import EnvironmentProblem, StoppedError
 from tests import support
 
 pytestmark = pytest.mark.slow
@@ -126,6 +126,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         # CI has Snakemake look every second instead of every ten.
         own = {"SLURM_CONF": str(folder / "slurm.conf"), "CI": "true"}
+        own["PATH"] = os.environ["PATH"].replace("/run/mantle:", "")  # the Slurm of the host
         for name, value in (support.environment() | own).items():
             patch.setenv(name, value)
         with (folder / "daemons.log").open("w") as said:
@@ -262,6 +263,57 @@ def test_a_job_that_slurm_ends_is_a_failed_run(tmp_path: Path) -> None:
     assert f"Comment={comment} " in ask("scontrol", "show", "job", "-o", newest)
 
 
+SWEEP = f"""\
+base: {support.CONFIGS}/blocks.yaml
+set: {{mesh.size: 4 mm, ranks: {RANKS}}}
+grid:
+  regions.metal.youngs_modulus: [{", ".join(f"{100 + 10 * i} GPa" for i in range(CASES))}]
+"""
+
+
+@pytest.mark.skipif("MANTLE_TREE" not in os.environ, reason="not in a tree of the launcher")
+def test_the_launcher_submits_from_its_tree_and_jobs_enter_it(tmp_path: Path) -> None:
+    """Interrupted and called again. This tree is the host there; jobs leave no cache at home."""
+    folder = tmp_path / "it's {mine}"
+    folder.mkdir()
+    (folder / "sweep.yaml").write_text(SWEEP)
+    own = {"MANTLE_INSIDE": "", "MANTLE_BACKEND": "tree", "XDG_CACHE_HOME": str(folder / "cache")}
+
+    def sweep() -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            ["sh", support.ROOT / "mantle", "sweep", "sweep.yaml", "-o", "out", "--slurm"],
+            cwd=folder,
+            env=os.environ | own,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    first = sweep()
+    wait(lambda: first.poll() is not None or any(folder.glob("out/runs/*/DONE")))
+    os.killpg(first.pid, signal.SIGINT)
+    said = told(first, 60)
+    assert first.returncode == StoppedError.exit_code and "stopped after" in said, said
+    wait(lambda: queue() == {}, 30)
+    done = {path: path.stat().st_mtime_ns for path in folder.glob("out/runs/*/DONE")}
+    assert 0 < len(done) < CASES
+    second = sweep()
+    said = told(second)
+    assert second.returncode == 0 and f"{len(done)} done already" in said, said
+    assert len(list(folder.glob("out/runs/*/DONE"))) == CASES
+    assert done == {path: path.stat().st_mtime_ns for path in done}
+    for run in folder.glob("out/runs/*/"):
+        summary = support.summary(run)
+        assert summary["status"] == "converged" and summary["solver"]["ranks"] == RANKS
+    assert not list((folder / "cache" / "fenics").iterdir())
+
+
 def test_what_slurm_refuses_is_told(tmp_path: Path) -> None:
     with pytest.raises(EnvironmentProblem, match="invalid partition specified: nowhere"):
         batch_of(tmp_path, 1, "--partition", "nowhere")
+
+
+def test_what_ends_a_job_before_its_run_is_told(tmp_path: Path) -> None:
+    with pytest.raises(EnvironmentProblem, match=r"\.slurm:\n."):
+        batch_of(tmp_path, 1, "--export=PATH=/nowhere")

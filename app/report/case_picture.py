@@ -1,0 +1,216 @@
+"""A case in one picture: bodies, contact, supports and loads, from the front and from the side.
+
+Each view has the outside in pale colours and a section in full ones. Loads are arrows with a dot
+where they attack: those that point away from the middle of the model begin there, others end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app import figures
+from app.arrays import Floats, Ints
+from app.case.case import Case
+from app.laws.loads import BodyForce, Pressure
+from app.soundness import preview
+from app.system.layout import plain
+from app.system.style import COLOURS, handles
+from meshes import picture
+from meshes.data import MeshData, cell_volumes, exterior_facets, interface_facets
+from meshes.picture import AXES
+
+WAYS = (("lateral", "medial"), ("posterior", "anterior"), ("distal", "proximal"))  # x, y, z
+LOAD, SUPPORT, HEAT = "#b2182b", "#1b7837", "#d9660a"
+BETWEEN = tuple(COLOURS[k] for k in (0, 3, 7, 5)) * 9  # of the interfaces
+# Inches: the body at most, the room around it, arrows, labels and the gap before them.
+TALL, WIDE, SIDE, TOP, BOTTOM = 5.0, 3.4, 2.3, 2.2, 1.45
+LONGEST, SHORTEST, LABEL, GAP = 0.95, 0.35, 0.3, 0.65
+SEVERAL = 5  # arrows of a pressure
+# Text, places (n, 3) [mm], and the force of each arrow (n, 3) [N].
+Force = tuple[str, Floats, Floats]
+
+
+@dataclass
+class View:
+    """A view of the model between ``low`` and ``high`` (3,); ``inch`` is one on paper [mm]."""
+
+    ax: Any
+    across: int
+    toward: int
+    at: float  # of the section
+    low: Floats
+    high: Floats
+    inch: float
+    labels: list[tuple[str, str, Floats]] = field(default_factory=list)  # text, colour, place (2,)
+
+    def lines(self, x: Floats, **style: Any) -> Floats:
+        """Draw the section of triangles (n, 3, 3); returns the middles of its lines (k, 2)."""
+        from matplotlib.collections import LineCollection
+
+        height = x[:, :, self.toward] - self.at
+        after = np.roll(height, -1, axis=1)
+        met = (height >= 0) != (after >= 0)
+        part = (height[met] / (height[met] - after[met]))[:, None]
+        ends = (1 - part) * x[met] + part * np.roll(x, -1, axis=1)[met]
+        flat = ends[:, [self.across, 2]].reshape(-1, 2, 2)
+        self.ax.add_collection(LineCollection(list(flat), **style))
+        return flat.mean(axis=1)
+
+
+def draw(case: Case, data: MeshData, path: Path) -> None:
+    """Write the PNG of a case on its mesh."""
+    low, high = data.points.min(axis=0), data.points.max(axis=0)
+    size, clinical = high - low, case.geometry.kind in ("femur", "intact_femur")
+    inch = max(size[2] / TALL, size[:2].max() / WIDE)
+    wide, tall = size[:2] / inch + 2 * SIDE, size[2] / inch + TOP + BOTTOM
+    figure = figures.new(wide.sum(), tall)
+    figure.set_layout_engine("none")
+    forces, left = [*_forces(case, data)], 0.0
+    outside = exterior_facets(data.cells)
+    for name in picture.FRONT_AND_SIDE:
+        across, leftward, toward = picture.VIEWS[name]
+        ax = figure.add_axes((left / wide.sum(), 0.0, wide[across] / wide.sum(), 1.0))
+        left += wide[across]
+        at = picture.middle_plane(low[toward], high[toward])
+        if case.geometry.is_around_z and low[toward] > -1e-6 * size[toward]:
+            at = low[toward] + 1e-6 * size[toward]  # a sector: its plane of symmetry
+        view = View(ax, across, toward, at, low, high, inch)
+        _bodies(view, data, name, *outside)
+        _lines(view, case, data)
+        _arrows(view, forces)
+        _labels(view)
+        _scale(view, WAYS if clinical else [("", axis) for axis in AXES])
+        where = f"from {name if clinical else f'+{AXES[toward]}'}"
+        where += f", section {AXES[toward]} = {round(at, 3):g} mm"
+        ax.text((low + high)[across] / 2, high[2] + (TOP - 1.0) * inch, where, ha="center")
+        ends = [low[across] - SIDE * inch, high[across] + SIDE * inch][:: -1 if leftward else 1]
+        ax.set(xlim=ends, ylim=(low[2] - BOTTOM * inch, high[2] + TOP * inch))
+        ax.set_axis_off()
+    title = f"{case.title or path.stem}\n{len(data.cells):,} cells"
+    place = {"ha": "center", "va": "center", "parse_math": False}
+    figure.text(0.5, 1 - 0.3 / tall, title, fontsize=12, **place)
+    words = f"{len(forces)} loads, {next(preview.resultant(case), '')}" if len(forces) > 1 else ""
+    figure.text(0.5, 1 - 0.7 / tall, words, color=LOAD, **place)
+    legend = handles(figure.axes)
+    figure.legend(legend.values(), legend, loc="lower center", ncols=5, frameon=False)
+    figure.savefig(path, dpi=110, format="png")
+
+
+def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) -> None:
+    """Draw the outside, of which facets and their cells are given, and the section."""
+    from matplotlib.colors import to_rgb
+
+    colours = picture.colours_of(data.regions)
+    for region, colour in colours.items():
+        view.ax.plot([], [], color=colour, lw=7.0, label=region.replace("_", " "))
+    pale = 0.5 + 0.5 * np.array([(0, 0, 0), *map(to_rgb, colours.values())])
+    x = data.points[facets]
+    picture.surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], np.full(len(x), "0.7"), name)
+    picture.fill(view.ax, data, view.toward, view.at)
+
+
+def _lines(view: View, case: Case, data: MeshData) -> None:
+    """Draw sections of interfaces, supports and heat conditions."""
+    for (name, law), colour in zip(case.interfaces.items(), BETWEEN, strict=False):
+        friction = getattr(law, "friction_coefficient", None)
+        words = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
+        style = {"ls": "--" if law.kind == "bonded" else "-", "lw": 2.2, "colors": colour}
+        facets = data.points[interface_facets(data, name)[0][:, :3]]
+        view.lines(facets, label=f"{name.replace('_', '-')}: {words}", **style)
+    parts: list[Any] = [("support", SUPPORT, *item) for item in case.supports.items()]
+    for word, colour, name, part in parts + [("heat", HEAT, *item) for item in case.heat.items()]:
+        facets = _boundary(data, getattr(part, "boundary", ""))
+        middles = view.lines(facets, colors=colour, lw=4.0, alpha=0.8, label=word)
+        keys = part.model_dump(mode="json", exclude_none=True)
+        own = [f"{k} {plain(keys[k])}" for k in ("axis", "x", "y", "z") if k in keys]
+        if len(middles):
+            away = np.abs(middles - middles.mean(axis=0)) @ (1.0, -0.3)
+            text = f"{name.replace('_', ' ')}\n{', '.join([part.kind, *own])}"
+            view.labels.append((text, colour, middles[away.argmax()]))
+
+
+def _boundary(data: MeshData, name: str) -> Floats:
+    """Triangles of a boundary (n, 3, 3)."""
+    here = np.isin(data.facet_tags, data.boundaries.get(name, ()))
+    return data.points[data.facets[here][:, :3]]
+
+
+def _forces(case: Case, data: MeshData) -> Iterator[Force]:
+    """Loads at full amplitude."""
+    for name, load in case.loads.items():
+        x = _boundary(data, next(iter(load.boundaries), ""))
+        area, places = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2, x.mean(axis=1)
+        size = np.linalg.norm(area, axis=1, keepdims=True)
+        text = f"{name.replace('_', ' ')}\n"
+        times = f" × {plain(load.history)}" if load.history else ""
+        if isinstance(load, Pressure):
+            each = -load.pressure * size.sum() * area / size
+            yield f"{text}{plain(load.pressure)} MPa{times}", places, each
+            continue
+        force = load.resultant
+        if isinstance(load, BodyForce):
+            own = np.isin(data.cell_tags, [data.regions[r] for r in load.regions or data.regions])
+            places = data.points[data.cells[own, :4]].mean(axis=1)
+            size = cell_volumes(data.points, data.cells[own])[:, None]
+            force = (size * load.values(places)).sum(axis=0)
+        if force is not None and np.any(force):
+            place = getattr(load, "at", None) or (size * places).sum(axis=0) / size.sum()
+            text += f"{float(f'{np.linalg.norm(force):.3g}'):,g} N{times}"
+            yield text, np.array([place]), np.array([force])
+
+
+def _arrows(view: View, forces: Sequence[Force]) -> None:
+    """Draw loads; of a pressure those of some facets."""
+    flat, most = [view.across, 2], max((np.abs(f[2]).max() for f in forces), default=0.0)
+    for text, places, each in forces:
+        across = places[:, view.across]
+        rows = np.abs(across[:, None] - np.linspace(across.min(), across.max(), SEVERAL))
+        for row in np.unique(rows.argmin(axis=0)):
+            size = np.linalg.norm(each[row])
+            long = view.inch * max(SHORTEST, LONGEST * math.sqrt(size / most))
+            at, step = places[row, flat], long * each[row, flat] / size
+            out = (2 * places[row] - view.low - view.high) @ each[row] > 0
+            start, end = (at, at + step) if out else (at - step, at)
+            style = {"arrowstyle": "-|>", "color": LOAD, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
+            view.ax.annotate("", end, start, arrowprops=style)
+            view.ax.plot(*at, "o", color=LOAD, ms=3.5, label="load")
+        view.labels.append((text, LOAD, end if out else start))
+
+
+def _labels(view: View) -> None:
+    """Write labels in a column on either side, one above the other, with lines to their places."""
+    middle = (view.low + view.high)[view.across] / 2
+    for side, end in ((-1, view.low), (1, view.high)):
+        every = sorted(view.labels, key=lambda m: float(m[2][1]))
+        own = [m for m in every if (m[2][0] > middle) == (side > 0)]
+        n, x = len(own), end[view.across] + side * GAP * view.inch
+        steps = LABEL * view.inch * np.arange(n)
+        # As near to their places as the gaps allow: isotonic regression.
+        y = np.array([place[1] for *_, place in own]) - steps
+        least = [[y[j:k].mean() for k in range(j + 1, n + 1)] for j in range(n)]
+        spread = [max(min(least[j][i - j :]) for j in range(i + 1)) for i in range(n)] + steps
+        right = (side < 0) == view.ax.xaxis_inverted()
+        for (text, colour, place), height in zip(own, spread, strict=True):
+            line = {"arrowstyle": "-", "color": colour, "lw": 0.6, "relpos": (1 - right, 0.5)}
+            style = {"va": "center", "ha": "left" if right else "right", "color": colour}
+            view.ax.annotate(text, place, (x, height), fontsize=8, arrowprops=line, **style)
+
+
+def _scale(view: View, names: Sequence[tuple[str, str]]) -> None:
+    """Draw a bar of a round length, and the names of the axes' ends."""
+    width = (view.high - view.low)[view.across]
+    size = 10.0 ** math.floor(math.log10(width))
+    long = max(size * k for k in (0.2, 0.5, 1, 2, 5) if size * k <= 0.6 * width)
+    x, z = (view.low + view.high)[view.across] / 2, view.low[2] - 0.3 * view.inch
+    view.ax.plot([x - long / 2, x + long / 2], [z, z], "k", lw=3, solid_capstyle="butt")
+    ends = names[view.across]
+    way = " ← ".join(ends[::-1]) if view.ax.xaxis_inverted() else " → ".join(ends)
+    view.ax.text(x, z - 0.1 * view.inch, f"{long:g} mm\n{way}", ha="center", va="top")
+    at = view.low[view.across] - 0.4 * view.inch, view.low[2] + 0.9 * view.inch
+    view.ax.text(*at, " → ".join(names[2]), ha="center", va="center", rotation=90)

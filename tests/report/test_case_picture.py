@@ -1,0 +1,52 @@
+"""The picture of a case: where its arrows point, what it says, and that no labels collide."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+from app import figures
+from app.case.case import load
+from app.report import case_picture
+from app.system import folders
+from meshes import build
+from tests import support
+
+CASES = {
+    "stance.yaml": "10mm",
+    "blocks.yaml": "2.5mm",
+    "cylinders.yaml": "4mm",
+    "cure.yaml": "10mm",
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_labels_do_not_collide(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Any] = []
+    new = figures.new
+    monkeypatch.setattr(figures, "new", lambda *size: made.append(new(*size)) or made[-1])
+    case = load(support.CONFIGS / name, [f"mesh.size={CASES[name]}"]).config
+    data = build(case.geometry, case.mesh, folders.cache("meshes"))
+    case_picture.draw(case, data, tmp_path / "case.png")
+    texts = [t for ax in made[0].axes for t in ax.texts if t.get_text()] + made[0].texts
+    words = {t.get_text() for t in texts}
+    boxes = [Text.get_window_extent(t) for t in texts if t.get_text()]  # without arrows
+    width, height = made[0].bbox.size
+    for box in boxes:
+        assert box.x0 >= 0 and box.x1 <= width and box.y0 >= 0 and box.y1 <= height
+    assert not [(a, b) for a, b in combinations(boxes, 2) if a.overlaps(b)]
+    if name == "stance.yaml":
+        assert {"hip\n1,800 N", "psoas\n107 N", "shaft\nfixed"} <= words
+        heads = [t.xy for t in made[0].axes[0].texts if getattr(t, "arrow_patch", None)]
+        assert [h for h in heads if h == pytest.approx((43, 54))]  # of the hip: the centre
+    if name == "blocks.yaml":
+        assert {"press\n2 MPa", "floor\nroller, axis z"} <= words
+        ((_, places, each),) = case_picture._forces(case, data)
+        assert places[:, 2] == pytest.approx(15) and each == pytest.approx(
+            np.tile([0, 0, -200], (len(each), 1))
+        )
