@@ -18,6 +18,7 @@ from dolfinx.mesh import CellType, GhostMode, MeshTags, meshtags, meshtags_from_
 
 from meshes.data import MeshData
 
+THREADS = "SCOTCH_PTHREAD_NUMBER"
 ARRAYS = ("points", "cells", "facets", "facet_tags")  # that the other ranks get by parts
 
 
@@ -47,15 +48,19 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     known: MeshData = comm.bcast(data and replace(data, behind=None, **without))
     own = known if data is None else data
     corners, width = own.cells.shape[1], own.facets.shape[1]
-    # Several threads part a mesh in another way each time.
-    os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")
-    mesh = dolfinx.mesh.create_mesh(
-        comm,
-        own.cells[:, cell_perm_array(CellType.tetrahedron, corners)].copy(),
-        own.points,
-        ufl_mesh(11 if own.curved else 4, 3, np.float64),
-        dolfinx.mesh.create_cell_partitioner(GhostMode.shared_facet),
-    )
+    given = os.environ.get(THREADS)
+    os.environ[THREADS] = given or "1"  # several part a mesh in another way each time
+    try:
+        mesh = dolfinx.mesh.create_mesh(
+            comm,
+            own.cells[:, cell_perm_array(CellType.tetrahedron, corners)].copy(),
+            own.points,
+            ufl_mesh(11 if own.curved else 4, 3, np.float64),
+            dolfinx.mesh.create_cell_partitioner(GhostMode.shared_facet),
+        )
+    finally:
+        if given is None:
+            del os.environ[THREADS]
     mesh.topology.create_connectivity(3, 0)
     mesh.topology.create_entities(2)
     mesh.topology.create_connectivity(2, 3)
