@@ -109,7 +109,7 @@ def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
     else:
         flat = (x[:, 1:] - x[:, :1]).transpose(1, 2, 0)[..., None]
         a, b = np.broadcast_to(flat, (*flat.shape[:3], len(at)))
-    normal = np.cross(a, b, axisa=0, axisb=0)
+    normal = np.moveaxis(np.ascontiguousarray(np.cross(a, b, axis=0)), 0, -1)
     size = np.linalg.norm(normal, axis=2)
     return normal / size[:, :, None], size
 
