@@ -24,7 +24,8 @@ from ruamel.yaml import YAML
 import mantle
 import meshes
 from app.arrays import Floats
-from app.case.case import Case, load
+from app.case import library
+from app.case.case import Case, load, plain
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
@@ -160,6 +161,15 @@ def case(text: str | Mapping[str, Any], *overrides: str) -> Case:
         else:
             YAML().dump(dict(text), path)
         return load(path, overrides).config
+
+
+def without_origin(case: Case) -> dict[str, Any]:
+    """A case as data, without status and source of its regions and loads."""
+    data = plain(case)
+    for part in (*data["regions"].values(), *data["loads"].values()):
+        for key in library.ORIGIN:
+            part.pop(key, None)
+    return data
 
 
 def mesh(case: Case, comm: MPI.Comm = MPI.COMM_WORLD) -> TaggedMesh:

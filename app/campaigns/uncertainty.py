@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 
 from app.case import quantities
+from app.case.points import short_keys
 from app.system import layout
 
 # Fewest samples that define a spread.
 FEWEST = 3
 # Numbers that stay below this are rounding, in any unit of theirs.
 NOTHING = 1e-9
+# Inputs that a table names for each number.
+MOST_CAUSES = 3
 
 
 def of_parts(
@@ -38,7 +41,7 @@ def of_parts(
         names = [n for n in samples[0]["numbers"] if all(n in r["numbers"] for r in samples)]
         found[part] = {
             "samples": len(samples),
-            "numbers": {n: _spread([r["numbers"][n] for r in samples], values) for n in names},
+            "numbers": {n: spread([r["numbers"][n] for r in samples], values) for n in names},
         }
     return found
 
@@ -47,7 +50,8 @@ def _number(value: object) -> float:
     return float(str(value).partition(" ")[0])
 
 
-def _spread(numbers: Sequence[float], inputs: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+def spread(numbers: Sequence[float], inputs: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+    """Entry of `of_parts` for a number of each sample, over inputs of each sample by key."""
     low, high = np.percentile(numbers, (5, 95))
     found = {key: correlation(numbers, values) for key, values in inputs.items()}
     return {
@@ -71,13 +75,14 @@ def rows(of: Mapping[str, Any]) -> list[list[str]]:
 
     Numbers that vary by no more than rounding are left out.
     """
-    spread = {n: s for n, s in of["numbers"].items() if s["deviation"] > NOTHING}
-    order = sorted(spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1))
+    varying = {n: s for n, s in of["numbers"].items() if s["deviation"] > NOTHING}
+    order = sorted(varying, key=lambda n: -varying[n]["deviation"] / (abs(varying[n]["mean"]) or 1))
+    short = short_keys(list(dict.fromkeys(k for s in varying.values() for k in s["correlation"])))
     found = []
     for name in order:
-        s = spread[name]
-        causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))
-        follows = ", ".join(f"{key.rpartition('.')[2]} {r:+.2f}" for key, r in causes)
+        s = varying[name]
+        causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))[:MOST_CAUSES]
+        follows = ", ".join(f"{short[key]} {r:+.2f}" for key, r in causes)
         numbers = [f"{s[key]:.4g}" for key in ("mean", "p5", "p95")]
         found.append([name, quantities.find(name).unit, *numbers, follows])
     return found

@@ -30,6 +30,8 @@ MOST_BASES = 10
 # Keys that a region keeps when it gets another material.
 OF_REGION = ("thermal", "tissue", "eigenstrains")
 OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
+# Keys of a region or a load whose change leaves the origin of the other values what it is.
+OF_USE = (*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history")
 # Keys among the loads that change all forces there, and what they are.
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
@@ -152,6 +154,8 @@ def _over(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
     if path[:1] == ("regions",) and len(path) == 2 and upper.get("kind") == "rigid":
         upper = {k: v for k, v in upper.items() if k != "kind"} | {"rigid": True}
     known = lower if isinstance(lower, dict) else {}
+    if len(path) == 2 and any(_new_value((*path, key), value) for key, value in upper.items()):
+        known = {k: v for k, v in known.items() if k not in library.ORIGIN}
     result = {
         key: _over(case, value, upper[key], (*path, key)) if key in upper else value
         for key, value in known.items()
@@ -269,12 +273,25 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path) -> dict[str, Any]:
                     case.places[*path[:-1], *p[2:]] = place
             if len(case.places) > yaml_file.MOST_NODES:
                 raise InputError(f"{case.name}: {yaml_file.TOO_MANY}")
-            about = (library.ABOUT, library.SOURCE)
-            return {k: deepcopy(v) for k, v in entry.items() if k not in about}
+            found = {k: deepcopy(v) for k, v in entry.items() if k != library.ABOUT}
+            if kind == "materials":
+                return found
+            origin = {k: found.pop(k) for k in library.ORIGIN if k in found}
+            return {k: origin | v if isinstance(v, dict) else v for k, v in found.items()}
     known = [n for file in case.libraries for n in file.data.get(kind, {})]
     text = f"{show(name)} is not in the library; {kind}: {', '.join(known)}"
     case.complaints.append(Fault(path, text + did_you_mean(name, known)))
     return {}
+
+
+def _new_value(path: Path, value: Any) -> bool:
+    """Whether a key of a region or a load changes what its origin is told of."""
+    if path[0] not in ("regions", "loads") or len(path) < 3:
+        return False
+    if path[2] == "thermal":
+        keys = path[3:4] or (value if isinstance(value, dict) else ())
+        return not set(keys) <= set(OF_THERMAL)
+    return path[2] not in OF_USE
 
 
 def _kind(data: Mapping[str, Any], path: Path) -> Any:
@@ -295,6 +312,7 @@ def _material(
         rest: Other keys of the region above.
     """
     new = {k: v for k, v in region.items() if k in OF_REGION}
+    new |= {k: v for k, v in entry.items() if k in library.ORIGIN}
     conductor = "conductor" in (region.get("kind"), rest.get("kind"))
     solid = not conductor and not rest.get("rigid")
     if conductor:
@@ -393,6 +411,9 @@ def _put(case: CaseFile, holder: Any, path: Path, value: Any) -> None:
     if value is None and old is not None:
         del holder[step]
         return
+    if _new_value(path, value):
+        for key in library.ORIGIN:
+            case.data[str(path[0])][path[1]].pop(key, None)
     own = {p: place for p, place in case.places.items() if p[: len(path)] == path}
     of_entry = step in ("material", "library") and path[0] in ("regions", "loads")
     if (of_entry and isinstance(value, str)) or (path[0] == "loads" and step in MEASURED):

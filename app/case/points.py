@@ -267,7 +267,7 @@ def short_keys(keys: Sequence[str]) -> dict[str, str]:
     split = {key: key_parts(key) for key in keys}
     found = {}
     for key, own in split.items():
-        endings = (own[-n:] for n in range(1, len(own)))
+        endings = (own[-n:] for n in range(1, len(own)) if not own[-n].isdigit())
         alone = (e for e in endings if sum(w[-len(e) :] == e for w in split.values()) == 1)
         found[key] = ".".join(next(alone, own))
     return found

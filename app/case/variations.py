@@ -17,7 +17,7 @@ from app.schema.section import MAPPING, Name, did_you_mean, fail, show
 from app.schema.yaml_file import CaseFile, key_parts
 from app.system.layout import plain
 
-OF_LOADS = ("force", "at", "pressure", "density", "history")
+OF_LOADS = ("force", "at", "pressure", "density", "history", "status", "source")
 OF_SOLVER = ("augmentation_factor",)
 MAY_VARY = re.compile(
     rf"(interfaces\.[^.\[]+(\..+)?|loads\.[^.\[]+\.({'|'.join(OF_LOADS)})([.\[].*)?"

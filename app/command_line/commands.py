@@ -205,12 +205,14 @@ def _report(options: argparse.Namespace) -> int:
         from app.report import compare, run_report, sweep_report
 
     folder, *others = options.folders
+    if options.spread and (others or not run_report.is_run(folder)):
+        raise InputError("--spread: goes with one DIR, that of a run")
     if others:
         page = _writable(options.output or Path("out")) / "compare.html"
         print(compare.write(options.folders, page))
         return 0
     if run_report.is_run(folder):
-        for path in run_report.write(folder):
+        for path in run_report.write(folder, spread=options.spread):
             print(path)
         return 0
     files, trends, cases = sweep_report.run(folder)

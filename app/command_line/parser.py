@@ -46,7 +46,10 @@ COMMANDS = {
         "run many cases of one base case, and compare them",
         f"sweep --set --allow-scripts {MANY}",
     ),
-    "report": ("the page of a run or a sweep, or of several runs side by side", "folders -o"),
+    "report": (
+        "the page of a run or a sweep, or of several runs side by side",
+        "folders -o --spread",
+    ),
     "verify": ("solve the verification problems and compare with what is known", SUITE),
     "stress": ("stiff and extreme cases: right, refused with a reason, or wrong", SUITE),
     "bench": ("measure what contact costs, from 20 000 unknowns up (20 minutes)", SUITE),
@@ -136,6 +139,11 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         choices=("quick", "default", "long"),
         default="default",
         help="how much: what takes seconds, the usual, or also what takes long",
+    ),
+    "--spread": dict(
+        type=Path,
+        metavar="SWEEP",
+        help="of a run: what its numbers owe to inputs, by the folder of a sweep that samples them",
     ),
     "--schema": dict(action="store_true", help="print the JSON schema of case files, for editors"),
 }

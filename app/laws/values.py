@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, PrivateAttr
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from app.arrays import Field, Floats
 
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
+# How sure values are.
+Status = Literal["measured", "assumed", "unverified"]
 # Multipliers at the ends of the stages.
 History = Annotated[tuple[Number, ...], ITEMS] | None
 # Pairs of seconds since the start of the run and multiplier.

@@ -9,6 +9,7 @@ import json
 import logging
 import math
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -18,9 +19,21 @@ from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
-from app.report import case_picture, curves, gruen, page, pictures, sentence, sweep_figures, viewer
+from app.report import (
+    case_picture,
+    curves,
+    gruen,
+    input_spread,
+    page,
+    pictures,
+    sentence,
+    sweep_figures,
+    viewer,
+)
+from app.report.input_spread import InputSpread
 from app.report.page import Blocks, Figure, bullets, table
 from app.report.sweep_results import CONVERGED, SweptCase
+from app.report.sweep_results import named as words
 from app.results import closing_lines as text
 from app.results.reading import Run
 from app.results.run_folder import CASE_PICTURE
@@ -70,24 +83,27 @@ def is_run(folder: Path) -> bool:
     return any((folder / name).exists() for name in ("case.yaml", "variations.json"))
 
 
-def write(folder: Path, share: float = math.inf) -> list[Path]:
+def write(folder: Path, share: float = math.inf, spread: Path | None = None) -> list[Path]:
     """Write the page of a run, or of its variations and over them.
 
     Args:
         folder: The run directory.
         share: Part of the run's time that may be spent; if infinite, pictures become files, too.
+        spread: Folder of a sweep over uncertain inputs of the run's case.
 
     Returns:
         The pages and pictures, the page of the folder first.
 
     Raises:
-        InputError: The results cannot be read.
+        InputError: The results cannot be read, or the sweep does not fit.
         StoppedError: The page cannot be written.
     """
     try:
         if (folder / "variations.json").exists():
+            if spread:
+                raise InputError(f"--spread: {folder} has variations; name the folder of one")
             return _variations(folder, share)
-        return _run(folder, share)
+        return _run(folder, share, spread=spread)
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -99,10 +115,11 @@ def opened(folder: Path, **more: Any) -> SweptCase:
     return SweptCase(folder.name, folder, **{"status": CONVERGED} | more)
 
 
-def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
+def _run(folder: Path, share: float, alone: bool = True, spread: Path | None = None) -> list[Path]:
     """Write the page of a run; of one among many, as its share of time allows."""
     case, summary = opened(folder), UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
+    over = input_spread.of_run(spread, case) if spread else None
     panels, x = curves.of_history(case.history)
     spent = share * summary["timing"]["total"]
     view, lacking = _view(folder) if alone or spent >= VIEW else ("", [])
@@ -115,7 +132,7 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     verbatim: Blocks = [("verbatim", {"text": case_file})] if case_file else []
     sections = [
         ("model", "Bodies, supports and loads", _model(folder) if alone or spent >= VIEW else []),
-        ("numbers", "Numbers", _numbers(summary)),
+        ("numbers", "Numbers", _numbers(summary, over)),
         ("sides", "From three sides", sides),
         ("curves", "Over time", [("drawings", {"drawings": drawn})] if panels else []),
         ("maps", "Maps of the interfaces", maps),
@@ -134,7 +151,7 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
         case.data.get("title") or folder.name,
         sections,
         facts=_facts(folder, record),
-        lead=sentence.sentence(summary, case) if summary["time"] else NO_NUMBERS,
+        lead=_lead(summary, case, over),
         summary=[*_verdict(summary), *lacking],
         view=view,
     )
@@ -153,6 +170,13 @@ def _model(folder: Path) -> Blocks:
         return page.figures([Figure(CASE_PICTURE, "", words, "The case in two views")], folder)
     except Exception as error:  # a mesh that is not there any more must not cost the page
         return bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
+
+
+def _lead(summary: dict[str, Any], case: SweptCase, spread: InputSpread | None) -> str:
+    if not summary["time"]:
+        return NO_NUMBERS
+    said = sentence.sentence(summary, case)
+    return f"{said} {spread.sentence(case)}" if spread else said
 
 
 def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]]:
@@ -210,17 +234,18 @@ def _verdict(summary: dict[str, Any]) -> list[str]:
     return [in_print(line) for line in lines]
 
 
-def _numbers(summary: dict[str, Any]) -> Blocks:
+def _numbers(summary: dict[str, Any], spread: InputSpread | None) -> Blocks:
     """The numbers of the closing table, a column for each interface, region and so on."""
-    found = _tables(summary, every=False)
+    found = bullets([spread.about] if spread else [])
+    found += _tables(summary, every=False, spread=spread)
     found += page.titled("Peaks that still change with the mesh", _unsettled(summary))
     if note := summary.get("thermal", {}).get("note"):
         found += bullets([note])
     return found
 
 
-def _tables(summary: dict[str, Any], every: bool) -> Blocks:
-    """Tables of the numbers by section, of all of them or of the main ones."""
+def _tables(summary: dict[str, Any], every: bool, spread: InputSpread | None = None) -> Blocks:
+    """Tables of the numbers by section, of all of them or of the main ones with their spread."""
     sections: dict[str, dict[str, dict[str, Any]]] = {}
     for section, name, numbers in quantities.numbers_of(summary):
         sections.setdefault(section, {})[name] = numbers
@@ -229,13 +254,19 @@ def _tables(summary: dict[str, Any], every: bool) -> Blocks:
         own, named = TABLE[section], sections[section]
         added = [k for k, q in own.items() if q.compute]
         keys = [] if every else [*text.keys(section), *MORE.get(section, ()), *added]
-        rows = [
-            [_label(own[k]), *(own[k].text(numbers) for numbers in named.values())]
-            for k in keys or own
-            if not own[k].vector
-        ]
+        shown = [own[k] for k in keys or own if not own[k].vector]
+        head: Sequence[str] = ["", *named]
+        rows = [[_label(q), *(q.text(numbers) for numbers in named.values())] for q in shown]
         rows = [row for row in rows if set(row[1:]) != {"-"}]
-        found += page.titled(TITLES[section], table(["", *named], rows))
+        if spread:
+            head = input_spread.HEAD
+            rows = [
+                [_label(q), words(name), *spread.cells(f"{name}.{q.key}", q, numbers)]
+                for q in shown
+                for name, numbers in named.items()
+                if q.key in numbers
+            ]
+        found += page.titled(TITLES[section], table(head, rows))
         if section == "thermal.regions" and not every:
             found += page.titled("Dead bone", _necrosis(named))
     return found

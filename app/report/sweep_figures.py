@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
@@ -42,7 +43,8 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
 
 def title(key: str) -> str:
     """A swept key in words: ``interfaces.cement_bone.friction_coefficient``."""
-    *path, last = key.replace("_", " ").split(".")
+    plain = re.sub(r"force\[([012])\]$", lambda m: f"force along {'xyz'[int(m[1])]}", key)
+    *path, last = plain.replace("_", " ").split(".")
     if not path or path[0] in ("geometry", "stages", "solver", "output"):
         return last
     if path[0] == "interfaces":

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from app.case.case import Case
+from app.case.library import ORIGIN
 from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table
 from app.laws.materials import Rigid
@@ -61,6 +62,8 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     if solid(case):
         lines += ["supports", *_table(case.supports)]
         lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
+    if missing := [*_not_measured(case)]:
+        lines += ["not measured", *missing]
     if case.conducts:
         lines += ["heat", *_table(case.heat)]
     lines += ["stages", *map(_stage, case.stages)]
@@ -85,7 +88,7 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
     written = model.model_dump(mode="json", exclude_none=True)
     source = given if isinstance(given, dict) else {}
     for key, value in written.items():
-        if value in ([], {}) or (indent > 2 and key in ("kind", "rigid")):
+        if value in ([], {}) or key in ORIGIN or (indent > 2 and key in ("kind", "rigid")):
             continue  # nothing to say, or said already in the line above
         if isinstance(part := getattr(model, key), Section):
             kind = f" {value['kind']}" if "kind" in value else ""
@@ -105,9 +108,21 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
         fields = entry.model_dump(mode="json", exclude_none=True)
         kind, place = fields.pop("kind", ""), fields.pop("boundary", "")
         words = [f"{kind} on {place}" if place else kind] if kind else []
-        words += [f"{k} {plain(v)}" for k, v in fields.items()]
+        words += [f"{k} {plain(v)}" for k, v in fields.items() if k not in ORIGIN]
         lines.append(f"  {name}: {', '.join(words)}")
     return lines or ["  none"]
+
+
+def _not_measured(case: Case) -> Iterable[str]:
+    """Names of regions and loads whose values are not measured, a line for each status."""
+    for status in ("assumed", "unverified", None):
+        found = []
+        for section, parts in (("regions", case.regions), ("loads", case.loads)):
+            names = [name for name, part in parts.items() if part.status == status]
+            every = len(names) == len(parts)
+            found += [f"all {section}" if every else f"{section} {', '.join(names)}"] * bool(names)
+        if found:
+            yield f"  {status or 'without status'}: {'; '.join(found)}"
 
 
 def resultant(case: Case) -> Iterator[str]:

@@ -52,6 +52,9 @@ Single-limb stance, titanium stem, 4 mm mantle; changed: cement_thickness 0.3 cm
   hip: force on stem_trunnion, force [-399.5, -159.9, -1747.8] N, at [43, 0, 54] mm
   psoas: force on psoas, force [11.8, 35.3, 100] N, at [21.035, -1.503, -7] mm
   sum at the end: [0.1, -0.1, -503.4] N, 503.4 N
+not measured
+  assumed: regions stem, cement, cancellous_bone
+  unverified: regions cortical_bone
   stance: 2 increments, adaptive
 """
 HEAT = """

@@ -11,9 +11,11 @@ from typing import Any
 import pytest
 
 import mantle
+from app.campaigns import uncertainty
 from app.case.quantities import TABLE
 from app.cli import main
 from app.report import curves, pictures, run_report, sentence, viewer
+from app.schema import yaml_file
 from tests.support import CONFIGS, summary
 
 COARSE = {"mesh.size": "4 mm", "mesh.far_size": "6 mm", "mesh.order": 1}
@@ -147,6 +149,78 @@ def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
         q |= {f"{key}_error": part * q[key] for key in ("slip_p99", "motion_p99", "pressure_p95")}
     html = shown(changed(done, tmp_path / "unsure", numbers))
     assert "half of the main numbers are known to 50 % or better, the least sure are" in html
+
+
+MODULUS, FRICTION = "regions.bone.youngs_modulus", "interfaces.stem_cement.friction_coefficient"
+
+
+def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm") -> Path:
+    """A sweep: slip is 2, 4, ... um and grows with the bone's modulus, the gap falls with friction.
+
+    The two inputs are in orders without relation.
+    """
+    rows: list[dict[str, Any]] = []
+    for k in range(number):
+        case, numbers, other = yaml_file.read(run / "case.yaml").data, summary(run), 7 * k % 20
+        case["geometry"]["cement_thickness"], case["mesh"]["size"] = thickness, "6.0 mm"
+        case["regions"]["bone"]["youngs_modulus"] = f"{k + 1} MPa"
+        case["interfaces"]["stem_cement"]["friction_coefficient"] = 0.01 * other
+        numbers["interfaces"]["stem_cement"] |= {
+            "slip_p99": 2e-3 * (k + 1),
+            "gap_p99": -2e-3 * other,
+        }
+        (folder / str(k)).mkdir(parents=True)
+        (folder / str(k) / "case.yaml").write_text(yaml_file.to_yaml(case))
+        (folder / str(k) / "summary.json").write_text(json.dumps(numbers))
+        rows.append({"name": str(k), "folder": str(k), "part": "", "status": "converged"})
+        rows[-1] |= {"exit_code": 0, "numbers": {"stem_cement.slip_p99": k}}
+        rows[-1]["overrides"] = {MODULUS: f"{k + 1} MPa", FRICTION: 0.01 * other}
+    rows.append(rows[-1] | {"name": "lost", "status": "not converged", "exit_code": 4})
+    found = uncertainty.of_parts(rows, {"": [MODULUS, FRICTION]})
+    (folder / "sweep.json").write_text(json.dumps({"cases": rows, "uncertainty": found}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (4.0, "Inputs dominate the mesh: over 20 samples of 2 inputs half the range from 5 to 95 % "
+              "exceeds the ± of the mesh for 2 of 2 main numbers, and is 4.3 times it in the med"),
+        (40.0, "The mesh dominates the inputs: over 20 samples of 2 inputs half the range from 5"),
+        (0.0, "Mesh and inputs cannot be compared, as no ± was estimated; "),
+    ],
+)  # fmt: skip
+def test_inputs_stand_beside_the_mesh(error: float, said: str, done: Path, tmp_path: Path) -> None:
+    """Percentiles of 2, 4 .. 40 by linear interpolation are 3.9 and 38.1; half of that is 17.1."""
+    numbers = summary(done)
+    own = {f"{key}_p99_error": 1e-3 * error for key in ("slip", "gap")}
+    numbers["interfaces"]["stem_cement"] |= own | {"slip_p99": 0.05}
+    changed(done, tmp_path / "run", numbers)
+    run_report.write(tmp_path / "run", 0.0, samples(done, tmp_path / "sweep"))
+    text = " ".join(shown(page(tmp_path / "run")).split())
+    assert said in text and "20 of 21 samples in" in text
+    row = f"slip, p99 (µm) stem-cement 50.0 {error or '-'} 3.9 to 38.1 bone youngs modulus (+1.00)"
+    assert row in text
+    assert "-36.1 to -1.9 friction coefficient, stem-cement (-1.00)" in text
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ((20, "3.0 mm"), "is of another case than RUN: geometry.cement_thickness is 3 mm there"),
+        ((9,), "9 samples converged; the 5th and 95th percentile need 10"),
+        ((2,), "0 parts with samples of uncertain inputs that converged; expected one"),
+        ((), "--spread: goes with one DIR, that of a run"),
+    ],
+)
+def test_a_sweep_that_does_not_fit_is_refused(
+    more: tuple[Any, ...], message: str, done: Path, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    sweep = samples(done, tmp_path / "sweep", *more)
+    folders = [str(done if more else sweep), "--spread", str(sweep)]
+    assert main(["report", *folders]) == 2
+    assert message.replace("RUN", str(done)) in capsys.readouterr().err
 
 
 def test_what_is_not_to_be_used_is_red(done: Path, tmp_path: Path) -> None:
