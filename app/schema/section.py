@@ -90,12 +90,10 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: Any) -> tuple[Pa
 
 def _above(key: str | int, model: type[Section], given: Mapping[str, Any]) -> str:
     """The section that an unknown key belongs to: an empty one before it, or one that has it."""
-    empty = ""
-    for name in takewhile(lambda name: name != key, given):
-        if name in model.model_fields:
-            empty = name if given[name] is None else ""
-    having = (name for name, field in model.model_fields.items() if _has(field.annotation, key))
-    return empty or next(having, "")
+    before = [n for n in takewhile(lambda name: name != key, given) if n in model.model_fields]
+    if before and given[before[-1]] is None:
+        return before[-1]
+    return next((n for n, f in model.model_fields.items() if _has(f.annotation, key)), "")
 
 
 def _has(kind: Any, key: str | int) -> bool:
