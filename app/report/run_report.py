@@ -53,6 +53,7 @@ TITLES = {
     "thermal.interfaces": "Heat through the interfaces",
     "cure": "Cure of the cement",
     "stem": "Motion of the stem against the bone",
+    "femur": "Motion of the head, strain of the cortex",
 }
 # Quantities that the closing table of a run has no room for.
 MORE = {"interfaces": ("area_gap_over_30um", "area_slip_over_30um", "area_motion_over_30um")}
