@@ -28,13 +28,14 @@ from tests import support
 
 
 def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_path: Path) -> None:
-    """Each costs a tenth of a second and more, in a run that could take two."""
+    """Each costs a tenth of a second and more, in a run that could take two without its page."""
     path = support.CONFIGS / "blocks.yaml"
     case = load(path).config
     meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     script = (
         "import sys; from app.cli import main; "
-        f"assert main(['run', {str(path)!r}, '-o', {str(tmp_path)!r}]) == 0; "
+        f"assert main(['run', {str(path)!r}, '-o', {str(tmp_path)!r}, "
+        "'--set', 'output.report=false']) == 0; "
         "print(*sys.modules)"
     )
     loaded = set(support.python("-c", script).stdout.splitlines()[-1].split())
