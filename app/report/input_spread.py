@@ -80,7 +80,8 @@ class InputSpread:
                 causes.update([found[2].rpartition(" (")[0]] if found[2] else [])
                 ratios += [0.5 * (found[1] - found[0]) / n.error] if n.error else []
         over = f"over {len(self.samples)} samples of {len(self.inputs)} inputs"
-        most = "".join(f"; {c} matters most, to {k} of them" for c, k in causes.most_common(1))
+        top = causes.most_common(1)
+        most = "".join(f"; {key} matters most, to {n} of the main numbers" for key, n in top)
         if not ratios:
             return f"Mesh and inputs cannot be compared, as no ± was estimated{most}."
         larger = sum(ratio > 1.0 for ratio in ratios)
