@@ -8,10 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from app.campaigns.study_report import Measured, Report, exponent_text, percent
+from app.campaigns.study_report import Measured, Report, exponent_text
 from app.campaigns.work_precision import NOT_CONVERGING
 from app.case.quantities import in_words, titled
 from app.system import style
+from app.system.layout import percent
 from app.system.style import COLOURS, MARKERS
 
 NAMES = ("study.png", "study_parameters.png")

@@ -158,7 +158,8 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
         clauses.append(_contact(summary["interfaces"]))
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
-    return [*clauses, _mesh_and_step(summary)]
+    asked = [Verdict(summary["accuracy"])] if "accuracy" in summary else []
+    return [*clauses, _mesh_and_step(summary), *asked]
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:

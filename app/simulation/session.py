@@ -7,7 +7,7 @@ import os
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -30,7 +30,7 @@ from app.numerics.newton import raw_options, unused
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, provenance
-from app.simulation import checkpoint, finished_runs, variations
+from app.simulation import accuracy, checkpoint, finished_runs, variations
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
@@ -59,6 +59,7 @@ class Setup:
         started: The same, by the clock.
         model: The model of the last run, for reuse.
         noted: Notes already logged.
+        chosen: Mesh and order chosen for an accuracy, in words; empty unless one is asked for.
     """
 
     comm: MPI.Comm
@@ -73,6 +74,7 @@ class Setup:
     timing: Timing = field(default_factory=Timing)
     model: Model | None = None
     noted: set[str] = field(default_factory=set)
+    chosen: str = ""
 
     def note(self, messages: Sequence[str]) -> None:
         """Log notes on the case, each once."""
@@ -121,11 +123,27 @@ def run(
         if case.config.variations:
             _vary(setup, output)
         else:
-            solving = _CaseRun(setup, case.config, (), output)
+            if case.config.output.accuracy:
+                _choose(setup, walltime)
+            solving = _CaseRun(setup, setup.loaded.config, (), output)
             summary = solving.finish(solving.solve())
             text.report(summary)
             text.check_usable({output: summary})
     log.info("results in %s", output)
+
+
+def _choose(setup: Setup, longest: float | None) -> None:
+    """Choose mesh and order for the accuracy that the case asks for; collective."""
+
+    def solve(case: Case) -> dict[str, Any]:
+        model = Model(case, setup.comm, setup.options, Timing("choosing"), setup.stop)
+        numbers = model.relative(case)
+        if _errors(error_estimate.companions(case), model, numbers, case)["failed"]:
+            raise ConvergenceError("output.accuracy: the errors of cheap runs are unknown")
+        return numbers
+
+    config, setup.chosen = accuracy.choose(setup.loaded.config, solve, longest)
+    setup.loaded = replace(setup.loaded, config=config)
 
 
 def _vary(setup: Setup, output: Path) -> None:
@@ -280,6 +298,8 @@ class _CaseRun:
             self._writer.finish(summary, done=False)
             with setup.timing.phase("error"), self._last_state_kept():
                 summary["error"] = _errors(companions, model, summary, case)
+            if setup.chosen:
+                summary["accuracy"] = accuracy.reached(setup.chosen, summary)
             summary["timing"] = self._recorder.seconds()
         self._writer.finish(summary, done=True)
         if case.output.checkpoint == CheckpointOptions():
