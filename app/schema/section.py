@@ -188,7 +188,11 @@ MAPPING = _only(dict, "a mapping of names to values")
 
 
 class Scalar:
-    """Base of marks of scalar fields, read and written here instead of by pydantic."""
+    """Base of marks of scalar fields, read and written here instead of by pydantic.
+
+    A mark tells editors the values that are read, and the manual ``x-value`` and ``x-unit``, by
+    `__get_pydantic_json_schema__`.
+    """
 
     def read(self, value: object) -> Any:
         """Convert a value of a file to its internal form.
@@ -201,10 +205,6 @@ class Scalar:
     def write(self, value: Any) -> Any:
         """Convert a value to a form that `read` takes back to it."""
         return value
-
-    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
-        """The values that are read, for editors; ``x-value`` and ``x-unit`` for the manual."""
-        raise NotImplementedError
 
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler

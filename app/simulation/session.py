@@ -35,7 +35,6 @@ from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
 from app.soundness import preview, well_posedness
-from app.stepping.load_steps import Summary
 from app.system import blas_check, form_cache, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.system.timing import Timing
@@ -125,8 +124,7 @@ def run(
         else:
             if case.config.output.accuracy:
                 _choose(setup, walltime)
-            solving = _CaseRun(setup, setup.loaded.config, (), output)
-            summary = solving.finish(solving.solve())
+            summary = _CaseRun(setup, setup.loaded.config, (), output).run()
             text.report(summary)
             text.check_usable({output: summary})
     log.info("results in %s", output)
@@ -199,8 +197,7 @@ def _variation(setup: Setup, varied: Varied, folder: Path) -> dict[str, Any]:
     on_root(setup.comm, partial(prepare_run, folder, force=True), share=False)
     on_root(setup.comm, partial(remove, [folder / FAILED]), share=False)
     try:
-        solving = _CaseRun(setup, varied.case, varied.overrides, folder)
-        summary = solving.finish(solving.solve())
+        summary = _CaseRun(setup, varied.case, varied.overrides, folder).run()
     except ConvergenceError as failure:
         log.warning("%s: %s", varied.name, failure)
         why = partial(write_text, folder / FAILED, f"{failure}\n")
@@ -243,23 +240,6 @@ class _CaseRun:
         self._recorder = Recorder(case, model, writer, setup.timing, setup.begin, setup.progress)
         self._checkpoints = CheckpointWriter(case, model, self._recorder, output, found)
 
-    def solve(self) -> Summary:
-        """Solve all stages; returns a summary of the effort; collective.
-
-        Raises:
-            ConvergenceError: With the last converged state on disk, if there is one.
-            StoppedError: The same, and with a checkpoint.
-        """
-        with self._last_state_kept():
-            return self._model.go(
-                self._recorder.step,
-                self._recorder.heat,
-                lambda s: log.info("     %s", s),
-                self._recorder.stage,
-                self._checkpoints.mark,
-                self._checkpoints.resume,
-            )
-
     @contextmanager
     def _last_state_kept(self) -> Iterator[None]:
         """Write the last converged state to disk where a solve fails or is stopped; collective."""
@@ -276,9 +256,23 @@ class _CaseRun:
             self._recorder.close("stopped", lines[0])
             raise StoppedError("\n".join(lines)) from failure
 
-    def finish(self, total: Summary) -> dict[str, Any]:
-        """Write the results of a converged run; returns its summary; collective."""
+    def run(self) -> dict[str, Any]:
+        """Solve all stages and write the results; returns the summary; collective.
+
+        Raises:
+            ConvergenceError: With the last converged state on disk, if there is one.
+            StoppedError: The same, and with a checkpoint.
+        """
         setup, case, model = self._setup, self._case, self._model
+        with self._last_state_kept():
+            total = model.go(
+                self._recorder.step,
+                self._recorder.heat,
+                lambda s: log.info("     %s", s),
+                self._recorder.stage,
+                self._checkpoints.mark,
+                self._checkpoints.resume,
+            )
         blas_check.check(setup.comm)  # once more: what has converged by wrong sums is no result
         if clock.perf_counter() - setup.begin > LONG:
             log.info("     computing and writing results")
