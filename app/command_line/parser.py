@@ -171,6 +171,10 @@ class Parser(argparse.ArgumentParser):
         """Raise InputError for a wrong command line."""
         if message.startswith("unrecognized arguments: -n"):
             message += "; only mantle run starts ranks, --cores N uses N cores"
+        if found := re.search(r"COMMAND: invalid choice: '(.*?)'", message):
+            from app.schema.section import did_you_mean  # imported late: brings pydantic
+
+            message += did_you_mean(found[1], list(COMMANDS))
         raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
 
     def _print_message(self, message: str, file: Any = None) -> None:
