@@ -47,7 +47,7 @@ COMMANDS = {
         f"sweep --set --allow-scripts {MANY}",
     ),
     "report": (
-        "the page of a run or a sweep, or of several runs side by side",
+        "the page of a run, a sweep, or several runs side by side",
         "folders -o --spread --evidence --methods",
     ),
     "verify": ("solve the verification problems and compare with what is known", SUITE),
@@ -147,11 +147,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         default="default",
         help="how much: what takes seconds, the usual, or also what takes long",
     ),
-    "--spread": dict(
-        type=Path,
-        metavar="SWEEP",
-        help="of a run: what its numbers owe to inputs, by the folder of a sweep that samples them",
-    ),
+    "--spread": dict(type=Path, metavar="SWEEP", help="a sweep over uncertain inputs of the run"),
     "--schema": dict(action="store_true", help="print the JSON schema of case files, for editors"),
 }
 LONG = {"-o": "--output"}
@@ -184,6 +180,10 @@ class Parser(argparse.ArgumentParser):
         """Raise InputError for a wrong command line."""
         if message.startswith("unrecognized arguments: -n"):
             message += "; only mantle run starts ranks, --cores N uses N cores"
+        if found := re.search(r"COMMAND: invalid choice: '(.*?)'", message):
+            from app.schema.section import did_you_mean  # imported late: brings pydantic
+
+            message += did_you_mean(found[1], list(COMMANDS))
         raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
 
     def _print_message(self, message: str, file: Any = None) -> None:

@@ -145,12 +145,12 @@ def test_samples_have_one_value_in_every_part_of_every_range(samples: int, seed:
     even = sorted((d["even"] + 1) / 4 for d in drawn)
     texts = [re.fullmatch(r"(\S+) W/\(m\^2 K\)", d["decades"]) for d in drawn]
     decades = sorted(math.log10(float(t[1])) / 3 - 2 / 3 for t in texts if t)
-    for shares in (even, decades):
-        assert all(i - 1e-4 <= s * samples <= i + 1 + 1e-4 for i, s in enumerate(shares))
-        assert len(shares) == samples
     del design["inputs"]["decades"]
     alone = points.LatinHypercube.model_validate(design).draw()
-    assert {int(samples * (d["even"] + 1) / 4 - 1e-4) for d in alone} == set(range(samples))
+    for shares in (even, decades, sorted((d["even"] + 1) / 4 for d in alone)):
+        # Values have six digits.
+        assert all(i - 1e-4 <= s * samples <= i + 1 + 1e-4 for i, s in enumerate(shares))
+        assert len(shares) == samples
 
 
 def test_a_study_has_its_lines_and_then_its_reference(path: Path) -> None:

@@ -174,7 +174,7 @@ def test_command_says_it_once_and_exits_with_2(
     ("arguments", "expected"),
     [
         ("", "the following arguments are required: COMMAND"),
-        ("chek x", "invalid choice: 'chek'"),
+        ("chek x", "doctor); did you mean 'check'?; see mantle --help"),
         ("check", "the following arguments are required: CASE"),
         ("check none.yaml", "none.yaml: no such file"),
         ("check none.yaml --colour", "unrecognized arguments: --colour"),
