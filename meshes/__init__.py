@@ -28,9 +28,9 @@ from meshes.data import (
     boundary_areas,
     canonical,
     components,
+    faces_of,
     facet_areas,
     interface_facets,
-    region_facets,
     region_volumes,
 )
 from meshes.imported import write as write_msh
@@ -146,11 +146,11 @@ def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> No
 
 def _between(data: MeshData) -> Iterator[tuple[str, str, Any]]:
     """Pairs of regions that meet, and the facets (n, 3) or (n, 6) between them."""
-    faces, here, there = region_facets(data)
+    cell, face, behind = data.between
     for (a, tag), (b, other) in combinations(data.regions.items(), 2):
-        between = faces[np.isin(here, (tag, other)) & np.isin(there, (tag, other))]
-        if len(between):
-            yield a, b, between
+        on = (data.cell_tags[cell] == tag) & (data.cell_tags[behind] == other)
+        if on.any():
+            yield a, b, faces_of(data.cells, cell[on], face[on])
 
 
 def meeting(geometry: Any, mesh: Any) -> tuple[list[tuple[str, str]], list[str]]:

@@ -24,18 +24,7 @@ from app.errors import InputError
 from app.schema import yaml_file
 from app.schema.section import VECTOR, Triple, did_you_mean, show
 from app.schema.units import ANGLE, FORCE, WEIGHT
-from app.schema.yaml_file import (
-    DEEPEST,
-    MOST_NODES,
-    TOO_MANY,
-    BadYaml,
-    CaseFile,
-    Fault,
-    Path,
-    Reader,
-    key_parts,
-    path_text,
-)
+from app.schema.yaml_file import BadYaml, CaseFile, Fault, Path, Reader, key_parts, path_text
 
 MOST_BASES = 10
 # Keys that a region keeps when it gets another material.
@@ -282,8 +271,8 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path) -> dict[str, Any]:
             for p, place in file.places.items():
                 if p[:2] == (kind, name) and len(p) > 2:
                     case.places[*path[:-1], *p[2:]] = place
-            if len(case.places) > MOST_NODES:
-                raise InputError(f"{case.name}: {TOO_MANY}")
+            if len(case.places) > yaml_file.MOST_NODES:
+                raise InputError(f"{case.name}: {yaml_file.TOO_MANY}")
             found = {k: deepcopy(v) for k, v in entry.items() if k != library.ABOUT}
             if kind == "materials":
                 return found
@@ -370,8 +359,8 @@ def _override(case: CaseFile, key: str, override: str) -> None:
     items = key_parts(key)
     if not equals or not all(items):
         raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
-    if len(items) > DEEPEST:
-        raise BadYaml(f"{len(items)} keys in each other; at most {DEEPEST}")
+    if len(items) > yaml_file.DEEPEST:
+        raise BadYaml(f"{len(items)} keys in each other; at most {yaml_file.DEEPEST}")
     if items[0] in ("base", "library"):
         raise BadYaml("stands in the file alone; --set cannot change it")
     target: Any = case.data

@@ -57,6 +57,7 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
     configure_log("debug" if options.verbose else "info")
     # The input is checked before ranks are started: its errors come at once, and once.
     options.overrides += ["output.error=true"] if options.error else []
+    options.overrides += [f"output.accuracy={options.accuracy}"] if options.accuracy else []
     case = _load(options)
     output = options.output or case.output
     walltime = stopping.seconds(options.walltime) if options.walltime else None

@@ -38,7 +38,7 @@ SUITE = f"{MANY} -k --tier"
 # Each command: its help and its arguments.
 COMMANDS = {
     "init": ("write a short case to start from; it runs as it is", "name --kind --stem"),
-    "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error -v"),
+    "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error --accuracy -v"),
     "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh -o"),
     "mesh": ("make the mesh of a case, a .msh file, and pictures of it", f"{CASE} -o"),
     "study": ("error against run time of a case, by a study file", f"{CASE} {SUITE}"),
@@ -113,6 +113,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         action="store_true",
         help="estimate the error of each number by coarser companions (as output.error: true)",
     ),
+    "--accuracy": dict(metavar="PART", help="pick mesh size and order for errors below, e.g. 0.05"),
     "--mesh": dict(action="store_true", help="make the mesh and give exact sizes"),
     "--kind": dict(
         choices=("femur", "cylinders", "blocks", "file"),

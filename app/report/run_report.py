@@ -12,7 +12,6 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import meshes
 from app.case import quantities
@@ -53,6 +52,7 @@ TITLES = {
     "thermal.interfaces": "Heat through the interfaces",
     "cure": "Cure of the cement",
     "stem": "Motion of the stem against the bone",
+    "femur": "Motion of the head, strain of the cortex",
 }
 # Quantities that the closing table of a run has no room for.
 MORE = {"interfaces": ("area_gap_over_30um", "area_slip_over_30um", "area_motion_over_30um")}
@@ -203,7 +203,7 @@ def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]
 def _view(folder: Path) -> tuple[str, list[str]]:
     """The view in three dimensions, or why there is none: its failure must not cost the page."""
     try:
-        return viewer.viewer(folder), []
+        return viewer.viewer({"": folder}), []
     except Exception as error:  # whatever is wrong with the fields
         return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
@@ -307,14 +307,13 @@ def _pairs(values: dict[str, Any]) -> Blocks:
 
 
 def _variations(folder: Path, share: float) -> list[Path]:
-    rows = _json(folder / "variations.json")
-    cases, links = [], {}
-    for row in rows:
+    cases, pages = [], [folder / PAGE]
+    for row in _json(folder / "variations.json"):
         own = folder / row["name"]
         more = {k: row[k] for k in ("overrides", "status", "seconds", "numbers")}
         cases.append(opened(own, **more, notes=tuple(row.get("notes", ()))))
         if (own / "summary.json").exists():
-            links[own.name] = f"{quote(own.name)}/{_run(own, share, alone=False)[0].name}"
+            pages += _run(own, share, alone=False)[:1]
     every = sweep_figures.headlines(cases)
     names = [n for n in every if not ((q := quantities.get(n)) and q.exact)]
     drawings = folder / PICTURES
@@ -322,7 +321,7 @@ def _variations(folder: Path, share: float) -> list[Path]:
         drawings.mkdir(exist_ok=True)
     drawn, files = sweep_figures.multiples(cases, drawings if whole else None)
     sections = [
-        ("cases", "All variations", sweep_figures.cases_table(cases, names, links)),
+        ("cases", "All variations", sweep_figures.cases_table(cases, names, folder)),
         ("curves", "What varies", drawn),
         ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
@@ -335,7 +334,6 @@ def _variations(folder: Path, share: float) -> list[Path]:
         summary=[f"{done} of {len(cases)} variations converged", *bad],
     )
     write_text(folder / PAGE, html)
-    pages = [folder / PAGE, *(folder / link for link in links.values())]
     return pages + files
 
 

@@ -108,7 +108,7 @@ def test_a_page_without_its_view_says_why(
 ) -> None:
     """And its units are printed as people write them."""
 
-    def broken(folder: Path) -> str:
+    def broken(folders: dict[str, Path]) -> str:
         raise IndexError("no <such> cell")
 
     numbers = summary(done)
