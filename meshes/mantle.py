@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from app.arrays import Floats, Ints
 from meshes.contact_facets import shape_functions
-from meshes.data import MeshData, cell_volumes, facet_areas, interface_facets
+from meshes.data import MeshData, cell_volumes, faces_of, facet_areas, interface_facets
 
 if TYPE_CHECKING:
     from meshes.gruen import Zones
@@ -40,7 +40,8 @@ def describe(
         ``thickness`` [mm]: distance of the stem's surface from the bone's, with percentiles by the
         stem's area, and the part of that area where it is below `CLIPPED` of the nominal one;
         ``volume`` of the cement and ``plug_volume`` below the tip [mm^3]; with zones ``gruen``, the
-        least, mean and largest thickness on the stem's surface in each.
+        least, mean and largest thickness on the stem's surface in each, and ``cortex_min``, the
+        least thickness of the cortex between the tip and mid lesser trochanter [mm].
     """
     facets, _, _ = interface_facets(data, "stem_cement")
     facets = facets[data.points[facets[:, :3], 2].max(axis=1) > tip + 1e-6]
@@ -84,7 +85,21 @@ def describe(
             for zone, at in marked.items()
             if at.any()
         }
+        note["cortex_min"] = _least_cortex(data, tip)
     return note
+
+
+def _least_cortex(data: MeshData, tip: float) -> float:
+    """Least distance of the endosteum from the bone's surface, from the tip to z = 0 [mm]."""
+    cell, face, behind = data.between
+    cortex = data.cell_tags == data.regions["cortical_bone"]
+    own = cortex[cell] & ~cortex[behind]
+    facets = faces_of(data.cells, cell[own], face[own])
+    z = data.points[facets[:, :3], 2]
+    facets = facets[(z.min(axis=1) > tip) & (z.max(axis=1) < 0)]
+    surface = data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]
+    away = distance(triangles(data.points, facets).mean(axis=1), triangles(data.points, surface))
+    return float(away.min())
 
 
 def triangles(points: Floats, facets: Ints) -> Floats:
