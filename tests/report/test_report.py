@@ -314,12 +314,12 @@ def test_mantles_are_told_once_each_by_thickness(maker: Maker) -> None:
     for stem in MODULI:
         for t in (5.0, 3.0):
             thickness = {"nominal": t, "min": 0.5, "median": t, "clipped_fraction": 0.25}
-            summary = {"mantle": {"thickness": thickness, "volume": 1e4 * t}}
+            summary = {"mantle": {"thickness": thickness, "volume": 1e4 * t, "cortex_min": 2.5}}
             maker.stance(stem, t, 1.0, {}, summary=summary)
     head, rows = gruen.mantles(rs.read(maker.write()).cases)
     assert [row[2] for row in rows] == ["3", "5"] and {row[0] for row in rows} == {"femur"}
     assert dict(zip(head, rows[0], strict=True))["cement (cm³)"] == "30"
-    assert "25 %" in rows[0] and "-" in rows[0]
+    assert "25 %" in rows[0] and "-" in rows[0] and rows[0][-1] == "2.5"
 
 
 # The page
