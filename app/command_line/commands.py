@@ -206,7 +206,7 @@ def _report(options: argparse.Namespace) -> int:
         from app.report import compare, run_report, sweep_report
 
     folder, *others = options.folders
-    if options.spread and (others or not run_report.is_run(folder)):
+    if options.spread and (others or not (folder / "case.yaml").exists()):
         raise InputError("--spread: goes with one DIR, that of a run")
     if others:
         page = _writable(options.output or Path("out")) / "compare.html"

@@ -46,10 +46,7 @@ COMMANDS = {
         "run many cases of one base case, and compare them",
         f"sweep --set --allow-scripts {MANY}",
     ),
-    "report": (
-        "the page of a run or a sweep, or of several runs side by side",
-        "folders -o --spread",
-    ),
+    "report": ("the page of a run, a sweep, or several runs side by side", "folders -o --spread"),
     "verify": ("solve the verification problems and compare with what is known", SUITE),
     "stress": ("stiff and extreme cases: right, refused with a reason, or wrong", SUITE),
     "bench": ("measure what contact costs, from 20 000 unknowns up (20 minutes)", SUITE),
@@ -141,11 +138,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         default="default",
         help="how much: what takes seconds, the usual, or also what takes long",
     ),
-    "--spread": dict(
-        type=Path,
-        metavar="SWEEP",
-        help="of a run: what its numbers owe to inputs, by the folder of a sweep that samples them",
-    ),
+    "--spread": dict(type=Path, metavar="SWEEP", help="a sweep over uncertain inputs of the run"),
     "--schema": dict(action="store_true", help="print the JSON schema of case files, for editors"),
 }
 LONG = {"-o": "--output"}

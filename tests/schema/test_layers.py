@@ -262,14 +262,9 @@ loads: {push: {status: measured, source: a scale, history: [0.5]}}
     assert (lower.status, lower.source, push.status) == (None, None, "measured")
     again = write(tmp_path, case=dump(case))
     assert load(again).config == case
-    for option, part in (
-        ("regions.upper.youngs_modulus=2 GPa", "upper"),
-        ("loads.push.force=2 N", "push"),
-        ("loads.push.force[0]=2 N", "push"),
-    ):
-        changed = load(again, [option]).config
-        found = changed.regions | changed.loads
-        assert (found[part].status, found[part].source) == (None, None), option
+    changed: Any = load(again, ["regions.upper.youngs_modulus=2 GPa", "loads.push.force[0]=2 N"])
+    for part in (changed.config.regions["upper"], changed.config.loads["push"]):
+        assert (part.status, part.source) == (None, None)
     kept = load(again, ["loads.push.history=[0.7]", "regions.upper.tissue=cement"]).config
     assert (kept.loads["push"].status, kept.regions["upper"].status) == ("measured", "assumed")
     above = "base: case.yaml\nregions: {upper: {poisson_ratio: 0.4}}\n"
