@@ -40,8 +40,7 @@ def describe(
         ``thickness`` [mm]: distance of the stem's surface from the bone's, with percentiles by the
         stem's area, and the part of that area where it is below `CLIPPED` of the nominal one;
         ``volume`` of the cement and ``plug_volume`` below the tip [mm^3]; with zones ``gruen``, the
-        least, mean and largest thickness on the stem's surface in each, and ``cortex_min``, the
-        least thickness of the cortex between the tip and mid lesser trochanter [mm].
+        least, mean and largest thickness on the stem's surface in each.
     """
     facets, _, _ = interface_facets(data, "stem_cement")
     facets = facets[data.points[facets[:, :3], 2].max(axis=1) > tip + 1e-6]
@@ -85,11 +84,10 @@ def describe(
             for zone, at in marked.items()
             if at.any()
         }
-        note["cortex_min"] = _least_cortex(data, tip)
     return note
 
 
-def _least_cortex(data: MeshData, tip: float) -> float:
+def least_cortex(data: MeshData, tip: float) -> float:
     """Least distance of the endosteum from the bone's surface, from the tip to z = 0 [mm]."""
     cell, face, behind = data.between
     cortex = data.cell_tags == data.regions["cortical_bone"]
