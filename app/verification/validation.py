@@ -6,6 +6,7 @@ and no failure. No input was fitted; what nobody measured is varied, and the not
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -19,14 +20,14 @@ GROUP = "validation"
 # Of a mean without published scatter, how far off still counts as within it.
 NO_SCATTER = 0.2
 # Each some seconds, without other inputs.
-QUICK = ("rods", "rods_gap", "disc_foam_peak")
+QUICK = ("rods", "rods_gap", "disc_foam_peak", "mantle", "slab")
 # Of one input as it was assumed: the overrides of each run that the number needs.
 Variant = Sequence[Sequence[str]]
 
 
 def validation() -> list[Check]:
     """All cases; each run takes seconds."""
-    return [*_rods(), *_discs(), _mantle()]
+    return [*_rods(), *_discs(), _mantle(), *_slabs()]
 
 
 def _case(
@@ -222,6 +223,38 @@ def _mantle() -> Check:
 def tension(runs: Sequence[Run]) -> float:
     """The 99th percentile of the largest principal stress of the cement [MPa]."""
     return float(runs[0].summary["regions"]["cement"]["principal_p99"])
+
+
+def _slabs() -> Iterator[Check]:
+    """Torsion of a slab, by the share of the section that is in contact."""
+    what = "largest motion of a stem in a slab under torsion [um], {}"
+    words = "{}, abstract; assumed: sections, a tenth of 1.5 %BW m, no grip, cement bonded to bone"
+    shares = {f"contact {100 * s:.0f} %": [_contact(s)] for s in (0.75, 0.5, 0.25)}
+    retrieved = {f"contact {100 * s:.1f} %": [_contact(s)] for s in (0.06, 0.217)}
+    rows: list[tuple[str, float, tuple[float, float], dict[str, list[list[str]]], str]] = [
+        ("slab", 1.0, (0.6, 57), shares, "PMC2876832, well fixed stems"),
+        ("slab_retrieved", 0.115, (0, 79.9), retrieved, "PMC3202685, 28.8 ± 51.1 um"),
+    ]
+    for name, share, measured, others, source in rows:
+        base = _contact(share)
+        variants: dict[str, Variant] = {"": [base], "mesh": [[*base, "mesh.size=3 mm"]], **others}
+        for μ in (0.2, 0.4):
+            key = f"interfaces.stem_cement.friction_coefficient={μ}"
+            variants[f"friction {μ}"] = [[*base, key]]
+        title = what.format(f"contact {100 * share:.3g} %")
+        yield _case(name, title, "slab", motion, measured, variants, words.format(source))
+
+
+def _contact(share: float) -> list[str]:
+    """The gap of slab.yaml that leaves a share of all angles in contact, in four places."""
+    edge = math.cos(math.pi * (1 - share))
+    gap = f"max(0, min(0.1, 0.2 * (cos(4 * atan2(y, x)) - {edge:.6f})))"
+    return [f"interfaces.stem_cement.gap={gap}"]
+
+
+def motion(runs: Sequence[Run]) -> float:
+    """Largest motion of the stem against the cement [um]."""
+    return float(1e3 * runs[0].summary["interfaces"]["stem_cement"]["motion_max"])
 
 
 def peak(run: Run) -> float:
