@@ -28,9 +28,9 @@ from meshes.data import (
     boundary_areas,
     canonical,
     components,
+    faces_of,
     facet_areas,
     interface_facets,
-    region_facets,
     region_volumes,
 )
 from meshes.imported import write as write_msh
@@ -86,9 +86,10 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
         },
     }
     for m in geometry.mantles:
-        from meshes import mantle
+        from meshes import gruen, mantle
 
-        notes["mantle"] = mantle.describe(data, m.thickness, m.tip)
+        zones = gruen.Zones(geometry) if geometry.has_gruen_zones else None
+        notes["mantle"] = mantle.describe(data, m.thickness, m.tip, zones)
     return replace(data, notes=notes, behind=None)  # others may change the cells
 
 
@@ -145,11 +146,11 @@ def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> No
 
 def _between(data: MeshData) -> Iterator[tuple[str, str, Any]]:
     """Pairs of regions that meet, and the facets (n, 3) or (n, 6) between them."""
-    faces, here, there = region_facets(data)
+    cell, face, behind = data.between
     for (a, tag), (b, other) in combinations(data.regions.items(), 2):
-        between = faces[np.isin(here, (tag, other)) & np.isin(there, (tag, other))]
-        if len(between):
-            yield a, b, between
+        on = (data.cell_tags[cell] == tag) & (data.cell_tags[behind] == other)
+        if on.any():
+            yield a, b, faces_of(data.cells, cell[on], face[on])
 
 
 def meeting(geometry: Any, mesh: Any) -> tuple[list[tuple[str, str]], list[str]]:

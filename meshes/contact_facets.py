@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.arrays import Bools, Floats, Ints
-from meshes.data import connected, cross, tangents
+from meshes.data import connected, tangents
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -109,7 +109,7 @@ def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
     else:
         flat = (x[:, 1:] - x[:, :1]).transpose(1, 2, 0)[..., None]
         a, b = np.broadcast_to(flat, (*flat.shape[:3], len(at)))
-    normal = np.moveaxis(cross(a, b), 0, -1)
+    normal = np.moveaxis(np.ascontiguousarray(np.cross(a, b, axis=0)), 0, -1)
     size = np.linalg.norm(normal, axis=2)
     return normal / size[:, :, None], size
 

@@ -82,28 +82,15 @@ def order(*keys: Ints) -> Ints:
 
     Sorting a key together with its row as one number is several times faster.
     """
-    rows = np.arange(len(keys[0]))
+    rows: Ints = np.arange(len(keys[0]))
+    number = rows.copy()
     bits = len(rows).bit_length()
-    for count, key in enumerate(keys):
-        ordered = key[rows] if count else key
+    for key in keys:
         if int(key.max(initial=0)) < 2 ** (63 - bits):
-            by = ordered << bits
-            by |= np.arange(len(rows))
-            by.sort()
-            by &= 2**bits - 1
+            rows = rows[np.sort(key[rows] << bits | number) & 2**bits - 1]
         else:
-            by = np.argsort(ordered, kind="stable")
-        rows = rows[by] if count else by
+            rows = rows[np.argsort(key[rows], kind="stable")]
     return rows
-
-
-def distinct(keys: Ints) -> tuple[Ints, Ints]:
-    """Distinct keys and their inverse as of `np.unique`, for keys (n,) that are not negative."""
-    rows = order(keys)
-    first = np.diff(keys[rows], prepend=-1) > 0
-    inverse = np.empty(len(keys), dtype=np.int64)
-    inverse[rows] = np.cumsum(first) - 1
-    return keys[rows[first]], inverse
 
 
 def cell_faces(cells: Ints) -> Ints:
@@ -143,7 +130,7 @@ def same_triangles(a: Ints, b: Ints) -> tuple[Ints, Ints]:
     """The same number for the same triangle of either list, in any order of its corners."""
     low, middle, high = np.sort(np.concatenate([a, b]), axis=1).T
     n = int(high.max(initial=0)) + 1
-    label = distinct(low * n + middle)[1] * n + high
+    label = np.unique(low * n + middle, return_inverse=True)[1] * n + high
     return label[: len(a)], label[len(a) :]
 
 
@@ -210,24 +197,18 @@ def edge_vectors(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
         yield [other - first for other in others]
 
 
-def dot(a: Floats, b: Floats) -> Floats:
+def dot(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> Floats:
     """Scalar products of vectors (3, ...)."""
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-
-
-def cross(a: Floats, b: Floats) -> Floats:
-    """Cross products of vectors (3, ...)."""
-    (a0, a1, a2), (b0, b1, b2) = a, b
-    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def cell_volumes(points: Floats, cells: Ints) -> Floats:
     """Volumes of the cells [mm^3], negative when inverted; shape (m,)."""
     if cells.shape[1] == 4:
         some = edge_vectors(points, cells)
-        return np.concatenate([dot(a, cross(b, c)) for a, b, c in some]) / 6
+        return np.concatenate([dot(a, np.cross(b, c, axis=0)) for a, b, c in some]) / 6
     a, b, c = tangents(points[cells], _TET_POINTS, EDGES)
-    return dot(a, cross(b, c)) @ _TET_WEIGHTS / 6
+    return dot(a, np.cross(b, c, axis=0)) @ _TET_WEIGHTS / 6
 
 
 def facet_areas(points: Floats, facets: Ints) -> Floats:
@@ -236,7 +217,7 @@ def facet_areas(points: Floats, facets: Ints) -> Floats:
     if facets.shape[1] == 3:
         return np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
     a, b = tangents(x, _TRI_POINTS, ((0, 1), (1, 2), (2, 0)))
-    return np.linalg.norm(cross(a, b), axis=0) @ _TRI_WEIGHTS / 2
+    return np.linalg.norm(np.cross(a, b, axis=0), axis=0) @ _TRI_WEIGHTS / 2
 
 
 def region_volumes(data: MeshData) -> dict[str, float]:
@@ -260,14 +241,6 @@ def interface_facets(data: MeshData, name: str) -> tuple[Ints, Ints, Ints]:
     cell, face, behind = data.between
     own = np.isin(data.cell_tags[cell], first) & np.isin(data.cell_tags[behind], second)
     return faces_of(data.cells, cell[own], face[own]), cell[own], behind[own]
-
-
-def region_facets(data: MeshData) -> tuple[Ints, npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Nodes of facets between regions, each once, and the region tags before and behind them."""
-    cell, face, behind = data.between
-    once = behind > cell
-    cell, face, behind = cell[once], face[once], behind[once]
-    return faces_of(data.cells, cell, face), data.cell_tags[cell], data.cell_tags[behind]
 
 
 def canonical(data: MeshData) -> MeshData:

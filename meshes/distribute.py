@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -43,25 +42,15 @@ class TaggedMesh:
     notes: Mapping[str, Any] = field(default_factory=dict)
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Part meshes by one thread: several part them in another way each time."""
-    before = os.environ.get(THREADS)
-    os.environ[THREADS] = before or "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[THREADS]
-
-
 def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     """Distribute the mesh of rank 0 (None on the others) to all ranks; collective."""
     without = {name: getattr(data, name)[:0] for name in ARRAYS} if data is not None else {}
     known: MeshData = comm.bcast(data and replace(data, behind=None, **without))
     own = known if data is None else data
     corners, width = own.cells.shape[1], own.facets.shape[1]
-    with _one_thread():
+    given = os.environ.get(THREADS)
+    os.environ[THREADS] = given or "1"  # several part a mesh in another way each time
+    try:
         mesh = dolfinx.mesh.create_mesh(
             comm,
             own.cells[:, cell_perm_array(CellType.tetrahedron, corners)].copy(),
@@ -69,6 +58,9 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
             ufl_mesh(11 if own.curved else 4, 3, np.float64),
             dolfinx.mesh.create_cell_partitioner(GhostMode.shared_facet),
         )
+    finally:
+        if given is None:
+            del os.environ[THREADS]
     mesh.topology.create_connectivity(3, 0)
     mesh.topology.create_entities(2)
     mesh.topology.create_connectivity(2, 3)

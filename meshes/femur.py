@@ -29,7 +29,7 @@ INTERFACES = {
 def build(geometry: Any, mesh: Any) -> MeshData:
     """Mesh the femur: four regions, two interfaces.
 
-    Boundaries are distal_cut, bone_surface, stem_trunnion, resection and five muscle patches;
+    Boundaries are distal_cut, bone_surface, stem_trunnion, resection and six muscle patches;
     notes have the head centre and layers. ``mesh`` are options of a case.
 
     Raises:

@@ -166,7 +166,7 @@ def _longer(start: Floats, end: Floats, endosteum: Floats, by: Floats) -> tuple[
 def build(geometry: Any, mesh: Any) -> MeshData:
     """Mesh the bone: two regions.
 
-    Boundaries are distal_cut, bone_surface, head and five muscle patches, the last two parts of
+    Boundaries are distal_cut, bone_surface, head and six muscle patches, the last two parts of
     bone_surface; notes have the head centre and layers. ``mesh`` are options of a case.
 
     Raises:

@@ -33,8 +33,6 @@ GROWTH = 0.4  # mm of element size per mm of distance from an interface
 MOST_EDGES = 20_000
 SECONDS = 3600
 WRITTEN = 1 << 30  # bytes in a file
-# Nodes of triangles, tetrahedra (straight and quadratic) and prisms, by gmsh's number of the type.
-_NODES = {2: 3, 9: 6, 4: 4, 11: 10, 6: 6}
 
 
 @contextmanager
@@ -137,7 +135,8 @@ def nodes(gmsh: Any) -> tuple[Floats, Ints]:
 def elements(gmsh: Any, kind: int, entities: Iterable[int], row: Ints) -> Ints:
     """Nodes of the elements of a type in entities (k, nodes)."""
     found = [gmsh.model.mesh.getElementsByType(kind, entity)[1] for entity in entities]
-    return row[np.concatenate(found).astype(np.int64) - 1].reshape(-1, _NODES[kind])
+    width = gmsh.model.mesh.getElementProperties(kind)[3]
+    return row[np.concatenate(found).astype(np.int64) - 1].reshape(-1, width)
 
 
 def serve() -> None:

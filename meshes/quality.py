@@ -10,17 +10,7 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
-from meshes.data import (
-    EDGES,
-    MeshData,
-    Tags,
-    cell_faces,
-    cross,
-    dot,
-    edge_vectors,
-    match_faces,
-    tangents,
-)
+from meshes.data import EDGES, MeshData, Tags, cell_faces, dot, edge_vectors, match_faces, tangents
 
 BAD = 0.01  # below: refused
 POOR = 0.1  # below: counted in the notes, and curved cells are straightened
@@ -47,7 +37,7 @@ def _by_edges(a: Floats, b: Floats, c: Floats) -> Floats:
 
     Both norms are sums over all edges and all faces: 18 V / sqrt(sum length^2 sum area^2).
     """
-    d, e, f = cross(b, c), cross(c, a), cross(a, b)
+    d, e, f = (np.cross(x, y, axis=0) for x, y in ((b, c), (c, a), (a, b)))
     lengths = sum(dot(x, x) for x in (a, b, c, a - b, b - c, c - a))
     areas = sum(dot(x, x) for x in (d, e, f, d + e + f))
     scale = np.sqrt(lengths * areas)

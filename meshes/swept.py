@@ -17,9 +17,9 @@ import numpy as np
 from app.arrays import Bools, Floats, Ints
 from app.errors import GeometryError
 from meshes import reference_body
-from meshes.data import EDGES, cell_volumes, distinct, faces_of, match_faces
+from meshes.data import EDGES, cell_volumes, faces_of, match_faces
 from meshes.femur_surfaces import FemurSurfaces
-from meshes.layers import DIGITS, Lines, Nodes
+from meshes.layers import DIGITS, Nodes
 from meshes.quality import untangle
 from meshes.reference_body import ReferenceBody
 
@@ -174,17 +174,12 @@ def _grid(surfaces: FemurSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     return surfaces.ended(nodes, number, body)
 
 
-def _lines_of(surfaces: FemurSurfaces, phi: Ints, s: Ints) -> tuple[Lines, Ints]:
-    """Distinct lines of nodes at phi and s (n,), and the number of the line of each node (n,)."""
-    turn = 2 * surfaces.around
-    keys, line = distinct(s * turn + phi)
-    return surfaces.lines((keys % turn) / turn, (keys // turn) / 2), line
-
-
 def _place(surfaces: FemurSurfaces, nodes: Nodes) -> Nodes:
     """Put all nodes on lines onto the surfaces, or between them by their coordinates."""
     on = np.flatnonzero(nodes.rho > 0)
-    lines, line = _lines_of(surfaces, nodes.phi[on], nodes.s[on])
+    turn = 2 * surfaces.around
+    keys, line = np.unique(nodes.s[on] * turn + nodes.phi[on], return_inverse=True)
+    lines = surfaces.lines((keys % turn) / turn, (keys // turn) / 2)
     start, end = lines.start[line], lines.end[line]
     bone, gap = lines.endosteum[line], lines.gap[line]
     merged, rho = nodes.merged[on], nodes.rho[on]
@@ -244,7 +239,7 @@ def _curved(made: Swept) -> Swept:
     """Give each edge a middle node on the surfaces; cells that bend too far are straightened."""
     a, b = (made.cells[:, k].ravel() for k in np.array(EDGES).T)
     n = len(made.nodes)
-    keys, of = distinct(np.minimum(a, b) * n + np.maximum(a, b))
+    keys, of = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
     middles = _middles(made, keys // n, keys % n)
     nodes = Nodes(**{k: np.concatenate([v, vars(middles)[k]]) for k, v in vars(made.nodes).items()})
     cells = np.hstack([made.cells, of.reshape(-1, 6) + n])

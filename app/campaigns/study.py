@@ -11,7 +11,7 @@ from app.campaigns import batch, study_picture, study_report
 from app.campaigns import work_precision as wp
 from app.campaigns.batch import Options
 from app.campaigns.runs import Job, Result
-from app.campaigns.study_report import Measured, Report, StudyRun, percent
+from app.campaigns.study_report import Measured, Report, StudyRun
 from app.case import quantities
 from app.case import study as study_file
 from app.case.case import Case
@@ -20,12 +20,13 @@ from app.case.sweep import PlannedRun
 from app.errors import InputError, gravest
 from app.simulation.variations import value_at
 from app.system import folders
-from app.system.layout import duration
+from app.system.layout import duration, percent
 from app.version import __version__
 
 log = logging.getLogger("mantle")
 
 QUICK = 2  # points of each line
+NONE = "no advice on"
 PARTS = (1.0, 0.4, 0.2)  # of the target whose cost is told
 
 
@@ -128,9 +129,8 @@ def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
     ladder = [r for r in runs if not r.line]
     measured = [_measure(study, name, curve, ladder) for name in study.quantities]
     compared = [m for m in measured if m.compared]
-    refused = {m.name: _refusal(study.target, m) for m in compared}
-    good = [m for m in compared if not refused[m.name]]
-    advice = {m.name: refused[m.name] or _costs(study.target, m.name, curve, [m]) for m in compared}
+    advice = {m.name: _costs(study.target, m.name, curve, [m]) for m in compared}
+    good = [m for m in compared if not advice[m.name].startswith(NONE)]
     if len(compared) > 1 and good:
         left_out = [m.name for m in compared if m not in good]
         what = f"every number but {', '.join(left_out)}" if left_out else "every number"
@@ -178,17 +178,6 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
     )
 
 
-def _refusal(target: float, m: Measured) -> str:
-    """Why there is no advice on a quantity, or ""."""
-    if m.reference is None or m.reference.value == 0.0:
-        but = "" if m.reference is None else " but 0"
-        return f"no advice on {m.name}: it has no reference{but}"
-    why = f"is known to {percent(m.own)} only" if m.own > target else ""
-    if m.reference.method == wp.NOT_CONVERGING:
-        why = f"is {wp.NOT_CONVERGING}"
-    return f"no advice on {m.name}: its reference {why}; refine study.reference.run" if why else ""
-
-
 def _costs(
     target: float, what: str, curve: Sequence[StudyRun], measured: Sequence[Measured]
 ) -> str:
@@ -196,6 +185,8 @@ def _costs(
 
     A run is as good as the worst of those that follow it in its line: it may be close by chance.
     """
+    if any(m.reference and m.reference.method == wp.NOT_CONVERGING for m in measured):
+        return f"{NONE} {what}: its reference is {wp.NOT_CONVERGING}; refine study.reference.run"
     found, worst = zip(*(m.errors for m in measured), strict=True), dict[str, float]()
     errors = [None if None in own else max(e for e in own if e is not None) for own in found]
     for i, r in reversed([*enumerate(curve)]):
@@ -205,7 +196,7 @@ def _costs(
     for level in (part * target for part in PARTS):
         best = wp.best([r.time for r in curve], errors, level)
         if best is None:
-            return f"no advice on {what}: no run has a known error"
+            return f"{NONE} {what}: no run has a known error"
         r, time, error = curve[best], duration(curve[best].time or 0.0), errors[best] or 0.0
         at = f"{r.line} at {r.label if r.key == 'mesh.size' else f'{r.key} = {r.label}'}"
         if error <= level:

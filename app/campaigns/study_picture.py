@@ -8,10 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from app.campaigns.study_report import Measured, Report, exponent_text, percent
+from app.campaigns.study_report import Measured, Report, exponent_text
 from app.campaigns.work_precision import NOT_CONVERGING
 from app.case.quantities import in_words, titled
 from app.system import style
+from app.system.layout import percent
 from app.system.style import COLOURS, MARKERS
 
 NAMES = ("study.png", "study_parameters.png")
@@ -142,7 +143,7 @@ def _line(
         for i in own
         if (e := error[i]) is not None and (time := report.runs[i].time) is not None
     }
-    style.curve(axes, [t for t, _ in good.values()], [e for _, e in good.values()], k, _said(name))
+    style.curve(axes, [t for t, _ in good.values()], [e for _, e in good.values()], k, name)
     halo = [withStroke(linewidth=2.0, foreground="white")]
     look = {"textcoords": "offset points", "fontsize": 7, "path_effects": halo, "zorder": 5}
     for i, at in good.items():
@@ -154,15 +155,10 @@ def _line(
         letter = "h" if report.runs[own[0]].key == "mesh.size" else "x"
         order = text if text == NOT_CONVERGING else rf"$\sim {letter}^{{{text}}}$"
         row = 0.02 + 0.055 * (len(m.exponents) - 1 - k)
-        axes.text(
-            0.02, row, f"{_said(name)}: {order}", transform=axes.transAxes, color=colour, fontsize=8
-        )
+        told = f"{name.replace('_', ' ')}: {order}"
+        axes.text(0.02, row, told, transform=axes.transAxes, color=colour, fontsize=8)
     failed = [r.result for r in (report.runs[i] for i in own) if r.result.exit_code]
     style.crosses(axes, [max(result.seconds, 1e-2) for result in failed], k, 0.97)
-
-
-def _said(line: str) -> str:
-    return line.replace("_", " ")
 
 
 def _limits(axes: Any, report: Report, error: list[float | None]) -> None:
@@ -190,7 +186,7 @@ def _over_number(report: Report, lines: dict[str, list[int]], axes: Any, m: Meas
     for k, (name, own) in enumerate(lines.items()):
         known = {i: factor * v for i in own if (v := m.points[i].value) is not None}
         drawn += known.values()
-        style.curve(axes, [report.runs[i].x for i in known], list(known.values()), k, _said(name))
+        style.curve(axes, [report.runs[i].x for i in known], list(known.values()), k, name)
         failed = [report.runs[i].x for i in own if report.runs[i].result.exit_code]
         style.crosses(axes, failed, k, 0.93 - 0.08 * k)  # two lines may fail at the same number
     set_scale(axes, drawn)

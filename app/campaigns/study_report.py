@@ -11,7 +11,6 @@ from app.campaigns.runs import Result
 from app.campaigns.work_precision import (
     HIGHEST_ORDER,
     NOT_CONVERGING,
-    USEFUL,
     ErrorPoint,
     ReferenceValue,
 )
@@ -19,7 +18,7 @@ from app.case.quantities import Quantity
 from app.case.sweep import PlannedRun
 from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
-from app.system.layout import duration
+from app.system.layout import duration, percent
 
 # Exponents nearer to 0 say that the error does not depend on the key.
 FLAT = 0.05
@@ -109,19 +108,10 @@ class Report:
     advice: Mapping[str, str]
 
     @property
-    def judged(self) -> list[tuple[str, StudyRun, ErrorPoint]]:
-        """Estimates whose true error is known well enough: quantity, run and point."""
-        return [
-            (m.name, r, p)
-            for m in self.quantities
-            for r, p in zip(self.runs, m.points, strict=True)
-            if p.effectivity is not None
-        ]
-
-
-def percent(value: float) -> str:
-    """Format a relative number: 0.41 %, 12 %."""
-    return f"{100 * value:.0f} %" if value >= 1 else f"{100 * value:.2g} %"
+    def covered(self) -> list[bool]:
+        """Whether the truth lies within ±, where the true error is known well enough."""
+        found = [p.effectivity for m in self.quantities for p in m.points]
+        return [index >= 1.0 for index in found if index is not None]
 
 
 def shown(value: float | None, q: Quantity) -> str:
@@ -173,13 +163,8 @@ def table(report: Report) -> str:
         if m.compared:
             lines.append(f"  {report.advice[m.name]}")
     lines += ["", "* no other run is both faster and closer"]
-    (low, high), judged = USEFUL, report.judged
-    others = [(n, r, p) for n, r, p in judged if not p.useful]
-    if judged:
-        useful = len(judged) - len(others)
-        text = f"estimated over true error is within {low:g} to {high:g} for {useful} of "
-        lines.append(f"{text}{len(judged)} numbers ({percent(useful / len(judged))})")
-    lines += [f"  {n} with {r.line} at {r.label}: {p.effectivity:.2f}" for n, r, p in others]
+    if known := report.covered:
+        lines.append(f"the truth lies within ± for {sum(known)} of {len(known)} numbers")
     if "" in report.advice:
         lines.append(report.advice[""])
     return "\n".join(lines)
@@ -200,7 +185,6 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
 
 def write(report: Report, about: Mapping[str, Any], folder: Path) -> list[str]:
     """Write ``study.json``, which begins as told, and ``study.csv``; return their names."""
-    judged = report.judged
     record = {
         **about,
         "target": report.target,
@@ -216,11 +200,7 @@ def write(report: Report, about: Mapping[str, Any], folder: Path) -> list[str]:
             }
             for m in report.quantities
         },
-        "effectivity": {
-            "pairs": len(judged),
-            "useful": sum(p.useful for *_, p in judged),
-            "others": [[n, r.line, r.label, p.effectivity] for n, r, p in judged if not p.useful],
-        },
+        "within": {"numbers": len(report.covered), "covered": sum(report.covered)},
         "runs": [_run_record(r) for r in report.runs],
         "reference_runs": [_run_record(r) for r in report.ladder],
     }

@@ -15,8 +15,6 @@ from app.system import layout
 FEWEST = 3
 # Numbers that stay below this are rounding, in any unit of theirs.
 NOTHING = 1e-9
-# Inputs that a table names for each number.
-MOST_CAUSES = 3
 
 
 def of_parts(
@@ -41,7 +39,7 @@ def of_parts(
         names = [n for n in samples[0]["numbers"] if all(n in r["numbers"] for r in samples)]
         found[part] = {
             "samples": len(samples),
-            "numbers": {n: spread([r["numbers"][n] for r in samples], values) for n in names},
+            "numbers": {n: of_number([r["numbers"][n] for r in samples], values) for n in names},
         }
     return found
 
@@ -50,7 +48,7 @@ def _number(value: object) -> float:
     return float(str(value).partition(" ")[0])
 
 
-def spread(numbers: Sequence[float], inputs: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     """Entry of `of_parts` for a number of each sample, over inputs of each sample by key."""
     low, high = np.percentile(numbers, (5, 95))
     found = {key: correlation(numbers, values) for key, values in inputs.items()}
@@ -75,13 +73,13 @@ def rows(of: Mapping[str, Any]) -> list[list[str]]:
 
     Numbers that vary by no more than rounding are left out.
     """
-    varying = {n: s for n, s in of["numbers"].items() if s["deviation"] > NOTHING}
-    order = sorted(varying, key=lambda n: -varying[n]["deviation"] / (abs(varying[n]["mean"]) or 1))
-    short = short_keys(list(dict.fromkeys(k for s in varying.values() for k in s["correlation"])))
+    spread = {n: s for n, s in of["numbers"].items() if s["deviation"] > NOTHING}
+    order = sorted(spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1))
     found = []
     for name in order:
-        s = varying[name]
-        causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))[:MOST_CAUSES]
+        s = spread[name]
+        short = short_keys(list(s["correlation"]))
+        causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))[:3]
         follows = ", ".join(f"{short[key]} {r:+.2f}" for key, r in causes)
         numbers = [f"{s[key]:.4g}" for key in ("mean", "p5", "p95")]
         found.append([name, quantities.find(name).unit, *numbers, follows])

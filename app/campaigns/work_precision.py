@@ -14,8 +14,6 @@ LOWEST_ORDER, HIGHEST_ORDER = 0.5, 4.0
 ROUNDED = 0.05  # by which an order printed as the highest may exceed it
 # What values are whose differences fall faster than their elements allow.
 NOT_CONVERGING = "not yet converging"
-# Effectivity indices (estimated over true error) that make an estimate useful.
-USEFUL = (0.5, 3.0)
 # The true error has to exceed the algebraic one and the reference's own by these factors for the
 # index to mean anything.
 ALGEBRAIC_FACTOR, REFERENCE_FACTOR = 10.0, 3.0
@@ -76,12 +74,6 @@ class ErrorPoint:
         if self.estimate is None or not self.deviation or not known:
             return None
         return self.estimate / self.deviation
-
-    @property
-    def useful(self) -> bool:
-        """Whether the effectivity is known and within `USEFUL`."""
-        low, high = USEFUL
-        return self.effectivity is not None and low <= self.effectivity <= high
 
 
 def extrapolate(

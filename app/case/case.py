@@ -9,19 +9,13 @@ and takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    Field,
-    ValidationError,
-    ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    field_validator,
-)
+from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
 from app.case import checks, overlay, points
 from app.case.geometries import Geometry, MeshOptions
@@ -93,9 +87,7 @@ class Case(Section):
 
     @field_validator("*", mode="wrap")
     @classmethod
-    def _noted(
-        cls, value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
-    ) -> object:
+    def _noted(cls, value: Any, handler: Callable[[Any], Any], info: ValidationInfo) -> object:
         """Store the part or its errors in the context; continue without an invalid part."""
         name = str(info.field_name)
         notes: dict[str, Any] = info.context  # type: ignore[assignment]

@@ -21,7 +21,7 @@ def cross_check(case: Any) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
     faults = [*_held(case), *_side(case), *_heat(case)]
     if case.geometry is not None:
-        faults += [*_names(case), *_mesh(case), *_rigid(case)]
+        faults += [*_names(case), *_mesh(case), *_rigid(case), *_accuracy(case)]
     if case.stages is not None:
         faults += _stages(case)
     return faults
@@ -120,6 +120,15 @@ def _stages(case: Any) -> Iterable[Fault]:
             if stage not in names:
                 text = f"'{stage}' is not one of {', '.join(names)}{did_you_mean(stage, names)}"
                 yield Fault(("supports", name, "stages", i), text)
+
+
+def _accuracy(case: Any) -> Iterable[Fault]:
+    """An accuracy where there is no mesh to choose, or no number that counts."""
+    given = case.geometry.kind == "file" or case.variations
+    touches = any(law and law.can_part for law in case.interfaces.values())
+    if case.output and case.output.accuracy and (given or not touches):
+        text = "no mesh can be chosen; expected contact, no variations and no mesh from a file"
+        yield Fault(("output", "accuracy"), text)
 
 
 def _rigid(case: Any) -> Iterable[Fault]:

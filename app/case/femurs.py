@@ -22,6 +22,7 @@ MUSCLES: dict[str, Point3] = {
     "gluteus_maximus": (-5.795, -13.038, -49.0),
     "psoas": (21.035, -1.503, -7.0),
     "vastus_lateralis": (-15.067, 4.018, -25.0),
+    "vastus_medialis": (2.540, 13.508, -132.0),
 }
 
 # Fraction of the lines along which the mantle fills the canal, beside and below the stem, by the

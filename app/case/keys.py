@@ -254,11 +254,11 @@ def explained(key: str = "") -> str:
     if not found and (mentions := _mentions(asked) or _mentions(key.split()[-1])):
         return mentions
     if not found:
-        names = {re.sub(r"\.<name>|\[\]", "", k.path): None for k in every}
-        ends = {name.rpartition(".")[2]: name for name in reversed(names)}
-        near = difflib.get_close_matches(asked, [*names, *entries], 3)
-        near += [ends[w] for w in difflib.get_close_matches(asked.rpartition(".")[2], ends, 3)]
-        nearest = ", ".join(dict.fromkeys(near)) or ", ".join(Case.model_fields)
+        names = [*entries, *(re.sub(r"\.<name>|\[\]", "", k.path) for k in every)]
+        words = {w: name for name in reversed(names) for w in (name, name.rpartition(".")[2])}
+        close = (difflib.get_close_matches(w, words, 3) for w in (asked, asked.rpartition(".")[2]))
+        near = dict.fromkeys(words[w] for found in close for w in found)
+        nearest = ", ".join(near) or ", ".join(Case.model_fields)
         raise InputError(f"{key}: no key of a case; nearest: {nearest}")
     heads: dict[str, list[str]] = {}
     for k in found:

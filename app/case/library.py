@@ -15,8 +15,7 @@ SHIPPED = configs.FOLDER / "library" / "library.yaml"
 # A name and the lines below it.
 ENTRY = r"^  ([\w-]+):\n(?:    .*\n)+"
 # Keys of an entry beside its values; the origin goes into the case with them.
-ABOUT, STATUS, SOURCE = "about", "status", "source"
-ORIGIN = (STATUS, SOURCE)
+ABOUT, SOURCE, ORIGIN = "about", "source", ("status", "source")
 KINDS = {
     "materials": "a region takes one by `material: NAME`",
     "loads": "the loads of a case are those of a name by `library: NAME` among them",

@@ -24,25 +24,14 @@ from app.errors import InputError
 from app.schema import yaml_file
 from app.schema.section import VECTOR, Triple, did_you_mean, show
 from app.schema.units import ANGLE, FORCE, WEIGHT
-from app.schema.yaml_file import (
-    DEEPEST,
-    MOST_NODES,
-    TOO_MANY,
-    BadYaml,
-    CaseFile,
-    Fault,
-    Path,
-    Reader,
-    key_parts,
-    path_text,
-)
+from app.schema.yaml_file import BadYaml, CaseFile, Fault, Path, Reader, key_parts, path_text
 
 MOST_BASES = 10
 # Keys that a region keeps when it gets another material.
 OF_REGION = ("thermal", "tissue", "eigenstrains")
 OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
-# Keys of a region or a load whose change leaves the origin of the other values what it is.
-OF_USE = (*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history")
+# Keys of a region or a load that its status and source do not tell of.
+OF_USE = {*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
 # Keys among the loads that change all forces there, and what they are.
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
@@ -165,7 +154,7 @@ def _over(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
     if path[:1] == ("regions",) and len(path) == 2 and upper.get("kind") == "rigid":
         upper = {k: v for k, v in upper.items() if k != "kind"} | {"rigid": True}
     known = lower if isinstance(lower, dict) else {}
-    if len(path) == 2 and any(_new_value((*path, key), value) for key, value in upper.items()):
+    if len(path) == 2 and path[0] in ("regions", "loads") and not upper.keys() <= OF_USE:
         known = {k: v for k, v in known.items() if k not in library.ORIGIN}
     result = {
         key: _over(case, value, upper[key], (*path, key)) if key in upper else value
@@ -282,8 +271,8 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path) -> dict[str, Any]:
             for p, place in file.places.items():
                 if p[:2] == (kind, name) and len(p) > 2:
                     case.places[*path[:-1], *p[2:]] = place
-            if len(case.places) > MOST_NODES:
-                raise InputError(f"{case.name}: {TOO_MANY}")
+            if len(case.places) > yaml_file.MOST_NODES:
+                raise InputError(f"{case.name}: {yaml_file.TOO_MANY}")
             found = {k: deepcopy(v) for k, v in entry.items() if k != library.ABOUT}
             if kind == "materials":
                 return found
@@ -293,16 +282,6 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path) -> dict[str, Any]:
     text = f"{show(name)} is not in the library; {kind}: {', '.join(known)}"
     case.complaints.append(Fault(path, text + did_you_mean(name, known)))
     return {}
-
-
-def _new_value(path: Path, value: Any) -> bool:
-    """Whether a key of a region or a load changes what its origin is told of."""
-    if path[0] not in ("regions", "loads") or len(path) < 3:
-        return False
-    if path[2] == "thermal":
-        keys = path[3:4] or (value if isinstance(value, dict) else ())
-        return not set(keys) <= set(OF_THERMAL)
-    return path[2] not in OF_USE
 
 
 def _kind(data: Mapping[str, Any], path: Path) -> Any:
@@ -370,8 +349,8 @@ def _override(case: CaseFile, key: str, override: str) -> None:
     items = key_parts(key)
     if not equals or not all(items):
         raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
-    if len(items) > DEEPEST:
-        raise BadYaml(f"{len(items)} keys in each other; at most {DEEPEST}")
+    if len(items) > yaml_file.DEEPEST:
+        raise BadYaml(f"{len(items)} keys in each other; at most {yaml_file.DEEPEST}")
     if items[0] in ("base", "library"):
         raise BadYaml("stands in the file alone; --set cannot change it")
     target: Any = case.data
@@ -422,7 +401,7 @@ def _put(case: CaseFile, holder: Any, path: Path, value: Any) -> None:
     if value is None and old is not None:
         del holder[step]
         return
-    if _new_value(path, value):
+    if path[0] in ("regions", "loads") and not OF_USE.issuperset(path[2:3]):
         for key in library.ORIGIN:
             case.data[str(path[0])][path[1]].pop(key, None)
     own = {p: place for p, place in case.places.items() if p[: len(path)] == path}

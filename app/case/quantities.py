@@ -40,7 +40,7 @@ UNITS = {
     "-": "a number",
 }
 # Units of tables in terms of those of summary.json, and as printed.
-FACTORS = {"um": 1e3, "%": 100.0}
+FACTORS = {"um": 1e3, "%": 100.0, "um/m": 1e6}
 PRINTED = {"um": "µm", "degC": "°C", "deg": "°", "^2": "²", "^3": "³"}
 # Criteria of thermal necrosis of bone.
 NECROSIS = {
@@ -133,10 +133,12 @@ class Quantity:
 PLACES = {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}
 # Sections of numbers; the others map interfaces or regions to numbers.
 RUN = ("solver", "balance", "timing")
-WHOLE = ("stem", *RUN)
+WHOLE = ("stem", "femur", *RUN)
+# Levels of strains of the cortex [mm] by name: from the lesser trochanter to the tip of a stem.
+GAUGES = {"10": -10.0, "40": -40.0, "80": -80.0, "113": -113.0}
 # By section and key, in the order in which they are shown.
 TABLE: dict[str, dict[str, Quantity]] = {
-    **{name: {} for name in ("interfaces", "regions", "stem", "bonds", "thermal.regions")},
+    **{name: {} for name in ("interfaces", "regions", "stem", "femur", "bonds", "thermal.regions")},
     **{name: {} for name in ("thermal.interfaces", "cure", *RUN)},
 }
 
@@ -210,6 +212,12 @@ add_quantity(
     *(
         Quantity("stem", f"{end}_displacement", "mm", "um", 1, order=MOTION, vector=True)
         for end in ("tip", "top")
+    ),
+    Quantity("femur", "head_displacement", "mm", order=MOTION, vector=True),
+    *(
+        Quantity("femur", f"strain_{side}_{level}", "-", "um/m", 0, order=STRESS)
+        for side in ("lateral", "medial")
+        for level in GAUGES
     ),
     Quantity("bonds", "strength_fraction", "-", "%", 0),
     *(Quantity("bonds", f"normal_{how}", "MPa") for how in ("mean", "max")),

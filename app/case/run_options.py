@@ -126,6 +126,9 @@ class OutputOptions(Section):
     """Whether the condition number of the last Jacobian is estimated, which factorizes it."""
     error: Truth = False
     """Whether the error of each number is estimated, by coarser companions of the run."""
+    accuracy: units.PositivePart | None = None
+    """Largest error, such as 5 %, of p99 of gap, slip and motion, p95 of pressure and shear: cheap
+    runs choose mesh size and order for it, within the limits of memory and `--walltime`."""
     report: Truth = True
     """Whether `report.html` is written at the end: the results as a page."""
     checkpoint: CheckpointOptions = CheckpointOptions()

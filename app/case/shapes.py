@@ -129,13 +129,6 @@ class MeshOptions(Section):
     """Cells through the cement of a femur, 1 to 100; by default from its thickness over `size`, and
     at least 2."""
 
-    @model_validator(mode="after")
-    def _conforming(self) -> MeshOptions:
-        if self.curved and self.order == 1:
-            # Linear functions on curved cells do not contain the linear displacements.
-            fail("curved cells need second order; expected false, or `order: 2`", at=("curved",))
-        return self
-
     @property
     def far(self) -> float:
         """Edge length far from the interfaces (mm)."""
@@ -204,7 +197,10 @@ class MeshOptions(Section):
         return self.model_copy(update=sizes | counts)
 
     @model_validator(mode="after")
-    def _ordered(self) -> MeshOptions:
+    def _possible(self) -> MeshOptions:
+        if self.curved and self.order == 1:
+            # Linear functions on curved cells do not contain the linear displacements.
+            fail("curved cells need second order; expected false, or `order: 2`", at=("curved",))
         if self.size < LEAST:
             fail(f"{self.size:g} mm is less than an atom", at=("size",))
         if self.far < self.size:

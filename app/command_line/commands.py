@@ -57,6 +57,7 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
     configure_log("debug" if options.verbose else "info")
     # The input is checked before ranks are started: its errors come at once, and once.
     options.overrides += ["output.error=true"] if options.error else []
+    options.overrides += [f"output.accuracy={options.accuracy}"] if options.accuracy else []
     case = _load(options)
     output = options.output or case.output
     walltime = stopping.seconds(options.walltime) if options.walltime else None
@@ -205,7 +206,7 @@ def _report(options: argparse.Namespace) -> int:
         from app.report import compare, run_report, sweep_report
 
     folder, *others = options.folders
-    if options.spread and (others or not run_report.is_run(folder)):
+    if options.spread and (others or not (folder / "case.yaml").exists()):
         raise InputError("--spread: goes with one DIR, that of a run")
     if others:
         page = _writable(options.output or Path("out")) / "compare.html"

@@ -38,7 +38,7 @@ SUITE = f"{MANY} -k --tier"
 # Each command: its help and its arguments.
 COMMANDS = {
     "init": ("write a short case to start from; it runs as it is", "name --kind --stem"),
-    "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error -v"),
+    "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error --accuracy -v"),
     "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh -o"),
     "mesh": ("make the mesh of a case, a .msh file, and pictures of it", f"{CASE} -o"),
     "study": ("error against run time of a case, by a study file", f"{CASE} {SUITE}"),
@@ -46,10 +46,7 @@ COMMANDS = {
         "run many cases of one base case, and compare them",
         f"sweep --set --allow-scripts {MANY}",
     ),
-    "report": (
-        "the page of a run or a sweep, or of several runs side by side",
-        "folders -o --spread",
-    ),
+    "report": ("the page of a run, a sweep, or several runs side by side", "folders -o --spread"),
     "verify": ("solve the verification problems and compare with what is known", SUITE),
     "stress": ("stiff and extreme cases: right, refused with a reason, or wrong", SUITE),
     "bench": ("measure what contact costs, from 20 000 unknowns up (20 minutes)", SUITE),
@@ -113,6 +110,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         action="store_true",
         help="estimate the error of each number by coarser companions (as output.error: true)",
     ),
+    "--accuracy": dict(metavar="PART", help="pick mesh size and order for errors below, e.g. 0.05"),
     "--mesh": dict(action="store_true", help="make the mesh and give exact sizes"),
     "--kind": dict(
         choices=("femur", "cylinders", "blocks", "file"),
@@ -140,11 +138,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         default="default",
         help="how much: what takes seconds, the usual, or also what takes long",
     ),
-    "--spread": dict(
-        type=Path,
-        metavar="SWEEP",
-        help="of a run: what its numbers owe to inputs, by the folder of a sweep that samples them",
-    ),
+    "--spread": dict(type=Path, metavar="SWEEP", help="a sweep over uncertain inputs of the run"),
     "--schema": dict(action="store_true", help="print the JSON schema of case files, for editors"),
 }
 LONG = {"-o": "--output"}

@@ -26,7 +26,7 @@ from app.errors import everywhere
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
 from app.laws.thermal import Thermal
 from app.numerics.sparse import diagonal, matrix_sum
-from app.scene.bodies import Bodies, boundary_facets, cell_tags
+from app.scene.bodies import Bodies, facets_by_body
 from app.system.timing import Timing
 from forms import heat
 from meshes.distribute import TaggedMesh
@@ -54,7 +54,6 @@ class HeatForms:
         self.comm = tagged.mesh.comm
         self.space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
         self.owned: int = self.space.dofmap.index_map.size_local
-        self._tags = cell_tags(tagged)
         self._volumes: dict[str, Floats] = {}
 
     def zeros(self) -> Floats:
@@ -65,22 +64,15 @@ class HeatForms:
 
     def cells(self, region: str) -> NDArray[np.int32]:
         """Cells of a region that this rank owns."""
-        owned = self._mesh.topology.index_map(3).size_local
-        here = self._tags[:owned] == self._tagged.regions[region]
-        return np.flatnonzero(here).astype(np.int32)
-
-    def _facets(self, boundary: str) -> dict[int, NDArray[np.int32]]:
-        """Own facets of a boundary by body, the same bodies on all ranks; collective."""
-        f = boundary_facets(self._tagged, boundary)
-        body = self._bodies.of_tag[self._tags[f.cells]]
-        present = set().union(*self.comm.allgather({int(b) for b in np.unique(body)}))
-        return {b: f.facets[body == b].astype(np.int32) for b in sorted(present)}
+        found = self._tagged.cell_tags.find(self._tagged.regions[region])
+        return np.asarray(found[found < self._mesh.topology.index_map(3).size_local])
 
     def held_nodes(self, condition: FixedTemperature) -> Bools:
         """Own nodes of each body that have a given temperature (b, n); collective."""
         held = self.zeros() > 0
         if condition.boundary:
-            for b, facets in self._facets(condition.boundary).items():
+            found = facets_by_body(self._tagged, self._bodies, condition.boundary)
+            for b, facets in found.items():
                 nodes = fem.locate_dofs_topological(self.space, 2, facets)
                 held[b, nodes[nodes < self.owned]] = True
         for region in condition.regions or ():
@@ -168,7 +160,7 @@ class HeatForms:
                 domain=self._mesh,
                 subdomain_data=[(1, compute_integration_domains(exterior, topology, facets, 2))],
             )(1)
-            for b, facets in self._facets(boundary).items()
+            for b, facets in facets_by_body(self._tagged, self._bodies, boundary).items()
         }
 
     def _constant(self, value: Any) -> fem.Constant:

@@ -7,19 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ValidationInfo
 
-from app.laws.values import History, Named, Status, field
+from app.laws.values import History, Named, Source, Status, field
 from app.schema.expressions import Varying
-from app.schema.section import (
-    ITEMS,
-    Extensible,
-    Kinds,
-    Name,
-    Text,
-    Triple,
-    fail,
-    show,
-    spread_unit,
-)
+from app.schema.section import ITEMS, Extensible, Kinds, Name, Triple, fail, show, spread_unit
 from app.schema.units import Dimension, ForceVector, Length, Stress
 
 if TYPE_CHECKING:
@@ -69,11 +59,10 @@ class Load(Extensible, Named):
     kind: Any
     history: History = None
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
-    status: Status | None = None
-    """How sure the values are: measured, assumed, or unverified, of a source that was not read.
-    Where an override or a case above changes one of them, status and source below it are gone."""
-    source: Text | None = None
-    """Where the values are from; the library tells it."""
+    status: Status = None
+    """How sure its values are; unverified are those of a source that was not read."""
+    source: Source = None
+    """Where its values are from. A change of one of them removes status and source below it."""
 
     @property
     def place(self) -> tuple[Any, ...]:

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
-from app.laws.values import History, Named, Status
+from app.laws.values import History, Named, Source, Status
 from app.schema.section import ITEMS, Kinds, Section, Text, fail, show
 from app.schema.units import Modulus, Number, Plain
 
@@ -59,11 +59,10 @@ class Material(Named):
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
-    status: Status | None = None
-    """How sure the values are: measured, assumed, or unverified, of a source that was not read.
-    Where an override or a case above changes one of them, status and source below it are gone."""
-    source: Text | None = None
-    """Where the values are from; the library tells it."""
+    status: Status = None
+    """How sure its values are; unverified are those of a source that was not read."""
+    source: Source = None
+    """Where its values are from. A change of one of them removes status and source below it."""
 
     @model_validator(mode="after")
     def _deforms(self) -> Self:

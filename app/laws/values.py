@@ -10,15 +10,16 @@ from pydantic import AfterValidator, PrivateAttr
 
 from app.errors import InputError
 from app.schema.expressions import Varying, evaluate
-from app.schema.section import ITEMS, Section, fail
+from app.schema.section import ITEMS, Section, Text, fail
 from app.schema.units import Dimension, Number
 
 if TYPE_CHECKING:
     from app.arrays import Field, Floats
 
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
-# How sure values are.
-Status = Literal["measured", "assumed", "unverified"]
+# How sure values are, and where they are from.
+Status = Literal["measured", "assumed", "unverified"] | None
+Source = Text | None
 # Multipliers at the ends of the stages.
 History = Annotated[tuple[Number, ...], ITEMS] | None
 # Pairs of seconds since the start of the run and multiplier.

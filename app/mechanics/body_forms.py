@@ -30,7 +30,7 @@ from app.arrays import Field, Floats
 from app.errors import InputError, everywhere
 from app.laws.loads import Patch
 from app.laws.materials import Elastic
-from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
+from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates, facets_by_body
 from app.scene.scene import Scene
 from app.system.timing import Timing
 from forms import elasticity
@@ -141,17 +141,10 @@ class BodyForms:
         used |= {boundary for load in scene.loads for boundary in load.boundaries}
         domains = self._facets
         for name in sorted(used):
-            f = boundary_facets(self.tagged, name)
-            body = self.bodies.of_tag[self._tags[f.cells]]
-            present = {int(b) for b in np.unique(body)}
-            for b in sorted(set().union(*self.mesh.comm.allgather(present))):
+            for b, facets in facets_by_body(self.tagged, self.bodies, name).items():
                 self._patches[name, b] = len(domains) + 1
-                entities = compute_integration_domains(
-                    IntegralType.exterior_facet,
-                    self.mesh.topology,
-                    f.facets[body == b].astype(np.int32),
-                    2,
-                )
+                exterior, topology = IntegralType.exterior_facet, self.mesh.topology
+                entities = compute_integration_domains(exterior, topology, facets, 2)
                 domains.append((len(domains) + 1, entities))
         return ufl.Measure("ds", domain=self.mesh, subdomain_data=domains)
 

@@ -31,13 +31,7 @@ from app.laws.values import amplitude, gap_at
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
-from app.mechanics.contact_points import (
-    ContactState,
-    OwnPoints,
-    prescribed_jump,
-    refuse_moving_rigid,
-    refuse_released,
-)
+from app.mechanics.contact_points import ContactState, OwnPoints, prescribed_jump, refuse_supports
 from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum, owners
 from app.scene.bodies import Bodies, contact_facets
 from app.scene.frames import Frames, held_at
@@ -242,8 +236,7 @@ class ContactInterfaces:
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
         holds, axes = held_at(frames, tagged, bodies, space, scene.supports, self.facets)
         self.points, entries = contact_points(self.facets, holds, parts, axes)
-        refuse_released(scene.supports, self.points)
-        refuse_moving_rigid(scene, bodies, holds, self.points, entries)
+        refuse_supports(scene, bodies, holds, self.points, entries)
         rows, number = owners(self.comm, space.dofmap.index_map, self.points.dof)
         self.own = OwnPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,29 +108,23 @@ def prescribed_jump(points: ContactPoints, number: int, support: Support) -> Flo
     return jump
 
 
-def refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:
-    """Refuse supports that prescribe jumps in some stages only: unknowns may not change.
+def refuse_supports(
+    scene: Scene, bodies: Bodies, holds: Holds, points: ContactPoints, entries: Entries
+) -> None:
+    """Refuse supports that prescribe jumps in some stages only, or would move a rigid region.
 
     Raises:
-        InputError: A support holds a body where another one holds its neighbour.
+        InputError: A support that is let go of holds a body where another one holds its neighbour,
+            or one holds an elastic side where none holds the rigid one.
     """
-    for s, support in enumerate(supports):
+    for s, support in enumerate(scene.supports):
         if support.stages is not None and (points.given == s).any():
             raise InputError(
                 f"supports.{support.name}: it is let go of, but holds its body on an interface "
                 "where the other side is held too; allowed: a boundary away from such edges, the "
                 "same stages for both, or an elastic foundation instead of one of them"
             )
-
-
-def refuse_moving_rigid(
-    scene: Scene, bodies: Bodies, holds: Holds, points: ContactPoints, entries: Entries
-) -> None:
-    """Refuse jumps that would move a rigid region: its nodes have no displacement of their own.
-
-    Raises:
-        InputError: A support holds an elastic side where it does not hold the rigid one.
-    """
+    # The nodes of a rigid region have no displacement of their own.
     rigid = {r.region for r in scene.rigid}
     for body in np.unique(entries.body):
         if rigid.issuperset(bodies.names[body].split(" + ")):

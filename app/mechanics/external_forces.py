@@ -52,7 +52,8 @@ class Forces:
         self.comm, self._given = mechanics.mesh.comm, scene.loads
         found: dict[Load, Action] = known._full if known else {}
         self._full: dict[Load, Action] = {
-            _at_full(s): found.get(_at_full(s)) or self._load(s) for s in scene.loads
+            _at_full(s): found.get(_at_full(s)) or self.action(self._on_bodies(s).items())
+            for s in scene.loads
         }
         self._loads = [(load.history, self._full[_at_full(load)]) for load in scene.loads]
         strains = [(e, k, s.history) for e in scene.elastic for k, s in enumerate(e.eigenstrains)]
@@ -61,9 +62,6 @@ class Forces:
             known._eigenstrains if known else [(h, self._eigenstrain(e, k)) for e, k, h in strains]
         )
         self._free: dict[str, Action] = {}
-
-    def _load(self, load: Load) -> Action:
-        return self.action(self._on_bodies(load).items())
 
     def _on_bodies(self, load: Load) -> dict[int, PETSc.Vec]:
         v = ufl.TestFunction(self._mechanics.space)

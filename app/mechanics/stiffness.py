@@ -11,12 +11,7 @@ import numpy as np
 from app.arrays import Floats
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
-from app.numerics.preconditioners import (
-    CoarseOrder,
-    Inverse,
-    near_null_space,
-    stiffness_options,
-)
+from app.numerics.preconditioners import CoarseOrder, Inverse, near_null_space, stiffness_options
 from app.scene.bodies import Bodies
 from app.scene.frames import frames_of
 from app.scene.scene import Scene

@@ -31,11 +31,7 @@ PRICE, USUAL = 30, 8
 # Iterations of the estimate of a condition number.
 CONDITION_ITERATIONS = 20
 # Names of the blocks and methods in the log.
-BLOCKS = {
-    "displacement": "bodies",
-    "jump": "contact",
-    "temperature_jump": "jumps of temperature",
-}
+BLOCKS = {"displacement": "bodies", "jump": "contact", "temperature_jump": "jumps of temperature"}
 METHODS = {
     "cg": "CG",
     "fgmres": "FGMRES",

@@ -53,7 +53,7 @@ def write(folders: Sequence[Path], path: Path) -> Path:
 def _page(folders: Sequence[Path]) -> str:
     names = viewer.distinct(folders)
     cases = [run_report.opened(folder) for folder in folders]
-    view = viewer.viewer(*folders)
+    view = viewer.viewer(dict(zip(names, folders, strict=True)))
     drawn = sum((folder / "fields.vtkhdf").exists() for folder in folders)
     all_differences = view.count('class="one"') - drawn >= len(folders) - 1
     note = "Differences of fields are drawn where meshes are the same; here they are not all."

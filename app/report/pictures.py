@@ -66,9 +66,9 @@ Row = tuple[str, str, Sequence[Floats | None]]
 def ends(sweep: SweepResults) -> list[Chosen]:
     """The cases with the least and the most of the first number that varies, as one group."""
     done = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
-    first_and_last = [*done[:1], *done[1:][-1:]]
+    first_and_last = [(0.0, c) for c in (*done[:1], *done[1:][-1:])]
     _, shown = next(sentence.ranges(done, headlines(done)), ("", first_and_last))
-    return [[(c.name, c) for c in shown]] if done else []
+    return [[(c.name, c) for _, c in shown]] if done else []
 
 
 def maps(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str]]:

@@ -9,31 +9,18 @@ import json
 import logging
 import math
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import meshes
 from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
-from app.report import (
-    case_picture,
-    curves,
-    gruen,
-    input_spread,
-    page,
-    pictures,
-    sentence,
-    sweep_figures,
-    viewer,
-)
-from app.report.input_spread import InputSpread
+from app.report import case_picture, curves, gruen, page, pictures, sentence, sweep_figures, viewer
+from app.report.input_spread import HEAD, InputSpread, of_run
 from app.report.page import Blocks, Figure, bullets, table
 from app.report.sweep_results import CONVERGED, SweptCase
-from app.report.sweep_results import named as words
 from app.results import closing_lines as text
 from app.results.reading import Run
 from app.results.run_folder import CASE_PICTURE
@@ -53,6 +40,7 @@ TITLES = {
     "thermal.interfaces": "Heat through the interfaces",
     "cure": "Cure of the cement",
     "stem": "Motion of the stem against the bone",
+    "femur": "Motion of the head, strain of the cortex",
 }
 # Quantities that the closing table of a run has no room for.
 MORE = {"interfaces": ("area_gap_over_30um", "area_slip_over_30um", "area_motion_over_30um")}
@@ -100,8 +88,6 @@ def write(folder: Path, share: float = math.inf, spread: Path | None = None) -> 
     """
     try:
         if (folder / "variations.json").exists():
-            if spread:
-                raise InputError(f"--spread: {folder} has variations; name the folder of one")
             return _variations(folder, share)
         return _run(folder, share, spread=spread)
     except OSError as error:
@@ -119,7 +105,7 @@ def _run(folder: Path, share: float, alone: bool = True, spread: Path | None = N
     """Write the page of a run; of one among many, as its share of time allows."""
     case, summary = opened(folder), UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
-    over = input_spread.of_run(spread, case) if spread else None
+    over = of_run(spread, case) if spread else None
     panels, x = curves.of_history(case.history)
     spent = share * summary["timing"]["total"]
     view, lacking = _view(folder) if alone or spent >= VIEW else ("", [])
@@ -147,11 +133,12 @@ def _run(folder: Path, share: float, alone: bool = True, spread: Path | None = N
         ("case", "Input", page.folded("the case with all defaults", verbatim)),
         ("provenance", "Provenance", page.folded("program, machine, digests", _pairs(record))),
     ]
+    lead = sentence.sentence(summary, case) if summary["time"] else NO_NUMBERS
     html = page.page(
         case.data.get("title") or folder.name,
         sections,
         facts=_facts(folder, record),
-        lead=_lead(summary, case, over),
+        lead=f"{lead} {over.sentence(case)}" if over else lead,
         summary=[*_verdict(summary), *lacking],
         view=view,
     )
@@ -170,13 +157,6 @@ def _model(folder: Path) -> Blocks:
         return page.figures([Figure(CASE_PICTURE, "", words, "The case in two views")], folder)
     except Exception as error:  # a mesh that is not there any more must not cost the page
         return bullets([f"note: no picture of the case: {type(error).__name__}: {error}"])
-
-
-def _lead(summary: dict[str, Any], case: SweptCase, spread: InputSpread | None) -> str:
-    if not summary["time"]:
-        return NO_NUMBERS
-    said = sentence.sentence(summary, case)
-    return f"{said} {spread.sentence(case)}" if spread else said
 
 
 def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]]:
@@ -203,7 +183,7 @@ def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]
 def _view(folder: Path) -> tuple[str, list[str]]:
     """The view in three dimensions, or why there is none: its failure must not cost the page."""
     try:
-        return viewer.viewer(folder), []
+        return viewer.viewer({"": folder}), []
     except Exception as error:  # whatever is wrong with the fields
         return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
@@ -236,8 +216,7 @@ def _verdict(summary: dict[str, Any]) -> list[str]:
 
 def _numbers(summary: dict[str, Any], spread: InputSpread | None) -> Blocks:
     """The numbers of the closing table, a column for each interface, region and so on."""
-    found = bullets([spread.about] if spread else [])
-    found += _tables(summary, every=False, spread=spread)
+    found = _tables(summary, every=False, spread=spread)
     found += page.titled("Peaks that still change with the mesh", _unsettled(summary))
     if note := summary.get("thermal", {}).get("note"):
         found += bullets([note])
@@ -255,18 +234,11 @@ def _tables(summary: dict[str, Any], every: bool, spread: InputSpread | None = N
         added = [k for k, q in own.items() if q.compute]
         keys = [] if every else [*text.keys(section), *MORE.get(section, ()), *added]
         shown = [own[k] for k in keys or own if not own[k].vector]
-        head: Sequence[str] = ["", *named]
         rows = [[_label(q), *(q.text(numbers) for numbers in named.values())] for q in shown]
-        rows = [row for row in rows if set(row[1:]) != {"-"}]
         if spread:
-            head = input_spread.HEAD
-            rows = [
-                [_label(q), words(name), *spread.cells(f"{name}.{q.key}", q, numbers)]
-                for q in shown
-                for name, numbers in named.items()
-                if q.key in numbers
-            ]
-        found += page.titled(TITLES[section], table(head, rows))
+            rows = [spread.cells(f"{o}.{q.key}", q, n) for q in shown for o, n in named.items()]
+        rows = [row for row in rows if set(row[1:]) != {"-"}]
+        found += page.titled(TITLES[section], table(HEAD if spread else ["", *named], rows))
         if section == "thermal.regions" and not every:
             found += page.titled("Dead bone", _necrosis(named))
     return found
@@ -307,14 +279,13 @@ def _pairs(values: dict[str, Any]) -> Blocks:
 
 
 def _variations(folder: Path, share: float) -> list[Path]:
-    rows = _json(folder / "variations.json")
-    cases, links = [], {}
-    for row in rows:
+    cases, pages = [], [folder / PAGE]
+    for row in _json(folder / "variations.json"):
         own = folder / row["name"]
         more = {k: row[k] for k in ("overrides", "status", "seconds", "numbers")}
         cases.append(opened(own, **more, notes=tuple(row.get("notes", ()))))
         if (own / "summary.json").exists():
-            links[own.name] = f"{quote(own.name)}/{_run(own, share, alone=False)[0].name}"
+            pages += _run(own, share, alone=False)[:1]
     every = sweep_figures.headlines(cases)
     names = [n for n in every if not ((q := quantities.get(n)) and q.exact)]
     drawings = folder / PICTURES
@@ -322,7 +293,7 @@ def _variations(folder: Path, share: float) -> list[Path]:
         drawings.mkdir(exist_ok=True)
     drawn, files = sweep_figures.multiples(cases, drawings if whole else None)
     sections = [
-        ("cases", "All variations", sweep_figures.cases_table(cases, names, links)),
+        ("cases", "All variations", sweep_figures.cases_table(cases, names, folder)),
         ("curves", "What varies", drawn),
         ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
@@ -335,7 +306,6 @@ def _variations(folder: Path, share: float) -> list[Path]:
         summary=[f"{done} of {len(cases)} variations converged", *bad],
     )
     write_text(folder / PAGE, html)
-    pages = [folder / PAGE, *(folder / link for link in links.values())]
     return pages + files
 
 

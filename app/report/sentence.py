@@ -165,22 +165,19 @@ def spread(cases: Sequence[SweptCase], names: Sequence[str], what: str) -> str:
     found = []
     for name, ends in ranges(cases, names):
         words, unit = in_words(name)
-        values = [(c, n.value) for c in ends if (n := c.number(name))]
-        least, most = (
-            f"{v if abs(v) > NOTHING else 0:.3g} {unit} ({c.name.replace('_', ' ')})"
-            for c, v in values
-        )
+        shown = ((v if abs(v) > NOTHING else 0.0, c.name.replace("_", " ")) for v, c in ends)
+        least, most = (f"{v:.3g} {unit} ({case})" for v, case in shown)
         found.append(f"{words} from {least} to {most}")
     return f"Over all {what}: {'; '.join(found)}." if found else ""
 
 
 def ranges(
     cases: Sequence[SweptCase], names: Sequence[str]
-) -> Iterator[tuple[str, list[SweptCase]]]:
-    """Names of slip, gap and temperature, and the cases with the least and with the most of it."""
+) -> Iterator[tuple[str, list[tuple[float, SweptCase]]]]:
+    """Slip, gap and temperature that vary: name, the least and its case, the most and its case."""
     for name in names:
         values = [(n.value, k) for k, c in enumerate(cases) if (n := c.number(name))]
         if len(values) > 1 and name.endswith((".slip_p99", ".gap_p99", ".temperature_max")):
-            (_, least), (largest, most) = min(values), max(values)
-            if largest > NOTHING and least != most:
-                yield name, [cases[least], cases[most]]
+            ends = min(values), max(values)
+            if ends[1][0] > NOTHING and ends[0] != ends[1]:
+                yield name, [(value, cases[k]) for value, k in ends]

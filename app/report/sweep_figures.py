@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from app.campaigns.uncertainty import correlation
 from app.case import keys, quantities
@@ -81,16 +82,14 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
     return found
 
 
-def cases_table(
-    cases: Sequence[SweptCase], names: Sequence[str], links: Mapping[str, str] | None = None
-) -> Blocks:
-    """Cases with their outcome, the first of their numbers, and links to pages."""
+def cases_table(cases: Sequence[SweptCase], names: Sequence[str], folder: Path) -> Blocks:
+    """Cases with their outcome, the first of their numbers, and links to pages below a folder."""
     names, keys = names[:MOST_NUMBERS], varied(cases)
     head = ["case", "status", "changes", *map(quantities.titled, names)]
     head += ["unknowns", "ranks", "time", "message"]
     rows = [
         [
-            {"text": c.name, "to": links.get(c.name)} if links else c.name,
+            {"text": c.name, "to": _link(c.folder / "report.html", folder)},
             c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}",
             [f"{key} = {layout.plain(level)}" for key, level in c.overrides.items() if key in keys],
             *(cell(c, name) for name in names),
@@ -103,6 +102,10 @@ def cases_table(
     ]
     said = [k for k in range(len(head)) if k < 3 or {row[k] for row in rows} - {"-", "", "1"}]
     return page.table([head[k] for k in said], [[row[k] for k in said] for row in rows])
+
+
+def _link(path: Path, folder: Path) -> str:
+    return quote(str(path.relative_to(folder))) if path.exists() else ""
 
 
 def cell(case: SweptCase, name: str) -> str:
@@ -145,12 +148,10 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[Blocks, 
 
 def varied(cases: Sequence[SweptCase]) -> list[str]:
     """Keys whose values are not the same in all cases of a part; of a single case all of them."""
-    return [
-        key
-        for key in dict.fromkeys(key for c in cases for key in c.overrides)
-        if len(cases) == 1
-        or any(len({str(c.overrides.get(key)) for c in own}) > 1 for own in by_part(cases).values())
-    ]
+    keys = dict.fromkeys(key for c in cases for key in c.overrides)
+    parts = by_part(cases).values() if len(cases) > 1 else []
+    values = {key: [{str(c.overrides.get(key)) for c in own} for own in parts] for key in keys}
+    return [key for key, own in values.items() if not own or max(map(len, own)) > 1]
 
 
 def _varies(values: Sequence[float]) -> bool:
@@ -190,12 +191,12 @@ def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float,
     return [(t, dict(sorted(own.items()))) for t, own in found.items() if len(own) > 1]
 
 
-def sensitivity(cases: Sequence[SweptCase]) -> list[tuple[str, str, list[str]]]:
-    """Spearman's coefficients of each headline number with each key: part, number, coefficients.
+def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[Any]]]:
+    """Spearman's coefficients of each headline number with each key: head and rows.
 
     Parts with fewer than two varied numeric keys have none, as a curve shows more.
     """
-    rows: list[tuple[str, str, list[str]]] = []
+    rows: list[list[Any]] = []
     for part, own in by_part([c for c in cases if c.done]).items():
         numbers = {
             key: [x for x in levels(own, key)[1] if x is not None] for key in own[0].overrides
@@ -211,6 +212,6 @@ def sensitivity(cases: Sequence[SweptCase]) -> list[tuple[str, str, list[str]]]:
             known = [(r, title(key)) for key, r in ranks.items() if r is not None]
             known.sort(key=lambda pair: -abs(pair[0]))
             if known:
-                words = quantities.in_words(name)[0]
-                rows.append((part, words, [f"{r:+.2f} {k}" for r, k in known]))
-    return rows
+                words = ": ".join(filter(None, (part, quantities.in_words(name)[0])))
+                rows.append([words, [f"{r:+.2f} {k}" for r, k in known]])
+    return ["number", "rank correlation with"], rows

@@ -6,27 +6,17 @@ import statistics
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from urllib.parse import quote
 
 from app.campaigns import uncertainty
 from app.case.quantities import printed
 from app.errors import StoppedError
-from app.report import (
-    gruen,
-    page,
-    paper,
-    paper_claims,
-    paper_numbers,
-    pictures,
-    run_report,
-    sentence,
-    sweep_figures,
-    viewer,
-)
+from app.report import gruen, page, paper, paper_claims, paper_numbers, pictures, sweep_figures
 from app.report.page import Blocks, bullets, table
 from app.report.paper_claims import Trend
 from app.report.paper_numbers import ComparedNumber
+from app.report.sentence import spread
 from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, named, read
+from app.report.viewer import viewer
 from app.system.folders import remove, write_text
 from app.system.layout import duration, noted
 
@@ -56,7 +46,7 @@ def run(folder: Path) -> tuple[list[Path], Sequence[Trend], Sequence[SweptCase]]
         shields = gruen.shielding_picture(shown, gruen.intact(sweep.cases), drawings)
         sections = [
             ("varied", "What varies", curves),
-            ("sensitive", "What matters most", _sensitive(sweep.cases)),
+            ("sensitive", "What matters most", table(*sweep_figures.sensitivity(sweep.cases))),
             ("uncertain", "What is not known well", _uncertain(sweep)),
             ("cases", "All cases", _parts(sweep)),
             ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in sweep.cases))),
@@ -68,18 +58,13 @@ def run(folder: Path) -> tuple[list[Path], Sequence[Trend], Sequence[SweptCase]]
         summary = _summary(sweep)
         if papers:
             summary.append(f"The paper's figures, numbers and trends are beside it, in {PAPER}.")
-        lead, view = _lead(sweep.cases), _view(chosen[:2])
-        head = {"facts": _facts(sweep), "lead": lead, "summary": summary, "view": view}
+        head = {"facts": _facts(sweep), "lead": _lead(sweep.cases), "summary": summary}
+        head["view"] = viewer({name: case.folder for name, case in chosen[:2]})
         write_text(folder / PAGE, page.page(sweep.title, sections, **head))
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     figures = (drawings / f.name for f in (*mapped, *shields))
     return [folder / PAGE, *papers, *figures, *drawn], trends, sweep.cases
-
-
-def _view(chosen: pictures.Chosen) -> str:
-    """Cases in three dimensions."""
-    return viewer.viewer(*(c.folder for _, c in chosen), names={c.folder: n for n, c in chosen})
 
 
 def _paper(
@@ -103,13 +88,6 @@ def _paper(
     files = [sweep.folder / PAPER, *(folder / f.name for f in figures)]
     write_text(files[0], text)
     return files, trends
-
-
-def _sensitive(cases: Sequence[SweptCase]) -> Blocks:
-    """Rank correlations of each number, by part if there are several."""
-    head, rows = ["part", "number", "rank correlation with"], sweep_figures.sensitivity(cases)
-    first = 0 if any(part for part, *_ in rows) else 1
-    return table(head[first:], [row[first:] for row in rows])
 
 
 def _uncertain(sweep: SweepResults) -> Blocks:
@@ -159,23 +137,16 @@ def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
 
 def _lead(cases: Sequence[SweptCase]) -> str:
     """Range of the main numbers over all cases, and what the first depends on most."""
-    found = [sentence.spread(cases, sweep_figures.headlines(cases), "cases")]
-    for _, words, (most, *_) in sweep_figures.sensitivity(cases)[:1]:
+    found = [spread(cases, sweep_figures.headlines(cases), "cases")]
+    for words, (most, *_) in sweep_figures.sensitivity(cases)[1][:1]:
         rank, _, key = most.partition(" ")
-        said = f"{words[0].upper()}{words[1:]} depends most on {key}"
-        found.append(f"{said} (rank correlation {rank}).")
+        found.append(f"By rank correlation ({rank}) {words} depends most on {key}.")
     return " ".join(found)
 
 
 def _parts(sweep: SweepResults) -> Blocks:
-    """The cases by part, with links to the pages of their runs."""
     found: Blocks = []
-    links = {
-        c.name: quote(str((c.folder / run_report.PAGE).relative_to(sweep.folder)))
-        for c in sweep.cases
-        if (c.folder / run_report.PAGE).exists()
-    }
     for part, own in by_part(sweep.cases).items():
         names = sweep_figures.headlines(own)
-        found += page.titled(part, sweep_figures.cases_table(own, names, links))
+        found += page.titled(part, sweep_figures.cases_table(own, names, sweep.folder))
     return found

@@ -41,24 +41,19 @@ NODAL = {
 }
 
 
-def viewer(*folders: Path, names: Mapping[Path, str] | None = None) -> str:
+def viewer(folders: Mapping[str, Path]) -> str:
     """The view as HTML; nothing without fields or without three.js.
 
     Several runs are shown side by side under one camera, followed by the differences of the others
-    from the first where the mesh is the same. Folders without fields are left out. Runs have the
-    names given, or those of their folders.
+    from the first where the mesh is the same. Folders, by name, without fields are left out.
     """
     scripts = [THREE / name for name in SCRIPTS]
-    runs = [Run(folder) for folder in folders if (folder / "fields.vtkhdf").exists()]
+    runs = {n: Run(f) for n, f in folders.items() if (f / "fields.vtkhdf").exists()}
     if not runs or not all(s.exists() for s in scripts):
         return ""
-    own = distinct([run.folder for run in runs])
-    own = [(names or {}).get(run.folder, name) for run, name in zip(runs, own, strict=True)]
-    pairs: list[tuple[str, Run, Run | None]]
-    pairs = [(n if len(folders) > 1 else "", run, None) for n, run in zip(own, runs, strict=True)]
-    for name, run in zip(own[1:], runs[1:], strict=True):
-        if same_mesh(run, runs[0]):
-            pairs.append((f"{name} less {own[0]}", run, runs[0]))
+    (first, base), *others = runs.items()
+    pairs: list[tuple[str, Run, Run | None]] = [(name, run, None) for name, run in runs.items()]
+    pairs += [(f"{name} less {first}", run, base) for name, run in others if same_mesh(run, base)]
     views = []
     for name, run, minus in pairs:
         head, values = packed(run, minus, MOST // len(pairs))

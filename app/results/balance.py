@@ -152,20 +152,15 @@ class Balance:
         outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()
         external = [(outer, displacement), (acting.jump + held_q, jump)]
         for free, form in self._swelling:
-            work = self._assemble(form)
+            work = assembled_vector(form).array.copy()
             external.append((work, free.x.array[: len(work)].copy()))
         for history, form in self._strain_work:
             strain = np.array([amplitude(history, problem.time)])
             external.append((np.array([fem.assemble_scalar(form)]), strain))
-        springs = self._assemble(self._springs) if self._springs else 0.0
+        springs = assembled_vector(self._springs).array if self._springs else 0.0
         set_in = [(f.array, displacements[b].x.array[: len(outer)].copy()) for b, f in setting]
         left = np.concatenate([loose.array[~constraints.constrained], missing])
         return _State(external, set_in, float(energy), outer - springs, reaction, left)
-
-    @staticmethod
-    def _assemble(form: fem.Form) -> Floats:
-        """Own entries of a linear form; collective."""
-        return np.array(assembled_vector(form).array)
 
     def update(self, u: PETSc.Vec, trial: TrialState | None) -> None:
         """Add a committed step with updated displacements; collective."""
@@ -279,10 +274,6 @@ class HeatBalance:
             gained, scale = stored - self._stored, self._moved or 1.0
             self.heat = max(self.heat, abs(self._stage_sum - gained) / scale)
             self.quadrature = abs(self._end_sum - gained) / scale
-
-    def event(self, flows: Flows) -> None:
-        """Replace the flows where they jump, as at the end of a course [N mm/s]."""
-        self._last = dict(flows)
 
     def steady(self, flows: Flows, stored: float, rounding: float) -> None:
         """Add a steady state, where inflow equals outflow and storage does not count.

@@ -38,6 +38,9 @@ PERCENTILE = re.compile(r"_p\d+$")
 # Limits of the balances: forces to rounding, heat to its solver's tolerance.
 BALANCES: dict[str, float] = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
 
+# Strain of a living cortex [1e-6], from memory, and motion of the head [mm] (Chen 2020).
+STRAINS, MOTION = (500.0, 2500.0), 5.0
+
 # Columns of the lines of steps and of heat steps, with their widths.
 STEP = {"step": 4, "time": 7, "newton": 6, "krylov": 6, "residual": 9}
 STEP |= {"open": 6, "slip": 6, "penetration": 12, "wall": 8, "left": 8}
@@ -158,7 +161,24 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
         clauses.append(_contact(summary["interfaces"]))
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
-    return [*clauses, _mesh_and_step(summary)]
+    asked = [Verdict(summary["accuracy"])] if "accuracy" in summary else []
+    return [*clauses, *_physiology(summary), _mesh_and_step(summary), *asked]
+
+
+def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
+    """Motion of the head and strain of the cortex that are not those of a loaded living femur."""
+    femur, loaded = summary.get("femur"), summary.get("section_loads", [])
+    if not femur or not any(any(section["force"]) for section in loaded):
+        return
+    head = float(np.linalg.norm(femur["head_displacement"]))
+    strains = [1e6 * abs(v) for key, v in femur.items() if re.fullmatch(r"strain.*\d", key)]
+    (low, high), least, most = STRAINS, min(strains), max(strains)
+    clauses = [f"the head moves {head:.1f} mm, above {MOTION:g}"] * (head > MOTION)
+    if not low <= least <= most <= high:
+        span = f"{least:.0f} to {most:.0f} um/m, not within {low:g} to {high:g}"
+        clauses.append(f"the cortex is strained by {span}")
+    if clauses:
+        yield Verdict(f"physiology: {'; '.join(clauses)}", "doubtful")
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:

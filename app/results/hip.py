@@ -1,4 +1,4 @@
-"""Numbers of a hip: motion of the stem, and strain energy and interfaces by Gruen zone."""
+"""Numbers of a hip: motion of stem and head, strain of the cortex, and numbers by Gruen zone."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.case.case import Case
+from app.case.femurs import Femur, IntactFemur
+from app.case.quantities import GAUGES
 from app.mechanics.problem import Problem
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
@@ -45,8 +47,10 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     if not implant or not bone:
         return {}
     found = _ends(problem, implant)
-    stem = _surface(problem, implant, [*cement, *bone])
-    facing = _surface(problem, bone, [*cement, *implant])
+    stem, facing = (
+        _surface(problem, bodies.facets_between(problem.tagged, inside, outside))
+        for inside, outside in ((implant, [*cement, *bone]), (bone, [*cement, *implant]))
+    )
     if len(stem.x) and len(facing.x):
         t, ω = _against(stem, facing)
         ω = np.rad2deg(ω) * (1 if case.side == "left" else -1)
@@ -57,7 +61,7 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Surface:
-    """Facets between regions, of all ranks: centres (f, 3) [mm], displacements, and areas (f,)."""
+    """Facets of all ranks: centres (f, 3) [mm], displacements, and areas (f,)."""
 
     x: Floats
     u: Floats
@@ -71,9 +75,8 @@ class _Surface:
         return np.linalg.solve(inertia, self.area @ np.cross(ξ, u))
 
 
-def _surface(problem: Problem, inside: Sequence[str], outside: Sequence[str]) -> _Surface:
-    """Facets between regions, as seen from those inside: few enough for every rank."""
-    f: bodies.FacetCells = bodies.facets_between(problem.tagged, inside, outside)
+def _surface(problem: Problem, f: bodies.FacetCells) -> _Surface:
+    """Facets as seen from their cells: few enough for every rank."""
     corners = bodies.facet_coordinates(problem.tagged, f)[0][:, :3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     dofs = problem.space.dofmap.list[f.cells][:, :4]
@@ -122,6 +125,59 @@ def _ends(problem: Problem, implant: Sequence[str]) -> dict[str, Any]:
 def _displacements(problem: Problem) -> Floats:
     """Of all bodies at all nodes of this rank (bodies, n, 3) [mm]."""
     return np.stack([f.x.array.reshape(-1, 3) for f in problem.displacements()])
+
+
+# Head and cortex
+
+# Length over which strain is taken: the standard deviation of its weights, in every direction [mm].
+GAUGE = 5.0
+
+
+def of_femur(problem: Problem, case: Case) -> dict[str, Any]:
+    """Motion of a femur's head, and strain of its cortex along z; nothing of others; collective.
+
+    ``head_displacement`` (3,) [mm] is the mean over the head, or over the end of the neck.
+    ``strain_lateral_10`` and others [-] are on the outside of the bone, at the levels of `GAUGES`
+    where there is bone: linear fits to the strain nearby.
+    """
+    geometry, elastic = case.geometry, {e.region for e in problem.scene.elastic}
+    bone = elastic.intersection(case.of_tissue("bone"))
+    if not isinstance(geometry, Femur | IntactFemur) or "cortical_bone" not in bone:
+        return {}
+    end = "head" if isinstance(geometry, IntactFemur) else "stem_trunnion"
+    head = _surface(problem, bodies.boundary_facets(problem.tagged, end))
+    f = bodies.boundary_facets(problem.tagged, "bone_surface")
+    outside = _surface(problem, f)
+    strain = np.concatenate(problem.comm.allgather(_axial_strain(problem, f)))
+    found: dict[str, Any] = {
+        "head_displacement": np.average(head.u, axis=0, weights=head.area).tolist()
+    }
+    for side, sign in (("lateral", -1.0), ("medial", 1.0)):
+        for name, z in GAUGES.items():
+            x, y, up = (outside.x - [0.0, 0.0, z]).T
+            weight = outside.area * np.exp(-(up**2 + y**2) / (2 * GAUGE**2)) * (sign * x > 0)
+            if z - 2 * GAUGE > geometry.distal_cut_z:
+                fit = np.sqrt(weight)[:, None] * np.stack([np.ones(len(x)), up, y, y * y], axis=1)
+                part = np.linalg.lstsq(fit, np.sqrt(weight) * strain)[0][0]
+                found[f"strain_{side}_{name}"] = float(part)
+    return found
+
+
+def _axial_strain(problem: Problem, f: bodies.FacetCells) -> Floats:
+    """Strain along z at the centres of facets, in their cells of bone (f,)."""
+    mesh, space = problem.tagged.mesh, problem.space
+    centres = np.vstack([np.zeros(3), np.eye(3)])[bodies.FACET_NODES[:, :3]].mean(axis=1)
+
+    def slopes(element: Any, values: Any) -> Floats:
+        """Derivatives (f, 3, 3) of values at nodes (f, n, 3) in the reference cell."""
+        _, *dN = element.sub_elements[0].tabulate(1, centres)
+        return np.einsum("jfn,fni->fij", np.array(dN)[:, f.local], values)
+
+    u = _displacements(problem)[problem.bodies.of_region["cortical_bone"]]
+    x = mesh.geometry.x[mesh.geometry.dofmap[f.cells]]
+    J = slopes(mesh.ufl_domain().ufl_coordinate_element(), x)
+    du = slopes(space.ufl_element(), u[space.dofmap.list[f.cells]])
+    return np.asarray((du @ np.linalg.inv(J))[:, 2, 2])
 
 
 # Gruen zones

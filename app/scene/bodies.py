@@ -141,11 +141,14 @@ def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
     return FacetCells(facets, cells, _local_numbers(tagged, facets, cells), outside)
 
 
-def bodies_at(tagged: TaggedMesh, bodies: Bodies, boundary: str) -> set[int]:
-    """Bodies that have facets on a boundary; collective."""
-    cells = boundary_facets(tagged, boundary).cells
-    here = {int(b) for b in np.unique(bodies.of_tag[cell_tags(tagged)[cells]])}
-    return set().union(*tagged.mesh.comm.allgather(here))
+def facets_by_body(
+    tagged: TaggedMesh, bodies: Bodies, boundary: str
+) -> dict[int, NDArray[np.int32]]:
+    """Own facets of a boundary by body, the same bodies on all ranks; collective."""
+    f = boundary_facets(tagged, boundary)
+    body = bodies.of_tag[cell_tags(tagged)[f.cells]]
+    present = set().union(*tagged.mesh.comm.allgather({int(b) for b in np.unique(body)}))
+    return {b: f.facets[body == b].astype(np.int32) for b in sorted(present)}
 
 
 def _interior(tagged: TaggedMesh) -> tuple[Ints, Ints]:

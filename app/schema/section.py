@@ -90,12 +90,10 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: Any) -> tuple[Pa
 
 def _above(key: str | int, model: type[Section], given: Mapping[str, Any]) -> str:
     """The section that an unknown key belongs to: an empty one before it, or one that has it."""
-    empty = ""
-    for name in takewhile(lambda name: name != key, given):
-        if name in model.model_fields:
-            empty = name if given[name] is None else ""
-    having = (name for name, field in model.model_fields.items() if _has(field.annotation, key))
-    return empty or next(having, "")
+    before = [n for n in takewhile(lambda name: name != key, given) if n in model.model_fields]
+    if before and given[before[-1]] is None:
+        return before[-1]
+    return next((n for n, f in model.model_fields.items() if _has(f.annotation, key)), "")
 
 
 def _has(kind: Any, key: str | int) -> bool:
@@ -190,7 +188,11 @@ MAPPING = _only(dict, "a mapping of names to values")
 
 
 class Scalar:
-    """Base of marks of scalar fields, read and written here instead of by pydantic."""
+    """Base of marks of scalar fields, read and written here instead of by pydantic.
+
+    A mark tells editors the values that are read, and the manual ``x-value`` and ``x-unit``, by
+    `__get_pydantic_json_schema__`.
+    """
 
     def read(self, value: object) -> Any:
         """Convert a value of a file to its internal form.
@@ -203,10 +205,6 @@ class Scalar:
     def write(self, value: Any) -> Any:
         """Convert a value to a form that `read` takes back to it."""
         return value
-
-    def __get_pydantic_json_schema__(self, *_: object) -> dict[str, Any]:
-        """The values that are read, for editors; ``x-value`` and ``x-unit`` for the manual."""
-        raise NotImplementedError
 
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler

@@ -22,7 +22,7 @@ from fractions import Fraction
 from functools import lru_cache, partial
 from typing import Annotated, Any
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BeforeValidator, WithJsonSchema
 
 from app.schema.section import Scalar, Triple, did_you_mean, fail, show
 from app.system import folders
@@ -290,6 +290,14 @@ class Plain(_Bounded):
         return {"type": "integer" if self.integer else "number"} | self.bounds
 
 
+_EITHER = WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]})  # 0.05 or 5 %
+
+
+def _part(value: object) -> object:
+    match = NUMBER.fullmatch(value) if isinstance(value, str) else None
+    return float(Fraction(match[1]) / 100) if match and match[2] == "%" else value
+
+
 _length = partial(Dimension, "mm", "a length", "4 mm")
 _difference = partial(Dimension, "K", "a difference of temperatures", "5 K", offset=False)
 _time = partial(Dimension, "s", "a time", "600 s")
@@ -333,6 +341,7 @@ ActivationEnergy = Annotated[float, _per_amount(at_least=0.0)]
 Number = Annotated[float, Plain()]
 PositiveNumber = Annotated[float, Plain(above=0.0)]
 NonNegativeNumber = Annotated[float, Plain(at_least=0.0)]
+PositivePart = Annotated[float, Plain(above=0.0, at_most=1.0), BeforeValidator(_part), _EITHER]
 PositiveInteger = Annotated[int, Plain(integer=True, at_least=1)]
 NonNegativeInteger = Annotated[int, Plain(integer=True, at_least=0)]
 

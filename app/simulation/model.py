@@ -25,7 +25,7 @@ from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results.balance import Balance
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
-from app.results.hip import by_zone, stem_motion
+from app.results.hip import by_zone, of_femur, stem_motion
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses, bonds
 from app.scene.scene import Scene, Stage, build_scene
@@ -292,6 +292,8 @@ class Model:
             if found := bonds(m.problem, m.stresses):
                 numbers["bonds"] = found
             numbers["stem"] = stem_motion(m.problem, self._case)
+            if found := of_femur(m.problem, self._case):
+                numbers["femur"] = found
         if t := self.thermal:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}
             if t.cure:

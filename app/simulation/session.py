@@ -7,7 +7,7 @@ import os
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -30,12 +30,11 @@ from app.numerics.newton import raw_options, unused
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, provenance
-from app.simulation import checkpoint, finished_runs, variations
+from app.simulation import accuracy, checkpoint, finished_runs, variations
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
 from app.soundness import preview, well_posedness
-from app.stepping.load_steps import Summary
 from app.system import blas_check, form_cache, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.system.timing import Timing
@@ -59,6 +58,7 @@ class Setup:
         started: The same, by the clock.
         model: The model of the last run, for reuse.
         noted: Notes already logged.
+        chosen: Mesh and order chosen for an accuracy, in words; empty unless one is asked for.
     """
 
     comm: MPI.Comm
@@ -73,6 +73,7 @@ class Setup:
     timing: Timing = field(default_factory=Timing)
     model: Model | None = None
     noted: set[str] = field(default_factory=set)
+    chosen: str = ""
 
     def note(self, messages: Sequence[str]) -> None:
         """Log notes on the case, each once."""
@@ -121,11 +122,26 @@ def run(
         if case.config.variations:
             _vary(setup, output)
         else:
-            solving = _CaseRun(setup, case.config, (), output)
-            summary = solving.finish(solving.solve())
+            if case.config.output.accuracy:
+                _choose(setup, walltime)
+            summary = _CaseRun(setup, setup.loaded.config, (), output).run()
             text.report(summary)
             text.check_usable({output: summary})
     log.info("results in %s", output)
+
+
+def _choose(setup: Setup, longest: float | None) -> None:
+    """Choose mesh and order for the accuracy that the case asks for; collective."""
+
+    def solve(case: Case) -> dict[str, Any]:
+        model = Model(case, setup.comm, setup.options, Timing("choosing"), setup.stop)
+        numbers = model.relative(case)
+        if _errors(error_estimate.companions(case), model, numbers, case)["failed"]:
+            raise ConvergenceError("output.accuracy: the errors of cheap runs are unknown")
+        return numbers
+
+    config, setup.chosen = accuracy.choose(setup.loaded.config, solve, longest)
+    setup.loaded = replace(setup.loaded, config=config)
 
 
 def _vary(setup: Setup, output: Path) -> None:
@@ -181,8 +197,7 @@ def _variation(setup: Setup, varied: Varied, folder: Path) -> dict[str, Any]:
     on_root(setup.comm, partial(prepare_run, folder, force=True), share=False)
     on_root(setup.comm, partial(remove, [folder / FAILED]), share=False)
     try:
-        solving = _CaseRun(setup, varied.case, varied.overrides, folder)
-        summary = solving.finish(solving.solve())
+        summary = _CaseRun(setup, varied.case, varied.overrides, folder).run()
     except ConvergenceError as failure:
         log.warning("%s: %s", varied.name, failure)
         why = partial(write_text, folder / FAILED, f"{failure}\n")
@@ -225,23 +240,6 @@ class _CaseRun:
         self._recorder = Recorder(case, model, writer, setup.timing, setup.begin, setup.progress)
         self._checkpoints = CheckpointWriter(case, model, self._recorder, output, found)
 
-    def solve(self) -> Summary:
-        """Solve all stages; returns a summary of the effort; collective.
-
-        Raises:
-            ConvergenceError: With the last converged state on disk, if there is one.
-            StoppedError: The same, and with a checkpoint.
-        """
-        with self._last_state_kept():
-            return self._model.go(
-                self._recorder.step,
-                self._recorder.heat,
-                lambda s: log.info("     %s", s),
-                self._recorder.stage,
-                self._checkpoints.mark,
-                self._checkpoints.resume,
-            )
-
     @contextmanager
     def _last_state_kept(self) -> Iterator[None]:
         """Write the last converged state to disk where a solve fails or is stopped; collective."""
@@ -258,9 +256,23 @@ class _CaseRun:
             self._recorder.close("stopped", lines[0])
             raise StoppedError("\n".join(lines)) from failure
 
-    def finish(self, total: Summary) -> dict[str, Any]:
-        """Write the results of a converged run; returns its summary; collective."""
+    def run(self) -> dict[str, Any]:
+        """Solve all stages and write the results; returns the summary; collective.
+
+        Raises:
+            ConvergenceError: With the last converged state on disk, if there is one.
+            StoppedError: The same, and with a checkpoint.
+        """
         setup, case, model = self._setup, self._case, self._model
+        with self._last_state_kept():
+            total = model.go(
+                self._recorder.step,
+                self._recorder.heat,
+                lambda s: log.info("     %s", s),
+                self._recorder.stage,
+                self._checkpoints.mark,
+                self._checkpoints.resume,
+            )
         blas_check.check(setup.comm)  # once more: what has converged by wrong sums is no result
         if clock.perf_counter() - setup.begin > LONG:
             log.info("     computing and writing results")
@@ -280,6 +292,8 @@ class _CaseRun:
             self._writer.finish(summary, done=False)
             with setup.timing.phase("error"), self._last_state_kept():
                 summary["error"] = _errors(companions, model, summary, case)
+            if setup.chosen:
+                summary["accuracy"] = accuracy.reached(setup.chosen, summary)
             summary["timing"] = self._recorder.seconds()
         self._writer.finish(summary, done=True)
         if case.output.checkpoint == CheckpointOptions():

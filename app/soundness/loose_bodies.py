@@ -373,7 +373,7 @@ def _against_spread(
 
 def supported(problem: Problem) -> dict[int, Floats]:
     """Part of each direction that supports and foundations hold, by body (3, 3)."""
-    from app.scene.bodies import bodies_at  # brings dolfinx
+    from app.scene.bodies import facets_by_body  # brings dolfinx
 
     scene, frames = problem.scene, problem.stiffness.frames
     conditions = [
@@ -383,6 +383,6 @@ def supported(problem: Problem) -> dict[int, Floats]:
     conditions += [(f.boundary, np.diag(np.sign(f.stiffness))) for f in scene.foundations]
     held: dict[int, Floats] = {}
     for boundary, part in conditions:
-        for body in bodies_at(problem.tagged, problem.bodies, boundary):
+        for body in facets_by_body(problem.tagged, problem.bodies, boundary):
             held[body] = held.get(body, 0.0) + np.asarray(part, dtype=float)
     return held

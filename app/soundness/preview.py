@@ -62,8 +62,7 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     if solid(case):
         lines += ["supports", *_table(case.supports)]
         lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
-    if missing := [*_not_measured(case)]:
-        lines += ["not measured", *missing]
+    lines += ["not measured", *([*_not_measured(case)] or ["  none"])]
     if case.conducts:
         lines += ["heat", *_table(case.heat)]
     lines += ["stages", *map(_stage, case.stages)]
@@ -119,8 +118,8 @@ def _not_measured(case: Case) -> Iterable[str]:
         found = []
         for section, parts in (("regions", case.regions), ("loads", case.loads)):
             names = [name for name, part in parts.items() if part.status == status]
-            every = len(names) == len(parts)
-            found += [f"all {section}" if every else f"{section} {', '.join(names)}"] * bool(names)
+            those = f"{section} {', '.join(names)}" if len(names) < len(parts) else f"all {section}"
+            found += [those] * bool(names)
         if found:
             yield f"  {status or 'without status'}: {'; '.join(found)}"
 

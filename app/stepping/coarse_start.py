@@ -108,8 +108,8 @@ class CoarseModelStart:
     def _start(self, jump: Floats, force: Floats) -> None:
         """Start from jumps, forces, and a displacement in rough equilibrium with the jumps."""
         problem, solver = self._problem, self._solver
-        named = solver.blocks_by_name()
-        u, q = named["displacement"], named["jump"]
+        u, q = solver.u_and_q()
+        assert q is not None
         q.array[:] = (self._contact.own.project_free(jump) + self._contact.prescribed).ravel()
         problem.impose(u)
         r, du = u.duplicate(), u.duplicate()

@@ -36,6 +36,11 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
+def percent(value: float) -> str:
+    """Format a relative number: 0.41 %, 12 %."""
+    return f"{100 * value:.0f} %" if value >= 1 else f"{100 * value:.2g} %"
+
+
 def count(number: float) -> str:
     """Count with thousands separated."""
     return f"{round(number):,}".replace(",", " ")

@@ -42,7 +42,8 @@ def handles(every: Iterable[Any]) -> dict[str, Any]:
 
 
 def curve(axes: Any, x: Sequence[Any], y: Sequence[Any], k: int, label: str) -> None:
-    """Draw the k-th curve."""
+    """Draw the k-th curve; its label, the name of a line, in words."""
+    label = label.replace("_", " ")
     colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
     axes.plot(x, y, color=colour, marker=marker, ms=5.5, lw=1.5, label=label, zorder=3)
 

@@ -125,10 +125,7 @@ def cylinder(run: Run) -> Sample:
 def half_spaces(run: Run, conductance: float) -> Sample:
     """Temperatures of half_spaces.yaml over 63 K."""
     law = exact.HalfSpaces(CEMENT, BONE, (100, 37), conductance)
-    fields: list[HeatField] = [
-        lambda x, t: law.temperature(x[:, 2] - 8, t, True),
-        lambda x, t: law.temperature(x[:, 2] - 8, t, False),
-    ]
+    fields = [lambda x, t, s=side: law.temperature(x[:, 2] - 8, t, s) for side in (True, False)]
     return temperatures(run, fields, 63.0, (0, 10))
 
 
@@ -229,10 +226,7 @@ WAVY = coupled.WavyContact()
 
 def wavy_temperature(run: Run) -> Sample:
     """Temperature of wavy_contact.yaml over 37 degC, relative in L2."""
-    fields: list[HeatField] = [
-        lambda x, t: WAVY.temperature(x, False),
-        lambda x, t: WAVY.temperature(x, True),
-    ]
+    fields = [lambda x, t, u=upper: WAVY.temperature(x, u) for upper in (False, True)]
     return mean_square(run, fields, 37.0)
 
 

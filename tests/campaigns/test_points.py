@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import statistics
 from pathlib import Path
 
 import pytest
@@ -380,3 +381,22 @@ def test_the_shipped_study_of_the_paper_is_all_there() -> None:
     assert {c.geometry.cement_thickness for c in hot} == {2, 3, 4, 5}
     assert {"held" in c.heat for c in hot} == {True, False}
     assert {p.part for p in planned} >= {"limits", "residual", "intact"}
+
+
+def test_patients_of_the_shipped_cohort_have_the_mean_of_the_library() -> None:
+    """Hip forces for 600 N, whose mean is that of the set; scaled to their own body weights."""
+    path = support.CONFIGS / "sweeps" / "cohort.yaml"
+    parts = yaml_file.read(path).data["parts"]
+    cases = {p.name: p.case for p in sweep_file.read(path)[1]}
+    assert len(cases) == 29
+    for name, part in parts.items():
+        forces = []
+        for patient, row in part["table"].items():
+            forces.append([float(c) for c in re.findall(r"-?[\d.]+", row["loads.hip.force"])])
+            scale = float(row["loads.body_weight"].removesuffix(" N")) / 600
+            hip = cases[f"{name}/{patient}"].loads["hip"].resultant
+            assert hip == pytest.approx([scale * c for c in forces[-1]])
+        name = name.replace("walking", "walking_hip")  # the muscles are of other patients
+        library = support.case(f"base: stance\nloads: {{library: {name}}}\n").loads
+        mean = [statistics.mean(c) for c in zip(*forces, strict=True)]
+        assert mean == pytest.approx(library["hip"].resultant, abs=0.4)

@@ -111,7 +111,7 @@ def test_errors_orders_front_and_advice(file: Path, caplog: pytest.LogCaptureFix
     study.run(file, [f"study.reference={{values: {values}}}"], Options(out, 2))
     assert "error goes with not yet converging along P1, mesh.size^" in caplog.text
     measured = Measured("a", quantities.find("stem.varus"), True, FAST, [], {}, [])
-    assert "reference is not yet converging; refine" in study._refusal(0.02, measured)
+    assert "reference is not yet converging; refine" in study._costs(0.02, "a", [], [measured])
 
 
 def test_a_run_that_is_close_by_chance_is_not_advised() -> None:
@@ -120,7 +120,7 @@ def test_a_run_that_is_close_by_chance_is_not_advised() -> None:
         SimpleNamespace(line="P2", key="mesh.size", label=f"{h} mm", time=t)
         for h, t in ((8, 1.0), (6, 2.0), (4, 4.0), (2, 8.0))
     ]
-    measured = SimpleNamespace(errors=[0.04, 0.012, 0.03, 0.015], own=0.012)
+    measured = SimpleNamespace(errors=[0.04, 0.012, 0.03, 0.015], own=0.012, reference=None)
     assert study._costs(0.05, "slip", runs, [measured]) == (  # type: ignore[arg-type, list-item]
         "slip within 5 % costs 1.0 s (P2 at 8 mm), 2 % costs 8.0 s (P2 at 2 mm), "
         "1 % is below the reference's own 1.2 %"
@@ -134,10 +134,9 @@ def test_given_values_estimates_and_a_target(file: Path, caplog: pytest.LogCaptu
     overrides = ["output.error=true", f"study.reference={{values: {values}}}", "study.target=0.05"]
     study.run(file, overrides, Options(file.parent / "out", 2))
     record, rows = read(file.parent / "out")
-    assert record["effectivity"]["pairs"] == 12 and record["effectivity"]["useful"] == 6
+    assert record["within"] == {"numbers": 12, "covered": 12}
     assert [float(r["effectivity [-]"]) for r in rows] == pytest.approx([2] * 6 + [8] * 6)
-    assert "within 0.5 to 3 for 6 of 12 numbers (50 %)" in caplog.text
-    assert "lower_upper.pressure_p99 with P2 at 4 mm: 8" in caplog.text
+    assert "the truth lies within ± for 12 of 12 numbers" in caplog.text
     assert record["advice"].startswith("every number within 5 % costs 4.0 s (P2 at 2 mm), 2 % is")
     assert record["quantities"]["lower_upper.slip_p99"]["reference"]["uncertainty"] == 0
     assert record["reference_runs"] == []
@@ -173,7 +172,7 @@ def test_failed_points_are_shown_as_failed(file: Path, caplog: pytest.LogCapture
     assert error.value.exit_code == 70  # the stand-in leaves with 1, which mantle run never does
     record, _ = read(out)
     assert record["quantities"]["lower_upper.slip_p99"]["reference"] is None
-    assert "no advice on lower_upper.slip_p99: it has no reference" in caplog.text
+    assert "no advice on lower_upper.slip_p99: no run has a known error" in caplog.text
 
 
 def test_a_study_over_a_penalty(file: Path, caplog: pytest.LogCaptureFixture) -> None:

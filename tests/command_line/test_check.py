@@ -53,7 +53,7 @@ Single-limb stance, titanium stem, 4 mm mantle; changed: cement_thickness 0.3 cm
   psoas: force on psoas, force [11.8, 35.3, 100] N, at [21.035, -1.503, -7] mm
   sum at the end: [0.1, -0.1, -503.4] N, 503.4 N
 not measured
-  assumed: regions stem, cement, cancellous_bone
+  assumed: regions stem, cement, cancellous_bone; all loads
   unverified: regions cortical_bone
   stance: 2 increments, adaptive
 """

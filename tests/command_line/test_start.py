@@ -200,7 +200,7 @@ geometry.cement_thickness  (kind intact_femur)
     ("word", "code", "parts"),
     [
         ("materials", 0, ["  PMMA             bone cement\n"]),
-        ("loads", 0, ["\n  single_limb_stance  standing on one leg"]),
+        ("loads", 0, ["\n  paper_stance     standing on one leg"]),
         (
             "cancellous_bone",
             0,

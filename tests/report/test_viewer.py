@@ -107,7 +107,7 @@ def test_a_page_that_would_be_too_large_has_fewer_points(run: Run) -> None:
 @pytest.mark.skipif(not NEEDED, reason="libjs-three is missing")
 def test_nothing_in_it_points_elsewhere_or_ends_its_script(run: Run, tmp_path: Path) -> None:
     """No reference to a file or a server that a browser would follow; few lines of our own."""
-    text = viewer.viewer(run.folder)
+    text = viewer.viewer({"": run.folder})
     assert not re.search(
         r"<[a-z]+[^>]*\s(src|href)=", re.sub(r"<script>.*?</script>", "", text, flags=re.S)
     )
@@ -115,7 +115,7 @@ def test_nothing_in_it_points_elsewhere_or_ends_its_script(run: Run, tmp_path: P
     assert len(text) < 2_000_000
     own = Path(viewer.__file__).with_name("viewer.js").read_text(encoding="utf-8")
     assert len(own.splitlines()) < 320
-    assert viewer.viewer(tmp_path) == ""  # without fields
+    assert viewer.viewer({"": tmp_path}) == ""  # without fields
 
 
 def test_names_of_runs_differ() -> None:
@@ -191,8 +191,8 @@ def tried(page: Path, text: str) -> dict[str, Any]:
 @pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
 def test_a_browser_draws_runs_and_their_difference(stems: tuple[Run, Run], tmp_path: Path) -> None:
     """In headless Chromium without a network: no error, one camera, values linear on the facets."""
-    folders = [run.folder for run in stems]
-    found = tried(tmp_path / "page.html", viewer.viewer(*folders))
+    folders = {run.folder.name: run.folder for run in stems}
+    found = tried(tmp_path / "page.html", viewer.viewer(folders))
     assert len(found["colours"]) == 3 and min(found["colours"]) > 20  # drawn, and shaded
     for cameras in found["cameras"]:
         assert cameras[1] == pytest.approx(cameras[0]) and cameras[2] == pytest.approx(cameras[0])

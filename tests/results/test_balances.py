@@ -228,14 +228,6 @@ def test_heat_that_only_moves_within_is_a_scale() -> None:
     assert balance.heat == pytest.approx(2e-11, rel=1e-3)
 
 
-def test_a_jump_of_the_flows_is_not_smeared_over_a_step() -> None:
-    balance = HeatBalance(0.0, {"source": 4.0})
-    balance.update(1.0, {"source": 4.0}, {"source": 4.0}, 4.0, 0.0)
-    balance.event({"source": 0.0})
-    balance.update(1.0, {"source": 0.0}, {"source": 0.0}, 4.0, 0.0)
-    assert balance.quadrature == 0
-
-
 def test_steady_states_are_balanced_by_their_flows() -> None:
     balance = HeatBalance(10.0, {})
     balance.update(1.0, {"in": 1.0}, {"in": 1.0}, 11.0, 0.0)

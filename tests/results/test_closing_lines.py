@@ -129,3 +129,17 @@ def test_a_run_of_heat_alone_says_nothing_of_forces() -> None:
     lost = heat()
     lost["balance"]["heat"] = 2e-6
     assert any(clause.tone == "bad" for clause in closing_lines.verdict(lost))
+
+
+def test_a_femur_that_is_not_a_living_one_is_told() -> None:
+    femur = {"head_displacement": [3.0, 0.0, -3.9], "strain_lateral_10": 1.2e-3}
+    loads = [{"force": (0.0, 0.0, -500.0)}]
+    good = femur | {"strain_lateral_10_error": 0.1}
+    assert "physiology" not in told(summary(femur=good, section_loads=loads))
+    femur |= {"head_displacement": [3.0, 0.0, -4.1], "strain_medial_80": -2.6e-3}
+    assert "physiology" not in told(summary(femur=femur, section_loads=[{"force": (0.0,) * 3}]))
+    assert told(summary(femur=femur, section_loads=loads))["physiology"] == (
+        "the head moves 5.1 mm, above 5; the cortex is strained by 1200 to 2600 um/m, not within "
+        "500 to 2500",
+        "doubtful",
+    )

@@ -1,4 +1,4 @@
-"""Section loads: by hand, and against the stress of a solved hip."""
+"""Loads in the sections of a femur: by hand, and against its stress and strain."""
 
 from __future__ import annotations
 
@@ -8,9 +8,36 @@ import numpy as np
 import pytest
 
 from app.case.section_loads import KNEE, section_loads
+from app.results.hip import of_femur
 from app.results.stresses import Stresses
 from app.system.timing import Timing
+from meshes.femur_bone import CANAL, PERIOSTEUM, Tube
 from tests import support
+
+
+def test_strain_of_the_cortex_is_that_of_a_beam() -> None:
+    """At z = -80 and -113: N / EA + M x / EI of the sections of cortex and cancellous bone."""
+    text = (support.CONFIGS / "intact.yaml").read_text()
+    solved = support.solve(text, "mesh.size=10 mm")
+    found = of_femur(solved.problem, solved.case)
+    theta = 2 * np.pi * np.arange(720) / 720
+    knee = section_loads(solved.case, 1.0)[-1]
+    for name, z in (("80", -80.0), ("113", -113.0)):
+        level = np.full(720, z)
+        outer, inner = PERIOSTEUM.radius(theta, level), Tube(CANAL).radius(theta, level)
+
+        # Integrals of E, E x and E x^2 over the section.
+        EA, EX, EI = (
+            2 * np.pi * np.mean(np.cos(theta) ** k * (17e3 * outer**n - 16.4e3 * inner**n) / n)
+            for k, n in enumerate((2, 3, 4))
+        )
+        middle = EX / EA
+        EI -= EA * middle**2
+        moment = knee.moment[1] + middle * knee.force[2]
+        for side, x in (("lateral", -outer[360]), ("medial", outer[0])):
+            beam = knee.force[2] / EA - moment * (x - middle) / EI
+            assert found[f"strain_{side}_{name}"] == pytest.approx(beam, rel=0.03)
+    assert found["head_displacement"][0] == pytest.approx(5.9, abs=0.1)
 
 
 def test_section_loads_of_two_forces_by_hand() -> None:
@@ -53,6 +80,27 @@ def test_torsion_in_the_manual_is_that_of_tilt_and_anteversion(name: str) -> Non
         y = y * np.cos(tilt) + z * np.sin(tilt)
         assert torsion == pytest.approx(0.043 * (np.cos(turn) * y - np.sin(turn) * x))
         assert f"{-100 * torsion / 600:.2f}" == cell
+
+
+@pytest.mark.parametrize("name", ["one_leg_stance", "standing_up", "stairs_up"])
+def test_sets_with_muscles_are_in_balance(name: str) -> None:
+    """At the knee the line of action runs between shaft and head; 0.9 bodies stand on the leg."""
+    case = support.case(f"base: stance\nloads: {{library: {name}}}\n")
+    knee = section_loads(case, 1.0)[-1]
+    assert knee.medial_of_shaft is not None and 0.0 < knee.medial_of_shaft < 43.0
+    if name == "one_leg_stance":
+        forces = [np.array(load.resultant) for load in case.loads.values()]
+        # Without what the tensor pulls from below the trochanter.
+        assert np.linalg.norm(sum(forces[:-1])) == pytest.approx(0.9 * 600.0, abs=1.0)
+        assert np.linalg.norm(forces[-1]) == pytest.approx(np.linalg.norm(forces[-2]), abs=0.1)
+
+
+def test_the_potting_of_the_bench_test_bears_what_its_angles_give() -> None:
+    """2300 N at 10 and 9 degrees, 80 mm below a head at 43 mm."""
+    case = support.case("base: iso_7206_4\n", "geometry.distal_cut_z=-204.5 mm")
+    (at,) = (s for s in section_loads(case, 1.0) if s.z == -26.0)
+    assert at.force[2] == pytest.approx(-2237.0, abs=0.5)
+    assert np.array(at.moment) / 1e3 == pytest.approx([28.4, 64.3, -15.2], abs=0.1)
 
 
 def test_the_stress_over_a_cut_has_the_section_loads() -> None:
