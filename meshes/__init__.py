@@ -90,6 +90,8 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
 
         zones = gruen.Zones(geometry) if geometry.has_gruen_zones else None
         notes["mantle"] = mantle.describe(data, m.thickness, m.tip, zones)
+        if zones:
+            notes["mantle"]["cortex_min"] = mantle.least_cortex(data, m.tip)
     return replace(data, notes=notes, behind=None)  # others may change the cells
 
 

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from app.arrays import Floats, Ints
 from meshes.contact_facets import shape_functions
-from meshes.data import MeshData, cell_volumes, facet_areas, interface_facets
+from meshes.data import MeshData, cell_volumes, faces_of, facet_areas, interface_facets
 
 if TYPE_CHECKING:
     from meshes.gruen import Zones
@@ -85,6 +85,19 @@ def describe(
             if at.any()
         }
     return note
+
+
+def least_cortex(data: MeshData, tip: float) -> float:
+    """Least distance of the endosteum from the bone's surface, from the tip to z = 0 [mm]."""
+    cell, face, behind = data.between
+    cortex = data.cell_tags == data.regions["cortical_bone"]
+    own = cortex[cell] & ~cortex[behind]
+    facets = faces_of(data.cells, cell[own], face[own])
+    z = data.points[facets[:, :3], 2]
+    facets = facets[(z.min(axis=1) > tip) & (z.max(axis=1) < 0)]
+    surface = data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]
+    away = distance(triangles(data.points, facets).mean(axis=1), triangles(data.points, surface))
+    return float(away.min())
 
 
 def triangles(points: Floats, facets: Ints) -> Floats:

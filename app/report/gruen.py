@@ -133,14 +133,14 @@ def shielding_picture(
 
 
 def mantles(cases: Sequence[SweptCase]) -> Table:
-    """Thickness and volume of each mantle.
+    """Thickness and volume of each mantle, and the least cortex around it.
 
     Returns:
         Titles of the columns, and the rows; no rows where no case records them.
     """
     keys = ("min", "p5", "median", "mean", "p95", "max")
     head = ["geometry", "mesh (mm)", "nominal (mm)", *(f"{k} (mm)" for k in keys)]
-    head += ["clipped by the canal", "cement (cm³)"]
+    head += ["clipped by the canal", "cement (cm³)", "least cortex (mm)"]
     found: dict[tuple[str, ...], float] = {}
     for case in cases:
         own = case.summary.get("mantle") or {}
@@ -156,6 +156,7 @@ def mantles(cases: Sequence[SweptCase]) -> Table:
             *(_shown(thickness.get(k)) for k in keys),
             f"{100 * clipped:.0f} %",
             _shown(own.get("volume"), 1e-3),
+            _shown(own.get("cortex_min")),
         )
         found[row] = thickness["nominal"]
     return head, [list(row) for row in sorted(found, key=lambda r: (*r[:2], found[r]))]
