@@ -86,9 +86,12 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
         },
     }
     for m in geometry.mantles:
-        from meshes import mantle
+        from meshes import gruen, mantle
 
-        notes["mantle"] = mantle.describe(data, m.thickness, m.tip)
+        zones = gruen.Zones(geometry) if geometry.has_gruen_zones else None
+        notes["mantle"] = mantle.describe(data, m.thickness, m.tip, zones)
+        if zones:
+            notes["mantle"]["cortex_min"] = mantle.least_cortex(data, m.tip)
     return replace(data, notes=notes, behind=None)  # others may change the cells
 
 

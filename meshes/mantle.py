@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from app.arrays import Floats, Ints
 from meshes.contact_facets import shape_functions
-from meshes.data import MeshData, cell_volumes, facet_areas, interface_facets
+from meshes.data import MeshData, cell_volumes, faces_of, facet_areas, interface_facets
+
+if TYPE_CHECKING:
+    from meshes.gruen import Zones
 
 CLIPPED = 0.9  # of the nominal thickness: thinner is where the canal had no room
 PARTS = 3  # into which the edges of facets are divided, to follow their curvature
@@ -21,7 +24,9 @@ LATTICE = np.array(
 LATTICE = (LATTICE + 0.25) / 6
 
 
-def describe(data: MeshData, nominal: float, tip: float) -> dict[str, Any]:
+def describe(
+    data: MeshData, nominal: float, tip: float, zones: Zones | None = None
+) -> dict[str, Any]:
     """Thickness and volume of the cement between interfaces stem_cement and cement_bone.
 
     Args:
@@ -29,18 +34,21 @@ def describe(data: MeshData, nominal: float, tip: float) -> dict[str, Any]:
         nominal: Nominal thickness [mm].
         tip: Level of the stem's tip [mm]. The plug below it and the stem's face there, which has
             the plug before it, have no thickness.
+        zones: Zones of the bone around the stem.
 
     Returns:
         ``thickness`` [mm]: distance of the stem's surface from the bone's, with percentiles by the
         stem's area, and the part of that area where it is below `CLIPPED` of the nominal one;
-        ``volume`` of the cement and ``plug_volume`` below the tip [mm^3].
+        ``volume`` of the cement and ``plug_volume`` below the tip [mm^3]; with zones ``gruen``, the
+        least, mean and largest thickness on the stem's surface in each.
     """
     facets, _, _ = interface_facets(data, "stem_cement")
     facets = facets[data.points[facets[:, :3], 2].max(axis=1) > tip + 1e-6]
     stem = triangles(data.points, facets)
+    centres = stem.mean(axis=1)
     area = facet_areas(stem.reshape(-1, 3), np.arange(3 * len(stem)).reshape(-1, 3))
     bone = triangles(data.points, interface_facets(data, "cement_bone")[0])
-    away = distance(stem.mean(axis=1), bone)
+    away = distance(centres, bone)
     order = np.argsort(away)
     share = (np.cumsum(area[order]) - 0.5 * area[order]) / area.sum()
     p5, median, p95 = np.interp([0.05, 0.5, 0.95], share, away[order])
@@ -50,7 +58,7 @@ def describe(data: MeshData, nominal: float, tip: float) -> dict[str, Any]:
     below = (z.max(axis=1) < tip).astype(float)
     cut = (z.min(axis=1) < tip) & (z.max(axis=1) >= tip)
     below[cut] = (z[cut] @ LATTICE.T < tip).mean(axis=1)
-    return {
+    note: dict[str, Any] = {
         "thickness": {
             "nominal": nominal,
             "min": float(away.min()),
@@ -64,6 +72,32 @@ def describe(data: MeshData, nominal: float, tip: float) -> dict[str, Any]:
         "volume": float(volumes.sum()),
         "plug_volume": float(volumes @ below),
     }
+    if zones:
+        where = zones.at(centres)
+        marked = {zone: (where == zone).any(axis=1) for zone in zones.numbers}
+        note["gruen"] = {
+            str(zone): {
+                "min": float(away[at].min()),
+                "mean": float(np.average(away[at], weights=area[at])),
+                "max": float(away[at].max()),
+            }
+            for zone, at in marked.items()
+            if at.any()
+        }
+    return note
+
+
+def least_cortex(data: MeshData, tip: float) -> float:
+    """Least distance of the endosteum from the bone's surface, from the tip to z = 0 [mm]."""
+    cell, face, behind = data.between
+    cortex = data.cell_tags == data.regions["cortical_bone"]
+    own = cortex[cell] & ~cortex[behind]
+    facets = faces_of(data.cells, cell[own], face[own])
+    z = data.points[facets[:, :3], 2]
+    facets = facets[(z.min(axis=1) > tip) & (z.max(axis=1) < 0)]
+    surface = data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]
+    away = distance(triangles(data.points, facets).mean(axis=1), triangles(data.points, surface))
+    return float(away.min())
 
 
 def triangles(points: Floats, facets: Ints) -> Floats:

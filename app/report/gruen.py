@@ -33,20 +33,22 @@ def blocks(cases: Iterable[tuple[str, SweptCase]]) -> Blocks:
 
 
 def table(case: SweptCase) -> Table:
-    """Peaks of both interfaces and strain energy of the bone by zone.
+    """Thickness of the cement, peaks of both interfaces and strain energy of the bone by zone.
 
     Returns:
         Titles of the columns, and the rows; no rows if the case has no zones.
     """
-    own = zones(case)
+    own, cement = zones(case), (case.summary.get("mantle") or {}).get("gruen", {})
     places = [p for p in INTERFACES if any(p in z["interfaces"] for z in own.values())]
     bones = [b for b in BONES if any(b in z["strain_energy_density"] for z in own.values())]
-    head = ["zone"]
+    head = ["zone", *(["cement, min / mean / max (mm)"] if cement else [])]
     head += [f"{WORDS[p]} {WORDS[q]} ({u})" for p in places for q, (u, _) in QUANTITIES.items()]
     head += [f"strain energy, {BONES[b]} (kJ/m³)" for b in bones]
     rows = []
     for z, zone in own.items():
         row = [f"{z} ({'frontal' if int(z) <= FRONTAL else 'lateral'})"]
+        if cement:
+            row.append(" / ".join(f"{v:.2g}" for v in cement.get(z, {}).values()) or "-")
         for place in places:
             numbers = zone["interfaces"].get(place, {})
             for name in QUANTITIES:
@@ -131,14 +133,14 @@ def shielding_picture(
 
 
 def mantles(cases: Sequence[SweptCase]) -> Table:
-    """Thickness and volume of each mantle.
+    """Thickness and volume of each mantle, and the least cortex around it.
 
     Returns:
         Titles of the columns, and the rows; no rows where no case records them.
     """
     keys = ("min", "p5", "median", "mean", "p95", "max")
     head = ["geometry", "mesh (mm)", "nominal (mm)", *(f"{k} (mm)" for k in keys)]
-    head += ["clipped by the canal", "cement (cm³)"]
+    head += ["clipped by the canal", "cement (cm³)", "least cortex (mm)"]
     found: dict[tuple[str, ...], float] = {}
     for case in cases:
         own = case.summary.get("mantle") or {}
@@ -154,6 +156,7 @@ def mantles(cases: Sequence[SweptCase]) -> Table:
             *(_shown(thickness.get(k)) for k in keys),
             f"{100 * clipped:.0f} %",
             _shown(own.get("volume"), 1e-3),
+            _shown(own.get("cortex_min")),
         )
         found[row] = thickness["nominal"]
     return head, [list(row) for row in sorted(found, key=lambda r: (*r[:2], found[r]))]

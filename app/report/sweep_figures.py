@@ -23,6 +23,8 @@ MOST_PANELS = 12
 MOST_NUMBERS = 11  # in the table of cases
 MOST_SERIES = 8
 MOST_LEVELS = 8
+# Stands for the keys of the geometry: what they make of the mantle.
+ACHIEVED, THICKNESS = "geometry.achieved_mean_thickness", "geometry.cement_thickness"
 FEWEST = 6  # cases, below which rank correlations say little
 
 
@@ -119,7 +121,10 @@ def cell(case: SweptCase, name: str) -> str:
 def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[Blocks, list[Path]]:
     """Draw each headline number over each numeric key that varies; also as files in a folder."""
     done, found, files = [c for c in cases if c.done], Blocks(), list[Path]()
-    for key in varied(done):
+    keys = varied(done)
+    if THICKNESS in keys and any(_mantle(c).get("clipped_fraction") for c in done):
+        keys = [ACHIEVED, *keys]
+    for key in keys:
         groups = _groups(done, key)
         panels = []
         for name in headlines([c for _, own in groups for c in own.values()]):
@@ -164,6 +169,8 @@ def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None
 
     The unit is that of the file; that of the schema where there are several, or none.
     """
+    if key == ACHIEVED:
+        return "mm", [_mantle(c).get("mean") for c in cases]
     values = [c.overrides.get(key) for c in cases]
     numbers = [magnitude(v) for v in values]
     matches = [NUMBER.fullmatch(str(v)) if v is not None else None for v in values]
@@ -180,10 +187,18 @@ def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None
     return quantities.printed(kept), numbers
 
 
+def _mantle(case: SweptCase) -> dict[str, float]:
+    """Thickness of a case's mantle [mm]; empty if it has none."""
+    found: dict[str, float] = (case.summary.get("mantle") or {}).get("thickness", {})
+    return found
+
+
 def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float, SweptCase]]]:
     """Cases that differ in a numeric key alone, by what they have in common."""
     found: dict[str, dict[float, SweptCase]] = {}
     others = set(varied(cases)) - {key}
+    if key == ACHIEVED:
+        others = {k for k in others if not k.startswith("geometry.")}
     for c, x in zip(cases, levels(cases, key)[1], strict=True):
         if x is not None:
             rest = [f"{title(k)} {value(v)}" for k, v in c.overrides.items() if k in others]

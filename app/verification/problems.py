@@ -14,6 +14,7 @@ from app.verification import measures
 from app.verification.check import Check, each, ladder, problem
 from app.verification.heat_problems import heat_problems
 from app.verification.measures import BONE, CEMENT, SLICE, TITANIUM
+from app.verification.validation import validation
 
 # Some of each kind, each some seconds.
 QUICK = {
@@ -26,13 +27,14 @@ QUICK = {
 
 
 def problems() -> list[Check]:
-    """All mechanical problems of ``mantle verify``."""
+    """All problems of ``mantle verify``."""
     fits = (_homogeneous, _sines, _fibre_rings, _press_fits, _oval_fits)
     kinds = (*fits, _hertz, _friction, _wall, _cook)
     what = "friction beyond which a particle has several equilibria, relative"
     klarbring = Check("klarbring", what, (), measures.klarbring, 1e-9)
     every = [*(check for kind in kinds for check in kind()), klarbring, *heat_problems()]
-    return [replace(p, tier="quick") if p.name in QUICK else p for p in every]
+    every = [replace(p, tier="quick") if p.name in QUICK else p for p in every]
+    return [*every, *validation()]
 
 
 def _homogeneous() -> Iterator[Check]:

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import meshes
+from app.case.femurs import Femur
 from app.case.geometries import Blocks, Cylinders, MeshOptions
 from app.soundness import cost
 from meshes import mantle, picture
 from meshes.data import MeshData
+from meshes.gruen import Zones
 
 INNER, THICKNESS, LENGTH = 7.0, 4.0, 20.0
 ROD = Cylinders(
@@ -67,6 +69,25 @@ def test_percentiles_and_the_clipped_part_are_by_area() -> None:
     assert thickness["mean"] == pytest.approx(exact.mean(), abs=0.01)
     clipped = np.mean(exact < mantle.CLIPPED * THICKNESS)
     assert thickness["clipped_fraction"] == pytest.approx(clipped, abs=0.02)
+
+
+def test_gruen_zones_have_the_thickness_that_is_theirs() -> None:
+    """Beside a stem moved medially; all of the rod is in the proximal third."""
+    by = 1.5
+    found = mantle.describe(eccentric(by), THICKNESS, -math.inf, Zones(Femur()))["gruen"]
+    assert set(found) == {"1", "7", "8", "14"}
+
+    def exact(first: float, last: float) -> list[float]:
+        turn = np.radians(np.linspace(first, last, 10_000))
+        place = np.hypot(by + INNER * np.cos(turn), INNER * np.sin(turn))
+        away = INNER + THICKNESS - place
+        return [away.min(), away.mean(), away.max()]
+
+    # The axis of the zones is not that of the stem: x = 0 is past 90 degrees by arcsin(by / INNER).
+    edge = 90.0 + math.degrees(math.asin(by / INNER))
+    for zone, first, last in (("7", -edge, edge), ("1", edge, 360 - edge), ("8", 0, 180)):
+        assert [*found[zone].values()] == pytest.approx(exact(first, last), abs=0.08), zone
+    assert found["14"] == pytest.approx(found["8"], abs=0.03)
 
 
 def test_what_is_below_the_tip_is_a_plug() -> None:

@@ -314,12 +314,12 @@ def test_mantles_are_told_once_each_by_thickness(maker: Maker) -> None:
     for stem in MODULI:
         for t in (5.0, 3.0):
             thickness = {"nominal": t, "min": 0.5, "median": t, "clipped_fraction": 0.25}
-            summary = {"mantle": {"thickness": thickness, "volume": 1e4 * t}}
+            summary = {"mantle": {"thickness": thickness, "volume": 1e4 * t, "cortex_min": 2.5}}
             maker.stance(stem, t, 1.0, {}, summary=summary)
     head, rows = gruen.mantles(rs.read(maker.write()).cases)
     assert [row[2] for row in rows] == ["3", "5"] and {row[0] for row in rows} == {"femur"}
     assert dict(zip(head, rows[0], strict=True))["cement (cm³)"] == "30"
-    assert "25 %" in rows[0] and "-" in rows[0]
+    assert "25 %" in rows[0] and "-" in rows[0] and rows[0][-1] == "2.5"
 
 
 # The page
@@ -393,6 +393,37 @@ def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
     sweep_report.run(maker.folder)
     left = {f.name for f in (maker.folder / "report").glob("*.png")}
     assert left == {"over_geometry_taper.png", "mine.png"}
+
+
+def test_mantles_are_compared_by_what_they_achieve_within_a_part(maker: Maker) -> None:
+    """Whatever keys of the geometry make them: here canals and stems."""
+    for part, key, means in (
+        ("clipped", "taper", (2.0, 2.6)),
+        ("cavity", "stem_width", (2.1, 4.0)),
+    ):
+        for mu in (0.4, 1.0):
+            for nominal, mean in zip((2, 4), means, strict=True):
+                own = {f"geometry.{key}": nominal, "geometry.cement_thickness": f"{nominal} mm"}
+                own["interfaces.cement_bone.friction_coefficient"] = mu
+                thickness = {"nominal": nominal, "mean": mean, "clipped_fraction": 4.0 - mean}
+                more = {
+                    "part": part,
+                    "overrides": own,
+                    "summary": {"mantle": {"thickness": thickness}},
+                }
+                numbers = contact(lambda *a, x=mean: x, "", 0, 0, 0.1)
+                maker.stance("titanium", nominal, mu, numbers, name=f"{part}{mean}{mu}", **more)
+    cases = rs.read(maker.write()).cases
+    groups = sweep_figures._groups(cases, sweep_figures.ACHIEVED)
+    assert [(name.split(":")[0], [*own]) for name, own in groups] == [
+        *[("clipped", [2.0, 2.6])] * 2,
+        *[("cavity", [2.1, 4.0])] * 2,
+    ]
+    drawn = str(sweep_figures.multiples(cases, None)[0])
+    assert "Numbers over achieved mean thickness" in drawn
+    for case in cases:
+        case.summary["mantle"]["thickness"]["clipped_fraction"] = 0.0
+    assert "achieved" not in str(sweep_figures.multiples(cases, None)[0])
 
 
 @pytest.mark.parametrize(

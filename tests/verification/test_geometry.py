@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import meshes
+from app.case import sweep
 from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, IntactFemur, MeshOptions
 from meshes import femur_bone, femur_intact, femur_stem, mantle
@@ -84,6 +87,29 @@ def test_thickness_is_reported() -> None:
     assert notes["head_centre"] == [43.0, 0.0, 54.0]
     assert notes["mantle"]["volume"] == pytest.approx(region_volumes(femur(4.0))["cement"])
     json.dumps(notes)
+
+
+@pytest.mark.parametrize("widening", [0.0, 5.0])
+def test_the_least_cortex_is_that_between_the_surfaces(widening: float) -> None:
+    """Of points on them, half a millimetre apart: reaming leaves 2.5 mm, but radially."""
+    data = meshes.build(Femur(canal_widening=f"{widening} mm"), MeshOptions(size="6 mm"))
+    theta, z = np.meshgrid(np.radians(np.arange(0, 360, 2)), np.arange(-118.0, 0.0, 0.5))
+    outside, inside = (
+        np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1).reshape(-1, 3)
+        for r in (femur_bone.PERIOSTEUM.radius(theta, z), femur_bone.endosteum(widening)(theta, z))
+    )
+    exact = cKDTree(outside).query(inside)[0].min()
+    assert data.notes["mantle"]["cortex_min"] == pytest.approx(exact, abs=0.15)
+
+
+def test_the_stems_of_the_thickness_sweep_share_a_cavity() -> None:
+    """To the difference of 1 / cos of the taper: 2 mm times 0.0009."""
+    _, planned = sweep.read(Path(__file__).parents[2] / "configs/sweeps/thickness.yaml")
+    shared = [c.case.geometry for c in planned if c.part == "cavity"]
+    assert len({g.cement_thickness for g in shared}) == len(shared) == 4
+    for z in (-118.0, -50.0, 20.0):
+        found = [femur_stem.body(g).offset(g.cement_thickness).section(z) for g in shared]
+        assert np.ptp(found, axis=0) == pytest.approx(0.0, abs=0.003)
 
 
 def test_the_plug_fills_the_canal_below_the_tip() -> None:
