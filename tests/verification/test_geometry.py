@@ -49,7 +49,7 @@ THICKNESSES = [
 def test_regions_are_whole_and_touch_where_they_should(thickness: float) -> None:
     data = femur(thickness)
     regions = data.regions
-    assert data.notes["quality"]["sicn_min"] > 0.12
+    assert data.notes["quality"]["sicn_min"] > 0.1  # below, notes count cells as poor
     assert set(data.boundaries) == set(Femur().boundary_names)
     assert all(area > 0 for area in boundary_areas(data).values())
     # The stem touches bone nowhere, not even at a node.
@@ -178,6 +178,7 @@ def test_patches_are_on_the_bone_where_muscles_are_and_the_trunnion_is_at_the_he
 @pytest.mark.slow
 @pytest.mark.parametrize("thickness", [2.0, 7.0])
 def test_fine_meshes_of_thin_and_thick_mantles(thickness: float) -> None:
-    data = femur(thickness, 1.5)
-    assert len(data.cells) == 64 * len(femur(thickness, 6.0).cells)
+    """Cells follow the size in every direction, a cube each, but where layers have one at least."""
+    data, coarse = femur(thickness, 1.5), femur(thickness, 6.0)
+    assert 0.5 * 64 < len(data.cells) / len(coarse.cells) < 64
     assert data.notes["quality"]["sicn_min"] > 0.12
