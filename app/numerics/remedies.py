@@ -19,6 +19,8 @@ log = logging.getLogger("mantle")
 AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
 # Factors of the default augmentation, tried last if the case sets another one.
 USUAL = (1.0, 0.1, 0.01)
+# Part of the default augmentation below which a solution is refined with the default.
+SMALL = 0.05
 
 
 def solve(solver: Solver) -> NewtonResult:
@@ -36,6 +38,8 @@ def solve(solver: Solver) -> NewtonResult:
         log.info("     %s: %s", failure_text(solver), text)
         runs.append(solver.run())
         tried.append((text, solver.residuals[-1]))
+    if contact and solver.converged and solver.augmentation < SMALL * contact.usual_augmentation():
+        runs.append(_refine(solver, contact))
     augmentation = solver.augmentation
     solver.use_search(solver.usual_search)
     if solver.converged:
@@ -58,6 +62,19 @@ def solve(solver: Solver) -> NewtonResult:
         tried=tuple(tried),
         period=solver.active.period(),
     )
+
+
+def _refine(solver: Solver, contact: Contact) -> tuple[int, int]:
+    """Continue with the default augmentation: gaps and slips are wrong by the residual over r."""
+    found, reached = solver.x.copy(), len(solver.residuals)
+    contact.scale_augmentation(contact.usual_augmentation())
+    spent = solver.run()
+    if not solver.converged:
+        found.copy(solver.x)
+        contact.scale_augmentation(solver.augmentation)
+        del solver.residuals[reached:], solver.changes[reached:]
+        solver.converged = True
+    return spent
 
 
 def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
