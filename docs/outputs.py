@@ -30,7 +30,6 @@ BLOCK = re.compile(r"(?:<!-- file: (\S+) -->\n)?```(sh|yaml|text)\n(.*?)```\n", 
 SKIPPED = re.compile(r"\./mantle (setup|doctor|test|explain)|.*configs/stance.yaml|mpirun")
 PROGRESS = re.compile(r"^( {5}\S|solver: |converged: |results in |\[\d+/\d+\]).*\n", re.MULTILINE)
 TIMED = re.compile(r"\d+(\.\d+)? (s|MB|kB)\b")
-FENCED = "```text\n%s\n```\n"
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 QUANTITIES = {
     "debonding (µm)": ("gap_max", "gap_p99"),
@@ -100,7 +99,11 @@ def _cell(case: str, interface: str, quantity: str) -> str:
 def words(text: str) -> list[str]:
     """The lines of the outputs of a page, without their numbers and spaces."""
     blocks = "".join(inner for _, language, inner in BLOCK.findall(text) if language == "text")
-    return [" ".join(NUMBER.sub(" # ", line).split()) for line in blocks.splitlines()]
+    return [_words(line) for line in blocks.splitlines()]
+
+
+def _words(line: str) -> str:
+    return " ".join(NUMBER.sub(" # ", line).split())
 
 
 def differences(old: str, new: str) -> Iterator[str]:
@@ -110,7 +113,7 @@ def differences(old: str, new: str) -> Iterator[str]:
         yield f"{len(lines[1])} lines instead of {len(lines[0])}"
     for before, now in zip(*lines, strict=False):
         a, b = (NUMBER.findall(TIMED.sub("", line)) for line in (before, now))
-        if words(FENCED % before) != words(FENCED % now) or not all(map(_equal, a, b)):
+        if _words(before) != _words(now) or not all(map(_equal, a, b)):
             yield f"- {before}\n+ {now}"
 
 

@@ -74,8 +74,7 @@ def write(folders: Sequence[Path]) -> list[Path]:
     checks = [check for folder in folders[1:] for check in _checks(folder)]
     case = load(run.folder / "case.yaml").config
     found = factors(case, run.summary, _json(run.folder / "provenance.json"), checks)
-    head = {"question": case.question or APPLICANT, "context_of_use": case.context_of_use}
-    head["context_of_use"] = head["context_of_use"] or APPLICANT
+    head = {key: getattr(case, key) or APPLICANT for key in ("question", "context_of_use")}
     content = head | {"standard": "ASME V&V 40-2018", "factors": [asdict(f) for f in found]}
     write_json(run.folder / "evidence.json", content)
     rows = [[str(f.number), f.part, f.name, list(f.evidence)] for f in found]
@@ -223,16 +222,15 @@ def _paragraphs(case: Case, summary: Mapping[str, Any], record: Mapping[str, Any
     yield f"## Methods: {case.title}"
     order, size = case.mesh.order, case.mesh.size
     solver = summary["solver"]
-    cement = summary.get("mantle", {}).get("thickness")
-    achieved = (
-        f" Its cement mantle is {cement['mean']:.2f} mm thick in the mean, " if cement else ""
-    )
-    least = (
-        f"{cement['min']:.2f} mm at the least (nominal {cement['nominal']:g} mm)." if cement else ""
-    )
+    mantle = ""
+    if cement := summary.get("mantle", {}).get("thickness"):
+        mantle = (
+            f" Its cement mantle is {cement['mean']:.2f} mm thick in the mean, "
+            f"{cement['min']:.2f} mm at the least (nominal {cement['nominal']:g} mm)."
+        )
     yield (
         f"The model ({case.geometry.kind}) was meshed by gmsh {record['identity']['gmsh']} with "
-        f"tetrahedra of {size:g} mm and order {order}: {solver['dofs']} unknowns.{achieved}{least}"
+        f"tetrahedra of {size:g} mm and order {order}: {solver['dofs']} unknowns.{mantle}"
     )
     for title in ("regions", "interfaces", "supports", "loads"):
         parts = getattr(case, title).items()

@@ -6,12 +6,14 @@ from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import Any
 
-# Motions of the stem that are split.
-STEM = ("subsidence", "retroversion", "varus")
+from app.case.quantities import TABLE
+
 # Dissipation per cycle that has vanished, and change per cycle that is none, relative.
 NOTHING, SAME = 0.02, 0.1
 
-Numbers = dict[str, float]
+# Numbers by the stem or interface that they are of.
+Turn = dict[str, dict[str, float]]
+OF_INTERFACES = ("motion_p99", "inducible_p99", "dissipation")
 
 
 class Cycles:
@@ -20,23 +22,22 @@ class Cycles:
     saved = ("_turns",)
 
     def __init__(self) -> None:
-        self._turns: dict[str, list[Numbers]] = {}
+        self._turns: dict[str, list[Turn]] = {}
 
-    def add(self, stage: str, summary: Mapping[str, Any]) -> None:
+    def add(self, stage: str, stem: Mapping[str, Any], interfaces: Mapping[str, Any]) -> None:
         """Keep the numbers where the loads of a stage turn: peaks and valleys in turns."""
-        stem, interfaces = summary.get("stem", {}), summary["interfaces"]
-        kept = {f"stem.{key}": stem[key] for key in STEM if key in stem}
-        for name, numbers in interfaces.items():
-            for key in ("motion_p99", "inducible_p99", "dissipation"):
-                kept |= {f"{name}.{key}": numbers[key]} if key in numbers else {}
-        self._turns.setdefault(stage, []).append(kept)
+        kept = {
+            name: {key: numbers[key] for key in OF_INTERFACES if key in numbers}
+            for name, numbers in interfaces.items()
+        }
+        self._turns.setdefault(stage, []).append(({"stem": dict(stem)} if stem else {}) | kept)
 
     def summary(self) -> dict[str, Any]:
         """For each stage with two peaks at least, what `split` finds."""
         return {name: split(turns) for name, turns in self._turns.items() if len(turns) > 2}
 
 
-def split(turns: list[Numbers]) -> dict[str, Any]:
+def split(turns: list[Turn]) -> dict[str, Any]:
     """Permanent and inducible parts of motions, and dissipation from peak to peak.
 
     Returns:
@@ -44,19 +45,17 @@ def split(turns: list[Numbers]) -> dict[str, Any]:
         adds from there to the next peak; of interfaces the 99th percentile of the way between
         both. ``dissipation`` [N mm] of each cycle after the first peak, and its ``trend``.
     """
-    peaks, valleys = turns[::2], turns[1::2]
-    low, high = valleys[len(peaks) - 2], peaks[-1]
-    permanent: dict[str, Numbers] = {}
-    inducible: dict[str, Numbers] = {}
-    for path, value in low.items():
-        place, key = path.split(".")
-        if key in STEM:
-            inducible.setdefault(place, {})[key] = high[path] - value
-            permanent.setdefault(place, {})[key] = value
-        elif key == "motion_p99":
-            inducible.setdefault(place, {})[key] = high[f"{place}.inducible_p99"]
-            permanent.setdefault(place, {})[key] = value
-    total = [sum(v for k, v in peak.items() if k.endswith(".dissipation")) for peak in peaks]
+    peaks, low, high = turns[::2], turns[1::2][len(turns[::2]) - 2], turns[::2][-1]
+    permanent: Turn = {}
+    inducible: Turn = {}
+    for place, own in low.items():
+        if place == "stem":
+            permanent[place] = own
+            inducible[place] = {key: high[place][key] - value for key, value in own.items()}
+        else:
+            permanent[place] = {"motion_p99": own["motion_p99"]}
+            inducible[place] = {"motion_p99": high[place]["inducible_p99"]}
+    total = [sum(own.get("dissipation", 0.0) for own in peak.values()) for peak in peaks]
     lost = [b - a for a, b in pairwise(total)]
     return {
         "permanent": permanent,
@@ -83,13 +82,10 @@ def trend(first: float, lost: list[float]) -> str:
 def rows(found: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
     """Motions of a stage with cycles: what it is, its permanent and its inducible part."""
     for place, own in found["permanent"].items():
-        for key, value in own.items():
-            both = value, found["inducible"][place][key]
-            if key in ("retroversion", "varus"):
-                yield f"{key} (deg)", *(f"{v:.3f}" for v in both)
-            else:
-                name = f"motion p99 of {place}" if key == "motion_p99" else key
-                yield f"{name} (um)", *(f"{1e3 * v:.1f}" for v in both)
+        for key in own:
+            q = TABLE["stem" if place == "stem" else "interfaces"][key]
+            name = key if place == "stem" else f"motion p99 of {place}"
+            yield f"{name} ({q.shown})", q.text(own), q.text(found["inducible"][place])
 
 
 def dissipation(found: Mapping[str, Any]) -> str:

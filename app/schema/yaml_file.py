@@ -139,11 +139,8 @@ class CaseFile:
         if option and not isinstance(place, str):
             # An option changed the kind of a section of the file, whose other keys stay.
             section = option.rpartition(".")[0]
-            place, change = (
-                option,
-                f"; {self.option}'{section}={{kind: ...}}' replaces the whole section",
-            )
-            fault = Fault(fault.path, fault.text + change)
+            change = f"; {self.option}'{section}={{kind: ...}}' replaces the whole section"
+            place, fault = option, Fault(fault.path, fault.text + change)
         text = f"{key}: {fault.text}" if key and key != place else fault.text
         if isinstance(place, str):
             return LAST, f"{self.option}{path_text((place,))}: {text}"

@@ -158,13 +158,11 @@ class Recorder:
                 self._contact = {"pressures": trial.law.pressures, "status": trial.law.status}
                 self.samples = ContactSamples(m.problem, trial, self._valley.get("jump"))
             self._total.count(step.outcome)
-            stem = stem_motion(m.problem, self._case)
-            self._mechanical = self._row_of(step, balance) | {
-                f"stem {key} [{q.unit}]": stem[key]
-                for key, q in TABLE["stem"].items()
-                if q.history and key in stem
-            }
-            self._turn(step, stem, trial)
+            moved = stem_motion(m.problem, self._case)
+            columns = [q for key, q in TABLE["stem"].items() if q.history and key in moved]
+            self._mechanical = self._row_of(step, balance)
+            self._mechanical |= {f"stem {q.key} [{q.unit}]": moved[q.key] for q in columns}
+            self._turn(step, {q.key: moved[q.key] for q in columns}, trial)
             # The steps of heat, which come more often, have the rows of stages that take time.
             if not self._stage.takes_time:
                 self._row(step)
@@ -175,8 +173,7 @@ class Recorder:
         way = (step.time - math.ceil(step.time) + 1) * self._stage.ways
         if self._stage.cycles == 1 or not step.whole or abs(way - round(way)) > 1e-6:
             return
-        interfaces = self.samples.numbers if self.samples else {}
-        self._cycles.add(step.stage, {"stem": stem, "interfaces": interfaces})
+        self._cycles.add(step.stage, stem, self.samples.numbers if self.samples else {})
         if trial is not None and round(way) % 2 == 0:
             self._valley = {"jump": trial.jump.copy()}
 
