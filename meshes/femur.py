@@ -7,6 +7,7 @@ surface elsewhere. Both surfaces, and those of stem and bone, are functions on o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -36,8 +37,17 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         GeometryError: The stem does not fit the canal (with the place), or its neck or shoulder
             does not go with the neck cut.
     """
-    surfaces = FemurSurfaces(geometry, mesh)
-    made = swept.mesh(surfaces, mesh.curved)
+    return operated(geometry, FemurSurfaces(geometry, mesh))
+
+
+def operated(
+    geometry: Any,
+    surfaces: FemurSurfaces,
+    placed: Callable[[Floats], Floats] | None = None,
+    notes: dict[str, Any] | None = None,
+) -> MeshData:
+    """The mesh of surfaces with a stem, placed in the axes of the model."""
+    made = swept.mesh(surfaces, surfaces.mesh.curved)
     facets, owner = made.facets
     bone = np.array([name.endswith("bone") for name in made.names])[made.region[owner]]
     masks = {
@@ -46,21 +56,23 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "stem_trunnion": made.on(facets, s=surfaces.cut + surfaces.segments[-1].steps),
         "resection": bone & made.on(facets, s=surfaces.cut),
     }
-    return assembled(geometry, made, REGIONS, INTERFACES, masks)
+    x = placed(made.nodes.x) if placed else turned(made.nodes.x, geometry.anteversion)
+    data = assembled(geometry, made, x, REGIONS, INTERFACES, masks)
+    return replace(data, notes=data.notes | (notes or {}))
 
 
 def assembled(
     geometry: Any,
     made: swept.Swept,
+    x: Floats,
     regions: tuple[str, ...],
     interfaces: dict[str, Any],
     masks: dict[str, Any],
 ) -> MeshData:
-    """The mesh with tags, muscle patches and notes; masks are over its exterior facets."""
+    """The mesh of nodes x with tags, patches and notes; masks are over its exterior facets."""
     tag_of = number(regions)
     tags = np.array([tag_of[name] for name in made.names])[made.region]
     facets, _ = made.facets
-    x = turned(made.nodes.x, geometry.anteversion)
     masks |= _patches(geometry, x, facets, made.on(facets, rho=4))
     data = assemble(x, made.cells, tags, tag_of, interfaces, masks, facets)
     notes = {"head_centre": list(geometry.head_centre), "layers": made.describe()}

@@ -22,6 +22,7 @@ from app.arrays import Floats, Ints
 from meshes import swept
 from meshes.data import MeshData
 from meshes.femur import assembled
+from meshes.femur_bone import turned
 from meshes.femur_surfaces import SPREAD, FemurSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
@@ -177,4 +178,5 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     facets, _ = made.facets
     distal, head = made.on(facets, s=0), made.above(facets, surfaces.neck)
     masks = {"distal_cut": distal, "bone_surface": ~distal, "head": head}
-    return assembled(geometry, made, REGIONS, {}, masks)
+    x = turned(made.nodes.x, geometry.anteversion)
+    return assembled(geometry, made, x, REGIONS, {}, masks)

@@ -38,14 +38,22 @@ class Zones:
     regions = ("cortical_bone", "cancellous_bone")
 
     def __init__(self, geometry: Any) -> None:
-        self._geometry = geometry
-        self._normal, self._level = femur_bone.resection(geometry)
-        self.tip = geometry.stem_tip_z
-        self.top = min(self._level / self._normal[2], self.tip + geometry.stem_length)
+        self._geometry, self._placed = geometry, getattr(geometry, "placement", None)
+        implant = geometry
+        if self._placed:
+            implant, self._normal = geometry.implant, self._placed.normal @ self._placed.turn
+            self._level = self._normal[2] * self._placed.top
+        else:
+            self._normal, self._level = femur_bone.resection(geometry)
+        self.tip = implant.stem_tip_z
+        self.top = min(self._level / self._normal[2], self.tip + implant.stem_length)
 
     def at(self, x: Floats) -> Ints:
         """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""
-        x = femur_bone.turned(x, -self._geometry.anteversion)
+        if self._placed:
+            x = self._placed.to_stem(x)
+        else:
+            x = femur_bone.turned(x, -self._geometry.anteversion)
         third = np.floor(3 * (x[:, 2] - self.tip + EDGE) / (self.top - self.tip))
         third = np.clip(third, 0, 2)[:, None].astype(np.int64)
         # Medial and anterior to the stem's axis; lateral in the one view is posterior in the other.
@@ -60,6 +68,8 @@ class Zones:
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
         g = self._geometry
+        if self._placed:  # a patient's bone is meshed after the operation alone
+            return np.ones(len(x), dtype=bool)
         x = femur_bone.turned(x, -g.anteversion)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])

@@ -15,12 +15,13 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, mo
 
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, physical_names
+from app.case.patients import Patient
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail, not_one_of, show
 from app.schema.units import Angle, PositiveLength, SizeVector
 
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
-__all__ += ["MeshOptions", "Sides"]
+__all__ += ["MeshOptions", "Patient", "Sides"]
 
 # How long edges of cells may be: in radii, in thicknesses of rings and of blocks (measured: beyond
 # it gmsh fails or its cells are flat; rings of 20 and blocks of 25 are solved in `mantle stress`).
@@ -279,4 +280,4 @@ class MeshFile(Shape):
         return content(self.path, folder)
 
 
-Geometry = Annotated[Blocks | Cylinders | Femur | IntactFemur | MeshFile, Kinds()]
+Geometry = Annotated[Blocks | Cylinders | Femur | IntactFemur | Patient | MeshFile, Kinds()]
