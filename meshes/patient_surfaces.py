@@ -27,14 +27,14 @@ from meshes.placement import Placement
 ANGLES, EVERY = 96, 2.0  # rays around; mm between sections
 BEYOND = 4.0  # mm above the cut up to which radii are taken
 GROOVE = 4.0  # mm: narrower gaps in the bone do not end a ray
-STEEPEST = 1.6  # slope of a surface along and around
+STEEPEST = 1.2  # slope of a surface along and around
 BLUR = 0.7  # samples
 THINNING, THIN = 35.0, 2.0  # mm above the canal's end over which the cortex becomes so thin
 CORTEX, LEAST_CORTEX = 2.5, 1.5  # mm that reaming leaves, or the patient's own down to the second
 BROACH = 0.3  # mm that a broach is wider than stem and mantle
-CORE = 0.6  # of the canal: the innermost surface below the plug
+CORE = 0.7  # of the canal: the innermost surface below the plug
 LID = 0.9  # of the normal along the shaft: the flat end of a canal's surface
-WIDE = 12.0  # mm of an edge around the metaphysis
+WIDE, OVER = 12.0, 2.0  # mm of an edge around the metaphysis, and over the size
 SIDES = ("medially", "antero-medially", "anteriorly", "antero-laterally")
 SIDES += ("laterally", "postero-laterally", "posteriorly", "postero-medially")
 
@@ -111,7 +111,7 @@ class PatientSurfaces(FemurSurfaces):
         self.told: list[str] = []
         self._measure(geometry)
         wide = 2 * np.pi * float(self._outer.radii[self._outer.zeta < self._top].mean(axis=1).max())
-        least = 0 if mesh.size > 10.0 or mesh.around else int(np.ceil(wide / WIDE))
+        least = 0 if mesh.size > 10.0 or mesh.around else int(np.ceil(wide / min(WIDE, OVER * mesh.size)))
         self.around = max(mesh.lines_around(body.section(self._middle), thickness), least)
         self.through, self.cement = mesh.cells_through(thickness), mesh.along_cement(thickness)
         self._refuse()
