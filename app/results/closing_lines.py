@@ -100,7 +100,7 @@ def too_far(summary: Mapping[str, Any]) -> list[str]:
     return [
         name
         for name, q in summary.get("interfaces", {}).items()
-        if q.get("slip_max", 0.0) > q.get("facet_size", np.inf)
+        if quantities.largest(q, "slip_max") > q.get("facet_size", np.inf)
     ]
 
 
@@ -160,6 +160,10 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
         clauses.append(Verdict(f"heat: {kept}", "bad" if "heat" in lost else "good"))
     if summary["interfaces"]:
         clauses.append(_contact(summary["interfaces"]))
+    q = TABLE["interfaces"]["gap_max"]
+    rims = {name: own["rim"] for name, own in summary["interfaces"].items() if "rim" in own}
+    if gaps := ", ".join(f"{q.text(rim)} {q.shown} ({name})" for name, rim in rims.items()):
+        clauses.append(Verdict(f"rim and tip: not in these numbers; largest gap of the rim {gaps}"))
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
     asked = [Verdict(summary["accuracy"])] if "accuracy" in summary else []
