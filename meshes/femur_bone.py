@@ -66,7 +66,7 @@ CANAL = np.array(
 )
 TROCHANTER = (6.0, np.radians(-20.0), 0.40, 8.0)  # lesser: height, angle, spread in angle and z
 CORTEX = 2.5  # mm of cortical bone that are left where the canal comes near the periosteum
-SHAFT = (-50.0, -10.0)  # levels between which the cortex of a metaphysis goes over to the table's
+SHAFT = (-50.0, -10.0)  # levels [mm] between which a metaphyseal cortex goes over to the table's
 
 
 @dataclass(frozen=True)
@@ -122,12 +122,12 @@ def endosteum(geometry: Any) -> Callable[[Floats, Floats], Floats]:
     cortex = geometry.metaphyseal_cortex
 
     def radius(theta: Floats, z: Floats) -> Floats:
-        canal, bone = inside.radius(theta, z), outside.radius(theta, z)
+        bone = outside.radius(theta, z)
+        canal = np.minimum(inside.radius(theta, z), bone - CORTEX)
         if cortex is None:
-            return np.minimum(canal, bone - CORTEX)
+            return canal
         t = np.clip((z - SHAFT[0]) / (SHAFT[1] - SHAFT[0]), 0.0, 1.0)
         share = t * t * (3 - 2 * t)
-        canal = np.minimum(canal, bone - CORTEX)
         return np.asarray((1 - share) * canal + share * (bone - cortex))
 
     return radius
