@@ -35,7 +35,7 @@ CAUSES = {
     "canal": "room in the canal",
     "loads": "loads in balance",
     "interface": "a smoother stem",
-    "history": "hot cement first",
+    "history": "cement that set first",
 }
 READINGS = {"initial": "100 °C at the start", "held": "100 °C held"}
 # When the temperature of cement that starts at 100 degC is reported; the paper names no time [s].
