@@ -74,7 +74,7 @@ class Zones:
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
         cavity = femur_stem.body(g).offset(g.cement_thickness).radius(theta, z)
-        canal = femur_bone.endosteum(g.canal_widening, g.anteversion)(theta, z)
+        canal = femur_bone.endosteum(g)(theta, z)
         # The mantle ends at the endosteum.
         cavity = np.minimum(cavity, canal)
         below_plug = z < self.tip - g.plug_length + EDGE

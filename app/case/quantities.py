@@ -237,8 +237,13 @@ add_quantity(
     *(_dose(f"volume_over_{level}", "mm^3") for level in (47, 50, 56)),
     _dose("cem43_max", "min"),
     _dose("henriques_moritz_max", "-"),
-    *(_dose(f"necrosis_{rule}_volume", "mm^3") for rule in NECROSIS),
-    *(_dose(f"necrosis_{rule}_depth", "mm", digits=2) for rule in NECROSIS),
+    *(
+        _dose(
+            f"necrosis_{rule}_{key}", unit, digits=digits, label=f"dead by {in_print(words)}, {key}"
+        )
+        for key, unit, digits in (("volume", "mm^3", 1), ("depth", "mm", 2))
+        for rule, words in NECROSIS.items()
+    ),
     *(_between(f"temperature_max_{s}", "degC", headline=True) for s in ("first", "second")),
     *(_between(f"temperature_max_{side}_time", "s", order=DOSE) for side in ("first", "second")),
     _between("temperature_jump_max", "K"),

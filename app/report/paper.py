@@ -34,6 +34,13 @@ MODELS = {
 # Places by Gruen zone, from 1.
 ZONES = ["proximal lateral", "intermediate lateral", "distal lateral", "at the tip or below"]
 ZONES += ["distal medial", "intermediate medial", "proximal medial"]
+# Parts that vary what the paper does not tell: does a trend that differs agree there?
+CAUSES = {
+    "canal": "room in the canal",
+    "loads": "loads in balance",
+    "interface": "a smoother stem",
+    "history": "cement that set first",
+}
 READINGS = {"initial": "100 °C at the start", "held": "100 °C held"}
 # When the temperature of cement that starts at 100 degC is reported; the paper names no time [s].
 AT = 10.0
@@ -51,16 +58,22 @@ class Cases:
     Attributes:
         stances: Single-limb stances on a stem in contact with its cement.
         hot: Cases of hot cement, bonded ones too.
+        causes: Stances that vary what the paper does not tell, by what it is.
+
+    Args:
+        cause: One of `CAUSES`: its stances alone.
     """
 
-    def __init__(self, sweep: SweepResults) -> None:
+    def __init__(self, sweep: SweepResults, cause: str = "") -> None:
         own = sweep.cases if sweep.compare_with == "paper" else ()
+        parts = {cause: "stance"} if cause else MODELS
         # Of equal cases the finer counts, then the first: the last overwrites.
-        known = [c for c in sorted(reversed(own), key=lambda c: c.unknowns) if c.part in MODELS]
+        known = [c for c in sorted(reversed(own), key=lambda c: c.unknowns) if c.part in parts]
         self.stances = [
-            c for c in known if MODELS[c.part] == "stance" and _friction(c, "stem_cement")
+            c for c in known if parts[c.part] == "stance" and _friction(c, "stem_cement")
         ]
-        self.hot = [c for c in known if MODELS[c.part] != "stance"]
+        self.hot = [c for c in known if parts[c.part] != "stance"]
+        self.causes = {} if cause else {w: Cases(sweep, part) for part, w in CAUSES.items()}
 
     def __bool__(self) -> bool:
         """Whether any has results."""
@@ -105,7 +118,7 @@ def labels(case: SweptCase) -> dict[str, Any]:
     """Model, stem, thickness [mm], friction at the bone, reading of "100 degrees"."""
     modulus = magnitude(_value(case, "regions", "stem", "youngs_modulus"))
     return {
-        "model": MODELS[case.part],
+        "model": MODELS.get(case.part, "stance"),
         "stem": next((stem for stem, own in STEMS.items() if own == modulus), None),
         "thickness": magnitude(_value(case, "geometry", "cement_thickness")),
         "friction": _friction(case, "cement_bone"),

@@ -160,10 +160,6 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
         clauses.append(Verdict(f"heat: {kept}", "bad" if "heat" in lost else "good"))
     if summary["interfaces"]:
         clauses.append(_contact(summary["interfaces"]))
-    q = TABLE["interfaces"]["gap_max"]
-    rims = {name: own["rim"] for name, own in summary["interfaces"].items() if "rim" in own}
-    if gaps := ", ".join(f"{q.text(rim)} {q.shown} ({name})" for name, rim in rims.items()):
-        clauses.append(Verdict(f"rim and tip: not in these numbers; largest gap of the rim {gaps}"))
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
     asked = [Verdict(summary["accuracy"])] if "accuracy" in summary else []
@@ -187,7 +183,7 @@ def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:
-    """Penetration of the bodies, at contact points and between them."""
+    """Penetration of the bodies, and what the numbers of interfaces leave out."""
 
     def length(key: str) -> str:
         q = TABLE["interfaces"][key]
@@ -195,11 +191,18 @@ def _contact(interfaces: Mapping[str, Any]) -> Verdict:
 
     keys = ("penetration_max", "penetration_sampled")
     most = {key: max(q[key] for q in interfaces.values()) for key in keys}
+    q, rims = (
+        TABLE["interfaces"]["gap_max"],
+        {n: i["rim"] for n, i in interfaces.items() if "rim" in i},
+    )
+    gaps = ", ".join(f"{q.text(rim)} {q.shown} ({name})" for name, rim in rims.items())
+    apart = f"; numbers are without rim and tip, the rim opens by {gaps}" if gaps else ""
     if most["penetration_max"] >= 1e-9:
-        return Verdict(f"contact: the bodies penetrate by {length('penetration_max')}", "doubtful")
+        deep = length("penetration_max")
+        return Verdict(f"contact: the bodies penetrate by {deep}{apart}", "doubtful")
     between = most["penetration_sampled"] >= 1e-9
     rest = f", within {length('penetration_sampled')} between them" if between else ""
-    return Verdict(f"contact: exact to rounding at points{rest}", "good")
+    return Verdict(f"contact: exact to rounding at points{rest}{apart}", "good")
 
 
 def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:

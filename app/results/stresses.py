@@ -69,7 +69,7 @@ class Stresses:
             if e.region in mechanics.growth:
                 continue
             displacement = problem.displacements()[problem.bodies.of_region[e.region]]
-            if e.eigenstrains or e.region in mechanics.swelling:
+            if e.eigenstrains or e.varies or e.region in mechanics.swelling:
                 ε = mechanics.elastic_strain(e, displacement)
                 σ = elasticity.stress(partial(mechanics.energy_density, e), ε)
                 self._own[e.region] = self._expression(σ)
@@ -144,15 +144,17 @@ class Stresses:
         """
         σ = self.evaluate(region)
         e = next(e for e in self._problem.scene.elastic if e.region == region)
+        x, _ = self.places(region)
         if isinstance(e.fibre, Circumferential):
             # In axes that turn with it.
-            Q = e.fibre.frames(self.places(region)[0]).reshape(σ.shape)
+            Q = e.fibre.frames(x).reshape(σ.shape)
             σ = np.einsum("cqki,cqkl,cqlj->cqij", Q, σ, Q)
         a = np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
         # Each of the last three stands for two entries of the tensors.
         twice = np.diag([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
         S = twice @ np.linalg.inv(_stiffness(e))
-        return np.asarray(np.einsum("cqi,ij,cqj->cq", a, S, a)) / 2
+        density = np.asarray(np.einsum("cqi,ij,cqj->cq", a, S, a)) / 2
+        return density / np.reshape(e.relative_stiffness(x), (-1, σ.shape[1]))
 
     def region(self, region: str) -> dict[str, Any]:
         """Published stresses of a region, of a stem without its neck; collective."""
