@@ -191,12 +191,9 @@ def _contact(interfaces: Mapping[str, Any]) -> Verdict:
 
     keys = ("penetration_max", "penetration_sampled")
     most = {key: max(q[key] for q in interfaces.values()) for key in keys}
-    q, rims = (
-        TABLE["interfaces"]["gap_max"],
-        {n: i["rim"] for n, i in interfaces.items() if "rim" in i},
-    )
-    gaps = ", ".join(f"{q.text(rim)} {q.shown} ({name})" for name, rim in rims.items())
-    apart = f"; numbers are without rim and tip, the rim opens by {gaps}" if gaps else ""
+    gap = TABLE["interfaces"]["gap_max"].text
+    rims = [f"{gap(own['rim'])} um ({name})" for name, own in interfaces.items() if "rim" in own]
+    apart = f"; numbers are without rim and tip, the rim opens by {', '.join(rims)}" if rims else ""
     if most["penetration_max"] >= 1e-9:
         deep = length("penetration_max")
         return Verdict(f"contact: the bodies penetrate by {deep}{apart}", "doubtful")
