@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from app.case.quantities import TABLE
+from app.case.quantities import TABLE, in_print, titled
 from app.results import cycles
 
 PAGE = Path(__file__).resolve().parent / "howto" / "loads.md"
@@ -30,21 +30,20 @@ RUNS = {
     "walking_ten": "ten steps",
     "history": "set, cooled, ten steps",
 }
-KEYS = ("slip_p99", "slip_path_p99", "motion_p99", "gap_p99", "open_fraction", "pressure_p95")
+KEYS = ("slip_p99", "slip_path_p99", "motion_p99", "open_fraction")
 
 
 def numbers(summary: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Rows of one run: what it is, and its value."""
     for key in ("subsidence", "retroversion"):
-        q = TABLE["stem"][key]
-        yield f"{q.label} ({q.shown})", q.text(summary["stem"])
+        yield titled(f"stem.{key}"), TABLE["stem"][key].text(summary["stem"])
     for place in ("stem_cement", "cement_bone"):
         for key in KEYS:
-            q = TABLE["interfaces"][key]
-            yield f"{place}: {q.label} ({q.shown})", q.text(summary["interfaces"][place])
+            text = TABLE["interfaces"][key].text(summary["interfaces"][place])
+            yield titled(f"{place}.{key}"), text
     for found in summary.get("cycles", {}).values():
         for name, low, more in cycles.rows(found):
-            yield f"{name}: permanent, inducible", f"{low}, {more}"
+            yield f"{in_print(name)}: permanent, inducible", f"{low}, {more}"
         lost = found["dissipation"]
         yield "dissipation, second and last cycle (N mm)", f"{lost[0]:.3g}, {lost[-1]:.3g}"
 

@@ -59,8 +59,8 @@ def printed(unit: str) -> str:
 
 
 def in_print(text: str) -> str:
-    """Text with the units behind its numbers as printed."""
-    return re.sub(r"(?<=\d )(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
+    """Text with the units behind its numbers, or in brackets, as printed."""
+    return re.sub(r"(?:(?<=\d )|(?<=\())(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ add_quantity(
     _between("heat_flux_max", "W/m^2", digits=0),
     *(_between(f"entropy_production_{end}", "W/(m^2 K)", order=None) for end in ("min", "max")),
     *(_cure(f"degree_{end}", "-") for end in ("min", "max")),
-    *(_cure(f"time_{part}", "s", digits=1) for part in (50, 90)),
+    *(_cure(f"time_{p}", "s", digits=1, label=f"{p} % set everywhere") for p in (50, 90)),
     _cure("rate_max", "1/s"),
     *(Quantity("solver", f"{of}_iterations", "-", exact=True) for of in ("newton", "linear")),
     Quantity("solver", "condition", "-", exact=True),

@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import mantle
@@ -176,6 +177,16 @@ def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm"
     found = uncertainty.of_parts(rows, {"": [MODULUS, FRICTION]})
     (folder / "sweep.json").write_text(json.dumps({"cases": rows, "uncertainty": found}))
     return folder
+
+
+def test_cycles_after_cooling_are_all_drawn() -> None:
+    history = {
+        "time [-]": [1.0, 1.5, 2.0],
+        "seconds [s]": [9.0] * 3,
+        "stem subsidence [mm]": [1, 2, 3],
+    }
+    panels, label = curves.of_history({key: np.array(own) for key, own in history.items()})
+    assert list(panels[0].lines[0].numbers) == [1.0, 1.5, 2.0] and "stage" in label
 
 
 def test_dead_bone_has_a_spread(tmp_path: Path) -> None:
