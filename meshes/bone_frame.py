@@ -2,7 +2,7 @@
 
 The head is a sphere, found by pairs of points with normals; the shaft a line through centroids of
 sections; the lesser trochanter the most prominent peak of the outline's reach along the shaft; the
-neck the plane of least area. All lengths go with the head's radius, so that size does not matter.
+neck the plane of least area. Lengths go with the head's radius, so that size does not matter.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from scipy.optimize import least_squares, minimize
 from scipy.signal import find_peaks
 from scipy.spatial import cKDTree
 
-from app.arrays import Floats
+from app.arrays import Bools, Floats
 from app.errors import GeometryError
 from meshes.bone_surface import Surface, centroid, exits, section
 
@@ -29,17 +28,18 @@ SAMPLES, PAIRS = 2.5, 1500  # mm between samples; pairs of them tried
 SMOOTH = 4.0  # mm over which normals are averaged
 NEAR, ALONG = 1.0, math.cos(math.radians(18.0))  # mm and normals that belong to a sphere
 COVERED = 0.28  # of a sphere, at least, by a head
-CAP = math.cos(math.radians(90.0))  # half opening of the part of the head that is fitted
-ROBUST = 0.5  # mm: residuals beyond it count less
-# In radii of the head:
-SHAFT = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
-TROCHANTER = (0.8, 3.4)  # below the head's centre, where the lesser trochanter is
-CONDYLES = 3.0  # above the distal end
-LONG = 11.0  # length of a bone that has condyles
+ROBUST = 0.5  # mm: residuals of the head beyond it count less
 STEP = 1.5  # mm between sections that are searched for the lesser trochanter
 REACH = 0.7  # mm: decay of the weights of an outermost place
 BESIDE = (-4.5, -1.5, 1.5, 4.5)  # mm: sections of the neck beside the least one, averaged
 SECTORS = 12  # of the head, one left out at a time
+SURE = 1.65  # standard deviations that hold 90 %
+# In radii of the head:
+SHAFT = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
+TROCHANTER = (0.8, 3.4)  # below the head's centre, where the lesser trochanter is
+CONDYLES = 3.0  # above the distal end
+LONG = 9.0  # below the lesser trochanter: length of a bone that has condyles
+APART = 2.1  # between the condyles
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class Frame:
         head: Centre of the head (3,) [mm], in the surface's axes as all below.
         radius: Of the head [mm].
         origin: Point of the shaft's axis at the level of the lesser trochanter (3,) [mm].
-        axes: Unit vectors medial, anterior, proximal (rows) (3, 3); a right femur's are left-handed.
+        axes: Unit vectors medial, anterior, proximal (3, 3); those of a right femur are left-handed.
         neck: Unit vector along the neck to the head (3,).
         trochanter: Apex of the lesser trochanter (3,) [mm].
         side: ``left`` or ``right``.
         version: Angle of the neck to anterior of the condyles [rad]; None without condyles: then
             medial is along the neck.
-        spread: Of 90 %: head, radius, trochanter [mm], neck, version [rad].
+        spread: That holds 90 %, of head [mm], neck and version [rad].
     """
 
     head: Floats
@@ -79,89 +79,28 @@ class Frame:
         x, y, _ = self.axes @ self.neck
         return math.atan2(y, x)
 
-    @property
-    def neck_shaft(self) -> float:
-        """Angle between neck and shaft [rad]."""
-        return math.acos(-float(self.axes[2] @ self.neck))
-
     def surface(self, surface: Surface) -> Surface:
         """A surface in the model's axes, still outward."""
-        triangles = surface.triangles
-        if np.linalg.det(self.axes) < 0:
-            triangles = triangles[:, ::-1]
-        return replace(surface, points=self.to_model(surface.points), triangles=triangles)
+        way = slice(None, None, -1 if np.linalg.det(self.axes) < 0 else 1)
+        x, triangles = self.to_model(surface.points), surface.triangles[:, way]
+        return replace(surface, points=x, triangles=triangles)
 
     @property
-    def lines(self) -> tuple[str, ...]:
-        """What was found, in words, with the spread of 90 %."""
-        degrees, s = math.degrees, self.spread
+    def told(self) -> tuple[str, ...]:
+        """What was found, in words."""
+        turn, s = math.degrees, self.spread
+        places = ["({:.1f}, {:.1f}, {:.1f}) mm".format(*x) for x in (self.head, self.trochanter)]
         version = "unknown without condyles: medial is along the neck"
         if self.version is not None:
-            version = f"{degrees(self.version):.1f} deg +- {degrees(s['version']):.1f}"
-        head = ", ".join(f"{v:.1f}" for v in self.head)
-        small = ", ".join(f"{v:.1f}" for v in self.trochanter)
+            version = f"{turn(self.version):.1f} deg +- {turn(s['version']):.1f}"
+        angle = turn(math.acos(-float(self.axes[2] @ self.neck)))
         return (
             f"side: {self.side}" + (", mirrored" if self.side == "right" else ""),
-            f"head: ({head}) mm +- {s['head']:.1f}, radius {self.radius:.1f} mm",
-            f"lesser trochanter: ({small}) mm",
-            f"neck-shaft angle: {degrees(self.neck_shaft):.1f} deg +- {degrees(s['neck']):.1f}",
+            f"head: {places[0]} +- {s['head']:.1f}, radius {self.radius:.1f} mm",
+            f"lesser trochanter: {places[1]}",
+            f"neck-shaft angle: {angle:.1f} deg +- {turn(s['neck']):.1f}",
             f"version: {version}",
         )
-
-
-class _Bone:
-    """Triangles of a femur by their areas, centres and normals."""
-
-    def __init__(self, surface: Surface) -> None:
-        self.surface = surface
-        a, b, c = surface.corners.transpose(1, 0, 2)
-        normal = 0.5 * np.cross(b - a, c - a)
-        self.area = _far(normal)
-        self.centre = (a + b + c) / 3
-        self._normal = normal
-
-    @cached_property
-    def samples(self) -> tuple[Floats, Floats, Floats]:
-        """Centres (q, 3), averaged unit normals (q, 3) and areas (q,) of boxes of `SAMPLES`."""
-        box = np.floor((self.centre - self.centre.min(axis=0)) / SAMPLES).astype(np.int64)
-        of = np.unique(box, axis=0, return_inverse=True)[1].ravel()
-        area = np.bincount(of, self.area)
-        x, normal = (
-            np.stack([np.bincount(of, v[:, i]) for i in range(3)], axis=1)
-            for v in (self.area[:, None] * self.centre, self._normal)
-        )
-        x /= area[:, None]
-        tree = cKDTree(x)
-        normal = normal + tree.sparse_distance_matrix(tree, SMOOTH).tocsr().sign() @ normal
-        return x, normal / np.linalg.norm(normal, axis=1)[:, None], area
-
-    def outermost(self, way: Floats, within: Any) -> Floats:
-        """Mean place (3,) of what reaches farthest in a direction, of marked triangles."""
-        x, area = self.centre[within], self.area[within]
-        reach = x @ way
-        weight = area * np.exp((reach - reach.max()) / REACH)
-        return np.asarray(weight @ x / weight.sum())
-
-    def across(self, point: Floats, axis: Floats) -> Floats:
-        """Lines (k, 2, 2) of the section through a point across an axis, about the point."""
-        x = (self.surface.points - point) @ np.column_stack([*_across(axis), axis])
-        return section(x[:, :2], x[:, 2], self.surface.triangles)
-
-
-def _across(axis: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors that are right-handed with an axis (3,)."""
-    one = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    one /= np.linalg.norm(one)
-    return one, np.cross(axis, one)
-
-
-def _far(x: Floats) -> Floats:
-    """Lengths of vectors (n, 3)."""
-    return np.sqrt(np.einsum("ni,ni->n", x, x))
-
-
-def _unit(x: Floats) -> Floats:
-    return np.asarray(x / np.linalg.norm(x))
 
 
 def find(surface: Surface, given: Mapping[str, Any] | None = None) -> Frame:
@@ -169,107 +108,242 @@ def find(surface: Surface, given: Mapping[str, Any] | None = None) -> Frame:
 
     Args:
         surface: Its surface, of the whole bone or of its proximal part.
-        given: Of ``head_centre``, ``lesser_trochanter``, ``shaft`` (two points, from distal to
-            proximal), ``condyles`` (two points) [mm], ``side``.
+        given: Of ``head_centre``, ``lesser_trochanter``, ``shaft`` (two points, the distal one
+            first), ``condyles`` (two points) [mm], ``side``.
 
     Raises:
         GeometryError: It is no femur: no head, no lesser trochanter, no single side.
     """
-    given, bone = given or {}, _Bone(surface)
-    mean = np.average(bone.centre, axis=0, weights=bone.area)
-    off = (bone.centre - mean) * np.sqrt(bone.area)[:, None]
-    axis = np.linalg.eigh(off.T @ off)[1][:, 2]
-    head, radius, up, spread = _head(bone, axis, given)
-    low = float((surface.points @ up).min())
-    origin = head - 1.75 * radius * up
-    for _ in range(3):
-        point, up = _shaft(bone, origin, up, radius, given)
-        origin, trochanter = _trochanter(bone, point, up, head, radius, given)
-        low = float((surface.points @ up).min())
-    neck, neck_spread = _neck(bone, head, radius, up, origin, spread)
-    medial = _unit(neck - (neck @ up) * up)
-    side, posterior = _side(bone, trochanter - origin, up, medial, origin, radius, low, given)
-    version, turn = None, neck_spread
-    back = np.cross(medial, up) * posterior
-    found = given.get("condyles")
-    if found is not None or origin @ up - low > (LONG - 1.75) * radius:
-        line = _condyles(bone, up, medial, back, low, radius, found)
-        across = _unit(line - (line @ up) * up)
-        across *= np.sign(across @ medial)
-        front = np.cross(up, across) * posterior
-        version = math.atan2(medial @ front, medial @ across)
-        medial = across
-        turn = math.hypot(neck_spread / math.sin(math.acos(-float(up @ neck))), spread["rms"] / 23)
-    anterior = np.cross(up, medial) * posterior
-    told = {"head": spread["head"], "radius": spread["radius"], "neck": neck_spread}
-    told |= {"version": turn}
-    axes = np.stack([medial, anterior, up])
-    return Frame(head, radius, origin, axes, neck, trochanter, side, version, told)
+    return _Finder(surface, given or {}).frame()
 
 
-def _head(
-    bone: _Bone, axis: Floats, given: Mapping[str, Any]
-) -> tuple[Floats, float, Floats, dict[str, float]]:
-    """Centre, radius, the way to proximal, and the spread of the head."""
-    x, normal, area = bone.samples
-    along = x @ axis
-    best: tuple[float, Any] = (0.0, None)
-    for up in (axis, -axis):
-        end = np.abs(along - (x @ up).max() * (up @ axis)) < END
-        covered, sphere = _sphere(x[end], normal[end], area[end])
-        if covered > best[0]:
-            best = (covered, (sphere, up))
-    covered, found = best
-    if covered < COVERED:
-        text = f"no sphere covers more than {100 * covered:.0f} % of a head at either end"
-        raise GeometryError(f"geometry.bone: {text}; expected a femur with its head")
-    (centre, radius), up = found
-    for _ in range(4):
-        out = x - centre
-        far = _far(out)
-        on = (np.abs(far - radius) < 2 * NEAR) & (np.einsum("ni,ni->n", out, normal) > ALONG * far)
-        pole = _unit(area[on] @ (out[on] / far[on, None]))
-        out = bone.centre - centre
-        far = _far(out)
-        cap = np.flatnonzero((out @ pole > CAP * far) & (np.abs(far - radius) < 0.25 * radius))
-        centre, radius = _fit(bone.centre[cap], bone.area[cap], centre, radius)
-    one, other = _across(pole)
-    out = bone.centre[cap] - centre
-    sector = np.floor(SECTORS * (np.arctan2(out @ one, out @ other) / (2 * np.pi) + 0.5))
-    left = [
-        np.r_[_fit(bone.centre[cap[keep]], bone.area[cap[keep]], centre, radius)]
-        for keep in (sector != k for k in range(SECTORS))
-    ]
-    left_ = np.array([np.r_[c, r] for c, r in left]) if np.ndim(left[0]) != 1 else np.array(left)
-    variance = (SECTORS - 1) / SECTORS * ((left_ - left_.mean(axis=0)) ** 2).sum(axis=0)
-    off = _far(out) - radius
-    rms = math.sqrt(float(np.average(off**2, weights=bone.area[cap])))
-    spread = {"head": 1.65 * math.sqrt(variance[:3].sum()), "radius": 1.65 * math.sqrt(variance[3])}
-    if "head_centre" in given:
-        centre, spread["head"] = np.array(given["head_centre"]), 0.0
-    return centre, radius, up, spread | {"rms": rms}
+class _Finder:
+    """Triangles of a femur by areas, centres and normals, and what is found on them, in order."""
+
+    def __init__(self, surface: Surface, given: Mapping[str, Any]) -> None:
+        self.given, self.x, self.triangles = given, surface.points, surface.triangles
+        a, b, c = surface.corners.transpose(1, 0, 2)
+        self.normal = 0.5 * np.cross(b - a, c - a)
+        self.area, self.centre = _far(self.normal), (a + b + c) / 3
+        off = self.centre - np.average(self.centre, axis=0, weights=self.area)
+        axis = np.linalg.eigh((off * self.area[:, None]).T @ off)[1][:, 2]
+        self._find_head(axis)
+        self.origin = self.head - 1.75 * self.radius * self.up
+        for _ in range(3):
+            self._find_shaft()
+            self._find_trochanter()
+        self.low = float((self.x @ self.up).min())
+        self.long = float(self.origin @ self.up) - self.low > LONG * self.radius
+
+    def frame(self) -> Frame:
+        """The landmarks."""
+        neck, spread = self._neck()
+        up, medial = self.up, _unit(neck - (neck @ self.up) * self.up)
+        side = self._side(np.cross(up, medial))
+        way = 1.0 if side == "left" else -1.0  # of up x medial, if that is anterior
+        version, turn = None, 0.0
+        if self.long or "condyles" in self.given:
+            across = self._condyles(-way * np.cross(up, medial))
+            across *= np.sign(across @ medial)
+            version = math.atan2(way * medial @ np.cross(up, across), medial @ across)
+            condyles = SURE * self.rms / (APART * self.radius)
+            turn = math.hypot(spread / math.sqrt(1 - float(up @ neck) ** 2), condyles)
+            medial = across
+        axes = np.stack([medial, way * np.cross(up, medial), up])
+        told = {"head": self.spread, "neck": spread, "version": turn}
+        places = self.origin, axes, neck, self.trochanter
+        return Frame(self.head, self.radius, *places, side, version, told)
+
+    def _samples(self) -> tuple[Floats, Floats, Floats]:
+        """Centres (q, 3), averaged unit normals (q, 3) and areas (q,) of boxes of `SAMPLES`."""
+        box = np.floor((self.centre - self.centre.min(axis=0)) / SAMPLES).astype(np.int64)
+        of = np.unique(box, axis=0, return_inverse=True)[1].ravel()
+        area = np.bincount(of, self.area)
+        x, normal = (
+            np.stack([np.bincount(of, v[:, i]) for i in range(3)], axis=1)
+            for v in (self.area[:, None] * self.centre, self.normal)
+        )
+        tree = cKDTree(x := x / area[:, None])
+        normal = normal + tree.sparse_distance_matrix(tree, SMOOTH).tocsr().sign() @ normal
+        return x, normal / _far(normal)[:, None], area
+
+    def _find_head(self, axis: Floats) -> None:
+        """Centre, radius and spread of the head, and the way to proximal."""
+        x, normal, area = self._samples()
+        found = []
+        for up in (axis, -axis):
+            end = x @ up > (x @ up).max() - END
+            found.append((*_sphere(x[end], normal[end], area[end]), up))
+        covered, centre, radius, self.up = max(found, key=lambda f: f[0])
+        if covered < COVERED:
+            text = f"no sphere covers more than {100 * covered:.0f} % of itself at either end"
+            raise GeometryError(f"geometry.bone: {text}; expected a femur with its head")
+        for _ in range(4):
+            out = x - centre
+            far = _far(out)
+            on = (np.abs(far - radius) < 2 * NEAR) & (_dot(out, normal) > ALONG * far)
+            pole = _unit(area[on] @ (out[on] / far[on, None]))
+            out = self.centre - centre
+            cap = np.flatnonzero((out @ pole > 0) & (np.abs(_far(out) - radius) < 0.25 * radius))
+            points, size = self.centre[cap], self.area[cap]
+            centre, radius = _fit(points, size, centre, radius)
+        out, (one, other) = points - centre, _across(pole)
+        turn = np.arctan2(out @ one, out @ other) / (2 * np.pi) + 0.5
+        parts = [np.floor(SECTORS * turn) != k for k in range(SECTORS)]
+        left = np.array([_fit(points[p], size[p], centre, radius)[0] for p in parts])
+        variance = (SECTORS - 1) * left.var(axis=0).sum()
+        self.rms = math.sqrt(float(np.average((_far(out) - radius) ** 2, weights=size)))
+        self.head, self.radius, self.spread = centre, radius, SURE * math.sqrt(variance)
+        if "head_centre" in self.given:
+            self.head, self.spread = np.array(self.given["head_centre"]), 0.0
+
+    def _find_shaft(self) -> None:
+        """A point of the shaft's axis and its direction, from an estimate."""
+        if "shaft" in self.given:
+            low, self.point = map(np.array, self.given["shaft"])
+            self.up = _unit(self.point - low)
+            return
+        end = float(((self.x - self.origin) @ self.up).min())
+        depths = np.linspace(*np.multiply(SHAFT, self.radius), 33)
+        depths = depths[-depths > end + 3.0]
+        if len(depths) < 8:
+            text = f"ends {-end:.0f} mm below the lesser trochanter"
+            expected = f"expected {1.8 * self.radius:.0f} mm of shaft"
+            raise GeometryError(f"geometry.bone: {text}; {expected}")
+        points = [self.origin - depth * self.up for depth in depths]
+        plane = np.stack(_across(self.up))
+        middles = np.array([p + centroid(self._section(p))[0] @ plane for p in points])
+        self.point = middles.mean(axis=0)
+        axis = np.linalg.svd(middles - self.point, full_matrices=False)[2][0]
+        self.up = axis * np.sign(axis @ self.up)
+
+    def _section(self, point: Floats) -> Floats:
+        """Lines (k, 2, 2) of the section through a point across the shaft, about the point."""
+        x = (self.x - point) @ np.column_stack([*_across(self.up), self.up])
+        return section(x[:, :2], x[:, 2], self.triangles)
+
+    def _find_trochanter(self) -> None:
+        """The apex of the lesser trochanter, and the point of the axis at its level."""
+        up, radius = self.up, self.radius
+        if "lesser_trochanter" in self.given:
+            self.trochanter = np.array(self.given["lesser_trochanter"])
+        else:
+            top = self.point + ((self.head - self.point) @ up) * up
+            medial = _unit(self.head - top)
+            turns = np.linspace(-0.6 * np.pi, 0.6 * np.pi, 22)[:, None]
+            ways = np.cos(turns) * medial + np.sin(turns) * np.cross(up, medial)
+            depths = np.arange(0.3 * radius, 4.2 * radius, STEP)
+            depths = depths[depths < ((top - self.x) @ up).max() - 1.0]
+            flat = (ways @ np.column_stack(_across(up))).T
+            rows = [(self._section(top - d * up).reshape(-1, 2) @ flat).max(0) for d in depths]
+            reach = gaussian_filter1d(np.array(rows), 1.5 / STEP, axis=0)
+            best = (0.0, 0.0, medial)
+            for way, profile in zip(ways, reach.T, strict=True):
+                at, found = find_peaks(profile, prominence=0.5)
+                for depth, height in zip(depths[at], found["prominences"], strict=True):
+                    if TROCHANTER[0] * radius < depth < TROCHANTER[1] * radius:
+                        best = max(best, (height, depth, way), key=lambda b: b[0])
+            height, depth, way = best
+            if not height:
+                text = "no lesser trochanter stands out of the shaft"
+                raise GeometryError(f"geometry.bone: {text}; give landmarks.lesser_trochanter")
+            for _ in range(3):
+                near = np.abs((self.centre - top) @ up + depth) < 0.4 * radius
+                self.trochanter = self._outermost(way, near)
+                out = self.trochanter - self.point
+                way = _unit(out - (out @ up) * up)
+        self.origin = self.point + ((self.trochanter - self.point) @ up) * up
+
+    def _outermost(self, way: Floats, within: Bools) -> Floats:
+        """Mean place (3,) of what reaches farthest in a direction, of marked triangles."""
+        x = self.centre[within]
+        weight = self.area[within] * np.exp((x @ way - (x @ way).max()) / REACH)
+        return np.asarray(weight @ x / weight.sum())
+
+    def _neck(self) -> tuple[Floats, float]:
+        """Unit vector along the neck to the head, and its spread [rad]."""
+        head, radius, up = self.head, self.radius, self.up
+        near = (_far(self.x - head) < 3.2 * radius)[self.triangles].all(axis=1)
+        used, triangles = np.unique(self.triangles[near], return_inverse=True)
+        x, triangles = self.x[used], triangles.reshape(-1, 3)
+        angles = 2 * np.pi * np.arange(72) / 72
+        rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        toward = _unit(head - (self.origin + 0.6 * radius * up))
+        one, other = _across(toward, up)
+
+        def cut(p: Floats, beside: float) -> tuple[float, Floats]:
+            """Area and centroid of a section."""
+            axis = _unit(toward + p[0] * one + p[1] * other)
+            centre, plane = head - (p[2] * radius + beside) * axis, np.stack(_across(axis, up))
+            for _ in range(2):
+                y = (x - centre) @ np.vstack([plane, axis]).T
+                r, _ = exits(section(y[:, :2], y[:, 2], triangles), angles)
+                if np.isnan(r).any():
+                    return 1e4, centre
+                centre = centre + (r**3 / (1.5 * (r**2).sum())) @ rays @ plane
+            return math.pi * float((r**2).mean()), centre
+
+        start = np.array([0.0, 0.0, 0.75])
+        simplex = start + np.vstack([np.zeros(3), np.diag([0.15, 0.15, 0.1])])
+        options = {"xatol": 3e-4, "fatol": 1e-3, "initial_simplex": simplex}
+        least = minimize(
+            lambda p: np.mean([cut(p, beside)[0] for beside in BESIDE]),
+            start,
+            method="Nelder-Mead",
+            options=options,
+        ).x
+        out = head - np.mean([cut(least, beside)[1] for beside in BESIDE], axis=0)
+        spread = math.hypot(self.spread, 0.75 * self.rms) / float(np.linalg.norm(out))
+        return _unit(out), spread
+
+    def _side(self, left: Floats) -> str:
+        """The side; ``left`` is anterior of a left femur (3,).
+
+        The lesser trochanter and the condyles are posterior.
+        """
+        if "side" in self.given:
+            return str(self.given["side"])
+        behind = -float((self.trochanter - self.origin) @ left) / self.radius
+        if self.long:
+            distal = self.centre @ self.up < self.low + 1.5 * self.radius
+            out = (self.centre[distal] - self.origin) @ left
+            behind -= float(np.average(out, weights=self.area[distal])) / self.radius
+        if abs(behind) < 0.15:
+            text = "left or right cannot be told: the lesser trochanter is not behind the neck"
+            raise GeometryError(f"geometry.bone: {text}; give geometry.bone.side")
+        return "left" if behind > 0 else "right"
+
+    def _condyles(self, back: Floats) -> Floats:
+        """Direction of the line between the most posterior points of the condyles (3,)."""
+        up, distal = self.up, self.centre @ self.up < self.low + CONDYLES * self.radius
+        for _ in range(5):
+            across = np.cross(back, up)
+            at = self.centre @ across
+            middle = 0.5 * (at[distal].min() + at[distal].max())
+            ends = [self._outermost(back, distal & (s * (at - middle) > 0)) for s in (1, -1)]
+            line = np.subtract(*self.given.get("condyles", ends))
+            line = _unit(line - (line @ up) * up)
+            back = np.cross(up, line) * np.sign(np.cross(up, line) @ back)
+        return line
 
 
-def _sphere(x: Floats, normal: Floats, area: Floats) -> tuple[float, tuple[Floats, float]]:
+def _sphere(x: Floats, normal: Floats, area: Floats) -> tuple[float, Floats, float]:
     """Covered part, centre and radius of the sphere that covers most of itself."""
     pairs = np.random.default_rng(1).integers(len(x), size=(2, PAIRS))
     apart, turned = (v[pairs[0]] - v[pairs[1]] for v in (x, normal))
-    size = (turned**2).sum(axis=1)
-    radius = (apart * turned).sum(axis=1) / np.maximum(size, 1e-12)
-    good = (size > 0.05) & (radius > RADII[0]) & (radius < RADII[1])
-    radius, first = radius[good], pairs[0][good]
-    centre = x[first] - radius[:, None] * normal[first]
-    covered = np.zeros(len(radius))
-    for k, (c, r) in enumerate(zip(centre, radius, strict=True)):
-        out = x - c
-        near = np.flatnonzero(np.abs(np.einsum("ni,ni->n", out, out) - r * r) < 2 * r * NEAR)
-        out = out[near]
-        on = np.einsum("ni,ni->n", out, normal[near]) > ALONG * r
-        covered[k] = area[near[on]].sum() / (4 * math.pi * r * r)
-    if not len(covered):
-        return 0.0, (x.mean(axis=0), 0.0)
-    best = int(covered.argmax())
-    return float(covered[best]), (centre[best], float(radius[best]))
+    radii = _dot(apart, turned) / np.maximum(_dot(turned, turned), 1e-12)
+    good = (_dot(turned, turned) > 0.05) & (radii > RADII[0]) & (radii < RADII[1])
+    best = (0.0, x[0], 1.0)
+    for k, r in zip(pairs[0][good], radii[good], strict=True):
+        out = x - (x[k] - r * normal[k])
+        near = np.flatnonzero(np.abs(_dot(out, out) - r * r) < 2 * r * NEAR)
+        on = near[_dot(out[near], normal[near]) > ALONG * r]
+        best = max(best, (area[on].sum() / (4 * math.pi * r * r), x[k] - r * normal[k], r), key=_at)
+    return best
+
+
+def _at(found: tuple[float, Floats, float]) -> float:
+    return found[0]
 
 
 def _fit(x: Floats, area: Floats, centre: Floats, radius: float) -> tuple[Floats, float]:
@@ -281,171 +355,26 @@ def _fit(x: Floats, area: Floats, centre: Floats, radius: float) -> tuple[Floats
 
     def slope(p: Floats) -> Floats:
         out = p[:3] - x
-        far = _far(out)
-        return np.column_stack([root[:, None] * out / far[:, None], -root])
+        return np.column_stack([root[:, None] * out / _far(out)[:, None], -root])
 
-    found = least_squares(off, np.r_[centre, radius], slope, loss="soft_l1", f_scale=ROBUST).x
+    start = np.r_[centre, radius]
+    found = least_squares(off, start, slope, loss="soft_l1", f_scale=ROBUST).x
     return found[:3], float(found[3])
 
 
-def _shaft(
-    bone: _Bone, origin: Floats, up: Floats, radius: float, given: Mapping[str, Any]
-) -> tuple[Floats, Floats]:
-    """A point of the shaft's axis and its direction, from an estimate."""
-    if "shaft" in given:
-        low, high = np.array(given["shaft"])
-        return high, _unit(high - low)
-    end = float(((bone.surface.points - origin) @ up).min())
-    depths = np.linspace(*np.multiply(SHAFT, radius), 33)
-    depths = depths[-depths > end + 3.0]
-    if len(depths) < 8:
-        text = f"ends {-end:.0f} mm below the lesser trochanter"
-        raise GeometryError(f"geometry.bone: {text}; expected {1.8 * radius:.0f} mm of shaft")
-    one, other = _across(up)
-    middles = []
-    for depth in depths:
-        point = origin - depth * up
-        (u, v), _ = centroid(bone.across(point, up))
-        middles.append(point + u * one + v * other)
-    x = np.array(middles)
-    axis = np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2][0]
-    return x.mean(axis=0), axis * np.sign(axis @ up)
+def _across(axis: Floats, hint: Floats | None = None) -> tuple[Floats, Floats]:
+    """Two unit vectors that are right-handed with an axis (3,), the first across a hint."""
+    one = _unit(np.cross(np.eye(3)[np.abs(axis).argmin()] if hint is None else hint, axis))
+    return one, np.cross(axis, one)
 
 
-def _trochanter(
-    bone: _Bone, point: Floats, up: Floats, head: Floats, radius: float, given: Mapping[str, Any]
-) -> tuple[Floats, Floats]:
-    """Point of the shaft's axis at the level of the lesser trochanter, and its apex."""
-    if "lesser_trochanter" in given:
-        apex = np.array(given["lesser_trochanter"])
-        return point + ((apex - point) @ up) * up, apex
-    medial = _unit((head - point) - ((head - point) @ up) * up)
-    side = np.cross(up, medial)
-    top = point + ((head - point) @ up) * up
-    one, other = _across(up)
-    turns = np.linspace(-0.6 * np.pi, 0.6 * np.pi, 22)
-    ways = np.cos(turns)[:, None] * medial + np.sin(turns)[:, None] * side
-    ways = np.stack([ways @ one, ways @ other])
-    depths = np.arange(0.3 * radius, 4.2 * radius, STEP)
-    end = float(((bone.surface.points - top) @ up).min())
-    depths = depths[-depths > end + 1.0]
-    reach = np.array(
-        [(bone.across(top - d * up, up).reshape(-1, 2) @ ways).max(axis=0) for d in depths]
-    )
-    reach = gaussian_filter1d(reach, 1.5 / STEP, axis=0)
-    best = (0.0, 0, 0)
-    for k in range(len(turns)):
-        at, found = find_peaks(reach[:, k], prominence=0.5)
-        for p, prominence in zip(at, found["prominences"], strict=True):
-            inside = TROCHANTER[0] * radius < depths[p] < TROCHANTER[1] * radius
-            if inside and prominence > best[0]:
-                best = (float(prominence), k, int(p))
-    prominence, k, p = best
-    if prominence == 0.0:
-        text = "no lesser trochanter stands out of the shaft"
-        raise GeometryError(f"geometry.bone: {text}; give landmarks.lesser_trochanter")
-    way = math.cos(turns[k]) * medial + math.sin(turns[k]) * side
-    depth = float(depths[p])
-    for _ in range(3):
-        level = (bone.centre - top) @ up
-        apex = bone.outermost(way, np.abs(level + depth) < 0.4 * radius)
-        out = apex - point
-        out = out - (out @ up) * up
-        way = _unit(out)
-    return point + ((apex - point) @ up) * up, apex
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.einsum("ni,ni->n", a, b)
 
 
-def _neck(
-    bone: _Bone, head: Floats, radius: float, up: Floats, origin: Floats, spread: Mapping[str, float]
-) -> tuple[Floats, float]:
-    """Unit vector along the neck to the head, and its spread [rad]."""
-    x = bone.surface.points
-    near = _far(x - head) < 3.2 * radius
-    triangles = bone.surface.triangles[near[bone.surface.triangles].all(axis=1)]
-    used, triangles = np.unique(triangles, return_inverse=True)
-    x, triangles = x[used], triangles.reshape(-1, 3)
-    angles = 2 * np.pi * np.arange(72) / 72
-    toward = _unit(head - (origin + 0.6 * radius * up))
-    one = _unit(np.cross(up, toward))
-    other = np.cross(toward, one)
-
-    def cut(p: Floats, t: float) -> tuple[float, Floats]:
-        axis = _unit(toward + p[0] * one + p[1] * other)
-        centre = head - t * axis
-        u = _unit(np.cross(up, axis))
-        v = np.cross(axis, u)
-        for _ in range(2):
-            y = (x - centre) @ np.column_stack([u, v, axis])
-            r, _ = exits(section(y[:, :2], y[:, 2], triangles), angles)
-            if np.isnan(r).any():
-                return 1e4, centre
-            weight = r**3 / (1.5 * (r**2).sum())
-            centre = centre + (weight @ np.cos(angles)) * u + (weight @ np.sin(angles)) * v
-        return float((r**2).mean()) * math.pi, centre
-
-    def area(p: Floats) -> float:
-        return float(np.mean([cut(p, p[2] * radius + d)[0] for d in BESIDE]))
-
-    best = minimize(
-        area,
-        [0.0, 0.0, 0.75],
-        method="Nelder-Mead",
-        options={"xatol": 3e-4, "fatol": 1e-3, "initial_simplex": _simplex([0.0, 0.0, 0.75])},
-    ).x
-    middles = [cut(best, best[2] * radius + d)[1] for d in BESIDE]
-    middle = np.mean(middles, axis=0)
-    lever = float(np.linalg.norm(head - middle))
-    return _unit(head - middle), math.hypot(spread["head"], 0.75 * spread["rms"]) / lever
+def _far(x: Floats) -> Floats:
+    return np.sqrt(_dot(x, x))
 
 
-def _simplex(start: list[float]) -> Floats:
-    return np.array(start) + np.vstack([np.zeros(3), np.diag([0.15, 0.15, 0.1])])
-
-
-def _side(
-    bone: _Bone,
-    trochanter: Floats,
-    up: Floats,
-    medial: Floats,
-    origin: Floats,
-    radius: float,
-    low: float,
-    given: Mapping[str, Any],
-) -> tuple[str, float]:
-    """The side, and 1 where up x medial is anterior, else -1.
-
-    The lesser trochanter and the condyles are posterior.
-    """
-    left = np.cross(up, medial)  # anterior of a left femur
-    votes = [-float(trochanter @ left) / radius]
-    if origin @ up - low > (LONG - 1.75) * radius:
-        distal = bone.centre @ up < low + 1.5 * radius
-        mean = np.average(bone.centre[distal] - origin, axis=0, weights=bone.area[distal])
-        votes.append(-float(mean @ left) / radius)
-    if "side" in given:
-        side = given["side"]
-    elif abs(sum(votes)) < 0.15:
-        text = "left or right cannot be told: the lesser trochanter is neither in front nor behind"
-        raise GeometryError(f"geometry.bone: {text}; give geometry.bone.side")
-    else:
-        side = "left" if sum(votes) > 0 else "right"
-    return side, 1.0 if side == "left" else -1.0
-
-
-def _condyles(
-    bone: _Bone, up: Floats, medial: Floats, back: Floats, low: float, radius: float, given: Any
-) -> Floats:
-    """Line between the most posterior points of the condyles (3,)."""
-    if given is not None:
-        return np.asarray(np.subtract(*given), dtype=float)
-    distal = bone.centre @ up < low + CONDYLES * radius
-    for _ in range(5):
-        across = np.cross(back, up)
-        at = bone.centre @ across
-        middle = 0.5 * (at[distal].min() + at[distal].max())
-        one, other = (bone.outermost(back, distal & (s * (at - middle) > 0)) for s in (1, -1))
-        line = one - other
-        line = line - (line @ up) * up
-        turned = np.cross(up, line)
-        back = _unit(turned) * np.sign(turned @ back)
-    return line
+def _unit(x: Floats) -> Floats:
+    return np.asarray(x / np.linalg.norm(x))

@@ -1,7 +1,7 @@
-"""A bone's surface as triangles from a file: read, welded, checked.
+"""A bone's surface as triangles from a file: read, welded, checked; sections and rays of it.
 
 Only what changes no shape is repaired: equal corners are one, triangles without area go, and all
-are turned outwards. A surface may be open at its distal end, where a scan ends, and nowhere else.
+are turned outwards. A surface may be open at an end of its long axis, where a scan ends.
 """
 
 from __future__ import annotations
@@ -10,24 +10,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from app.arrays import Floats, Ints
+from app.arrays import Bools, Floats, Ints
 from app.errors import GeometryError
 
 UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
 EXTENT = (100.0, 600.0)  # mm that a femur, or a proximal part of one, is long
-WELD = 1e-4  # mm within which corners are one
-MOST = 400_000  # triangles; more are thinned
-THIN = 0.7  # mm: edge of the boxes whose corners become one then
-RIM = 15.0  # mm: an open end is within this distance of the distal end
+WELD = 1e-4  # mm: edge of the boxes whose corners are one
+MOST, THIN = 400_000, 0.7  # triangles beyond which surfaces are thinned, and the boxes then
+RIM = 15.0  # mm: an open end is within this distance of the bone's
 HEADER = 84  # bytes before the triangles of a binary STL file, each of 50
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Triangles that enclose a body, outward; they may be open at one end.
+    """Outward triangles that enclose a body; they may be open at one end.
 
     Attributes:
         points: Corners (n, 3) [mm].
@@ -51,34 +50,24 @@ def read(path: Path, unit: str | None = None) -> Surface:
     Raises:
         GeometryError: The file is damaged, or its triangles are not the surface of one body.
     """
-    corners = _stl(path)
+    corners, told = _stl(path), []
     if not len(corners) or not np.isfinite(corners).all():
         raise GeometryError(f"{path}: has no triangles, or corners that are no numbers")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-    told = []
-    if unit is None:
-        fits = [u for u, mm in UNITS.items() if EXTENT[0] <= extent * mm <= EXTENT[1]]
-        if not fits:
-            raise GeometryError(
-                f"{path}: is {extent:.3g} long, which is no femur in mm, cm, m or inch; expected"
-                f" {EXTENT[0]:g} to {EXTENT[1]:g} mm"
-            )
-        unit = fits[0]
-        told.append(f"unit: {unit}, as the surface is {extent:.4g} long")
-    elif not EXTENT[0] <= extent * UNITS[unit] <= EXTENT[1]:
+    fits = [u for u, mm in UNITS.items() if EXTENT[0] <= extent * mm <= EXTENT[1]]
+    if unit not in (None, *fits) or not fits:
         raise GeometryError(
-            f"{path}: is {extent * UNITS[unit]:.4g} mm long in {unit}; expected {EXTENT[0]:g} to"
-            f" {EXTENT[1]:g} mm: another unit?"
+            f"{path}: is {extent:.4g} {unit or 'units'} long, and a femur {EXTENT[0]:g} to"
+            f" {EXTENT[1]:g} mm; which unit is it in?"
         )
-    corners = corners * UNITS[unit]
-    size = WELD
-    if len(corners) > MOST:
-        size = THIN
-        told.append(f"{len(corners):,} triangles: corners within {THIN} mm made one")
-    points, triangles = _welded(corners, size)
-    if thinned := size > WELD:
-        told[-1] += f", {len(triangles):,} are left"
-    return _checked(path, points, triangles, told, thinned)
+    if unit is None:
+        told.append(f"unit: {fits[0]}, as the surface is {extent:.4g} long")
+    thin = len(corners) > MOST
+    points, triangles = _welded(corners * UNITS[unit or fits[0]], THIN if thin else WELD)
+    if thin:
+        less = f"{len(triangles):,} are left"
+        told.append(f"{len(corners):,} triangles: corners within {THIN} mm made one, {less}")
+    return _checked(path, points, triangles, told, thin)
 
 
 def _stl(path: Path) -> Floats:
@@ -93,9 +82,10 @@ def _stl(path: Path) -> Floats:
         raise GeometryError(f"{path}: is no STL file, or not all of one: {len(data):,} bytes")
     at = np.flatnonzero(np.array(words) == b"vertex")
     try:
-        values = np.array([[float(words[k + j]) for j in (1, 2, 3)] for k in at])
-        return values.reshape(-1, 3, 3)
-    except (IndexError, ValueError):
+        if b"endsolid" not in words:
+            raise ValueError
+        return np.array([[float(w) for w in words[k + 1 : k + 4]] for k in at]).reshape(-1, 3, 3)
+    except ValueError:
         text = f"{path}: its text ends or is damaged after {len(at):,} corners"
         raise GeometryError(text) from None
 
@@ -103,9 +93,9 @@ def _stl(path: Path) -> Floats:
 def _welded(corners: Floats, size: float) -> tuple[Floats, Ints]:
     """Points (n, 3) and triangles (m, 3): corners in one box of a size are their mean."""
     flat = corners.reshape(-1, 3)
-    key = np.round((flat - flat.min(axis=0)) / size).astype(np.int64)
-    wide = key.max(axis=0) + 1
-    key = (key[:, 0] * wide[1] + key[:, 1]) * wide[2] + key[:, 2]
+    box = np.round((flat - flat.min(axis=0)) / size).astype(np.int64)
+    wide = box.max(axis=0) + 1
+    key = (box[:, 0] * wide[1] + box[:, 1]) * wide[2] + box[:, 2]
     _, of, count = np.unique(key, return_inverse=True, return_counts=True)
     points = np.stack([np.bincount(of, flat[:, i]) / count for i in range(3)], axis=1)
     triangles = of.reshape(-1, 3)
@@ -113,96 +103,80 @@ def _welded(corners: Floats, size: float) -> tuple[Floats, Ints]:
     real = (ordered[:, 1:] != ordered[:, :-1]).all(axis=1)
     triangles, ordered = triangles[real], ordered[real]
     # Two on the same corners are a fold without thickness: both go.
-    n = len(points)
-    key = (ordered[:, 0] * n + ordered[:, 1]) * n + ordered[:, 2] if n < 2_000_000 else ordered
-    _, first, times = np.unique(key, axis=0, return_index=True, return_counts=True)
-    triangles = triangles[np.sort(first[times % 2 == 1])]
-    used, of = np.unique(triangles, return_inverse=True)
+    _, first, times = np.unique(ordered, axis=0, return_index=True, return_counts=True)
+    used, of = np.unique(triangles[np.sort(first[times % 2 == 1])], return_inverse=True)
     return points[used], of.reshape(-1, 3)
 
 
-def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thinned: bool) -> Surface:
-    """The surface turned outwards; refused if it is open on a side, or not of one body."""
+def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool) -> Surface:
+    """The surface turned outwards; refused if it is open on a side, or not of one body.
+
+    Thinning leaves edges of four triangles and small bodies; open edges stay as they are.
+    """
     n, m = len(x), len(triangles)
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    key, way = np.sort(ends, axis=1) @ [n, 1], ends[:, 0] < ends[:, 1]
+    key = np.sort(ends, axis=1) @ [n, 1]
     order = np.argsort(key, kind="stable")
-    key, owner = key[order], order // 3
-    first = np.flatnonzero(np.r_[True, key[1:] != key[:-1]])
-    times = np.diff(np.r_[first, len(key)])
-    pair = first[times == 2]
-    graph = coo_array((np.ones(len(pair)), (owner[pair], owner[pair + 1])), (m, m)).tocsr()
+    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    times = np.diff(first, append=3 * m)
+    one, other = order[first[times == 2]], order[first[times == 2] + 1]
+    graph = coo_array((np.ones(len(one)), (one // 3, other // 3)), (m, m)).tocsr()
     bodies, body = connected_components(graph, directed=False)
-    sizes = np.bincount(body)
-    if not thinned and bodies > 1:
+    if bodies > 1 and not thin:
+        sizes = np.bincount(body)
         second = int(np.argsort(sizes)[-2])
         raise GeometryError(
             f"{path}: has {bodies} bodies, of {sizes.max():,} and {sizes[second]:,} triangles, the"
             f" second about {_place(x[triangles[body == second]])}; expected one: keep the femur"
         )
-    lone = first[times % 2 == 1] if thinned else first[times != 2]
-    low = _distal_end(x)
-    edges = ends[order[lone]]
-    away = low(x[edges].mean(axis=1))
-    if (side := away > RIM).any():
-        more = int(times[times != 2].max())
-        what = "is open" if more == 1 else f"has an edge of {more} triangles"
-        raise GeometryError(
-            f"{path}: {what} at {_place(x[edges[side]])} ({int(side.sum())} edges), which is not"
-            " at the distal end; close it where the surface was made"
-        )
+    lone = first[times % 2 == 1] if thin else first[times != 2]
+    edges = x[ends[order[lone]]]
+    axis = np.linalg.svd(x[:: 1 + n // 20_000] - x.mean(axis=0), full_matrices=False)[2][0]
+    along, at = x @ axis, edges.mean(axis=1) @ axis
+    aside = np.minimum(at - along.min(), along.max() - at) > RIM
+    if aside.any():
+        most = int(times[times != 2].max())
+        what = "is open" if most == 1 else f"has edges of up to {most} triangles"
+        where = f"{_place(edges[aside])} ({int(aside.sum())} edges), not at an end"
+        raise GeometryError(f"{path}: {what} at {where}; close it where it was made")
     if len(lone):
-        told.append(f"open at the distal end: {len(lone)} edges")
-    if not thinned:
-        same = way[order[pair]] == way[order[pair + 1]]
-        flipped = _flipped(graph, owner[pair], owner[pair + 1], same)
-        if 0 < flipped.sum() < m:
-            told.append(f"{min(int(flipped.sum()), m - int(flipped.sum()))} triangles turned over")
+        told.append(f"open at an end: {len(lone)} edges")
+    if not thin:
+        way = ends[:, 0] < ends[:, 1]
+        flipped = _flipped(graph, one // 3, other // 3, way[one] == way[other])
+        if less := min(int(flipped.sum()), m - int(flipped.sum())):
+            told.append(f"{less} triangles turned over")
         triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
     a, b, c = (x[triangles[:, k]] - x.mean(axis=0) for k in range(3))
-    if float((np.cross(a, b) * c).sum()) < 0:
-        triangles = triangles[:, ::-1]
-    return Surface(x, triangles, tuple(told))
+    outward = float((np.cross(a, b) * c).sum()) > 0
+    return Surface(x, triangles if outward else triangles[:, ::-1], tuple(told))
 
 
-def _distal_end(x: Floats):  # type: ignore[no-untyped-def]
-    """Distance from the narrower end of the longest axis (k,) of points, as a function."""
-    centre = x.mean(axis=0)
-    axis = np.linalg.svd(x[:: max(1, len(x) // 20_000)] - centre, full_matrices=False)[2][0]
-    along = (x - centre) @ axis
-
-    def distance(y: Floats) -> Floats:
-        at = (y - centre) @ axis
-        return np.minimum(at - along.min(), along.max() - at)
-
-    return distance
-
-
-def _flipped(graph, a: Ints, b: Ints, same):  # type: ignore[no-untyped-def]
-    """Triangles (m,) that face the other way than the first, by pairs a, b that face alike."""
+def _flipped(graph: csr_array, one: Ints, other: Ints, opposed: Bools) -> Bools:
+    """Triangles (m,) that face the other way than the first, by pairs with a common edge."""
     m = graph.shape[0]
-    order, before = breadth_first_order(graph, 0, directed=False)
-    keys = np.minimum(a, b) * m + np.maximum(a, b)
+    keys = np.minimum(one, other) * m + np.maximum(one, other)
     rank = np.argsort(keys)
-    step = np.sort(np.stack([order[1:], before[order[1:]]], axis=1), axis=1) @ [m, 1]
-    turn = same[rank[np.searchsorted(keys[rank], step)]]
+    order, before = breadth_first_order(graph, 0, directed=False)
+    after = order[1:]
+    step = np.sort(np.stack([after, before[after]], axis=1), axis=1) @ [m, 1]
+    turns = opposed[rank[np.searchsorted(keys[rank], step)]]
     flipped = np.zeros(m, dtype=bool)
-    for t, p, other in zip(order[1:], before[order[1:]], turn, strict=True):
-        flipped[t] = flipped[p] ^ other
+    for t, p, turn in zip(after, before[after], turns, strict=True):
+        flipped[t] = flipped[p] ^ turn
     return flipped
 
 
 def _place(x: Floats) -> str:
-    """Middle of points (..., 3) in words."""
     return "({:.0f}, {:.0f}, {:.0f}) mm".format(*x.reshape(-1, 3).mean(axis=0))
 
 
 def section(x: Floats, height: Floats, triangles: Ints) -> Floats:
-    """Lines (k, 2, d) in which triangles meet height 0, with the body to their left seen from above.
+    """Lines (k, 2, d) in which triangles meet height 0, the body to their left, seen from above.
 
     Args:
         x: Places of the corners, of any dimension (n, d) [mm].
-        height: Signed distance of the corners from the section, or what vanishes with it (n,).
+        height: Height of the corners over the section (n,).
         triangles: Outward triangles (m, 3).
     """
     above = height >= 0
@@ -225,7 +199,7 @@ def centroid(lines: Floats) -> tuple[Floats, float]:
     return np.asarray((twice[:, None] * (a + b)).sum(axis=0) / (6 * area)), area
 
 
-def exits(lines: Floats, angles: Floats, bridged: float = 0.0) -> tuple[Floats, Floats]:
+def exits(lines: Floats, angles: Floats, bridged: float = 0.0) -> tuple[Floats, Ints]:
     """Where rays from 0 first leave what lines (k, 2, 2) enclose, and how often they meet it.
 
     Args:
@@ -239,18 +213,14 @@ def exits(lines: Floats, angles: Floats, bridged: float = 0.0) -> tuple[Floats, 
     ray = np.stack([np.cos(angles), np.sin(angles)])
     across = lines @ np.stack([ray[1], -ray[0]])  # (k, 2, j)
     k, j = np.nonzero((across[:, 0] >= 0) != (across[:, 1] >= 0))
-    part = across[k, 0, j] / (across[k, 0, j] - across[k, 1, j])
-    x = (1 - part)[:, None] * lines[k, 0] + part[:, None] * lines[k, 1]
-    r = (x * ray[:, j].T).sum(axis=1)
+    part = (across[k, 0, j] / (across[k, 0, j] - across[k, 1, j]))[:, None]
+    r = (((1 - part) * lines[k, 0] + part * lines[k, 1]) * ray[:, j].T).sum(axis=1)
     j, r = j[r > 0], r[r > 0]
     order = np.lexsort((r, j))
-    j, r = j[order], r[order]
-    first = np.searchsorted(j, np.arange(len(angles)))
     times = np.bincount(j, minlength=len(angles))
     found = np.full(len(angles), np.nan)
-    found[times > 0] = r[first[times > 0]]
-    for at in np.flatnonzero(times > 2):
-        own = r[first[at] : first[at] + times[at]]
-        gaps = own[2::2] - own[1:-1:2]
-        found[at] = own[2 * int(np.argmax(np.r_[own[1:-1:2] - own[:-2:2] > bridged, True]))]
+    for at, own in enumerate(np.split(r[order], np.cumsum(times)[:-1])):
+        if len(own):
+            wide = own[2::2] - own[1:-1:2] > bridged
+            found[at] = own[2 * int(np.argmax([*wide, True]))]
     return found, times

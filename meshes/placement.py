@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,9 @@ from meshes import bone_frame, bone_surface, femur_stem
 from meshes.bone_frame import Frame
 from meshes.bone_surface import Surface, centroid, exits, section
 
-LATERAL = 31.5  # mm from the axis to the greater trochanter of the parametric femur
-HEAD, SHAFT = 54.0, 14.4  # mm: height of its head, half-width of its shaft at `LEVEL`
-LEVEL = -50.0  # mm
+# Of the parametric femur [mm]: from the axis to the greater trochanter, height of the head, radius
+# of the shaft and its level.
+LATERAL, HEAD, SHAFT, LEVEL = 31.5, 54.0, 14.4, -50.0
 BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
 
 
@@ -38,30 +38,26 @@ class Placement:
         bone: Its surface, in the model's axes as all below.
         canal: Surface of its canal, or None.
         normal: Unit normal of the neck cut (3,): what is below is kept.
-        level: normal . x of its points [mm].
         turn: Axes of the stem as columns (3, 3).
         foot: Where its axis meets the cut (3,) [mm].
         top: The same on its axis: height above the shoulder [mm].
-        told: What was found, in words.
     """
 
     frame: Frame
     bone: Surface
     canal: Surface | None
     normal: Floats
-    level: float
     turn: Floats
     foot: Floats
     top: float
-    told: tuple[str, ...]
 
-    def to_stem(self, x: Floats) -> Floats:
+    def to_stem(self, x: Any) -> Floats:
         """Points of the model (..., 3) in the stem's axes [mm]."""
         return np.asarray((x - self.foot) @ self.turn + [0.0, 0.0, self.top])
 
-    def to_model(self, x: Floats) -> Floats:
+    def to_model(self, x: Any) -> Floats:
         """Points in the stem's axes (..., 3) in those of the model [mm]."""
-        return np.asarray((np.asarray(x) - [0.0, 0.0, self.top]) @ self.turn.T + self.foot)
+        return np.asarray(np.subtract(x, [0.0, 0.0, self.top]) @ self.turn.T + self.foot)
 
     @property
     def slopes(self) -> tuple[float, float]:
@@ -69,38 +65,38 @@ class Placement:
         x, y, z = self.normal @ self.turn
         return x / z, y / x
 
+    @property
+    def size(self) -> float:
+        """Height of the patient's head over that of the parametric femur."""
+        return float(self.frame.to_model(self.frame.head)[2]) / HEAD
+
     def where(self, x: Floats) -> str:
         """A point of the model (3,) in words."""
-        below = (self.level - float(self.normal @ x)) / self.normal[2]
+        below = float(self.normal @ (self.foot - x)) / self.normal[2]
         return "({:.0f}, {:.0f}, {:.0f}) mm, {:.0f} mm below the cut".format(*x, below)
 
-    @cached_property
+    @property
     def trochanter_lost(self) -> float:
         """How far the greater trochanter's tip is above the cut, along its normal [mm]."""
-        x = self.bone.points
-        lateral = x[(x[:, 0] < 0) & (x[:, 2] > 0)]
-        return float(max(0.0, (lateral @ self.normal).max() - self.level))
+        x = self.bone.points - self.foot
+        return float((x[(x[:, 0] < 0) & (x[:, 2] > 0)] @ self.normal).max(initial=0.0))
 
     def projected(self, places: Mapping[str, Any]) -> tuple[dict[str, Floats], list[str]]:
         """Points of the parametric femur on this bone below the cut, and how far they were moved.
 
         They are scaled to its head's height and its shaft, beside the greater trochanter to that.
         """
-        x = self.bone.points
-        up = float(self.frame.to_model(self.frame.head)[2]) / HEAD
+        x, up = self.bone.points, self.size
         lines = section(x[:, :2], x[:, 2] - LEVEL * up, self.bone.triangles)
         wide = math.sqrt(centroid(lines)[1] / math.pi) / SHAFT
         beside = -float(x[(x[:, 2] > 0) & (x[:, 2] < 40 * up), 0].min()) / LATERAL
         kept = self.bone.corners.mean(axis=1)
-        kept = kept[kept @ self.normal < self.level - BELOW_CUT]
+        kept = kept[(kept - self.foot) @ self.normal < -BELOW_CUT]
         found, told = {}, []
-        for name, place in places.items():
-            px, py, pz = place
-            lateral = px < 0 < pz
-            scaled = np.array([px * (beside if lateral else wide), py * wide, pz * up])
-            nearest = kept[((kept - scaled) ** 2).sum(axis=1).argmin()]
-            found[name] = nearest
-            told.append(f"{name}: {float(np.linalg.norm(nearest - scaled)):.0f}")
+        for name, (px, py, pz) in places.items():
+            scaled = np.array([px * (beside if px < 0 < pz else wide), py * wide, pz * up])
+            found[name] = kept[((kept - scaled) ** 2).sum(axis=1).argmin()]
+            told.append(f"{name} {float(np.linalg.norm(found[name] - scaled)):.0f}")
         return found, told
 
 
@@ -108,7 +104,7 @@ class Placement:
 def _found(
     path: Path, content: str, unit: str | None, landmarks: tuple[tuple[str, Any], ...]
 ) -> tuple[Frame, Surface]:
-    """Frame and surface of the bone in a file, of which the content is a part of the key."""
+    """Frame and surface of the bone in a file, whose content is a part of the key."""
     surface = bone_surface.read(path, unit)
     frame = bone_frame.find(surface, dict(landmarks))
     return frame, frame.surface(surface)
@@ -118,43 +114,33 @@ def place(geometry: Any) -> Placement:
     """Read the bone, find its landmarks, cut the neck and place the stem.
 
     Raises:
-        GeometryError: A file is damaged or is no femur, or the stem's axis leaves the bone.
+        GeometryError: A file is damaged or is no femur, or the cut is beside the bone.
     """
-    frame, bone = _found(
-        geometry.bone.surface, geometry.content, geometry.bone.unit, geometry.known
-    )
-    told = [*bone.told, *frame.lines]
-    canal = None
+    given, canal = geometry.bone, None
+    frame, bone = _found(given.surface, geometry.content, given.unit, geometry.known)
     if geometry.canal.surface:
-        unit = geometry.canal.unit or geometry.bone.unit
+        unit = geometry.canal.unit or given.unit
         canal = frame.surface(bone_surface.read(geometry.canal.surface, unit))
     cut, insertion = geometry.resection, geometry.insertion
     azimuth = frame.azimuth if cut.azimuth is None else cut.azimuth
-    sine = math.sin(cut.angle)
-    normal = np.array([sine * math.cos(azimuth), sine * math.sin(azimuth), math.cos(cut.angle)])
+    way = np.array([math.cos(azimuth), math.sin(azimuth)])
+    normal = np.r_[math.sin(cut.angle) * way, math.cos(cut.angle)]
     x = bone.points
     lines = section(x[:, :2], x[:, 2] - cut.height, bone.triangles)
     edge = float(exits(lines, np.array([azimuth]))[0][0])
     if not edge > 0:
-        text = f"the shaft's axis is outside of the bone {cut.height:g} mm above the trochanter"
+        text = f"{cut.height:g} mm above the trochanter the shaft's axis is outside of the bone"
         raise GeometryError(f"geometry.resection.height: {text}; cut lower")
-    level = float(normal @ [edge * math.cos(azimuth), edge * math.sin(azimuth), cut.height])
     version = insertion.version.angle
     if insertion.version.relative_to == "neck":
         version += frame.azimuth
     elif frame.version is None:
-        text = "is told against the condyles, which this surface has not"
+        text = "is against the condyles, which this surface does not have"
         raise GeometryError(f"geometry.insertion.version: {text}; give relative_to: neck")
-    c, s, cv, sv = *_turn(version), *_turn(insertion.varus)
+    c, s, cv, sv = (f(v) for v in (version, insertion.varus) for f in (math.cos, math.sin))
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ [[cv, 0, sv], [0, 1, 0], [-sv, 0, cv]]
-    way, side = np.array([math.cos(azimuth), math.sin(azimuth)]), insertion.anterior_offset
-    shift = np.r_[insertion.medial_offset * way + side * np.array([-way[1], way[0]]), 0.0]
-    shift[2] = level / normal[2] - float(normal @ shift) / normal[2]
-    slope = float((normal @ turn)[0] / (normal @ turn)[2])
-    half = float(femur_stem.body(geometry.implant).section(0.0)[0])
-    top = insertion.depth - slope * half
-    return Placement(frame, bone, canal, normal, level, turn, shift, top, tuple(told))
-
-
-def _turn(angle: float) -> tuple[float, float]:
-    return math.cos(angle), math.sin(angle)
+    aside = insertion.medial_offset * way + insertion.anterior_offset * np.array([-way[1], way[0]])
+    level = float(normal @ [*(edge * way), cut.height]) - float(normal[:2] @ aside)
+    nx, _, nz = normal @ turn
+    top = insertion.depth - nx / nz * float(femur_stem.body(geometry.implant).section(0.0)[0])
+    return Placement(frame, bone, canal, normal, turn, np.r_[aside, level / normal[2]], top)
