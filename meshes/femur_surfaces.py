@@ -81,7 +81,7 @@ class FemurSurfaces:
         self._body = femur_stem.body(geometry)
         self._grown = self._body.offset(thickness)
         # In axes that turn with the stem.
-        self._canal = femur_bone.endosteum(geometry.canal_widening, geometry.anteversion)
+        self._canal = femur_bone.endosteum(geometry)
         self._periosteum = replace(PERIOSTEUM, turn=geometry.anteversion)
         normal, level = femur_bone.resection(geometry)
         self._top, self._steepest = level / normal[2], normal[0] / normal[2]

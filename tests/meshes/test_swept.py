@@ -75,7 +75,7 @@ def test_nodes_are_on_the_exact_surfaces(thickness: float, curved: bool) -> None
     theta, r = np.arctan2(y, x), np.hypot(x, y)
     mantle = np.minimum(
         body.offset(thickness).radius(theta, z),
-        femur_bone.endosteum(0.0)(theta, z),
+        femur_bone.endosteum(geometry)(theta, z),
     )
     side = z > geometry.stem_tip_z - geometry.plug_length + 1e-6
     off = np.abs(r - mantle)[side]
