@@ -27,7 +27,7 @@ END = 90.0  # mm from an end of the bone within which its head is
 SAMPLES, PAIRS = 2.5, 1500  # mm between samples; pairs of them tried
 SMOOTH = 4.0  # mm over which normals are averaged
 NEAR, ALONG = 1.0, math.cos(math.radians(18.0))  # mm and normals that belong to a sphere
-COVERED = 0.28  # of a sphere, at least, by a head
+COVERED = 0.33  # of a sphere, at least, by a head
 ROBUST = 0.5  # mm: residuals of the head beyond it count less
 STEP = 1.5  # mm between sections that are searched for the lesser trochanter
 REACH = 0.7  # mm: decay of the weights of an outermost place
@@ -36,10 +36,10 @@ SECTORS = 12  # of the head, one left out at a time
 SURE = 1.65  # standard deviations that hold 90 %
 # In radii of the head:
 SHAFT = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
-TROCHANTER = (0.8, 3.4)  # below the head's centre, where the lesser trochanter is
+TROCHANTER = (1.5, 3.4)  # below the head's centre, where the lesser trochanter is
 CONDYLES = 3.0  # above the distal end
-LONG = 9.0  # below the lesser trochanter: length of a bone that has condyles
 APART = 2.1  # between the condyles
+WIDER = 1.8  # of the shaft's section: that of condyles, at least
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Frame:
         head: Centre of the head (3,) [mm], in the surface's axes as all below.
         radius: Of the head [mm].
         origin: Point of the shaft's axis at the level of the lesser trochanter (3,) [mm].
-        axes: Unit vectors medial, anterior, proximal (3, 3); those of a right femur are left-handed.
+        axes: Unit vectors medial, anterior, proximal (3, 3), left-handed for a right femur.
         neck: Unit vector along the neck to the head (3,).
         trochanter: Apex of the lesser trochanter (3,) [mm].
         side: ``left`` or ``right``.
@@ -86,7 +86,7 @@ class Frame:
         return replace(surface, points=x, triangles=triangles)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def told(self) -> dict[str, str]:
         """What was found, in words."""
         turn, s = math.degrees, self.spread
         places = ["({:.1f}, {:.1f}, {:.1f}) mm".format(*x) for x in (self.head, self.trochanter)]
@@ -94,13 +94,13 @@ class Frame:
         if self.version is not None:
             version = f"{turn(self.version):.1f} deg +- {turn(s['version']):.1f}"
         angle = turn(math.acos(-float(self.axes[2] @ self.neck)))
-        return (
-            f"side: {self.side}" + (", mirrored" if self.side == "right" else ""),
-            f"head: {places[0]} +- {s['head']:.1f}, radius {self.radius:.1f} mm",
-            f"lesser trochanter: {places[1]}",
-            f"neck-shaft angle: {angle:.1f} deg +- {turn(s['neck']):.1f}",
-            f"version: {version}",
-        )
+        return {
+            "side": self.side + (", mirrored" if self.side == "right" else ""),
+            "head": f"{places[0]} +- {s['head']:.1f}, radius {self.radius:.1f} mm",
+            "lesser trochanter": places[1],
+            "neck-shaft angle": f"{angle:.1f} deg +- {turn(s['neck']):.1f}",
+            "version": version,
+        }
 
 
 def find(surface: Surface, given: Mapping[str, Any] | None = None) -> Frame:
@@ -133,7 +133,9 @@ class _Finder:
             self._find_shaft()
             self._find_trochanter()
         self.low = float((self.x @ self.up).min())
-        self.long = float(self.origin @ self.up) - self.low > LONG * self.radius
+        levels = self.point @ self.up - self.low - 1.2 * self.radius, 0.0
+        distal, shaft = (centroid(self._section(self.point - z * self.up))[1] for z in levels)
+        self.has_condyles = distal > WIDER * shaft
 
     def frame(self) -> Frame:
         """The landmarks."""
@@ -142,7 +144,7 @@ class _Finder:
         side = self._side(np.cross(up, medial))
         way = 1.0 if side == "left" else -1.0  # of up x medial, if that is anterior
         version, turn = None, 0.0
-        if self.long or "condyles" in self.given:
+        if self.has_condyles or "condyles" in self.given:
             across = self._condyles(-way * np.cross(up, medial))
             across *= np.sign(across @ medial)
             version = math.atan2(way * medial @ np.cross(up, across), medial @ across)
@@ -230,7 +232,7 @@ class _Finder:
         else:
             top = self.point + ((self.head - self.point) @ up) * up
             medial = _unit(self.head - top)
-            turns = np.linspace(-0.6 * np.pi, 0.6 * np.pi, 22)[:, None]
+            turns = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 22)[:, None]
             ways = np.cos(turns) * medial + np.sin(turns) * np.cross(up, medial)
             depths = np.arange(0.3 * radius, 4.2 * radius, STEP)
             depths = depths[depths < ((top - self.x) @ up).max() - 1.0]
@@ -304,7 +306,7 @@ class _Finder:
         if "side" in self.given:
             return str(self.given["side"])
         behind = -float((self.trochanter - self.origin) @ left) / self.radius
-        if self.long:
+        if self.has_condyles:
             distal = self.centre @ self.up < self.low + 1.5 * self.radius
             out = (self.centre[distal] - self.origin) @ left
             behind -= float(np.average(out, weights=self.area[distal])) / self.radius

@@ -20,7 +20,7 @@ UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
 EXTENT = (100.0, 600.0)  # mm that a femur, or a proximal part of one, is long
 WELD = 1e-4  # mm: edge of the boxes whose corners are one
 MOST, THIN = 400_000, 0.7  # triangles beyond which surfaces are thinned, and the boxes then
-RIM = 15.0  # mm: an open end is within this distance of the bone's
+RIM = 25.0  # mm: an open end is within this distance of the bone's
 HEADER = 84  # bytes before the triangles of a binary STL file, each of 50
 
 

@@ -32,7 +32,8 @@ def key(geometry: Any, mesh: Any) -> str:
     content["version"] = MESHER_VERSION
     if geometry.kind == "file":
         content["geometry"].pop("path", None)
-        content["file"] = geometry.content
+    if of_files := getattr(geometry, "content", None):
+        content["file"] = of_files
     if geometry.kind != "file" or geometry.is_script:
         content["gmsh"] = _gmsh_version()
     text = json.dumps(content, sort_keys=True, default=str)

@@ -85,19 +85,24 @@ class FemurSurfaces:
         self._periosteum = replace(PERIOSTEUM, turn=geometry.anteversion)
         normal, level = femur_bone.resection(geometry)
         self._top, self._steepest = level / normal[2], normal[0] / normal[2]
-        plug = geometry.stem_tip_z - geometry.plug_length
-        below = _distances(mesh, plug - geometry.distal_cut_z, "below")
-        above = _distances(mesh, self._top - geometry.stem_tip_z, "stem")
-        steps, start = mesh.steps(geometry.stem_tip_z - plug), len(below) - 1
-        inside = plug + (geometry.stem_tip_z - plug) * np.arange(1, steps + 1) / steps
+        self._divide(geometry, geometry.distal_cut_z, thickness)
+        self._refuse()
+        self._continue(geometry)
+
+    def _divide(self, implant: Any, distal: float, thickness: float) -> None:
+        """Divide the bone from a distal level [mm] to the cut: stations, lines, cells."""
+        mesh, tip = self.mesh, implant.stem_tip_z
+        plug = tip - implant.plug_length
+        below = _distances(mesh, plug - distal, "below")
+        above = _distances(mesh, self._top - tip, "stem")
+        steps, start = mesh.steps(tip - plug), len(below) - 1
+        inside = plug + (tip - plug) * np.arange(1, steps + 1) / steps
         self._zeta = np.concatenate([(plug - below)[::-1], inside, (self._top - above)[-2::-1]])
         self.tip = start + steps
         self.mantle = (start, len(self._zeta) - 1)
-        self._middle = 0.25 * geometry.stem_tip_z + 0.75 * self._top
+        self._middle = 0.25 * tip + 0.75 * self._top
         self.around = mesh.lines_around(self._body.section(self._middle), thickness)
         self.through, self.cement = mesh.cells_through(thickness), mesh.along_cement(thickness)
-        self._refuse()
-        self._continue(geometry)
 
     @property
     def cut(self) -> int:
@@ -123,8 +128,12 @@ class FemurSurfaces:
     def plane(self, s: Floats) -> tuple[Floats, Floats]:
         """Height at the axis [mm] and slope of the sections at stations s <= cut."""
         zeta = np.interp(s, np.arange(len(self._zeta)), self._zeta)
+        return zeta, self._slope(zeta)
+
+    def _slope(self, zeta: Floats) -> Floats:
+        """Slope of the sections at heights on the axis."""
         t = np.clip((zeta - self._top + TURN) / TURN, 0.0, 1.0)
-        return zeta, self._steepest * t * t * (2 - t)
+        return np.asarray(self._steepest * t * t * (2 - t))
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
         """Lines at angles `phi` [turns] and stations `s` (n,); above the cut the stem's alone."""
@@ -152,20 +161,16 @@ class FemurSurfaces:
         """Lines at stations up to the cut."""
         zeta, slope = self.plane(s)
         theta = 2 * np.pi * phi
-        c, d = np.cos(theta), np.sin(theta)
-        r = root(
-            lambda r, k: self._periosteum.radius(theta[k], zeta[k] - slope[k] * r * c[k]) - r,
-            np.full(len(s), REACH),
-        )
-        end = np.stack([r * c, r * d, zeta - slope * r * c], axis=1)
+        end = self._ends(theta, zeta, slope)
         below = s < self.mantle[0]
         at = np.where(below, float(self.mantle[0]), s)
         start = self._body.point(phi, *self.plane(at))
         depth = np.where(below, self._zeta[self.mantle[0]] - zeta, 0.0)
         start = self._sink(start, theta, zeta, depth)
-        endosteum = self._meets(self._canal, start, end)
+        endosteum = self._meets(self._inside, zeta, start, end)
         mantle = np.empty(len(s))
-        mantle[~below] = self._meets(self._grown.radius, start[~below], end[~below])
+        ways = (v[~below] for v in (zeta, start, end))
+        mantle[~below] = self._meets(lambda x, _: self._within(self._grown.radius, x), *ways)
         if below.any():
             # The mantle's outer side goes on below the plug from where it is at its end.
             first = self._across(phi[below], at[below])
@@ -184,13 +189,31 @@ class FemurSurfaces:
         x[:, 2] -= depth
         return x
 
+    def _ends(self, theta: Floats, zeta: Floats, slope: Floats) -> Floats:
+        """Points of the periosteum in sections (n, 3) [mm]."""
+        c, d = np.cos(theta), np.sin(theta)
+        r = root(
+            lambda r, k: self._periosteum.radius(theta[k], zeta[k] - slope[k] * r * c[k]) - r,
+            np.full(len(theta), REACH),
+        )
+        return np.stack([r * c, r * d, zeta - slope * r * c], axis=1)
+
+    def _inside(self, x: Floats, zeta: Floats) -> Floats:
+        """Depth of points (n, 3) in sections at heights (n,) within the endosteum [mm]."""
+        return self._within(self._canal, x)
+
     @staticmethod
-    def _meets(radius: Callable[[Floats, Floats], Floats], start: Floats, end: Floats) -> Floats:
-        """Fraction of lines, from start to end, at which they meet a surface r(theta, z) (n,)."""
+    def _meets(
+        depth: Callable[[Floats, Floats], Floats], zeta: Floats, start: Floats, end: Floats
+    ) -> Floats:
+        """Fraction of lines, from start to end (n, 3), at which they leave a surface (n,).
+
+        ``depth`` is that of points (k, 3), in sections at heights (k,), within it [mm].
+        """
         way = end - start
 
         def within(part: Floats, k: Ints) -> Floats:
-            return FemurSurfaces._within(radius, start[k] + part[:, None] * way[k])
+            return depth(start[k] + part[:, None] * way[k], zeta[k])
 
         return root(within, np.ones(len(start)))
 

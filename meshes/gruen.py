@@ -49,12 +49,15 @@ class Zones:
         self.tip = implant.stem_tip_z
         self.top = min(self._level / self._normal[2], self.tip + implant.stem_length)
 
+    def _local(self, x: Floats) -> Floats:
+        """Points (n, 3) in the stem's axes [mm]."""
+        if self._placed:
+            return np.asarray(self._placed.to_stem(x))
+        return femur_bone.turned(x, -self._geometry.anteversion)
+
     def at(self, x: Floats) -> Ints:
         """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""
-        if self._placed:
-            x = self._placed.to_stem(x)
-        else:
-            x = femur_bone.turned(x, -self._geometry.anteversion)
+        x = self._local(x)
         third = np.floor(3 * (x[:, 2] - self.tip + EDGE) / (self.top - self.tip))
         third = np.clip(third, 0, 2)[:, None].astype(np.int64)
         # Medial and anterior to the stem's axis; lateral in the one view is posterior in the other.
@@ -68,19 +71,17 @@ class Zones:
 
     def depth(self, x: Floats) -> Floats:
         """Distance of points (n, 3) below the plane of the neck cut (n,) [mm]."""
-        x = femur_bone.turned(x, -self._geometry.anteversion)
-        return np.asarray(self._level - x @ self._normal)
+        return np.asarray(self._level - self._local(x) @ self._normal)
 
     def borders(self, x: Floats) -> dict[str, Floats]:
         """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
-        return {"tip": x[:, 2] - self.tip - EDGE, "rim": self.depth(x) - RIM}
+        return {"tip": self._local(x)[:, 2] - self.tip - EDGE, "rim": self.depth(x) - RIM}
 
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
-        g = self._geometry
         if self._placed:  # a patient's bone is meshed after the operation alone
             return np.ones(len(x), dtype=bool)
-        x = femur_bone.turned(x, -g.anteversion)
+        g, x = self._geometry, self._local(x)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
         cavity = femur_stem.body(g).offset(g.cement_thickness).radius(theta, z)

@@ -15,12 +15,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     Raises:
         GeometryError: The stem does not fit the bone, with the place.
     """
-    placed = geometry.placement
-    surfaces = PatientSurfaces(geometry, mesh, placed)
-    lost = placed.trochanter_lost
-    told = [*placed.told, *surfaces.told]
-    if lost > 0.5:
-        told.append(f"the greater trochanter's tip, {lost:.0f} mm above the cut, is left out")
-    _, moved = placed.projected(geometry.muscles)
-    told.append(f"muscles moved onto the bone (mm): {', '.join(moved)}")
-    return operated(geometry, surfaces, placed.to_model, {"told": told})
+    surfaces = PatientSurfaces(geometry, mesh, geometry.placement)
+    told = {"told": [*(f"{k}: {v}" for k, v in geometry.told.items()), *surfaces.told]}
+    return operated(geometry, surfaces, geometry.placement.to_model, told)

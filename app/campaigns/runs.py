@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from app.case.case import Case, dump, load, plain
-from app.case.geometries import MeshFile
 from app.case.variations import CHANGED, split
 from app.errors import ConvergenceError, StoppedError, UnusableError
 from app.results.closing_lines import reasons_not_to_use
@@ -177,9 +176,7 @@ def _begun(folder: Path) -> dict[str, Path]:
 
 def _digest(text: str, case: Case, ranks: int) -> str:
     """Hexadecimal digest of everything that the result depends on."""
-    parts = [text, str(ranks), identity.text()]
-    if isinstance(case.geometry, MeshFile):
-        parts.append(case.geometry.content)
+    parts = [text, str(ranks), identity.text(), getattr(case.geometry, "content", "")]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:DIGITS]
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from app.case.femurs import Femur, IntactFemur
 from app.case.quantities import of_run
 from app.errors import Reason
 from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
@@ -170,7 +169,7 @@ def _held(case: Any) -> Iterable[Fault]:
 
 def _side(case: Any) -> Iterable[Fault]:
     """Refuse right parametric femurs, which are left ones."""
-    if case.side == "right" and isinstance(case.geometry, Femur | IntactFemur):
+    if case.side == "right" and case.geometry.has_gruen_zones:
         text = (
             f"the geometry ({case.geometry.kind}) is a left femur; expected left, whose numbers "
             "are those of the mirrored right one"

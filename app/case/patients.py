@@ -19,6 +19,7 @@ from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
 if TYPE_CHECKING:
     from meshes.placement import Placement
 
+SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
 
 
@@ -77,36 +78,41 @@ class Landmarks(Section):
     """The most posterior points of the condyles."""
 
 
-class Stem(Section):
-    """A straight tapered collarless stem as that of the parametric femur, in axes of its own."""
+def _of_femur(key: str) -> Any:
+    """Default of a key of the parametric femur."""
+    return Femur.model_fields[key].default
 
-    length: PositiveLength = 147.0
+
+class Stem(Section):
+    """A straight tapered collarless stem as that of the parametric femur."""
+
+    length: PositiveLength = _of_femur("stem_length")
     """From the shoulder to the tip."""
-    tip_half_width: PositiveLength = 3.0
+    tip_half_width: PositiveLength = _of_femur("stem_tip_half_width")
     """Half the medio-lateral width at the tip."""
-    tip_half_depth: PositiveLength = 3.0
+    tip_half_depth: PositiveLength = _of_femur("stem_tip_half_depth")
     """Half the antero-posterior depth at the tip."""
-    tip_corner_radius: PositiveLength = 2.1
+    tip_corner_radius: PositiveLength = _of_femur("stem_tip_corner_radius")
     """Radius of the section's corners at the tip."""
-    section_depth: PositiveLength = 14.0
+    section_depth: PositiveLength = SHOULDER - _of_femur("stem_section_z")
     """Depth below the shoulder of the proximal section that the next three describe."""
-    half_width: PositiveLength = 8.5
+    half_width: PositiveLength = _of_femur("stem_half_width")
     """Half the medio-lateral width there."""
-    half_depth: PositiveLength = 5.0
+    half_depth: PositiveLength = _of_femur("stem_half_depth")
     """Half the antero-posterior depth there."""
-    corner_radius: PositiveLength = 3.0
+    corner_radius: PositiveLength = _of_femur("stem_corner_radius")
     """Radius of the section's corners there."""
-    neck_diameter: PositiveLength = 9.8
+    neck_diameter: PositiveLength = _of_femur("neck_diameter")
     """Diameter of the neck where it leaves the body."""
-    trunnion_diameter: PositiveLength = 12.0
+    trunnion_diameter: PositiveLength = _of_femur("trunnion_diameter")
     """Diameter of the neck's end, which carries the head."""
-    head_offset: PositiveLength = 43.0
+    head_offset: PositiveLength = _of_femur("head_offset")
     """Medial distance of the head's centre from the stem's axis."""
-    head_height: PositiveLength = 25.0
+    head_height: PositiveLength = _of_femur("head_height") - SHOULDER
     """Height of the head's centre above the shoulder."""
-    neck_angle: Angle = math.radians(130.0)
+    neck_angle: Angle = _of_femur("neck_angle")
     """Angle between neck and stem (rad)."""
-    plug_length: PositiveLength = 10.0
+    plug_length: PositiveLength = _of_femur("plug_length")
     """Length of cement below the tip."""
 
     @model_validator(mode="after")
@@ -120,15 +126,11 @@ class Stem(Section):
                 fail(text, at=(f"{end}corner_radius",))
         return self
 
-    def as_implant(self, cement: float) -> Femur:
+    def as_femur(self, cement: float) -> Femur:
         """The same in the parametric femur's keys, with the shoulder at z = 0."""
-        named = {f"stem_{k}": v for k, v in self if k.startswith(("tip_", "half_", "corner_"))}
-        same = ("neck_diameter", "trunnion_diameter", "head_offset", "head_height", "neck_angle")
-        named |= {k: getattr(self, k) for k in (*same, "plug_length")}
-        levels = {"stem_tip_z": -self.length, "stem_section_z": -self.section_depth}
-        return Femur.model_construct(
-            stem_length=self.length, cement_thickness=cement, **named, **levels
-        )
+        known = {k if k in Femur.model_fields else f"stem_{k}": v for k, v in self}
+        levels = {"stem_tip_z": -self.length, "stem_section_z": -known.pop("stem_section_depth")}
+        return Femur.model_construct(cement_thickness=cement, **known, **levels)
 
 
 class Resection(Section):
@@ -157,8 +159,9 @@ class Version(Section):
 class Insertion(Section):
     """Where the stem is put."""
 
-    depth: Length = 0.0
-    """How deep the lateral edge of the shoulder is below the cut."""
+    depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=4.5)] = 0.0
+    """How deep the lateral edge of the shoulder is below the cut, at most 4.5 mm: the body of the
+    stem is meshed up to the cut."""
     varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
     """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
     version: Version = Field(default_factory=Version)
@@ -185,8 +188,6 @@ class Patient(Shape):
     boundary_names: ClassVar[tuple[str, ...]] = Femur.boundary_names
     interface_sides: ClassVar[dict[str, Sides]] = Femur.interface_sides
 
-    muscles: ClassVar[dict[str, Point3]] = MUSCLES
-
     kind: Literal["patient"] = "patient"
     bone: Bone
     """Its outer surface."""
@@ -212,46 +213,33 @@ class Patient(Shape):
     def _placed(self) -> Patient:
         try:
             placed = self.placement
-            low = float(placed.bone.points[:, 2].min()) + 3.0
-            plug = self._plug(placed)
-            if self.distal_cut_z is not None and not low <= self.distal_cut_z < plug - 5.0:
-                text = f"expected {low:.0f} to {plug - 5.0:.0f} mm, above the end of the surface"
-                fail(f"{text} and below the plug", at=("distal_cut_z",))
-            if plug - 5.0 < low:
-                text = f"ends {low - 3.0:.0f} mm from the lesser trochanter, above the end of the"
-                fail(f"{text} plug at {plug:.0f} mm; shorten the stem", at=("bone", "surface"))
         except GeometryError as error:
-            key, _, text = str(error).removeprefix("geometry").lstrip(".").partition(": ")
-            fail(text, at=tuple(key.split("."))) if key else fail(text)
+            key, found, text = str(error).removeprefix("geometry.").partition(": ")
+            fail(text, at=tuple(key.split("."))) if found and " " not in key else fail(str(error))
+        low = float(placed.bone.points[:, 2].min())
+        plug = float(placed.to_model([0.0, 0.0, -self.stem.length - self.stem.plug_length])[2])
+        if self.distal_cut_z is None:
+            self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
+        if not low + 2.0 < self.distal_cut_z < plug - 2.0:
+            text = f"{self.distal_cut_z:g} mm is not between the end of the surface and that of"
+            fail(f"{text} the plug, {low:.0f} and {plug:.0f} mm", at=("distal_cut_z",))
         return self
-
-    def _plug(self, placed: Placement) -> float:
-        """Level of the end of the plug (mm)."""
-        depth = self.stem.length + self.stem.plug_length + placed.top
-        return float(placed.foot[2] - depth * placed.turn[2, 2])
-
-    def distal_level(self, placed: Placement) -> float:
-        """Level of the distal cut (mm)."""
-        if self.distal_cut_z is not None:
-            return self.distal_cut_z
-        return max(self._plug(placed) - SHAFT, float(placed.bone.points[:, 2].min()) + 5.0)
 
     @property
     def implant(self) -> Femur:
-        """The stem in the parametric femur's keys."""
-        return self.stem.as_implant(self.cement_thickness)
+        """The stem in the parametric femur's keys, in axes of its own."""
+        return self.stem.as_femur(self.cement_thickness)
 
     @cached_property
     def content(self) -> str:
         """Hash of its files at the first access."""
-        paths = [p for p in (self.bone.surface, self.canal.surface) if p]
-        return hashlib.sha256(b"".join(p.read_bytes() for p in paths)).hexdigest()
+        paths = [path for path in (self.bone.surface, self.canal.surface) if path]
+        return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
 
     @property
     def known(self) -> tuple[tuple[str, Any], ...]:
         """Landmarks that are given."""
-        side = {"side": self.bone.side} if self.bone.side else {}
-        return tuple((side | {k: v for k, v in self.landmarks if v is not None}).items())
+        return tuple((k, v) for k, v in [("side", self.bone.side), *self.landmarks] if v)
 
     @cached_property
     def placement(self) -> Placement:
@@ -262,38 +250,44 @@ class Patient(Shape):
 
     @property
     def head_centre(self) -> Point3:
-        """Centre of the implant's head in the model's axes (mm)."""
-        x, y, z = self.placement.to_model([self.stem.head_offset, 0.0, self.stem.head_height])
-        return float(x), float(y), float(z)
+        """Centre of the implant's head (mm)."""
+        return _point(self.placement.to_model([self.stem.head_offset, 0.0, self.stem.head_height]))
 
     @cached_property
     def points(self) -> dict[str, Point3]:
         """Centre of the implant's head and muscles' insertions on this bone (mm)."""
-        found, _ = self.placement.projected(self.muscles)
-        places = {name: (float(x), float(y), float(z)) for name, (x, y, z) in found.items()}
-        return {"head_centre": self.head_centre, **places}
+        found, _ = self.placement.projected(MUSCLES)
+        return {"head_centre": self.head_centre} | {k: _point(x) for k, x in found.items()}
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What was found and done, in words."""
+        placed = self.placement
+        found = dict(placed.frame.told)
+        if placed.bone.told:
+            found["surface"] = ", ".join(placed.bone.told)
+        if (lost := placed.trochanter_lost) > 0.5:
+            found["left out"] = f"the greater trochanter's tip, {lost:.0f} mm above the cut"
+        return found | {"muscles moved (mm)": ", ".join(placed.projected(MUSCLES)[1])}
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
         """The mantle around the stem, with a plug below its tip."""
         half = max(self.stem.tip_half_width, self.stem.tip_half_depth)
-        tip = self.placement.to_model([0.0, 0.0, -self.stem.length])[2]
-        return (Mantle(self.cement_thickness, float(tip) + half * abs(self.insertion.varus)),)
+        tip = float(self.placement.to_model([0.0, 0.0, -self.stem.length])[2])
+        return (Mantle(self.cement_thickness, tip + half * math.tan(abs(self.insertion.varus))),)
 
     @property
     def interface_area(self) -> float:
-        """Approximate area of both interfaces (mm2)."""
-        stem = self.stem
-        around = 2.0 * (stem.half_width + stem.tip_half_width + stem.half_depth)
-        around += 2.0 * stem.tip_half_depth
-        return (2.0 * around + 2.0 * math.pi * self.cement_thickness) * stem.length
+        """Approximate area of both interfaces (mm2), of the parametric femur with this stem."""
+        return self.implant.interface_area
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
-        """Estimated number of tetrahedra: of the parametric femur with this stem, to a third."""
-        shoulder = Femur.model_fields["stem_tip_z"].default + 147.0
-        moved = {"stem_tip_z": shoulder - self.stem.length}
-        return self.implant.model_copy(update=moved | {"resection_height": 5.0}).estimate_cells(
-            mesh
-        )
+        """Estimated number of tetrahedra, of the parametric femur with this stem."""
+        least = {"around": mesh.around or 14} if mesh.size <= 10.0 else {}
+        levels = {"stem_tip_z": SHOULDER - self.stem.length, "stem_section_z": SHOULDER - 14.0}
+        return self.implant.model_copy(update=levels).estimate_cells(mesh.model_copy(update=least))
 
 
+def _point(x: Any) -> Point3:
+    return float(x[0]), float(x[1]), float(x[2])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from app.case.case import Case
-from app.case.femurs import Femur, IntactFemur
 from app.laws.loads import Force
 from app.laws.values import amplitude
 from app.system import layout
@@ -42,7 +41,7 @@ def section_loads(case: Case, time: float) -> list[SectionLoad]:
 
     geometry = case.geometry
     loads = [load for load in case.loads.values() if isinstance(load, Force) and load.at]
-    if not (isinstance(geometry, Femur | IntactFemur) and loads):
+    if not (geometry.has_gruen_zones and loads):
         return []
     F = np.array([np.multiply(load.force, amplitude(load.history, time)) for load in loads])
     x = np.array([load.at for load in loads])

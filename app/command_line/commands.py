@@ -154,6 +154,8 @@ def _mesh(options: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
     print(cost.exact_size(case.config, data))
+    for message in data.notes.get("told", ()):
+        print(f"note: {message}")
     return 0
 
 

@@ -66,7 +66,7 @@ class View:
 def draw(case: Case, data: MeshData, path: Path) -> None:
     """Write the PNG of a case on its mesh."""
     low, high = data.points.min(axis=0), data.points.max(axis=0)
-    size, clinical = high - low, case.geometry.kind in ("femur", "intact_femur")
+    size, clinical = high - low, case.geometry.has_gruen_zones
     inch = max(size[2] / TALL, size[:2].max() / WIDE)
     wide, tall = size[:2] / inch + 2 * SIDE, size[2] / inch + TOP + BOTTOM
     figure = figures.new(wide.sum(), tall)

@@ -182,7 +182,7 @@ def sheet(run: Run, kind: str, sides: Sides, regions: Sequence[str]) -> Sheet | 
     triangles = facets(run, second, first)
     if not len(triangles):
         return None
-    if kind in ("femur", "cylinders"):
+    if kind in ("femur", "patient", "cylinders"):
         corners, nodes = unroll(run.points, triangles)
         return Sheet(corners, nodes, True) if len(nodes) else None
     x = run.points[triangles]

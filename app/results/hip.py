@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.case.case import Case
-from app.case.femurs import Femur, IntactFemur
+from app.case.femurs import IntactFemur
 from app.case.quantities import GAUGES
 from app.mechanics.problem import Problem
 from app.results.interface_numbers import ContactSamples
@@ -142,7 +142,7 @@ def of_femur(problem: Problem, case: Case) -> dict[str, Any]:
     """
     geometry, elastic = case.geometry, {e.region for e in problem.scene.elastic}
     bone = elastic.intersection(case.of_tissue("bone"))
-    if not isinstance(geometry, Femur | IntactFemur) or "cortical_bone" not in bone:
+    if not geometry.has_gruen_zones or "cortical_bone" not in bone:
         return {}
     end = "head" if isinstance(geometry, IntactFemur) else "stem_trunnion"
     head = _surface(problem, bodies.boundary_facets(problem.tagged, end))

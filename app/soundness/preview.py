@@ -44,6 +44,7 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     """The case in words and tables; ``given`` is the data of the file, for its units."""
     lines = [case.title or "(no title)", ""]
     lines += ["geometry", *_entries(case.geometry, given.get("geometry"))]
+    lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.told.items()]
     lines += ["mesh", *_entries(case.mesh, given.get("mesh"))]
     lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.grid(case.mesh).items()]
     lines.append("regions")
@@ -207,7 +208,7 @@ def warnings(case: Case) -> list[str]:
     ]
     loads = [(load.resultant or (0.0,), load.history or (1.0,)) for load in case.loads.values()]
     force = max((math.hypot(*f) * max(map(abs, h)) for f, h in loads), default=0.0)
-    if case.geometry.kind in ("femur", "intact_femur") and force:
+    if case.geometry.has_gruen_zones and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
             messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)

@@ -1,0 +1,72 @@
+"""Surfaces of bones as STL files: mantle's own femur in triangles, and the measured one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from app.arrays import Floats
+from app.case.femurs import IntactFemur
+from app.case.shapes import MeshOptions
+from meshes import femur_bone, femur_intact
+from meshes.bone_surface import Surface
+from meshes.data import exterior_facets
+
+VERSION = 15.0  # deg: anteversion of mantle's own femur here
+MEASURED = Path("/work/shared/data/femur_right_mm.stl")
+MEASURED_CANAL = MEASURED.with_name("femur_right_canal_mm.stl")
+
+
+@cache
+def own() -> Surface:
+    """Mantle's intact femur, of 3 mm: a left one in its own axes, closed, without condyles."""
+    geometry = IntactFemur.model_validate(
+        {"anteversion": f"{VERSION} deg", "distal_cut_z": "-260 mm"}
+    )
+    mesh = MeshOptions.model_validate({"size": "3 mm", "order": 1, "around": 24})
+    data = femur_intact.build(geometry, mesh.model_copy(update={"curved": False}))
+    facets, _ = exterior_facets(data.cells)
+    used, triangles = np.unique(facets, return_inverse=True)
+    return Surface(data.points[used], triangles.reshape(-1, 3))
+
+
+def own_canal() -> Surface:
+    """The canal of mantle's femur, between two levels, with flat ends."""
+    theta, z = 2 * np.pi * np.arange(48) / 48, np.linspace(-250.0, -25.0, 80)
+    radius = femur_bone.Tube(femur_bone.CANAL).radius(*np.meshgrid(theta, z))
+    x, y = radius * np.cos(theta), radius * np.sin(theta)
+    rings = np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], axis=2)
+    ends = [[0.0, 0.0, z[0]], [0.0, 0.0, z[-1]]]
+    points = np.concatenate([rings.reshape(-1, 3), ends])
+    i, j = (v.ravel() for v in np.meshgrid(np.arange(79), np.arange(48), indexing="ij"))
+    a, b = 48 * i + j, 48 * i + (j + 1) % 48
+    j, after = np.arange(48), (np.arange(48) + 1) % 48
+    low, high = np.full(48, 3840), np.full(48, 3841)
+    sides = [np.stack([a, b, b + 48], 1), np.stack([a, b + 48, a + 48], 1)]
+    caps = [np.stack([after, j, low], 1), np.stack([3792 + j, 3792 + after, high], 1)]
+    return Surface(points, np.concatenate(sides + caps))
+
+
+def moved(surface: Surface, turn: Floats, shift: Floats) -> Surface:
+    """A surface turned, or mirrored, and shifted, still outward."""
+    triangles = surface.triangles[:, :: 1 if np.linalg.det(turn) > 0 else -1]
+    return replace(surface, points=surface.points @ turn.T + shift, triangles=triangles)
+
+
+def opened(surface: Surface, low: float) -> Surface:
+    """The part above a level, open there."""
+    above = (surface.points[surface.triangles, 2] > low).all(axis=1)
+    used, triangles = np.unique(surface.triangles[above], return_inverse=True)
+    return Surface(surface.points[used], triangles.reshape(-1, 3))
+
+
+def write(path: Path, surface: Surface, scale: float = 1.0) -> Path:
+    """Write a binary STL file."""
+    kind = np.dtype([("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
+    rows = np.zeros(len(surface.triangles), dtype=kind)
+    rows["v"] = scale * surface.corners
+    path.write_bytes(b"\0" * 80 + np.uint32(len(rows)).tobytes() + rows.tobytes())
+    return path

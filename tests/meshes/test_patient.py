@@ -1,0 +1,240 @@
+"""A patient's femur: mantle's own as triangles, and the measured one, with a stem."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from app.case.femurs import MUSCLES
+from app.case.geometries import Femur, MeshOptions, Patient
+from app.errors import GeometryError
+from meshes import _make, femur_bone
+from meshes.data import MeshData, region_volumes
+from meshes.gruen import Zones
+from meshes.patient_surfaces import PatientSurfaces
+from tests.meshes.bones import MEASURED, MEASURED_CANAL, VERSION, moved, own, own_canal, write
+from tests.meshes.test_bone import measured
+
+TURNED = Femur.model_validate({"anteversion": f"{VERSION} deg"})
+COARSE = {"size": "8 mm", "order": 1, "around": 14}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Surfaces of mantle's own femur."""
+    path = tmp_path_factory.mktemp("bone")
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    for name, surface in (("bone", own()), ("canal", own_canal())):
+        write(path / f"{name}.stl", surface)
+        write(path / f"{name}_moved.stl", moved(surface, turn, np.array([50.0, -20.0, 900.0])))
+    return path
+
+
+def patient(folder: Path, **changes: Any) -> Patient:
+    given: dict[str, Any] = {"kind": "patient", "bone": {"surface": "bone.stl"}}
+    return Patient.model_validate(given | changes, context={"folder": folder})
+
+
+def options(**given: Any) -> MeshOptions:
+    mesh = MeshOptions.model_validate(COARSE | given)
+    return mesh.model_copy(update={"curved": mesh.order == 2})
+
+
+@cache
+def made(geometry: Any) -> MeshData:
+    return _make(geometry, options())
+
+
+def as_own(folder: Path, **changes: Any) -> Patient:
+    """The operation of the parametric femur on its triangles, landmarks given exactly."""
+    normal, level = femur_bone.resection(TURNED)
+    # Depth of the shoulder's edge, at z = 29 mm, below the cut.
+    depth = (level + normal[0] * 9.0789) / normal[2] - 29.0
+    marks = {"lesser_trochanter": [20.0, -5.0, 0.0], "shaft": [[0, 0, -100], [0, 0, -20]]}
+    operation = {"resection": {"height": "5 mm"}, "insertion": {"depth": f"{depth} mm"}}
+    return patient(folder, landmarks=marks, distal_cut_z="-200 mm", **operation | changes)
+
+
+def test_mantles_own_femur_as_triangles_is_the_parametric_one(folder: Path) -> None:
+    """Volumes to 1 %, stem and mantle, which are exact, to rounding of their place."""
+    here, there = made(as_own(folder)), made(TURNED)
+    volumes, expected = region_volumes(here), region_volumes(there)
+    for name in ("stem", "cement"):
+        assert volumes[name] == pytest.approx(expected[name], rel=3e-3)
+    for name in ("cortical_bone", "cancellous_bone"):
+        assert volumes[name] == pytest.approx(expected[name], rel=0.02)
+    assert sum(volumes.values()) == pytest.approx(sum(expected.values()), rel=0.01)
+    assert set(here.boundaries) == set(there.boundaries)
+    assert here.notes["quality"]["sicn_min"] > 0.05
+    head = femur_bone.turned(np.array([here.notes["head_centre"]]), math.radians(VERSION))
+    assert head[0] == pytest.approx(there.notes["head_centre"], abs=0.3)
+
+
+def test_zones_are_those_of_the_parametric_femur(folder: Path) -> None:
+    x = np.random.default_rng(0).uniform((-15, -15, -150), (15, 15, 5), (4000, 3))
+    here, there = Zones(as_own(folder)), Zones(TURNED)
+    y = femur_bone.turned(x, math.radians(VERSION))
+    assert (here.at(x) == there.at(y)).mean() > 0.98
+    assert here.depth(x) == pytest.approx(there.depth(y), abs=0.4)
+
+
+def test_a_right_femur_is_the_mirrored_left_one(folder: Path) -> None:
+    """All numbers are in medial, anterior, proximal of the body's own side."""
+    mirrored = moved(own(), np.diag([-1.0, 1.0, 1.0]), np.zeros(3))
+    write(folder / "right.stl", mirrored)
+    left, right = (patient(folder, bone={"surface": f"{n}.stl"}) for n in ("bone", "right"))
+    assert left.told["side"] == "left"
+    assert right.told["side"] == "right, mirrored"
+    for name, place in left.points.items():
+        assert right.points[name] == pytest.approx(place, abs=0.05), name
+
+
+def test_axes_of_the_scan_do_not_matter(folder: Path) -> None:
+    canal = {"surface": "canal_moved.stl", "ream": "broach"}
+    still = patient(folder, canal=canal | {"surface": "canal.stl"})
+    turned = patient(folder, bone={"surface": "bone_moved.stl"}, canal=canal)
+    one, other = (PatientSurfaces(g, options(), g.placement) for g in (still, turned))
+    s = np.linspace(0, one.cut, 200)
+    phi = np.random.default_rng(1).uniform(size=200)
+    a, b = one.lines(phi, s), other.lines(phi, s)
+    assert a.end == pytest.approx(b.end, abs=0.1)
+    assert a.endosteum == pytest.approx(b.endosteum, abs=0.02)
+
+
+def test_muscles_are_on_the_bone_and_below_the_cut(folder: Path) -> None:
+    geometry = patient(folder)
+    placed = geometry.placement
+    for name in MUSCLES:
+        x = np.array(geometry.points[name])
+        assert np.linalg.norm(placed.bone.corners.mean(axis=1) - x, axis=1).min() < 1e-9
+        assert (x - placed.foot) @ placed.normal < -7.9
+    assert "vastus_medialis" in geometry.told["muscles moved (mm)"]
+
+
+def test_the_stem_goes_where_it_is_put(folder: Path) -> None:
+    """Depth, varus, version and offsets, against the untouched position."""
+    at = patient(folder).placement
+    deep = patient(folder, insertion={"depth": "3 mm"}).placement
+    assert deep.to_model([0, 0, -50.0])[2] == pytest.approx(at.to_model([0, 0, -53.0])[2], abs=1e-9)
+    varus = patient(folder, insertion={"varus": "2 deg"}).placement
+    tip, moved_tip = (p.to_model([0.0, 0.0, -147.0]) for p in (at, varus))
+    arm = 147.0 + varus.top
+    assert moved_tip[0] - tip[0] == pytest.approx(-arm * math.sin(math.radians(2)), abs=0.05)
+    turned = patient(folder, insertion={"version": {"angle": "10 deg"}}).placement
+    x, y, _ = turned.turn[:, 0]
+    assert math.degrees(math.atan2(y, x)) == pytest.approx(10.0, abs=0.1)
+    aside = patient(folder, insertion={"medial_offset": "2 mm", "anterior_offset": "1 mm"})
+    assert aside.placement.foot[:2] - at.foot[:2] == pytest.approx([2.0, 1.0], abs=0.02)
+
+
+REFUSED = {
+    "varus": (
+        {"insertion": {"varus": "4 deg"}},
+        r"into the cortex .*laterally at .* below the cut",
+    ),
+    "wide": ({"stem": {"half_width": "16 mm", "neck_diameter": "12 mm"}}, "into the cortex"),
+    "thick": (
+        {"canal": {"ream": "none"}, "stem": {"tip_half_width": "6 mm"}},
+        "geometry.insertion",
+    ),
+    "beside": ({"insertion": {"varus": "6 deg"}}, "axis is outside of the bone at .* below the"),
+    "steep": ({"resection": {"angle": "60 deg", "height": "20 mm"}}, "outside of the bone"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_does_not_fit_is_refused_with_the_place(folder: Path, name: str) -> None:
+    changes, text = REFUSED[name]
+    geometry = patient(folder, **changes)
+    with pytest.raises(GeometryError, match=text):
+        PatientSurfaces(geometry, options(), geometry.placement)
+
+
+WRONG = {
+    "no file": ({"bone": {"surface": "none.stl"}}, "no such file"),
+    "unit": ({"bone": {"surface": "bone.stl", "unit": "m"}}, "which unit"),
+    "varus": ({"insertion": {"varus": "20 deg"}}, "at most"),
+    "deep": ({"insertion": {"depth": "15 mm"}}, r"at most 4\.5"),
+    "condyles": ({"insertion": {"version": {"relative_to": "condyles"}}}, "relative_to: neck"),
+    "corner": ({"stem": {"corner_radius": "6 mm"}}, "half-depth"),
+    "long": ({"stem": {"length": "300 mm"}}, "distal_cut_z|between the end of the surface"),
+    "cut": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
+    "axis": ({"resection": {"height": "120 mm"}}, "outside of the bone; cut lower"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_key_is_refused(folder: Path, name: str) -> None:
+    changes, text = WRONG[name]
+    with pytest.raises(ValidationError, match=text):
+        patient(folder, **changes)
+
+
+CANALS = {
+    "outside": (lambda s: moved(s, np.eye(3), np.array([9.0, 0, 0])), "outside of the bone at"),
+    "elsewhere": (lambda s: moved(s, np.eye(3), np.array([90.0, 0, 0])), "axes of the bone"),
+    "short": (lambda s: moved(s, np.diag([1, 1, 0.5]), np.array([0, 0, -20.0])), "ends a"),
+}
+
+
+@pytest.mark.parametrize("name", CANALS)
+def test_a_wrong_canal_is_refused(folder: Path, name: str) -> None:
+    change, text = CANALS[name]
+    write(folder / f"{name}.stl", change(own_canal()))
+    geometry = patient(folder, canal={"surface": f"{name}.stl"})
+    with pytest.raises(GeometryError, match=f"geometry.canal.surface: .*{text}"):
+        PatientSurfaces(geometry, options(), geometry.placement)
+
+
+def random_patient(folder: Path, seed: int) -> Patient:
+    """Stem, mantle, position and canal at random, on mantle's own femur or the measured one."""
+    rng = np.random.default_rng(seed)
+    shift = {k: f"{rng.uniform(-2, 2)} mm" for k in ("medial_offset", "anterior_offset", "depth")}
+    turn = {"varus": f"{rng.uniform(0, 3)} deg", "version": {"angle": f"{rng.uniform(-15, 5)} deg"}}
+    canal: dict[str, Any] = {"ream": "broach"}
+    if rng.uniform() < 0.8:
+        canal["surface"] = "canal.stl"
+    return patient(
+        folder,
+        canal=canal,
+        insertion=shift | turn,
+        cement_thickness=f"{rng.uniform(2, 5)} mm",
+        stem={"length": f"{rng.uniform(110, 147)} mm"},
+        resection={"angle": f"{rng.uniform(34, 44)} deg"},
+    )
+
+
+def check(geometry: Patient, seed: int) -> bool:
+    """Meshed at the first attempt, or refused by anatomy with the place; whether it was meshed."""
+    mesh = options(size=f"{6 + seed % 3} mm", order=1 + seed % 2, around=None)
+    try:
+        data = _make(geometry, mesh)
+    except GeometryError as error:
+        assert "mm below the cut" in str(error) or "below the neck cut" in str(error), seed
+        return False
+    assert data.notes["quality"]["sicn_min"] > 0.02
+    assert data.notes["mantle"]["thickness"]["min"] > 0.8
+    return True
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_patients(folder: Path, seed: int) -> None:
+    check(random_patient(folder, seed), seed)
+
+
+@measured
+@pytest.mark.slow
+def test_a_hundred_patients(tmp_path: Path) -> None:
+    """On the measured femur, larger by a fifth; at least two thirds have room for the stem."""
+    from meshes.bone_surface import read
+
+    for name, path in (("bone", MEASURED), ("canal", MEASURED_CANAL)):
+        write(tmp_path / f"{name}.stl", read(path, "mm"), 1.2)
+    meshed = sum(check(random_patient(tmp_path, seed), seed) for seed in range(100))
+    assert meshed > 66
