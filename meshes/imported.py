@@ -1,4 +1,4 @@
-"""Meshes from and to gmsh files, by physical names; scripts are meshed first."""
+"""Meshes from files by the names in them, and to gmsh files; scripts are meshed first."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from app.errors import GeometryError
+from meshes import foreign
 from meshes.data import (
     MeshData,
     assemble,
@@ -33,7 +34,7 @@ _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:
-    """Read a ``.msh`` file (2.2 or 4.1) of straight or quadratic tetrahedra, or run a script.
+    """Read a file of straight or quadratic tetrahedra, or run a script.
 
     Args:
         geometry: ``path``, ``unit`` and ``interfaces`` (name to the regions on either side).
@@ -88,17 +89,19 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),
         "cells_without_region": int(found["everything"]) - len(cells),
-        "told": [turned] if negative.any() else [],
+        "told": [*([turned] if negative.any() else []), *found.get("told", [])],
     }
     return replace(data, notes=notes)
 
 
 def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
-    """Arrays of the file by name, as a child process finds them (`meshes.gmsh_child.serve`)."""
+    """Arrays of the file by name; gmsh finds its own in a child (`meshes.gmsh_child.serve`)."""
     path = geometry.path
     with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
         if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
             raise GeometryError(f"{path} has changed since it was looked at: run it again")
+        if path.suffix in foreign.READERS:
+            return foreign.read(path, path.stat().st_mtime_ns)
         request = {
             "path": str(path),
             "script": geometry.is_script,
