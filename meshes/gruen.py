@@ -22,6 +22,7 @@ from app.arrays import Floats, Ints
 from meshes import femur_bone, femur_stem
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
+RIM = 10.0  # mm below the neck cut whose interfaces are reported apart
 # Layered meshes put points on the planes between zones, where rounding must not decide [mm].
 EDGE = 1e-6
 
@@ -56,6 +57,15 @@ class Zones:
         zones[x[:, 2] < self.tip + EDGE] = (4, 11)
         zones[x[:, 2] < self.tip - BELOW + EDGE] = 0
         return zones
+
+    def depth(self, x: Floats) -> Floats:
+        """Distance of points (n, 3) below the plane of the neck cut (n,) [mm]."""
+        x = femur_bone.turned(x, -self._geometry.anteversion)
+        return np.asarray(self._level - x @ self._normal)
+
+    def borders(self, x: Floats) -> dict[str, Floats]:
+        """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
+        return {"tip": x[:, 2] - self.tip - EDGE, "rim": self.depth(x) - RIM}
 
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""

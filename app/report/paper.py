@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import reduce
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -30,6 +31,9 @@ MODELS = {
     **dict.fromkeys(("thickness", "friction", "limits"), "stance"),
     **{"hot": "femur", "slice": "slice", "cooled": "cooled"},
 }
+# Places by Gruen zone, from 1.
+ZONES = ["proximal lateral", "intermediate lateral", "distal lateral", "at the tip or below"]
+ZONES += ["distal medial", "intermediate medial", "proximal medial"]
 # Parts that vary what the paper does not tell: does a trend that differs agree there?
 CAUSES = {
     "canal": "room in the canal",
@@ -148,9 +152,20 @@ def same(a: Any, b: Any) -> bool:
 
 
 def contact(place: str, quantity: str, how: str) -> Numbers:
-    """A contact quantity of an interface: its ``max`` or ``percentile``."""
-    part = PERCENTILES[quantity] if how == "percentile" else how
-    return lambda case: case.number(f"{place}.{quantity}_{part}")
+    """A contact quantity of an interface: its ``percentile``, or ``max`` with rim and tip."""
+    if how == "percentile":
+        return lambda case: case.number(f"{place}.{quantity}_{PERCENTILES[quantity]}")
+    keys = [f"{place}{part}.{quantity}_max" for part in ("", "_rim", "_tip")]
+    return lambda case: max(
+        (n for key in keys if (n := case.number(key))), key=attrgetter("value"), default=None
+    )
+
+
+def peak_zone(case: SweptCase, place: str, quantity: str) -> str:
+    """Where on an interface a contact quantity is largest, in words; empty if unknown."""
+    zones = (own["interfaces"].get(place, {}) for own in case.summary.get("gruen", {}).values())
+    found = [(own.get(f"{quantity}_max", 0.0), z) for own, z in zip(zones, ZONES, strict=False)]
+    return max(found, default=(0.0, ""))[1]
 
 
 def series(family: Mapping[X, SweptCase], of: Numbers) -> dict[X, Number]:

@@ -232,7 +232,7 @@ def _numbers(summary: dict[str, Any], spread: InputSpread | None) -> Blocks:
 def _tables(summary: dict[str, Any], every: bool, spread: InputSpread | None = None) -> Blocks:
     """Tables of the numbers by section, of all of them or of the main ones with their spread."""
     sections: dict[str, dict[str, dict[str, Any]]] = {}
-    for section, name, numbers in quantities.numbers_of(summary):
+    for section, name, numbers in quantities.numbers_of(summary, parts=every):
         sections.setdefault(section, {})[name] = numbers
     found: Blocks = []
     for section in (s for s in TITLES if s in sections):

@@ -12,7 +12,7 @@ from dolfinx import fem
 from ufl import as_vector
 from ufl.core.expr import Expr
 
-from app.arrays import Floats
+from app.arrays import Field, Floats
 from app.case.quantities import computed
 from app.laws.fibres import Circumferential, Vector
 from app.laws.materials import Elastic
@@ -41,10 +41,14 @@ class Stresses:
 
     Args:
         around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
+        depth: Distance of points (n, 3) below a neck cut, above which a stem is a neck [mm].
     """
 
-    def __init__(self, problem: Problem, timing: Timing, around_z: bool = False) -> None:
+    def __init__(
+        self, problem: Problem, timing: Timing, around_z: bool = False, depth: Field | None = None
+    ) -> None:
         self._problem, self._timing, self._around_z = problem, timing, around_z
+        self._depth = depth
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
         degree = 4 * (problem.scene.order - 1)
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
@@ -153,17 +157,30 @@ class Stresses:
         return density / np.reshape(e.relative_stiffness(x), (-1, σ.shape[1]))
 
     def region(self, region: str) -> dict[str, Any]:
-        """Published stresses of a region; collective."""
+        """Published stresses of a region, of a stem without its neck; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
         x, volumes = self.places(region)
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         deviator = σ - mean[:, None, None] * np.eye(3)
         eigen = np.linalg.eigvalsh(σ)
         mises = np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator))
-        local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
-        mises, hoop, principal, least, mean, volume = np.concatenate(
-            self._problem.comm.allgather(local), axis=1
-        )
+        local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel(), *x.T])
+        rows = np.concatenate(self._problem.comm.allgather(local), axis=1)
+        values, x = rows[:6], rows[6:].T
+        found: dict[str, Any] = computed("regions", self, region)
+        if region == "stem" and self._depth:
+            outside = self._depth(x) < 0
+            neck, places = values[:, outside], x[outside]
+            found["neck"] = self._statistics(neck) | {
+                f"{key}_max_at": places[neck[k].argmax()].tolist()
+                for key, k in (("von_mises", 0), ("principal", 2))
+            }
+            values = values[:, ~outside]
+        return self._statistics(values) | found
+
+    def _statistics(self, values: Floats) -> dict[str, Any]:
+        """Published numbers of stresses and volumes at points, one row for each (6, n)."""
+        mises, hoop, principal, least, mean, volume = values
         result = {
             "von_mises_max": float(mises.max()),
             "von_mises_p99": percentile(mises, volume),
@@ -177,7 +194,7 @@ class Stresses:
         }
         if self._around_z:
             result["hoop_p99"] = percentile(hoop, volume)
-        return result | computed("regions", self, region)
+        return result
 
 
 def _stiffness(e: Elastic) -> Floats:

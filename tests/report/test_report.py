@@ -291,6 +291,20 @@ def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
         assert not nothing.case and nothing.remark
 
 
+def test_peaks_are_of_the_whole_interface(maker: Maker) -> None:
+    """As the paper's are; where they are stands beside the places that it names."""
+    numbers = contact(as_the_paper_says, "titanium", 4.0, 1.0, 0.05)
+    numbers["cement_bone"]["rim"] = {"gap_max": 0.3}
+    gruen = zones(0.003, ("cement_bone",))
+    gruen["7"]["interfaces"] = {"cement_bone": {"gap_max": 0.3}}
+    maker.stance("titanium", 4.0, 1.0, numbers, summary={"gruen": gruen})
+    rows = paper_numbers.compare(paper.Cases(rs.read(maker.write())))
+    gap = next(r for r in rows if r.fact.id == "2")
+    assert gap.peak == pytest.approx(300.0) and gap.number == Number(30.0, 1.5)
+    assert gap.remark == "mantle: largest proximal medial"
+    assert "proximal medial" in gap.fact.remark
+
+
 # Zones and mantles
 
 
