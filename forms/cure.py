@@ -6,8 +6,6 @@ expressions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 from ufl import conditional, exp, ge, le, lt, max_value
@@ -28,25 +26,14 @@ def autocatalytic_rate(a: Expr, T: Expr, limit: Any, k0: Any, Ea: Any, m: Any, n
     Args:
         a: Degree of cure.
         T: Temperature [K].
-        limit: Largest degree of cure at this temperature.
+        limit: Largest degree of cure at this temperature: below its final glass transition a cement
+            vitrifies before all monomer has reacted.
         k0: Rate constant [1/s].
         Ea: Activation energy [J/mol].
         m: Exponent of what has reacted.
         n: Exponent of what is left.
     """
     return k0 * exp(-Ea / (GAS_CONSTANT * T)) * a**m * max_value(limit - a, 0) ** n
-
-
-def conversion_limit(T: Expr, temperatures: Sequence[Any], limits: Sequence[Any]) -> Expr:
-    """Largest degree of cure: linear between given temperatures [K], constant beyond them.
-
-    Below its final glass transition a cement vitrifies before all monomer has reacted.
-    """
-    pairs = list(zip(temperatures, limits, strict=True))
-    value = pairs[-1][1]
-    for (T0, a0), (T1, a1) in reversed(list(pairwise(pairs))):
-        value = conditional(lt(T, T1), a0 + (a1 - a0) * (T - T0) / (T1 - T0), value)
-    return conditional(lt(T, pairs[0][0]), pairs[0][1], value)
 
 
 def prescribed_rate(r: Any, total: Any, initial: Any) -> Any:

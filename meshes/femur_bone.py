@@ -66,6 +66,7 @@ CANAL = np.array(
 )
 TROCHANTER = (6.0, np.radians(-20.0), 0.40, 8.0)  # lesser: height, angle, spread in angle and z
 CORTEX = 2.5  # mm of cortical bone that are left where the canal comes near the periosteum
+SHAFT = (-50.0, -10.0)  # levels [mm] between which a metaphyseal cortex goes over to the table's
 
 
 @dataclass(frozen=True)
@@ -110,12 +111,24 @@ class Tube:
 PERIOSTEUM = Tube(OUTER, TROCHANTER)
 
 
-def endosteum(widening: float, turn: float = 0.0) -> Callable[[Floats, Floats], Floats]:
-    """Distance of the endosteum from the z axis [mm]: reaming leaves `CORTEX` of the bone."""
+def endosteum(geometry: Any) -> Callable[[Floats, Floats], Floats]:
+    """Distance of the endosteum from the z axis [mm], in axes that turn with the stem.
+
+    Reaming leaves `CORTEX` of the bone. A thickness of the cortex that is asked for goes over to
+    that of the table within `SHAFT`.
+    """
+    turn, widening = geometry.anteversion, geometry.canal_widening
     inside, outside = Tube(CANAL, offset=widening, turn=turn), replace(PERIOSTEUM, turn=turn)
+    cortex = geometry.metaphyseal_cortex
 
     def radius(theta: Floats, z: Floats) -> Floats:
-        return np.minimum(inside.radius(theta, z), outside.radius(theta, z) - CORTEX)
+        bone = outside.radius(theta, z)
+        canal = np.minimum(inside.radius(theta, z), bone - CORTEX)
+        if cortex is None:
+            return canal
+        t = np.clip((z - SHAFT[0]) / (SHAFT[1] - SHAFT[0]), 0.0, 1.0)
+        share = t * t * (3 - 2 * t)
+        return np.asarray((1 - share) * canal + share * (bone - cortex))
 
     return radius
 

@@ -1,20 +1,30 @@
-"""The implant of the parametric femur: a straight, tapered, collarless stem and its offset.
+"""The implant of the parametric femur: a straight, tapered, collarless stem, its offset, its neck.
 
 A section of the body is a rectangle with rounded corners whose half-widths and corner radius are
-linear in z, so that the body is a ruled loft between two sections.
+linear in z, so that the body is a ruled loft between two sections. Above the neck cut the body goes
+on where it stands out. From its last section straight lines lead to a round ring, and on along a
+cone to the trunnion; where they turn they are rounded.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from app.arrays import Floats
+from app.errors import GeometryError
 
 CORNERS = 0.35  # of a quarter's length: what its corner counts more
+BLEND = (0.38, 0.8)  # of the neck's length: where it is round, at least and at most
+CLEAR = 2.0  # mm that the round neck is above the cut
+OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of the bone
+ROOM = 0.4  # of the lines before and after the turn to the neck: what it may take
+LEAST_ARM = 0.5  # mm before and after it
+SHOULDER = 6.0  # mm that the shoulder may be below or above the cut without standing out
 
 
 @dataclass(frozen=True)
@@ -94,3 +104,131 @@ def body(geometry: Any) -> Body:
         slopes.append((top - tip) / (high - low))
         values.append(tip - slopes[-1] * low)
     return Body((values[0], values[1], values[2]), (slopes[0], slopes[1], slopes[2]))
+
+
+@dataclass(frozen=True)
+class Upper:
+    """The stem above the neck cut.
+
+    Attributes:
+        body: What is below.
+        planes: Height at the axis [mm] and slope of the body's sections at the cut and at its end.
+        rings: Centres of the first and the last round section, which is the head's (2, 3) [mm].
+        radii: Their radii [mm].
+        arm: How far before and after the first ring lines begin and end to turn [mm].
+        ends: Stations, from 0 at the cut, at which the body, the lines to the ring, their turn and
+            the cone end.
+    """
+
+    body: Body
+    planes: tuple[tuple[float, float], tuple[float, float]]
+    rings: Floats
+    radii: tuple[float, float]
+    arm: float = 0.0
+    ends: tuple[int, ...] = ()
+
+    def ring(self, phi: Floats, end: int) -> Floats:
+        """Points of the first or the last round section (n, 3) [mm]."""
+        axis = _unit(self.rings[1] - self.rings[0])
+        turn = 2 * np.pi * phi[:, None]
+        across = np.cos(turn) * [axis[2], 0.0, -axis[0]] + np.sin(turn) * [0.0, 1.0, 0.0]
+        return np.asarray(self.rings[end] + self.radii[end] * across)
+
+    def ways(self, phi: Floats) -> tuple[Floats, Floats]:
+        """From the body to the first ring, and on to the last (n, 3) [mm]."""
+        low, ring, high = (
+            self.body.point(phi, *self.planes[1]),
+            self.ring(phi, 0),
+            self.ring(phi, 1),
+        )
+        return ring - low, high - ring
+
+    def points(self, phi: Floats, s: Floats) -> Floats:
+        """Points at stations above the cut (n, 3) [mm]: the sum of the ways up to there.
+
+        Lines turn from one direction to another by a quadratic Bézier curve.
+        """
+        out, loft, turn, cone = (
+            np.clip((s - a) / max(b - a, 1), 0.0, 1.0)[:, None]
+            for a, b in pairwise((0, *self.ends))
+        )
+        planes = zip(*self.planes, strict=True)
+        x = self.body.point(phi, *(a + out[:, 0] * (b - a) for a, b in planes))
+        first, second = self.ways(phi)
+        before, after = self.arm * _unit(first), self.arm * _unit(second)
+        x += loft * (first - before) + cone * (second - after)
+        return np.asarray(x + (1 - (1 - turn) ** 2) * before + turn**2 * after)
+
+    def with_fillet(self, radius: float) -> Upper:
+        """With lines that turn with this radius [mm], or a larger one.
+
+        Where the directions are theta apart the curve has the least radius
+        arm cos(theta / 2)^2 / sin(theta / 2); the arm is one for all lines, that of the sharpest
+        turn. A blunt one is longer, so that cells along it have a volume.
+
+        Raises:
+            GeometryError: There is no room.
+        """
+        first, second = self.ways(np.arange(72) / 72)
+        turn = float((_unit(first) * _unit(second)).sum(axis=1).min())
+        arm = radius * math.sqrt(2 * (1 - turn)) / (1 + turn)
+        room = ROOM * math.sqrt(min((way**2).sum(axis=1).min() for way in (first, second)))
+        if arm > room:
+            raise GeometryError(
+                f"geometry.neck_fillet: {radius:g} mm have no room between the neck cut and the"
+                f" head; expected at most {radius * room / arm:.3g} mm"
+            )
+        return replace(self, arm=max(arm, LEAST_ARM))
+
+
+def _unit(x: Floats) -> Floats:
+    """Vectors (..., 3) over their lengths."""
+    return np.asarray(x / np.sqrt((x**2).sum(axis=-1, keepdims=True)))
+
+
+def upper(geometry: Any, body: Body, mesh: Any, top: float, steep: float) -> Upper:
+    """The stem above the cut, which meets the axis at the height `top` with the slope `steep`.
+
+    Raises:
+        GeometryError: The shoulder is far below the cut, or the neck is not above it.
+    """
+    sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)
+    axis = np.array([sine, 0.0, cosine])
+    head = np.array([geometry.head_offset, 0.0, geometry.head_height])
+    length = geometry.head_offset / sine
+    slope = max(OUT, steep)
+    shoulder = geometry.stem_tip_z + geometry.stem_length
+    out = shoulder - slope * float(body.section(shoulder)[0])
+    if out < top - SHOULDER:
+        raise GeometryError(
+            f"geometry.stem_length: the stem's shoulder, at z = {shoulder:g} mm, is"
+            f" {top - out:.0f} mm below the neck cut; lengthen the stem, move it proximally"
+            " (stem_tip_z) or cut lower (resection_height)"
+        )
+    base, slope = (out, slope) if out > top + SHOULDER else (top, steep)
+    first, last = 0.5 * geometry.neck_diameter, 0.5 * geometry.trunnion_diameter
+    normal = np.array([slope, 0.0, 1.0]) / math.hypot(slope, 1.0)
+    # How far the lowest point of a ring is from its centre towards the section below.
+    dip = first * math.sqrt(max(0.0, 1.0 - float(axis @ normal) ** 2))
+    rise = float(axis @ normal)
+    # The neck's axis is in the section that it leaves at this part of its length, or below.
+    root_ = head - length * axis
+    needed = (CLEAR + dip - float(normal @ (root_ - [0.0, 0.0, base]))) / (rise * length)
+    if rise <= 0 or needed > BLEND[1]:
+        raise GeometryError(
+            f"geometry.head_height: the neck, {geometry.neck_diameter:g} mm thick towards a head"
+            f" at z = {geometry.head_height:g} mm, does not clear the neck cut; raise the head"
+            " or cut lower (resection_height)"
+        )
+    part = max(BLEND[0], needed)
+    ring = root_ + part * length * axis
+    planes, centres = ((top, steep), (base, slope)), np.stack([ring, head])
+    made = Upper(body, planes, centres, (first, last)).with_fillet(geometry.neck_fillet)
+    blend, cone = float(np.linalg.norm(ring - [0.0, 0.0, base])), (1.0 - part) * length
+    steps = (
+        0 if base == top else mesh.steps(base - top),
+        mesh.steps(blend - made.arm),
+        mesh.steps(2 * made.arm),
+        mesh.steps(cone - made.arm),
+    )
+    return replace(made, ends=tuple(int(n) for n in np.cumsum(steps)))

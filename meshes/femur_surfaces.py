@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,10 +33,6 @@ CORE = 0.5  # of the canal: where the innermost surface goes below the plug
 CORE_OVER = 30.0  # mm that it takes to get there
 SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the plug
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
-BLEND = (0.38, 0.8)  # of the neck's length: where it is round, at least and at most
-CLEAR = 2.0  # mm that the round neck is above the cut
-OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of the bone
-SHOULDER = 6.0  # mm that the shoulder may be below or above the cut without standing out
 REACH = 90.0  # mm: farther from the axis there is no bone
 WAYS = np.linspace(0.0, 1.2, 25)  # of a line, where it is asked how often it meets bone
 EXACT = 1e-11  # of roots, absolute and relative
@@ -62,32 +58,6 @@ def root(function: Callable[[Floats, Ints], Floats], high: Floats) -> Floats:
     return found
 
 
-@dataclass(frozen=True)
-class Neck:
-    """The stem above the cut: an outline on the cut, round rings, the trunnion.
-
-    Attributes:
-        ring: Centre of the first round section [mm].
-        head: Centre of the last, which is the head's (3,) [mm].
-        axis: Unit vector from ring to head (3,).
-        radii: Radii at ring and head [mm].
-    """
-
-    ring: Floats
-    head: Floats
-    axis: Floats
-    radii: tuple[float, float]
-
-    def circle(self, phi: Floats, along: Floats) -> Floats:
-        """Points of rings at parts `along` of the cone (n, 3) [mm]; below 0 before its start."""
-        down = np.array([self.axis[2], 0.0, -self.axis[0]])  # medial, across the axis
-        turn = 2 * np.pi * phi
-        radius = self.radii[0] + (self.radii[1] - self.radii[0]) * along
-        centre = self.ring + along[:, None] * (self.head - self.ring)
-        across = np.cos(turn)[:, None] * down + np.sin(turn)[:, None] * np.array([0.0, 1.0, 0.0])
-        return np.asarray(centre + radius[:, None] * across)
-
-
 class FemurSurfaces:
     """Nested surfaces of the operated femur as functions of angle and station, and their grid.
 
@@ -111,7 +81,7 @@ class FemurSurfaces:
         self._body = femur_stem.body(geometry)
         self._grown = self._body.offset(thickness)
         # In axes that turn with the stem.
-        self._canal = femur_bone.endosteum(geometry.canal_widening, geometry.anteversion)
+        self._canal = femur_bone.endosteum(geometry)
         self._periosteum = replace(PERIOSTEUM, turn=geometry.anteversion)
         normal, level = femur_bone.resection(geometry)
         self._top, self._steepest = level / normal[2], normal[0] / normal[2]
@@ -136,18 +106,13 @@ class FemurSurfaces:
 
     def _continue(self, geometry: Any) -> None:
         """Divide the stem above the cut."""
-        self._neck, self._out = _neck(geometry, self._body, self._top, self._steepest)
-        out = 0 if self._out is None else self.mesh.steps(self._out - self._top)
-        base = self._top if self._out is None else self._out
-        blend = float(np.linalg.norm(self._neck.ring - np.array([0.0, 0.0, base])))
-        cone = float(np.linalg.norm(self._neck.head - self._neck.ring))
-        self._above = np.cumsum([0, out, self.mesh.steps(blend), self.mesh.steps(cone)])
+        self._upper = femur_stem.upper(geometry, self._body, self.mesh, self._top, self._steepest)
         bone = ("cancellous_bone", "cortical_bone")
         self.segments: tuple[Segment, ...] = (
             Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
             Segment(self.tip - self.mantle[0], ("cement", "cement", *bone)),
             Segment(self.cut - self.tip, ("stem", "cement", *bone)),
-            Segment(int(self._above[-1]), ("stem",)),
+            Segment(self._upper.ends[-1], ("stem",)),
         )
 
     def outline(self) -> Floats:
@@ -171,7 +136,7 @@ class FemurSurfaces:
     def _beyond(self, lines: Lines, phi: Floats, s: Floats) -> None:
         """Replace the lines above the cut."""
         above = s > self.cut
-        lines.start[above] = self._stem_above(phi[above], s[above])
+        lines.start[above] = self._upper.points(phi[above], s[above] - self.cut)
         lines.end[above] = lines.start[above] + 1.0
         lines.mantle[above], lines.endosteum[above] = 0.3, 0.6
 
@@ -235,30 +200,6 @@ class FemurSurfaces:
         x, y, z = points.T
         return radius(np.arctan2(y, x), z) - np.hypot(x, y)
 
-    def _stem_above(self, phi: Floats, s: Floats) -> Floats:
-        at = s - self.cut
-        _, out, blend, cone = self._above
-        x = np.empty((len(s), 3))
-        body = at <= out
-        if body.any():
-            part = at[body] / max(out, 1)
-            high = self._top if self._out is None else self._out
-            steep = max(OUT, self._steepest)
-            x[body] = self._body.point(
-                phi[body],
-                self._top + part * (high - self._top),
-                self._steepest + part * (steep - self._steepest),
-            )
-        round_ = at >= blend
-        x[round_] = self._neck.circle(phi[round_], (at[round_] - blend) / (cone - blend))
-        loft = ~body & ~round_
-        if loft.any():
-            low = self._stem_above(phi[loft], np.full(int(loft.sum()), self.cut + float(out)))
-            high_ = self._neck.circle(phi[loft], np.zeros(int(loft.sum())))
-            part = ((at[loft] - out) / (blend - out))[:, None]
-            x[loft] = (1 - part) * low + part * high_
-        return x
-
     def _refuse(self) -> None:
         """Raise GeometryError where lines meet bone twice, or the stem has no room for cement."""
         along, around = np.linspace(self.tip, self.cut, 60), np.arange(72) / 72
@@ -296,44 +237,3 @@ def _distances(mesh: Any, length: float, part: str) -> Floats:
     at, count, step = mesh.graded(length, part)
     every = np.concatenate([at, at[-1] + step * np.arange(1, count + 1)])
     return np.asarray(every * length / every[-1])
-
-
-def _neck(
-    geometry: Any, body: femur_stem.Body, top: float, steep: float
-) -> tuple[Neck, float | None]:
-    """The neck, and the height at the axis of the end of a protruding body [mm].
-
-    Raises:
-        GeometryError: The shoulder is far below the cut, or the neck is not above it.
-    """
-    sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)
-    axis = np.array([sine, 0.0, cosine])
-    head = np.array([geometry.head_offset, 0.0, geometry.head_height])
-    length = geometry.head_offset / sine
-    slope = max(OUT, steep)
-    shoulder = geometry.stem_tip_z + geometry.stem_length
-    out = shoulder - slope * float(body.section(shoulder)[0])
-    if out < top - SHOULDER:
-        raise GeometryError(
-            f"geometry.stem_length: the stem's shoulder, at z = {shoulder:g} mm, is"
-            f" {top - out:.0f} mm below the neck cut; lengthen the stem, move it proximally"
-            " (stem_tip_z) or cut lower (resection_height)"
-        )
-    base, slope = (out, slope) if out > top + SHOULDER else (top, steep)
-    first, last = 0.5 * geometry.neck_diameter, 0.5 * geometry.trunnion_diameter
-    normal = np.array([slope, 0.0, 1.0]) / math.hypot(slope, 1.0)
-    # How far the lowest point of a ring is from its centre towards the section below.
-    dip = first * math.sqrt(max(0.0, 1.0 - float(axis @ normal) ** 2))
-    rise = float(axis @ normal)
-    # The neck's axis is in the section that it leaves at this part of its length, or below.
-    root_ = head - length * axis
-    needed = (CLEAR + dip - float(normal @ (root_ - [0.0, 0.0, base]))) / (rise * length)
-    if rise <= 0 or needed > BLEND[1]:
-        raise GeometryError(
-            f"geometry.head_height: the neck, {geometry.neck_diameter:g} mm thick towards a head"
-            f" at z = {geometry.head_height:g} mm, does not clear the neck cut; raise the head"
-            " or cut lower (resection_height)"
-        )
-    part = max(BLEND[0], needed)
-    ring = root_ + part * length * axis
-    return Neck(ring, head, axis, (first, last)), (base if base > top else None)

@@ -22,6 +22,7 @@ from app.arrays import Floats, Ints
 from meshes import femur_bone, femur_stem
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
+RIM = 10.0  # mm below the neck cut whose interfaces are reported apart
 # Layered meshes put points on the planes between zones, where rounding must not decide [mm].
 EDGE = 1e-6
 
@@ -57,6 +58,15 @@ class Zones:
         zones[x[:, 2] < self.tip - BELOW + EDGE] = 0
         return zones
 
+    def depth(self, x: Floats) -> Floats:
+        """Distance of points (n, 3) below the plane of the neck cut (n,) [mm]."""
+        x = femur_bone.turned(x, -self._geometry.anteversion)
+        return np.asarray(self._level - x @ self._normal)
+
+    def borders(self, x: Floats) -> dict[str, Floats]:
+        """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
+        return {"tip": x[:, 2] - self.tip - EDGE, "rim": self.depth(x) - RIM}
+
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
         g = self._geometry
@@ -64,7 +74,7 @@ class Zones:
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
         cavity = femur_stem.body(g).offset(g.cement_thickness).radius(theta, z)
-        canal = femur_bone.endosteum(g.canal_widening, g.anteversion)(theta, z)
+        canal = femur_bone.endosteum(g)(theta, z)
         # The mantle ends at the endosteum.
         cavity = np.minimum(cavity, canal)
         below_plug = z < self.tip - g.plug_length + EDGE

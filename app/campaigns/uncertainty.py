@@ -9,6 +9,7 @@ import numpy as np
 
 from app.case import quantities
 from app.case.points import short_keys
+from app.schema.units import NUMBER
 from app.system import layout
 
 # Fewest samples that define a spread.
@@ -28,14 +29,14 @@ def of_parts(
 
     Returns:
         By part: ``samples``, and ``numbers`` by name: mean, deviation (standard, of a sample), p5,
-        p95 (percentiles), and ``correlation`` with each input (Spearman's rank correlation).
+        p95 (percentiles), and ``correlation`` with each input (as `correlation`).
     """
     found = {}
     for part, keys in inputs.items():
         samples = [r for r in rows if r["part"] == part and not r["exit_code"]]
         if len(samples) < FEWEST:
             continue
-        values = {key: [_number(r["overrides"][key]) for r in samples] for key in keys}
+        values = {key: [r["overrides"][key] for r in samples] for key in keys}
         names = [n for n in samples[0]["numbers"] if all(n in r["numbers"] for r in samples)]
         found[part] = {
             "samples": len(samples),
@@ -44,11 +45,7 @@ def of_parts(
     return found
 
 
-def _number(value: object) -> float:
-    return float(str(value).partition(" ")[0])
-
-
-def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[Any]]) -> dict[str, Any]:
     """Entry of `of_parts` for a number of each sample, over inputs of each sample by key."""
     low, high = np.percentile(numbers, (5, 95))
     found = {key: correlation(numbers, values) for key, values in inputs.items()}
@@ -61,11 +58,26 @@ def of_number(numbers: Sequence[float], inputs: Mapping[str, Sequence[float]]) -
     }
 
 
-def correlation(a: Sequence[float], b: Sequence[float]) -> float | None:
-    """Spearman's rank correlation; None where one of them does not vary."""
-    from scipy.stats import spearmanr  # half a second, which only a sweep of samples needs
+def correlation(numbers: Sequence[float], inputs: Sequence[Any]) -> float | None:
+    """Spearman's rank correlation; None where one of them does not vary.
 
-    return float(spearmanr(a, b).statistic) if min(len(set(a)), len(set(b))) > 1 else None
+    Inputs other than numbers of one unit have no order: Kelley's epsilon of the ranks, the root
+    of the part of their variance that the inputs explain beyond chance.
+    """
+    from scipy.stats import rankdata, spearmanr  # half a second, which only samples need
+
+    found = [m for v in inputs if (m := NUMBER.fullmatch(str(v)))]
+    ordered = len(found) == len(inputs) and len({m[2] for m in found}) == 1
+    if len(set(numbers)) < 2 or (groups := len(set(map(str, inputs)))) < 2:
+        return None
+    if ordered:
+        return float(spearmanr(numbers, [float(m[1]) for m in found]).statistic)
+    if groups == len(inputs):
+        return None
+    ranks, own = rankdata(numbers), np.unique([str(v) for v in inputs], return_inverse=True)[1]
+    within = ranks - (np.bincount(own, ranks) / np.bincount(own))[own]
+    explained = 1.0 - np.var(within, ddof=groups) / np.var(ranks, ddof=1)
+    return float(np.sqrt(max(explained, 0.0)))
 
 
 def rows(of: Mapping[str, Any]) -> list[list[str]]:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
+from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, Text, fail, show
 from app.schema.units import NUMBER
 from app.schema.yaml_file import Fault, Path, key_parts
 
@@ -125,6 +125,17 @@ class Range(Section):
         return f"{number:g} {unit}" if unit else number
 
 
+class Choice(Section):
+    """Values of an uncertain input, each as likely as the others."""
+
+    values: Values
+    """The values: numbers, names or sections."""
+
+    def at(self, share: float) -> Any:
+        """Value at a fraction of the list."""
+        return self.values[int(share * len(self.values))]
+
+
 class LatinHypercube(Section):
     """Samples of uncertain inputs: one value of each input in each of equal intervals."""
 
@@ -132,8 +143,8 @@ class LatinHypercube(Section):
     """Number of samples."""
     seed: Annotated[int, Field(ge=0)] = 0
     """The same seed gives the same samples."""
-    inputs: Annotated[dict[str, Range], Field(min_length=1)]
-    """The range of each key."""
+    inputs: Annotated[dict[str, Annotated[Range | Choice, Kinds(".low")]], Field(min_length=1)]
+    """The range of each key, or its values."""
 
     def draw(self) -> list[dict[str, Any]]:
         """The overrides of each sample (McKay, Beckman and Conover, doi:10.2307/1268522).

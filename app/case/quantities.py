@@ -59,8 +59,8 @@ def printed(unit: str) -> str:
 
 
 def in_print(text: str) -> str:
-    """Text with the units behind its numbers as printed."""
-    return re.sub(r"(?<=\d )(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
+    """Text with the units behind its numbers, or in brackets, as printed."""
+    return re.sub(r"(?:(?<=\d )|(?<=\())(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
 
 
 @dataclass(frozen=True)
@@ -134,6 +134,8 @@ PLACES = {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}
 # Sections of numbers; the others map interfaces or regions to numbers.
 RUN = ("solver", "balance", "timing")
 WHOLE = ("stem", "femur", *RUN)
+# Parts that are reported apart: of the interfaces of a hip, and of its stem.
+PARTS = ("rim", "tip", "neck")
 # Levels of strains of the cortex [mm] by name: from the lesser trochanter to the tip of a stem.
 GAUGES = {"10": -10.0, "40": -40.0, "80": -80.0, "113": -113.0}
 # By section and key, in the order in which they are shown.
@@ -168,7 +170,7 @@ for _key, _word, _unit, _shown, _digits, _order in (
     ("shear", "shear stress", "MPa", "", 2, TRACTION),
 ):
     _how = partial(_interface, unit=_unit, shown=_shown, digits=_digits)
-    # One per cent of a stem's surface is its tip, where tractions grow with refinement.
+    # Tractions at edges grow with refinement.
     _main = "p95" if _order is TRACTION else "p99"
     add_quantity(
         _how(f"{_key}_max", label=f"{_word}, max", peak=True, history=_key != "slip_path"),
@@ -235,15 +237,20 @@ add_quantity(
     *(_dose(f"volume_over_{level}", "mm^3") for level in (47, 50, 56)),
     _dose("cem43_max", "min"),
     _dose("henriques_moritz_max", "-"),
-    *(_dose(f"necrosis_{rule}_volume", "mm^3") for rule in NECROSIS),
-    *(_dose(f"necrosis_{rule}_depth", "mm", digits=2) for rule in NECROSIS),
+    *(
+        _dose(
+            f"necrosis_{rule}_{key}", unit, digits=digits, label=f"dead by {in_print(words)}, {key}"
+        )
+        for key, unit, digits in (("volume", "mm^3", 1), ("depth", "mm", 2))
+        for rule, words in NECROSIS.items()
+    ),
     *(_between(f"temperature_max_{s}", "degC", headline=True) for s in ("first", "second")),
     *(_between(f"temperature_max_{side}_time", "s", order=DOSE) for side in ("first", "second")),
     _between("temperature_jump_max", "K"),
     _between("heat_flux_max", "W/m^2", digits=0),
     *(_between(f"entropy_production_{end}", "W/(m^2 K)", order=None) for end in ("min", "max")),
     *(_cure(f"degree_{end}", "-") for end in ("min", "max")),
-    *(_cure(f"time_{part}", "s", digits=1) for part in (50, 90)),
+    *(_cure(f"time_{p}", "s", digits=1, label=f"{p} % set everywhere") for p in (50, 90)),
     _cure("rate_max", "1/s"),
     *(Quantity("solver", f"{of}_iterations", "-", exact=True) for of in ("newton", "linear")),
     Quantity("solver", "condition", "-", exact=True),
@@ -316,12 +323,23 @@ def known_value(name: str, value: object) -> float:
     return float(kind.read(value))
 
 
-def numbers_of(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Section, owner and numbers of each mapping of numbers in a summary."""
+def numbers_of(
+    summary: Mapping[str, Any], parts: bool = False
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Section, owner (with ``parts`` also ``stem_cement_rim``) and numbers in a summary."""
     for section in TABLE:
         found: Any = reduce(lambda part, key: part.get(key, {}), section.split("."), summary)
         named: dict[str, Any] = {section: found} if section in WHOLE else found
-        yield from ((section, name, numbers) for name, numbers in named.items() if numbers)
+        for name, numbers in named.items():
+            if numbers:
+                yield section, name, numbers
+            apart = [part for part in PARTS if parts and part in numbers]
+            yield from ((section, f"{name}_{part}", numbers[part]) for part in apart)
+
+
+def largest(numbers: Mapping[str, Any], key: str) -> float:
+    """A maximum of an interface or a region with its parts; 0 if it is missing."""
+    return max(part.get(key, 0.0) for part in (numbers, *(numbers.get(p, {}) for p in PARTS)))
 
 
 def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | None:
@@ -334,7 +352,7 @@ def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | Non
     """
     owner, _, key = name.partition(".")
     key, _, axis = key.partition(".")
-    for _, found, numbers in numbers_of(summary):
+    for _, found, numbers in numbers_of(summary, parts=True):
         value = numbers.get(key + suffix) if found == owner else None
         if axis and isinstance(value, list):
             value = value["xyz".index(axis)]

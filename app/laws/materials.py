@@ -7,19 +7,21 @@ E_l, E_t, mu_l > 0, |nu_t| < 1 and 1 - nu_t - 2 nu_l^2 E_t / E_l > 0. That margi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
-from app.laws.values import History, Named, Source, Status
-from app.schema.section import ITEMS, Kinds, Section, Text, fail, show
-from app.schema.units import Modulus, Number, Plain
+from app.laws.values import History, Named, Source, Status, Table, rising
+from app.schema.section import ITEMS, TAG, Kinds, Pair, Section, Text, fail, show
+from app.schema.units import Length, Modulus, Number, Plain
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
+
+    from app.arrays import Floats
 
 Tissue = Literal["bone", "cement", "implant", "other"]
 # Poisson's ratio beyond which a material counts as nearly incompressible, and the margin there.
@@ -36,6 +38,23 @@ def _six(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, int | float):
         fail(f"{show(value)} is not a strain; {expected}")
     return (value, value, value, 0.0, 0.0, 0.0)
+
+
+def _sloped(table: Table) -> Table:
+    return table if len(table) > 1 else fail("is one pair; expected at least two, or a value")
+
+
+# A modulus, or pairs of height and modulus.
+OverHeight = Annotated[
+    Annotated[Modulus, Tag(TAG + "constant")]
+    | Annotated[
+        tuple[Annotated[tuple[Length, Modulus], Pair("[-118 mm, 0.1 GPa]")], ...],
+        AfterValidator(rising("height")),
+        AfterValidator(_sloped),
+        Tag(TAG + "graded"),
+    ],
+    Discriminator(lambda E: TAG + ("graded" if isinstance(E, list | tuple) else "constant")),
+]
 
 
 class Eigenstrain(Section):
@@ -84,7 +103,10 @@ class Elastic(Material):
 
     @property
     def moduli(self) -> tuple[float, ...]:
-        """Young's moduli, the axial one first [MPa]; the largest decides the stiffer side."""
+        """Young's moduli, the axial one first [MPa]; the largest decides the stiffer side.
+
+        Where the stiffness varies they are the largest, as are `coefficients`.
+        """
         raise NotImplementedError
 
     @property
@@ -92,8 +114,23 @@ class Elastic(Material):
         """Elastic coefficients of eq. 48 [MPa]: two if isotropic, else five."""
         raise NotImplementedError
 
+    def coefficients_at(self, x: Expr, constant: Callable[[Any], Any]) -> Sequence[Any]:
+        """Elastic coefficients at a position in UFL, of what ``constant`` makes of numbers."""
+        return [constant(c) for c in self.coefficients]
+
+    @property
+    def varies(self) -> bool:
+        """Whether the stiffness depends on the place."""
+        return False
+
+    def relative_stiffness(self, x: Floats) -> Floats:
+        """Stiffness at points (n, 3) [mm] over that of `coefficients` (n,)."""
+        import numpy as np
+
+        return np.ones(len(x))
+
     def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
-        """Strain energy density ψ(ε) [MPa]; coefficients are UFL constants."""
+        """Strain energy density ψ(ε) [MPa]; coefficients are UFL constants or expressions."""
         from forms import elasticity
 
         if self.fibre is None:
@@ -107,8 +144,8 @@ class Isotropic(Elastic):
     fibre: ClassVar[None] = None  # type: ignore[misc]
 
     kind: Literal["isotropic"] = "isotropic"
-    youngs_modulus: Modulus
-    """Young's modulus E."""
+    youngs_modulus: OverHeight
+    """Young's modulus E; or pairs of height z and E, linear in between and constant beyond."""
     poisson_ratio: Annotated[float, Plain(above=-1.0, below=0.5)]
     """Poisson's ratio nu."""
 
@@ -122,12 +159,41 @@ class Isotropic(Elastic):
         """Two elastic coefficients [MPa]."""
         from forms import elasticity
 
-        return elasticity.isotropic_coefficients(self.youngs_modulus, self.poisson_ratio)
+        return elasticity.isotropic_coefficients(self.moduli[0], self.poisson_ratio)
 
     @property
     def moduli(self) -> tuple[float, ...]:
         """Young's modulus [MPa]."""
-        return (self.youngs_modulus,)
+        return (max(self._over_height[1]),)
+
+    @property
+    def varies(self) -> bool:
+        """Whether Young's modulus is a table."""
+        return isinstance(self.youngs_modulus, tuple)
+
+    @property
+    def _over_height(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Heights [mm] and Young's moduli there [MPa]."""
+        if not isinstance(self.youngs_modulus, tuple):
+            return (0.0,), (self.youngs_modulus,)
+        heights, moduli = zip(*self.youngs_modulus, strict=True)
+        return heights, moduli
+
+    def coefficients_at(self, x: Expr, constant: Callable[[Any], Any]) -> Sequence[Any]:
+        """Two elastic coefficients [MPa]: constants, or those of E(x)."""
+        if not self.varies:
+            return super().coefficients_at(x, constant)
+        from forms import elasticity, tables
+
+        heights, moduli = (list(constant(c)) for c in self._over_height)
+        E = tables.piecewise_linear(x[2], heights, moduli)
+        return elasticity.isotropic_coefficients(E, constant(self.poisson_ratio))
+
+    def relative_stiffness(self, x: Floats) -> Floats:
+        """E(x) over the largest E."""
+        import numpy as np
+
+        return np.asarray(np.interp(x[:, 2], *self._over_height) / self.moduli[0])
 
 
 class TransverselyIsotropic(Elastic):

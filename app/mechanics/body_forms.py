@@ -88,8 +88,8 @@ class BodyForms:
 
     Attributes:
         bodies: Regions by body.
-        varying_degree: Degree of quadrature where stress is history or fibres turn: stiffness needs
-            one less.
+        varying_degree: Degree of quadrature where stress is history, fibres turn or the modulus
+            varies: a constant stiffness needs one less.
         space: Displacement space.
         u: The continuous displacement.
         springs: Stiffness of each elastic foundation.
@@ -175,8 +175,8 @@ class BodyForms:
         """A constant, in UFL."""
         return fem.Constant(self.mesh, np.asarray(value, dtype=default_scalar_type))
 
-    def _region_constants(self, e: Elastic) -> tuple[list[fem.Constant], Any]:
-        coefficients = [self.constant(c) for c in e.coefficients]
+    def _region_constants(self, e: Elastic) -> tuple[Sequence[Any], Any]:
+        coefficients = e.coefficients_at(ufl.SpatialCoordinate(self.mesh), self.constant)
         return coefficients, e.fibre.direction(self.mesh, self.constant) if e.fibre else None
 
     # Energies
@@ -189,10 +189,12 @@ class BodyForms:
     def over(self, e: Elastic, dx: ufl.Measure, tag: int | None = None) -> ufl.Measure:
         """Measure of a region, by its own tag or another.
 
-        Turning fibres get a fixed degree: UFL would choose more than 20, with the same errors.
+        Turning fibres and moduli that vary get a fixed degree: UFL would choose more than 20 for
+        the former, with the same errors.
         """
         own = dx(self.tagged.regions[e.region] if tag is None else tag)
-        return own(degree=self.varying_degree) if e.fibre and e.fibre.turns else own
+        varies = e.varies or (e.fibre and e.fibre.turns)
+        return own(degree=self.varying_degree) if varies else own
 
     def elastic_strain(self, e: Elastic, v: Any) -> Any:
         """Strain of a displacement minus the region's eigenstrains and its swelling."""

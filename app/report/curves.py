@@ -40,6 +40,8 @@ SHOWN = {
     "degree_min": ("least degree of cure", "%"),
     "": ("temperature at probes", "degC"),
     **_INTERFACE,
+    "subsidence": ("subsidence", "um"),
+    "retroversion": ("retroversion", "deg"),
     **{f"displacement.{axis}": (f"displacement in {axis} at probes", "um") for axis in "xyz"},
 }
 SECONDS, TIME = "seconds [s]", "time [-]"
@@ -180,8 +182,12 @@ def _line(axes: Any, line: Line, shift: float) -> None:
 
 
 def of_history(history: History) -> tuple[list[Panel], str]:
-    """Panels of the quantities that change, and the label of their x axis."""
-    x = SECONDS if SECONDS in history else TIME
+    """Panels of the quantities that change, and the label of their x axis.
+
+    Loads come at no time of a history of heat: then all is drawn over stages.
+    """
+    seconds = history.get(SECONDS, np.empty(0))
+    x = SECONDS if 0 < len(seconds) == len(np.unique(seconds)) else TIME
     times = history.get(x, np.empty(0))
     if len(times) < 2:
         return [], ""

@@ -13,7 +13,7 @@ from app.campaigns import uncertainty
 from app.case.quantities import TABLE, Quantity, numbers_of, titled
 from app.errors import InputError
 from app.report.sweep_figures import title
-from app.report.sweep_results import SweptCase, magnitude, read
+from app.report.sweep_results import SweptCase, read
 from app.system.layout import plain
 
 FEWEST = 10  # samples of which the 5th and the 95th percentile are told
@@ -28,7 +28,7 @@ class InputSpread:
 
     samples: Sequence[SweptCase]
     drawn: int
-    inputs: Mapping[str, Sequence[float]]
+    inputs: Mapping[str, Sequence[Any]]
 
     def of(self, name: str) -> tuple[float, float, str] | None:
         """Percentiles of a number in its unit for people, and the input that it follows most.
@@ -93,7 +93,7 @@ def of_run(folder: Path, run: SweptCase) -> InputSpread:
         few = f"{len(samples)} samples converged; the 5th and 95th percentile need {FEWEST}"
         other = f"is of another case than {run.folder}: {next(iter(others.values()))}"
         raise InputError(f"{where}: {few if samples else other}")
-    inputs = {key: [magnitude(c.overrides[key]) or 0.0 for c in samples] for key in keys}
+    inputs = {key: [c.overrides[key] for c in samples] for key in keys}
     return InputSpread(samples, len(drawn), inputs)
 
 

@@ -19,8 +19,8 @@ T = TypeVar("T")
 MOST = 400  # rows of a table, points of a curve
 
 CLASSES = {
-    **dict.fromkeys(("confirmed", "converged"), "good"),
-    **dict.fromkeys(("not confirmed", "failed", "not converged", "do not use"), "bad"),
+    **dict.fromkeys(("agrees", "converged"), "good"),
+    **dict.fromkeys(("differs", "failed", "not converged", "do not use"), "bad"),
     **dict.fromkeys(("undecided", "stopped", "note"), "open"),
 }
 

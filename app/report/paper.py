@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import reduce
+from operator import attrgetter
 from typing import Any, TypeVar
 
 import numpy as np
@@ -30,6 +31,16 @@ MODELS = {
     **dict.fromkeys(("thickness", "friction", "limits"), "stance"),
     **{"hot": "femur", "slice": "slice", "cooled": "cooled"},
 }
+# Places by Gruen zone, from 1.
+ZONES = ["proximal lateral", "intermediate lateral", "distal lateral", "at the tip or below"]
+ZONES += ["distal medial", "intermediate medial", "proximal medial"]
+# Parts that vary what the paper does not tell: does a trend that differs agree there?
+CAUSES = {
+    "canal": "room in the canal",
+    "loads": "loads in balance",
+    "interface": "a smoother stem",
+    "history": "cement that set first",
+}
 READINGS = {"initial": "100 °C at the start", "held": "100 °C held"}
 # When the temperature of cement that starts at 100 degC is reported; the paper names no time [s].
 AT = 10.0
@@ -47,16 +58,22 @@ class Cases:
     Attributes:
         stances: Single-limb stances on a stem in contact with its cement.
         hot: Cases of hot cement, bonded ones too.
+        causes: Stances that vary what the paper does not tell, by what it is.
+
+    Args:
+        cause: One of `CAUSES`: its stances alone.
     """
 
-    def __init__(self, sweep: SweepResults) -> None:
+    def __init__(self, sweep: SweepResults, cause: str = "") -> None:
         own = sweep.cases if sweep.compare_with == "paper" else ()
+        parts = {cause: "stance"} if cause else MODELS
         # Of equal cases the finer counts, then the first: the last overwrites.
-        known = [c for c in sorted(reversed(own), key=lambda c: c.unknowns) if c.part in MODELS]
+        known = [c for c in sorted(reversed(own), key=lambda c: c.unknowns) if c.part in parts]
         self.stances = [
-            c for c in known if MODELS[c.part] == "stance" and _friction(c, "stem_cement")
+            c for c in known if parts[c.part] == "stance" and _friction(c, "stem_cement")
         ]
-        self.hot = [c for c in known if MODELS[c.part] != "stance"]
+        self.hot = [c for c in known if parts[c.part] != "stance"]
+        self.causes = {} if cause else {w: Cases(sweep, part) for part, w in CAUSES.items()}
 
     def __bool__(self) -> bool:
         """Whether any has results."""
@@ -101,7 +118,7 @@ def labels(case: SweptCase) -> dict[str, Any]:
     """Model, stem, thickness [mm], friction at the bone, reading of "100 degrees"."""
     modulus = magnitude(_value(case, "regions", "stem", "youngs_modulus"))
     return {
-        "model": MODELS[case.part],
+        "model": MODELS.get(case.part, "stance"),
         "stem": next((stem for stem, own in STEMS.items() if own == modulus), None),
         "thickness": magnitude(_value(case, "geometry", "cement_thickness")),
         "friction": _friction(case, "cement_bone"),
@@ -135,9 +152,20 @@ def same(a: Any, b: Any) -> bool:
 
 
 def contact(place: str, quantity: str, how: str) -> Numbers:
-    """A contact quantity of an interface: its ``max`` or ``percentile``."""
-    part = PERCENTILES[quantity] if how == "percentile" else how
-    return lambda case: case.number(f"{place}.{quantity}_{part}")
+    """A contact quantity of an interface: its ``percentile``, or ``max`` with rim and tip."""
+    if how == "percentile":
+        return lambda case: case.number(f"{place}.{quantity}_{PERCENTILES[quantity]}")
+    keys = [f"{place}{part}.{quantity}_max" for part in ("", "_rim", "_tip")]
+    return lambda case: max(
+        (n for key in keys if (n := case.number(key))), key=attrgetter("value"), default=None
+    )
+
+
+def peak_zone(case: SweptCase, place: str, quantity: str) -> str:
+    """Where on an interface a contact quantity is largest, in words; empty if unknown."""
+    zones = (own["interfaces"].get(place, {}) for own in case.summary.get("gruen", {}).values())
+    found = [(own.get(f"{quantity}_max", 0.0), z) for own, z in zip(zones, ZONES, strict=False)]
+    return max(found, default=(0.0, ""))[1]
 
 
 def series(family: Mapping[X, SweptCase], of: Numbers) -> dict[X, Number]:

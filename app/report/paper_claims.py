@@ -8,7 +8,7 @@ so that percentiles decide and peaks are given beside them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,11 +16,12 @@ from app.report import paper
 from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named
 from app.system.layout import plain
 
-VERDICTS = CONFIRMED, NOT_CONFIRMED, UNDECIDED = "confirmed", "not confirmed", "undecided"
+VERDICTS = AGREES, DIFFERS, UNDECIDED = "agrees", "differs", "undecided"
 FLAT = 0.20  # relative spread up to which a number counts as constant
 MUCH = 2.0  # factor that "drastically" is taken to mean at least
 ROUNDING = 1e-6  # relative difference that is none
 AT = {"stem": "{} stem", "thickness": "{} mm", "friction": "friction {}"}  # by parameter
+MISSING = "no results of"
 NAMED = 3  # cases named of those in which a statement does not hold
 
 
@@ -40,22 +41,32 @@ class Trend:
         claim: The paper's statement.
         parts: Statements it consists of, by percentiles.
         peaks: The verdict by peaks, which have no errors; empty where there are none.
+        causes: Verdicts where something was varied that the paper does not tell, by its name.
     """
 
     name: str
     claim: str
     parts: Sequence[Statement]
     peaks: str = ""
+    causes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
-        """Confirmed if all parts are; not confirmed if any is not."""
+        """Agrees if all parts do; differs if any does."""
         return _all(verdict for verdict, _ in self.parts)
+
+    @property
+    def tried(self) -> str:
+        """Causes tried of a difference, each with its verdict; empty if there is none."""
+        if self.verdict != DIFFERS:
+            return ""
+        each = [f"{words} ({verdict})" for words, verdict in self.causes.items()]
+        return f"causes tried: {', '.join(each) or 'none'}"
 
 
 def _all(verdicts: Iterable[str]) -> str:
     found = {*verdicts} or {UNDECIDED}
-    return next(v for v in (NOT_CONFIRMED, UNDECIDED, CONFIRMED) if v in found)
+    return next(v for v in (DIFFERS, UNDECIDED, AGREES) if v in found)
 
 
 def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
@@ -64,7 +75,7 @@ def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
     errors = (a.error or 0.0) + factor * (b.error or 0.0)
     if errors and abs(difference) <= errors:
         return UNDECIDED
-    return CONFIRMED if difference > ROUNDING * abs(b.value) else NOT_CONFIRMED
+    return AGREES if difference > ROUNDING * abs(b.value) else DIFFERS
 
 
 def alike(a: Number, b: Number, tolerance: float) -> str:
@@ -72,8 +83,8 @@ def alike(a: Number, b: Number, tolerance: float) -> str:
     allowed = tolerance * 0.5 * (abs(a.value) + abs(b.value))
     difference, errors = abs(a.value - b.value), (a.error or 0.0) + (b.error or 0.0)
     if difference + errors <= allowed or not allowed:
-        return CONFIRMED
-    return NOT_CONFIRMED if difference - errors > allowed else UNDECIDED
+        return AGREES
+    return DIFFERS if difference - errors > allowed else UNDECIDED
 
 
 # Relations over a series of numbers: label, numbers by parameter, unit, name of the parameter.
@@ -126,8 +137,8 @@ def above(label: str, pairs: Iterable[tuple[str, Number | None, Number | None]])
     found = {name: exceeds(a, b) for name, a, b in pairs if a and b}
     if not found:
         return _missing(label)
-    text = f"{label}: in {sum(v == CONFIRMED for v in found.values())} of {len(found)} cases"
-    if others := [name for name, v in found.items() if v != CONFIRMED]:
+    text = f"{label}: in {sum(v == AGREES for v in found.values())} of {len(found)} cases"
+    if others := [name for name, v in found.items() if v != AGREES]:
         more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
         text += f"; not in {', '.join(others[:NAMED])}{more}"
     return Statement(_all(found.values()), text)
@@ -138,7 +149,7 @@ def _at(over: str, value: object) -> str:
 
 
 def _missing(what: str) -> Statement:
-    return Statement(UNDECIDED, f"no results of {what}")
+    return Statement(UNDECIDED, f"{MISSING} {what}")
 
 
 CLAIMS = {
@@ -185,11 +196,24 @@ ORDER = (
 def judge(cases: paper.Cases) -> list[Trend]:
     """All trends."""
     by_percentiles, by_maxima = (_contact(cases, how) for how in ("percentile", "max"))
+    varied = {
+        words: _contact(own, "percentile") for words, own in cases.causes.items() if own.stances
+    }
     contact = [
-        Trend(name, CLAIMS[name], parts, _all(v for v, _ in by_maxima[name]))
+        Trend(
+            name,
+            CLAIMS[name],
+            parts,
+            _all(v for v, _ in by_maxima[name]),
+            # What was tried with one stem leaves the statements on the other without results.
+            {
+                words: _all(v for v, text in found[name] if not text.startswith(MISSING))
+                for words, found in varied.items()
+            },
+        )
         for name, parts in by_percentiles.items()
     ]
-    return [*contact, *_heat(cases), Trend("T-h", CLAIMS["T-h"], _residual(cases))]
+    return [*contact, *_heat(cases), _residual(cases.hot)]
 
 
 def _contact(cases: paper.Cases, how: str) -> dict[str, list[Statement]]:
@@ -228,6 +252,11 @@ def _heat(cases: paper.Cases) -> list[Trend]:
         parts = [hotter, by_p99 if len(p99) > 1 else by_peak, hottest]
         peaks = _all(v for v, _ in (hotter, by_peak, hottest))
         trends.append(Trend(f"T-g ({model}, {reading})", CLAIMS["T-g"], parts, peaks))
+    each = {trend.name: trend.verdict for trend in trends}
+    trends = [
+        replace(trend, causes={k: v for k, v in each.items() if k != trend.name})
+        for trend in trends
+    ]
     return trends or [Trend("T-g", CLAIMS["T-g"], [_missing("cement of 100 °C")])]
 
 
@@ -238,8 +267,21 @@ def _hottest_beside(case: SweptCase) -> Number | None:
     return max(known, key=lambda n: n.value) if known else None
 
 
-def _residual(cases: paper.Cases) -> list[Statement]:
-    """T-h."""
+def _residual(cases: Sequence[SweptCase]) -> Trend:
+    """T-h; its causes are the readings of "100 degrees"."""
+    readings = {
+        words: _all(v for v, _ in _remaining([c for c in cases if _reading(c) == reading]))
+        for reading, words in paper.READINGS.items()
+    }
+    return Trend("T-h", CLAIMS["T-h"], _remaining(cases), causes=readings)
+
+
+def _reading(case: SweptCase) -> str:
+    return str(paper.labels(case)["reading"])
+
+
+def _remaining(cases: Sequence[SweptCase]) -> list[Statement]:
+    """Signs of normal tractions as the cement cools."""
     parts: list[Statement] = []
     for kind, key, what in (
         ("bonded", "normal_max", "tension"),
@@ -247,12 +289,12 @@ def _residual(cases: paper.Cases) -> list[Statement]:
     ):
         known = len(parts)
         for place in INTERFACES:
-            found = [n.value for c in cases.hot if (n := c.number(f"{place}.{key}"))]
+            found = [n.value for c in cases if (n := c.number(f"{place}.{key}"))]
             if found:
                 low, high = min(found), max(found)
                 text = f"{named(place)} {kind}: {what} of {low:.3g} to {high:.3g} MPa at most in "
                 text += f"{len(found)} case{'s' * (len(found) > 1)}"
-                parts.append(Statement(CONFIRMED if low > 0 else NOT_CONFIRMED, text))
+                parts.append(Statement(AGREES if low > 0 else DIFFERS, text))
         if len(parts) == known:
             parts.append(_missing(f"a case that cools with a {kind} interface and mechanics"))
     return parts

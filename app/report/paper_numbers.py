@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from app.case.quantities import numbers_of
 from app.report import paper
 from app.report.curves import Line, Panel, draw, in_words, too_few
 from app.report.page import Figure
@@ -144,7 +145,9 @@ def _stance(fact: Fact, thickness: float, case: SweptCase, quantity: str) -> Com
         if over is not None and area is not None:
             part = over.value / area.value
             share = f"{100 * part:.2g} %" if part < 0.995 else "100 %"
-            remark = f"mantle: more than 30 µm on {share} of the area"
+            remark = f"mantle: more than 30 µm on {share} of the area but rim and tip"
+    elif place := paper.peak_zone(case, fact.place, quantity):
+        remark = f"mantle: largest {place}"
     other = quantity if quantity != fact.quantity else ""
     peak = most.value if most else None
     return ComparedNumber(fact, thickness, case.name, peak, settled, remark, other)
@@ -172,8 +175,8 @@ def _extremes(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
         (n.value, region, case, labels(case))
         for case in cases.hot
         if case.done and case.part != "slice"
-        for region in case.summary.get("regions", {})
-        if (n := case.number(f"{region}.{fact.quantity}")) is not None
+        for section, region, _ in numbers_of(case.summary, parts=True)
+        if section == "regions" and (n := case.number(f"{region}.{fact.quantity}")) is not None
     ]
     for reading, words in READINGS.items():
         found = [f for f in every if f[3]["reading"] == reading]

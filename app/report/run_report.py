@@ -232,20 +232,21 @@ def _numbers(summary: dict[str, Any], spread: InputSpread | None) -> Blocks:
 def _tables(summary: dict[str, Any], every: bool, spread: InputSpread | None = None) -> Blocks:
     """Tables of the numbers by section, of all of them or of the main ones with their spread."""
     sections: dict[str, dict[str, dict[str, Any]]] = {}
-    for section, name, numbers in quantities.numbers_of(summary):
+    for section, name, numbers in quantities.numbers_of(summary, parts=every):
         sections.setdefault(section, {})[name] = numbers
     found: Blocks = []
     for section in (s for s in TITLES if s in sections):
         own, named = TABLE[section], sections[section]
         added = [k for k, q in own.items() if q.compute]
         keys = [] if every else [*text.keys(section), *MORE.get(section, ()), *added]
+        keys += [k for k in own if spread and k.startswith("necrosis")]
         shown = [own[k] for k in keys or own if not own[k].vector]
         rows = [[_label(q), *(q.text(numbers) for numbers in named.values())] for q in shown]
         if spread:
             rows = [spread.cells(f"{o}.{q.key}", q, n) for q in shown for o, n in named.items()]
         rows = [row for row in rows if set(row[1:]) != {"-"}]
         found += page.titled(TITLES[section], table(HEAD if spread else ["", *named], rows))
-        if section == "thermal.regions" and not every:
+        if section == "thermal.regions" and not every and not spread:
             found += page.titled("Dead bone", _necrosis(named))
     return found
 

@@ -100,7 +100,7 @@ def too_far(summary: Mapping[str, Any]) -> list[str]:
     return [
         name
         for name, q in summary.get("interfaces", {}).items()
-        if q.get("slip_max", 0.0) > q.get("facet_size", np.inf)
+        if quantities.largest(q, "slip_max") > q.get("facet_size", np.inf)
     ]
 
 
@@ -183,7 +183,7 @@ def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:
-    """Penetration of the bodies, at contact points and between them."""
+    """Penetration of the bodies, and what the numbers of interfaces leave out."""
 
     def length(key: str) -> str:
         q = TABLE["interfaces"][key]
@@ -191,11 +191,15 @@ def _contact(interfaces: Mapping[str, Any]) -> Verdict:
 
     keys = ("penetration_max", "penetration_sampled")
     most = {key: max(q[key] for q in interfaces.values()) for key in keys}
+    gap = TABLE["interfaces"]["gap_max"].text
+    rims = [f"{gap(own['rim'])} um ({name})" for name, own in interfaces.items() if "rim" in own]
+    apart = f"; numbers are without rim and tip, the rim opens by {', '.join(rims)}" if rims else ""
     if most["penetration_max"] >= 1e-9:
-        return Verdict(f"contact: the bodies penetrate by {length('penetration_max')}", "doubtful")
+        deep = length("penetration_max")
+        return Verdict(f"contact: the bodies penetrate by {deep}{apart}", "doubtful")
     between = most["penetration_sampled"] >= 1e-9
     rest = f", within {length('penetration_sampled')} between them" if between else ""
-    return Verdict(f"contact: exact to rounding at points{rest}", "good")
+    return Verdict(f"contact: exact to rounding at points{rest}{apart}", "good")
 
 
 def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:

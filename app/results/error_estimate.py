@@ -159,8 +159,9 @@ def estimate(
     unsettled: list[tuple[float, str, list[list[float]]]] = []
     changes: dict[Orders, list[float]] = {}
     raised: list[tuple[Numbers, str, Orders]] = []
-    tables = list(numbers_of(run))
-    relatives = [(c, {(s, n): q for s, n, q in numbers_of(o)}) for c, o in solved]
+    tables = list(numbers_of(run, parts=True))
+    relatives = [(c, {(s, n): q for s, n, q in numbers_of(o, parts=True)}) for c, o in solved]
+    whole = {(section, name) for section, name, _ in numbers_of(run)}
     peaks = [
         ("motion" if k in ALIKE else k, abs(numbers[k]))
         for section, _, numbers in tables
@@ -175,7 +176,8 @@ def estimate(
             error, value = numbers.get(f"{q.key}_error"), numbers[q.key]
             if error is not None and not q.vector and q.order in FACTORS and value:
                 change = error / (r * FACTORS[q.order][order][0] * abs(value))
-                changes.setdefault(LIKE.get(q.order, q.order), []).append(change)
+                if (section, name) in whole:
+                    changes.setdefault(LIKE.get(q.order, q.order), []).append(change)
                 raised.append((numbers, q.key, q.order))
         for k in (q.key for q in known if q.peak):
             values = _on_meshes(k, numbers, case, others)

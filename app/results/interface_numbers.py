@@ -2,7 +2,7 @@
 
 All functions are collective and return the same plain values on every rank. Percentiles are
 weighted by area or volume; maxima are reported beside them because peaks at edges grow with
-refinement.
+refinement. Those of a hip leave out rim and tip, which have their own; sums are of the whole.
 
 The law holds at the points, along the mean normals of the facets around them. Between them the
 surfaces move apart by the displacements of both bodies, along the normals of the facets themselves:
@@ -11,11 +11,12 @@ bodies may overlap there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.arrays import Bools, Floats, Ints
 from app.case.quantities import computed
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
@@ -24,6 +25,7 @@ from forms.contact import OPEN, SLIP, STICK
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 from meshes.contact_points import ContactPoints
 
+Parts = Sequence["Surface"]
 MICROMOTION = 0.030  # mm: where biology reacts
 
 
@@ -64,9 +66,12 @@ class ContactSamples:
     Args:
         since: Jumps of own points at the last valley of the loads (n, 3) [mm]: ``inducible``
             sizes are those of the way since then.
+        parts: Surface of each interface; by default undivided.
     """
 
-    def __init__(self, problem: Problem, trial: TrialState, since: Floats | None = None) -> None:
+    def __init__(
+        self, problem: Problem, trial: TrialState, since: Floats | None = None, parts: Parts = ()
+    ) -> None:
         contact, history = trial.contact, trial.contact.state
         own, points = contact.own, contact.points
         order = np.argsort(np.concatenate(problem.comm.allgather(own.rows)))
@@ -103,9 +108,10 @@ class ContactSamples:
             way = whole(trial.jump - since)
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
         depths = overlap(contact, trial.jump)
+        surfaces = parts or [Surface(points, i, {}) for i in range(len(contacts))]
         self.numbers: dict[str, dict[str, Any]] = {
             c.name: {
-                **_numbers(self, i, _Facets(points, i)),
+                **_numbers(self, i, surfaces[i]),
                 **depths[i],
                 "facet_size": contact.edge_lengths[i],
                 **computed("interfaces", self, points.interface == i),
@@ -114,13 +120,27 @@ class ContactSamples:
         }
 
 
-def _numbers(s: ContactSamples, i: int, facets: _Facets) -> dict[str, Any]:
+def _numbers(s: ContactSamples, i: int, surface: Surface) -> dict[str, Any]:
     at = s.interface == i
+    parts = {part: _of_part(s, surface, part) for part in surface.at}
+    return parts.pop("") | {
+        "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
+        "area": float(s.weight[at].sum()) - sum(part["area"] for part in parts.values()),
+        "force": (s.weight[at] @ s.force[at]).tolist(),
+        "dissipation": float(s.dissipation[at].sum()),
+        "dissipation_min": float(s.least[at].min()),
+        "contact_work": float(s.contact_work[at].sum()),
+        **parts,
+    }
+
+
+def _of_part(s: ContactSamples, surface: Surface, part: str) -> dict[str, Any]:
+    """Sizes of motion and tractions, states, area and force of a part of an interface."""
+    at = surface.at[part]
     weight, x = s.weight[at], s.x[at]
-    total = float(weight.sum())
     found: dict[str, Any] = {}
     for name, values in s.sizes.items():
-        field = facets.field(values)
+        field = surface.field(values, part)
         here = values[at].reshape(len(x), -1).max(axis=1)
         k = int(np.argmax(here))
         found |= {
@@ -133,38 +153,50 @@ def _numbers(s: ContactSamples, i: int, facets: _Facets) -> dict[str, Any]:
         if name in ("gap", "slip", "motion"):
             found[f"area_{name}_over_30um"] = field.area_above(MICROMOTION)
     for name, state in (("open", OPEN), ("stick", STICK), ("slip", SLIP)):
-        found[f"{name}_fraction"] = float(weight[s.status[at] == state].sum()) / total
-    return found | {
-        "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
-        "area": total,
-        "force": (weight @ s.force[at]).tolist(),
-        "dissipation": float(s.dissipation[at].sum()),
-        "dissipation_min": float(s.least[at].min()),
-        "contact_work": float(s.contact_work[at].sum()),
-    }
+        found[f"{name}_fraction"] = float(weight[s.status[at] == state].sum() / weight.sum())
+    force = [field.whole * surface.field(f, part).mean() for f in s.force.T]
+    return found | {"area": field.whole, "force": force}
 
 
-class _Facets:
-    """Facets of an interface: its points are their corners."""
+class Surface:
+    """Facets of an interface in parts, by their centres; its points are their corners.
 
-    def __init__(self, points: ContactPoints, i: int) -> None:
+    Attributes:
+        at: Points of each part (n,) by its name, which is empty for the rest.
+
+    Args:
+        borders: Functions of all points (n,) that are not positive in a part; the first counts.
+    """
+
+    def __init__(self, points: ContactPoints, i: int, borders: Mapping[str, Floats]) -> None:
+        at = points.interface == i
+        self.at = _divided(at, borders)
         self._triangles: Ints = points.triangles[i]
         x = points.x[self._triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
         area = np.linalg.norm(flat, axis=1) / 2
         # Curved facets have a little more than their corners span.
-        whole = points.weight[points.interface == i].sum()
+        whole = points.weight[at].sum()
         self._area = area * (whole / area.sum()) if len(area) else area
         # At each corner the face of the point that this facet belongs to.
         along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self._triangles]))
         self._face: Ints = np.argmax(along, axis=2)
+        centres = {part: own[self._triangles].mean(axis=1) for part, own in borders.items()}
+        self._of = _divided(np.ones(len(x), dtype=bool), centres)
 
-    def field(self, values: Floats) -> SurfaceField:
-        """Values at points (n,), or at the faces of points (n, 3), as a field on the facets."""
+    def field(self, values: Floats, part: str) -> SurfaceField:
+        """Values at points (n,), or at the faces of points (n, 3), as a field on a part."""
         corners = values[self._triangles]
         if values.ndim == 2:
             corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
-        return SurfaceField(corners, self._area)
+        return SurfaceField(corners[self._of[part]], self._area[self._of[part]])
+
+
+def _divided(whole: Bools, levels: Mapping[str, Floats]) -> dict[str, Bools]:
+    found = {}
+    for part, level in levels.items():
+        found[part], whole = whole & (level <= 0), whole & (level > 0)
+    return {"": whole} | found
 
 
 # Between the contact points

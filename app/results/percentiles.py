@@ -22,19 +22,22 @@ def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) ->
 class SurfaceField:
     """A field that is linear on each triangle of a surface.
 
+    Attributes:
+        whole: Area of all triangles [mm2].
+
     Args:
         corners: Its values at the corners of triangles (f, 3).
         area: Their areas (f,) [mm2].
     """
 
     def __init__(self, corners: Floats, area: Floats) -> None:
-        self._corners, self._area = corners, area
+        self._corners, self._area, self.whole = corners, area, float(area.sum())
         self._sorted = np.sort(corners, axis=1)
 
     def mean(self) -> float:
         """Mean by area; 0 without triangles."""
-        whole = self._area.sum()
-        return float(self._area @ self._corners.mean(axis=1) / whole) if whole > 0 else 0.0
+        integral = float(self._area @ self._corners.mean(axis=1))
+        return integral / self.whole if self.whole > 0 else 0.0
 
     def area_above(self, level: float) -> float:
         """Area where the field exceeds a level [mm2]."""
@@ -51,7 +54,7 @@ class SurfaceField:
         if not len(self._area):
             return 0.0
         low, high = float(self._corners.min()), float(self._corners.max())
-        above = (1.0 - fraction) * float(self._area.sum())
+        above = (1.0 - fraction) * self.whole
         for _ in range(50):  # to the last digits
             middle = (low + high) / 2
             if self.area_above(middle) > above:

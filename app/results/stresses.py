@@ -12,7 +12,7 @@ from dolfinx import fem
 from ufl import as_vector
 from ufl.core.expr import Expr
 
-from app.arrays import Floats
+from app.arrays import Field, Floats
 from app.case.quantities import computed
 from app.laws.fibres import Circumferential, Vector
 from app.laws.materials import Elastic
@@ -41,10 +41,14 @@ class Stresses:
 
     Args:
         around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
+        depth: Distance of points (n, 3) below a neck cut, above which a stem is a neck [mm].
     """
 
-    def __init__(self, problem: Problem, timing: Timing, around_z: bool = False) -> None:
+    def __init__(
+        self, problem: Problem, timing: Timing, around_z: bool = False, depth: Field | None = None
+    ) -> None:
         self._problem, self._timing, self._around_z = problem, timing, around_z
+        self._depth = depth
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
         degree = 4 * (problem.scene.order - 1)
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
@@ -65,7 +69,7 @@ class Stresses:
             if e.region in mechanics.growth:
                 continue
             displacement = problem.displacements()[problem.bodies.of_region[e.region]]
-            if e.eigenstrains or e.region in mechanics.swelling:
+            if e.eigenstrains or e.varies or e.region in mechanics.swelling:
                 ε = mechanics.elastic_strain(e, displacement)
                 σ = elasticity.stress(partial(mechanics.energy_density, e), ε)
                 self._own[e.region] = self._expression(σ)
@@ -140,28 +144,43 @@ class Stresses:
         """
         σ = self.evaluate(region)
         e = next(e for e in self._problem.scene.elastic if e.region == region)
+        x, _ = self.places(region)
         if isinstance(e.fibre, Circumferential):
             # In axes that turn with it.
-            Q = e.fibre.frames(self.places(region)[0]).reshape(σ.shape)
+            Q = e.fibre.frames(x).reshape(σ.shape)
             σ = np.einsum("cqki,cqkl,cqlj->cqij", Q, σ, Q)
         a = np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
         # Each of the last three stands for two entries of the tensors.
         twice = np.diag([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
         S = twice @ np.linalg.inv(_stiffness(e))
-        return np.asarray(np.einsum("cqi,ij,cqj->cq", a, S, a)) / 2
+        density = np.asarray(np.einsum("cqi,ij,cqj->cq", a, S, a)) / 2
+        return density / np.reshape(e.relative_stiffness(x), (-1, σ.shape[1]))
 
     def region(self, region: str) -> dict[str, Any]:
-        """Published stresses of a region; collective."""
+        """Published stresses of a region, of a stem without its neck; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
         x, volumes = self.places(region)
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         deviator = σ - mean[:, None, None] * np.eye(3)
         eigen = np.linalg.eigvalsh(σ)
         mises = np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator))
-        local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
-        mises, hoop, principal, least, mean, volume = np.concatenate(
-            self._problem.comm.allgather(local), axis=1
-        )
+        local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel(), *x.T])
+        rows = np.concatenate(self._problem.comm.allgather(local), axis=1)
+        values, x = rows[:6], rows[6:].T
+        found: dict[str, Any] = computed("regions", self, region)
+        if region == "stem" and self._depth:
+            outside = self._depth(x) < 0
+            neck, places = values[:, outside], x[outside]
+            found["neck"] = self._statistics(neck) | {
+                f"{key}_max_at": places[neck[k].argmax()].tolist()
+                for key, k in (("von_mises", 0), ("principal", 2))
+            }
+            values = values[:, ~outside]
+        return self._statistics(values) | found
+
+    def _statistics(self, values: Floats) -> dict[str, Any]:
+        """Published numbers of stresses and volumes at points, one row for each (6, n)."""
+        mises, hoop, principal, least, mean, volume = values
         result = {
             "von_mises_max": float(mises.max()),
             "von_mises_p99": percentile(mises, volume),
@@ -175,7 +194,7 @@ class Stresses:
         }
         if self._around_z:
             result["hoop_p99"] = percentile(hoop, volume)
-        return result | computed("regions", self, region)
+        return result
 
 
 def _stiffness(e: Elastic) -> Floats:

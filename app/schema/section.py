@@ -317,7 +317,7 @@ class Kinds:
     An `Extensible` base in place of a union stands for all its kinds.
 
     Attributes:
-        default: Kind of a mapping without `kind`; "" if it is required.
+        default: Kind of a mapping without `kind`, or a key with its dot; "" if it is required.
     """
 
     default: str = ""

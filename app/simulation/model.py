@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import meshes
 from app.case.case import Case
+from app.case.shapes import Shape
 from app.errors import on_root
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
@@ -26,7 +27,7 @@ from app.numerics.system import System
 from app.results.balance import Balance
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import by_zone, of_femur, stem_motion
-from app.results.interface_numbers import ContactSamples
+from app.results.interface_numbers import ContactSamples, Surface
 from app.results.stresses import Stresses, bonds
 from app.scene.scene import Scene, Stage, build_scene
 from app.simulation.thermal_model import ThermalModel
@@ -65,13 +66,23 @@ class Mechanical:
 
     Attributes:
         neighbours: States of earlier models, as warm starts.
+        zones: Zones of a hip, if it is one; the interfaces' parts in `surfaces`.
     """
 
     saved = ("problem", "solver")
 
-    def __init__(self, problem: Problem, solver: Solver, around_z: bool, timing: Timing) -> None:
-        self.problem, self.solver = problem, solver
-        self.stresses = Stresses(problem, timing, around_z)
+    def __init__(self, problem: Problem, solver: Solver, geometry: Shape, timing: Timing) -> None:
+        self.problem, self.solver, self.zones = problem, solver, None
+        self.surfaces, depth = list[Surface](), None
+        if geometry.has_gruen_zones:
+            from meshes.gruen import Zones  # brings scipy, which few runs need
+
+            self.zones, depth = (zones := Zones(geometry)), zones.depth
+            if problem.contact:
+                points = problem.contact.points
+                borders, every = zones.borders(points.x), range(len(points.triangles))
+                self.surfaces = [Surface(points, i, borders) for i in every]
+        self.stresses = Stresses(problem, timing, geometry.is_around_z, depth)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
@@ -177,7 +188,7 @@ class Model:
         factor, timing = case.solver.augmentation_factor, self._timing
         problem = Problem(self.scene, self.tagged, factor, timing, like)
         solver = self._solver(mechanical(problem))
-        return Mechanical(problem, solver, case.geometry.is_around_z, timing)
+        return Mechanical(problem, solver, case.geometry, timing)
 
     def _heat(self) -> ThermalModel | None:
         if not self.scene.conductors:
@@ -304,11 +315,8 @@ class Model:
         """Published numbers of some geometries: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
-        if (m := self.mechanics) and self._case.geometry.has_gruen_zones:
-            from meshes.gruen import Zones  # brings scipy, which few runs need
-
-            zones = Zones(self._case.geometry)
-            found["gruen"] = by_zone(m.problem, m.stresses, samples, zones)
+        if (m := self.mechanics) and m.zones:
+            found["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
         return found
 
     def relative(self, case: Case) -> dict[str, Any]:
@@ -322,7 +330,7 @@ class Model:
 
         other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
         m = other.mechanics
-        samples = ContactSamples(m.problem, last) if m and last is not None else None
+        samples = ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
         return other.numbers(samples) | other.places(samples)
 
 

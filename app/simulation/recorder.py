@@ -132,7 +132,7 @@ class Recorder:
             self._balance.go_on(u, trial)
             if trial is not None:
                 trial = replace(trial, law=replace(trial.law, **self._contact))
-                self.samples = ContactSamples(m.problem, trial)
+                self.samples = ContactSamples(m.problem, trial, None, m.surfaces)
         if self._writer.fields and not self._writer.field_steps:
             self._written = 0
 
@@ -156,7 +156,8 @@ class Recorder:
             balance.update(m.solver.u_and_q()[0], trial)
             if trial is not None:
                 self._contact = {"pressures": trial.law.pressures, "status": trial.law.status}
-                self.samples = ContactSamples(m.problem, trial, self._valley.get("jump"))
+                since = self._valley.get("jump")
+                self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
             self._total.count(step.outcome)
             moved = stem_motion(m.problem, self._case)
             columns = [q for key, q in TABLE["stem"].items() if q.history and key in moved]

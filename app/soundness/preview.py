@@ -220,6 +220,7 @@ def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> I
     """Messages on values of a part of a case that are beyond the limits of their keys."""
     for key, (low, high) in limits.items():
         value = getattr(part, key, None)
-        if part and isinstance(value, float) and value and not low <= abs(value) <= high:
+        values = [v for _, v in value] if isinstance(value, tuple) else [value]
+        if part and any(isinstance(v, float) and v and not low <= abs(v) <= high for v in values):
             text = plain(part.model_dump(mode="json")[key])
             yield f"{place}.{key} is {text}: a wrong unit?"

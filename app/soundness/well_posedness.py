@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.case.case import Case
+from app.case.quantities import largest
 from app.errors import InputError
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
@@ -294,7 +295,7 @@ def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
     notes = []
     for name, found in numbers.items():
         E = modulus(case.regions[name])
-        strain = found["von_mises_p99"] / E if E else 0.0
+        strain = largest(found, "von_mises_p99") / E if E else 0.0
         if strain > STRAIN:
             notes.append(
                 f"region '{name}' is strained by {100 * strain:.2g} % (stress over modulus), which "

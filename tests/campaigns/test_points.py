@@ -138,6 +138,7 @@ def test_samples_have_one_value_in_every_part_of_every_range(samples: int, seed:
         "inputs": {
             "even": {"low": -1, "high": 3},
             "decades": {"low": "1e2 W/(m^2 K)", "high": "1e5 W/(m^2 K)", "scale": "logarithmic"},
+            "names": {"values": ["a", "b"]},
         },
     }
     drawn = points.LatinHypercube.model_validate(design).draw()
@@ -145,7 +146,8 @@ def test_samples_have_one_value_in_every_part_of_every_range(samples: int, seed:
     even = sorted((d["even"] + 1) / 4 for d in drawn)
     texts = [re.fullmatch(r"(\S+) W/\(m\^2 K\)", d["decades"]) for d in drawn]
     decades = sorted(math.log10(float(t[1])) / 3 - 2 / 3 for t in texts if t)
-    del design["inputs"]["decades"]
+    assert abs([d["names"] for d in drawn].count("a") - samples / 2) <= 0.5
+    design["inputs"] = {"even": design["inputs"]["even"]}
     alone = points.LatinHypercube.model_validate(design).draw()
     for shares in (even, decades, sorted((d["even"] + 1) / 4 for d in alone)):
         # Values have six digits.
@@ -181,6 +183,8 @@ SWEEPS = [
     (BASE + "parts: {p: {}}\ngrid: {mesh.order: [1]}", "3:1: grid: stands beside parts"),
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {low: 1 mm, high: 2 m}}}", "both ends"),
     (BASE + "latin_hypercube: {samples: 3, inputs: {a: {low: 2, high: 1}}}", "a: 2 is not below 1"),
+    (BASE + "latin_hypercube: {samples: 3, inputs: {a: {values: [2, 2]}}}", "2:56: latin"),
+    (BASE + "latin_hypercube: {samples: 3, inputs: {a: {high: 2}}}", "low"),
     (BASE + "gird: {}", "did you mean 'grid'?"),
     (BASE + "grid: {mesh.sise: [1 mm]}", "2:20: grid.mesh.sise[0]: unknown key"),
     ("base: nix.yaml\ngrid: {mesh.size: [1 mm]}", "1:1: base: "),

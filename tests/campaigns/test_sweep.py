@@ -333,6 +333,15 @@ def test_samples_tell_spread_and_cause() -> None:
     assert "a +1.00, b +0.10" in said and "retroversion" not in said
 
 
+def test_inputs_without_an_order() -> None:
+    """Of ranks, 1.5 of 17.5 is left within three pairs, 16 within two triples; 3, 4 and 5 d.o.f."""
+    pairs = [{"kind": name} for name in "aabbcc"]
+    assert uncertainty.correlation([1, 2, 3, 4, 5, 60], pairs) == pytest.approx((6 / 7) ** 0.5)
+    assert uncertainty.correlation([1, 3, 5, 2, 4, 6], [*"xxxyyy"]) == 0.0
+    assert uncertainty.correlation([1, 2, 3], [*"abc"]) is None
+    assert uncertainty.correlation([1, 2, 3, 4], ["1 m", "10 mm", "10 mm", "1 m"]) == 0.0
+
+
 @pytest.mark.slow
 def test_the_sweep_for_learning(tmp_path: Path) -> None:
     """As shipped, but on a coarse mesh: friction holds the stem back, the mantle's modulus less."""

@@ -40,6 +40,7 @@ from app.numerics.integrator import (
 )
 from app.numerics.pointwise import Pointwise
 from forms import cure as forms
+from forms.tables import piecewise_linear
 from tests.laws import BALIGA, altered, cure
 
 R = 8.314462618
@@ -97,12 +98,9 @@ def evaluate(function: object, **values: Floats) -> Floats:
 def test_limit_is_linear_between_its_pairs() -> None:
     T = np.linspace(250, 400, 31)
     for pairs in (LIMITED.limit, LIMITED.limit[:1]):
-        temperatures, limits = np.array(pairs).T
-        found = evaluate(
-            lambda x, t=temperatures, a=limits: forms.conversion_limit(x, t, a),  # type: ignore[misc]
-            T=T,
-        )
-        assert found == pytest.approx(np.interp(T, temperatures, limits), abs=1e-14)
+        table = np.array(pairs).T
+        found = evaluate(lambda x, t=table: piecewise_linear(x, *t), T=T)  # type: ignore[misc]
+        assert found == pytest.approx(np.interp(T, *table), abs=1e-14)
 
 
 def test_modulus_grows_from_its_floor_past_gelation() -> None:

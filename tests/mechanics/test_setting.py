@@ -17,6 +17,7 @@ from tests.heated import Heated, expanding
 from tests.mechanics.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
 
 E, α_T = 2200.0, 8e-5
+GRADED = ("regions.cement.youngs_modulus=[[0 mm, 1 GPa], [1 mm, 3 GPa]]",)
 
 
 def cure(region: str, initial: float = 1e-3, **more: float) -> Cure:
@@ -32,7 +33,7 @@ def setting(*cures: Cure, **coefficients: float) -> Callable[[Scene], Scene]:
     return change
 
 
-@pytest.mark.parametrize("overrides", [(), UNILATERAL])
+@pytest.mark.parametrize("overrides", [(), UNILATERAL, GRADED])
 @ORDERS
 def test_rate_form_is_the_total_form_where_nothing_sets(
     order: int, overrides: tuple[str, ...]

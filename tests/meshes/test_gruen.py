@@ -47,6 +47,19 @@ def test_thirds_are_of_the_length_in_the_bone() -> None:
     assert Zones(GEOMETRY.model_copy(update={"stem_length": 130.0})).top == 12.0
 
 
+def test_rim_and_tip_are_where_the_cut_and_the_end_are() -> None:
+    """By hand: a cut at 45 degrees that leaves the anterior cortex at z = 5 mm."""
+    cut = {"resection_angle": np.pi / 4, "anteversion": np.pi / 2}
+    zones = Zones(GEOMETRY.model_copy(update=cut))
+    r = float(femur_bone.PERIOSTEUM.radius(np.array(np.pi / 2), np.array(5.0)))
+    x = np.array([(0, r, 5.0), (3.0, r, 5.0), (0, r - 20.0, 5.0), (0, r, -15.0), (0, 0, -118.0)])
+    deep = [0.0, 0.0, 200**0.5, 200**0.5, (123.0 + r) / 2**0.5]
+    assert zones.depth(x) == pytest.approx(deep, abs=1e-9)
+    borders = zones.borders(x)
+    assert borders["rim"] == pytest.approx(np.array(deep) - 10.0, abs=1e-9)
+    assert (borders["tip"] <= 0).tolist() == [False] * 4 + [True]
+
+
 def test_rounding_moves_no_point_between_zones() -> None:
     """Layered meshes put points on the planes between zones; another BLAS rounds otherwise."""
     third = (ZONES.top - ZONES.tip) / 3

@@ -75,7 +75,7 @@ def test_nodes_are_on_the_exact_surfaces(thickness: float, curved: bool) -> None
     theta, r = np.arctan2(y, x), np.hypot(x, y)
     mantle = np.minimum(
         body.offset(thickness).radius(theta, z),
-        femur_bone.endosteum(0.0)(theta, z),
+        femur_bone.endosteum(geometry)(theta, z),
     )
     side = z > geometry.stem_tip_z - geometry.plug_length + 1e-6
     off = np.abs(r - mantle)[side]
@@ -111,6 +111,23 @@ def test_stem_and_neck_turn_in_a_bone_that_does_not(build: Any) -> None:
         x, y, z = femur_bone.turned(data.points[np.unique(facets)], -angle).T
         off = np.hypot(x, y) - femur_stem.body(geometry).radius(np.arctan2(y, x), z)
         assert np.abs(off[z > geometry.stem_tip_z + 1e-6]).max() < 2e-6
+
+
+@pytest.mark.parametrize("fillet", [3.0, 6.0])
+def test_the_stem_turns_into_the_neck_with_the_fillet(fillet: float) -> None:
+    """Least radius, by differences along lines, which have no corners from the shoulder on."""
+    upper = Surfaces(hip(neck_fillet=fillet), sized(4.0))._upper
+    s = np.linspace(upper.ends[0], upper.ends[-1], 40001)
+    turning = ((s > upper.ends[1]) & (s < upper.ends[2]))[1:-1]
+    curvatures = []
+    for phi in np.arange(16) / 16:
+        way = np.diff(upper.points(np.full(len(s), phi), s), axis=0)
+        length = np.linalg.norm(way, axis=1)
+        angle = np.linalg.norm(np.diff(way / length[:, None], axis=0), axis=1)
+        curvatures.append((angle / length[1:])[turning].max())
+        assert angle.max() < 1.01 * curvatures[-1] * length[1:][turning].max()
+    assert 1 / max(curvatures) == pytest.approx(fillet, rel=0.003)
+    assert curvatures.index(max(curvatures)) in (7, 8, 9)  # on the lateral side
 
 
 def test_facets_approach_the_normals_of_the_exact_surface() -> None:
@@ -377,6 +394,7 @@ def test_curved_cells_are_positive_everywhere() -> None:
         ({"stem_half_width": 14.0}, "the canal leaves .* laterally.*canal_widening"),
         ({"stem_length": 130.0}, "geometry.stem_length: the stem's shoulder.* below the neck cut"),
         ({"head_height": 0.0}, "geometry.head_height: the neck.*does not clear the neck cut"),
+        ({"neck_fillet": 8.0, "head_height": 36.0}, "geometry.neck_fillet: 8 mm .*at most 6"),
     ],
 )
 def test_what_cannot_be_is_refused_before_meshing(values: dict[str, float], words: str) -> None:

@@ -51,6 +51,16 @@ def test_what_is_bad_stands_out() -> None:
     assert lines["slip"][0].endswith("do not use") and lines["slip"][1] == "bad"
 
 
+def test_what_is_reported_apart() -> None:
+    """The rim's gap is told; bodies that slip too far there are not to be used."""
+    found = summary()
+    found["interfaces"]["stem_cement"]["rim"] = {"gap_max": 0.074, "slip_max": 5.0}
+    lines = told(found)
+    words = "; numbers are without rim and tip, the rim opens by 74.0 um (stem_cement)"
+    assert lines["contact"][0].endswith(words)
+    assert lines["slip"][0].startswith("on stem_cement exceeds")
+
+
 def test_the_error_is_told_without_peaks() -> None:
     unsettled = {"stem_cement.pressure_max": [[4.0, 9.0], [8.0, 6.1], [12.0, 4.25]]}
     error = {"companions": ["mesh 8 mm", "mesh 12 mm"], "unsettled": unsettled, "within": 0.9}

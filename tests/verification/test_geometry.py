@@ -21,6 +21,7 @@ from meshes.data import (
     MeshData,
     boundary_areas,
     cell_volumes,
+    faces_of,
     facet_areas,
     region_volumes,
 )
@@ -92,14 +93,31 @@ def test_thickness_is_reported() -> None:
 @pytest.mark.parametrize("widening", [0.0, 5.0])
 def test_the_least_cortex_is_that_between_the_surfaces(widening: float) -> None:
     """Of points on them, half a millimetre apart: reaming leaves 2.5 mm, but radially."""
-    data = meshes.build(Femur(canal_widening=f"{widening} mm"), MeshOptions(size="6 mm"))
+    geometry = Femur(canal_widening=f"{widening} mm")
+    data = meshes.build(geometry, MeshOptions(size="6 mm"))
     theta, z = np.meshgrid(np.radians(np.arange(0, 360, 2)), np.arange(-118.0, 0.0, 0.5))
     outside, inside = (
         np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1).reshape(-1, 3)
-        for r in (femur_bone.PERIOSTEUM.radius(theta, z), femur_bone.endosteum(widening)(theta, z))
+        for r in (femur_bone.PERIOSTEUM.radius(theta, z), femur_bone.endosteum(geometry)(theta, z))
     )
     exact = cKDTree(outside).query(inside)[0].min()
     assert data.notes["mantle"]["cortex_min"] == pytest.approx(exact, abs=0.15)
+
+
+@pytest.mark.parametrize("kind", [Femur, IntactFemur])
+@pytest.mark.parametrize("cortex", [1.5, 2.0, 4.0])
+def test_the_metaphyseal_cortex_is_as_thick_as_asked(kind: type[Any], cortex: float) -> None:
+    """Of the vertices of the endosteum, radially; in the shaft they are on the table's."""
+    data = meshes.build(kind(metaphyseal_cortex=f"{cortex} mm"), MeshOptions(size="8 mm"))
+    assert data.notes["quality"]["sicn_min"] > (0.11 if cortex > 1.5 else 0.08)
+    cell, face, behind = data.between
+    bone = data.cell_tags == data.regions["cortical_bone"]
+    at = bone[cell] & ~bone[behind]
+    x, y, z = data.points[np.unique(faces_of(data.cells, cell[at], face[at])[:, :3])].T
+    surfaces = femur_bone.PERIOSTEUM, femur_bone.Tube(femur_bone.CANAL)
+    outer, canal = (s.radius(np.arctan2(y, x), z) - np.hypot(x, y) for s in surfaces)
+    assert np.abs(outer - cortex)[(z > -10) & (z < 8)].max() < 2e-5
+    assert np.abs(canal)[z < -50].max() < 2e-5
 
 
 def test_the_stems_of_the_thickness_sweep_share_a_cavity() -> None:
