@@ -185,7 +185,7 @@ _TwoSides = Annotated[tuple[_Side, _Side], Pair("[cement, [cortical, cancellous]
 
 
 class MeshFile(Shape):
-    """A mesh file; its named physical volumes or sets of cells are regions, its surfaces boundaries.
+    """A mesh file; its named volumes or sets of cells are regions, its named surfaces boundaries.
 
     Files of gmsh (``.msh``), Abaqus and CalculiX (``.inp``), FEBio (``.feb``), VTU, XDMF and MED
     are taken as they are. A ``.geo`` script of gmsh is meshed: it declares
