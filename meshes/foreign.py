@@ -141,7 +141,7 @@ def _surfaces(found: Found) -> dict[str, Ints]:
 def _table(text: str, width: int, what: str, kind: type = float) -> Any:
     """Numbers in a text, apart by commas or blanks (n, width)."""
     try:
-        numbers = np.array(text.replace(",", " ").split(), dtype=kind)
+        numbers: Any = np.array(text.replace(",", " ").split(), dtype=kind)
     except ValueError as error:
         raise ValueError(f"{what}: {error}") from None
     if len(numbers) % width:
@@ -288,7 +288,7 @@ def _feb(path: Path) -> Found:
         elif part.tag == "NodeSet":
             words = (part.text or "").replace(",", " ").split() + [n.attrib["id"] for n in part]
             ranges = ([*map(int, word.split(":"))] for word in words)
-            parts = [np.arange(r[0], (r[1:2] or r)[0] + 1, *r[2:]) for r in ranges]
+            parts = [np.arange(r[0], (r[1:2] or r)[0] + 1, (r[2:] or [1])[0]) for r in ranges]
             found.nodes[name] = _rows(number, np.concatenate(parts), "node")
         elif part.tag != "Nodes":
             other.append(f"{part.tag} {name}")
@@ -330,11 +330,11 @@ def _grids(path: Path) -> Iterator[Any]:
         yield (meshio.med if path.suffix == ".med" else meshio.vtu).read(path)
         return
     root = ET.parse(path).getroot()
-    geometry, reader = root.find(".//Geometry"), meshio.xdmf.main.XdmfReader(path)
+    geometry, reader = root.findall(".//Geometry")[:1], meshio.xdmf.main.XdmfReader(path)
     for grid in root.findall("Domain/Grid"):
         alone = ET.Element("Xdmf")
         only = ET.SubElement(ET.SubElement(alone, "Domain"), "Grid")
-        only.extend([geometry, *(p for p in grid if p.tag in ("Topology", "Attribute"))])
+        only.extend([*geometry, *(p for p in grid if p.tag in ("Topology", "Attribute"))])
         try:
             yield reader.read_xdmf3(alone)
         except KeyError:
