@@ -14,18 +14,20 @@ from typing import Any
 
 import numpy as np
 
+from app import mesh_files
 from app.errors import GeometryError
-from meshes import foreign
 from meshes.data import (
     MeshData,
     assemble,
     cell_volumes,
+    connected,
     exterior_facets,
     interface_facets,
     number,
     same_triangles,
 )
 from meshes.gmsh_child import MILLIMETRES, SECONDS, session
+from meshes.pieces import coincident
 from meshes.quality import bent, overlapping, places, untangle
 
 _SERVE = "from meshes.gmsh_child import serve; serve()"
@@ -100,8 +102,8 @@ def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
         if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
             raise GeometryError(f"{path} has changed since it was looked at: run it again")
-        if path.suffix in foreign.READERS:
-            return foreign.read(path, path.stat().st_mtime_ns)
+        if path.suffix in mesh_files.READERS:
+            return _of_others(path)
         request = {
             "path": str(path),
             "script": geometry.is_script,
@@ -132,6 +134,23 @@ def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
     if "error" in found:
         raise GeometryError(_not_numbers(path) or str(found["error"]))
     return found
+
+
+def _of_others(path: Path) -> dict[str, Any]:
+    """The same of another program's file: facets of sets of nodes, nodes that coincide as one."""
+    found = mesh_files.read(path, path.stat().st_mtime_ns)
+    points, cells = found.points, found.cells
+    facets = exterior_facets(cells)[0][:, :3]
+    whole = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in found.nodes.items()}
+    empty = [n for n, block in whole.items() if not len(block) and n not in found.triangles]
+    label = connected(len(points), *coincident(points).T)
+    row = np.unique(label, return_index=True)[1][label]
+    told = found.told + mesh_files.left_out("sets of nodes without a facet", empty)
+    if doubled := int((row != np.arange(len(row))).sum()):
+        told.append(f"geometry: {doubled} nodes are merged with others at their places")
+    arrays: dict[str, Any] = {"points": points, "everything": len(cells), "told": told}
+    arrays |= {f"cells {name}": row[cells[rows]] for name, rows in found.sets.items()}
+    return arrays | {f"surfaces {n}": row[t] for n, t in (whole | found.triangles).items()}
 
 
 def _not_numbers(path: Path) -> str:

@@ -11,7 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import configs
-from meshes import foreign
+from app import mesh_files
 
 ENTRY = re.compile(rb'\s*(\d+)\s+\d+\s+"(.*)"\s*')
 # The sections before the nodes are short; a file without names is not read to its end.
@@ -38,10 +38,10 @@ def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
         ValueError: The file is not of this format; the script does not use its parameter, or is
             not allowed to run.
     """
-    modified, kind = path.stat().st_mtime_ns, {3: "cells ", 2: "surfaces "}[dimension]
-    if path.suffix in foreign.READERS:
-        found = foreign.read(path, modified)
-        return tuple(key.removeprefix(kind) for key in found if key.startswith(kind))
+    modified = path.stat().st_mtime_ns
+    if path.suffix in mesh_files.READERS:
+        found = mesh_files.read(path, modified)
+        return tuple(found.sets if dimension == 3 else found.triangles | found.nodes)
     groups = _groups(path, modified)
     return tuple(name for d, name in groups if d == dimension)
 
@@ -51,7 +51,7 @@ def _groups(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
     """Dimension and name of every physical group; `modified` invalidates the cache."""
     readers = {".geo": _groups_of_script, ".msh": _groups_of_mesh}
     if path.suffix not in readers:
-        others = ", ".join(foreign.READERS)
+        others = ", ".join(mesh_files.READERS)
         raise ValueError(f"is neither a .msh file nor a .geo script, nor one of {others}")
     return tuple(dict.fromkeys(readers[path.suffix](path)))
 
@@ -108,8 +108,8 @@ def _files(path: Path) -> list[str]:
 
 def counts(path: Path) -> int:
     """Number of cells, in a ``.msh`` file of all dimensions as announced; 0 if unknown."""
-    if path.suffix in foreign.READERS:
-        return int(foreign.read(path, path.stat().st_mtime_ns)["everything"])
+    if path.suffix in mesh_files.READERS:
+        return len(mesh_files.read(path, path.stat().st_mtime_ns).cells)
     data = path.read_bytes()
     elements = data.partition(b"$Elements\n")[2]
     try:

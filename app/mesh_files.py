@@ -19,8 +19,6 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from app.arrays import Floats, Ints
-from meshes.data import connected, exterior_facets, faces_of
-from meshes.pieces import coincident
 
 # These programs number the middles of edges alike, and that of 13 before that of 23, unlike gmsh.
 ORDER = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
@@ -31,8 +29,8 @@ ONLY = "only straight tetrahedra, or only quadratic ones, can be used"
 SOLID = re.compile(r"D?C3D(4|10)[A-Z]*")
 FLAT = re.compile(r"(?:CPS|CPE|S|STRI|M3D|SFM3D|R3D|DS)(3|6|65)[A-Z]*")
 OTHER = re.compile(r"\w*C3D\w*")
-# The faces S1 to S4 of an .inp file among those of `meshes.data.FACES`.
-SIDES = {"S1": 0, "S2": 1, "S3": 3, "S4": 2}
+# Corners of the faces of a tetrahedron in an .inp file.
+SIDES = {"S1": (0, 1, 2), "S2": (0, 3, 1), "S3": (1, 3, 2), "S4": (2, 3, 0)}
 # Keywords of .inp files that make or move nodes and cells, or take them from elsewhere.
 MOVING = {"INCLUDE", "SYSTEM", "NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY"}
 READ = {"NODE", "ELEMENT", "ELSET", "NSET", "SURFACE", "SOLIDSECTION", "HEADING", "PREPRINT"}
@@ -68,16 +66,17 @@ class Found:
         self.blocks.append(cells[:, order[: cells.shape[1]]])
         return np.arange(len(cells)) + sum(map(len, self.blocks[:-1]))
 
-    def leave(self, what: str, names: Iterable[str]) -> None:
-        """Tell what is left out, if anything."""
-        if names := list(dict.fromkeys(names)):
-            more = f" and {len(names) - 10} more" if names[10:] else ""
-            self.told.append(f"geometry: {what}: {', '.join(names[:10])}{more}")
+
+def left_out(what: str, names: Iterable[str]) -> list[str]:
+    """A line about what is left out, if anything is."""
+    names = list(dict.fromkeys(names))
+    more = f" and {len(names) - 10} more" if names[10:] else ""
+    return [f"geometry: {what}: {', '.join(names[:10])}{more}"] if names else []
 
 
 @lru_cache(maxsize=1)
-def read(path: Path, modified: int) -> dict[str, Any]:
-    """Arrays as `meshes.gmsh_child.serve` gives them, and ``told``, lines about what is left out.
+def read(path: Path, modified: int) -> Found:
+    """What a file holds; its sets of cells are the regions.
 
     Args:
         path: The file.
@@ -88,21 +87,16 @@ def read(path: Path, modified: int) -> dict[str, Any]:
     """
     try:
         found = READERS[path.suffix](path)
-        points, cells = np.asarray(found.points, dtype=float), found.cells
-        if len(bad := np.flatnonzero(~np.isfinite(points).all(axis=1))):
+        found.points = np.asarray(found.points, dtype=float)
+        if len(bad := np.flatnonzero(~np.isfinite(found.points).all(axis=1))):
             raise ValueError(f"node {bad[0] + 1}: its coordinates are no numbers")
-        sets, surfaces = _disjoint(found), _surfaces(found)
+        _divide(found)
     except Exception as error:  # of a damaged file there is no telling which
         cause = f"damaged, or no {path.suffix} file ({type(error).__name__} {error})"
         raise ValueError(str(error) if type(error) is ValueError else cause) from error
-    label = connected(len(points), *coincident(points).T)
-    row = np.unique(label, return_index=True)[1][label]
-    if doubled := int((row != np.arange(len(row))).sum()):
-        found.told.append(f"geometry: {doubled} nodes are merged with others at their places")
-    arrays: dict[str, Any] = {"points": points, "everything": np.array(len(cells))}
-    arrays |= {f"cells {_word(name)}": row[cells[rows]] for name, rows in sets.items()}
-    arrays |= {f"surfaces {_word(name)}": row[block] for name, block in surfaces.items()}
-    return arrays | {"told": found.told}
+    for kind in ("sets", "triangles", "nodes"):
+        setattr(found, kind, {_word(n): part for n, part in getattr(found, kind).items()})
+    return found
 
 
 def _word(name: str) -> str:
@@ -111,8 +105,8 @@ def _word(name: str) -> str:
     return word if re.match("[A-Za-z_]", word) else f"_{word}"
 
 
-def _disjoint(found: Found) -> dict[str, Ints]:
-    """The sets of cells that are regions: not those that smaller and later ones fill."""
+def _divide(found: Found) -> None:
+    """Keep the sets of cells that are regions: not those that smaller and later ones fill."""
     free, left = np.ones(len(found.cells), dtype=bool), []
     for name, rows in sorted(reversed(found.sets.items()), key=lambda item: len(item[1])):
         if not free[rows].any():
@@ -123,19 +117,10 @@ def _disjoint(found: Found) -> dict[str, Ints]:
                 "are regions, or name them by *SOLID SECTION in an .inp file"
             )
         free[rows] = False
-    found.leave("sets without cells of their own are no regions", left)
+    found.told += left_out("sets without cells of their own are no regions", left)
     if free.all():
         raise ValueError("names no region: it has no set of tetrahedra with a name")
-    return {name: rows for name, rows in found.sets.items() if name not in left}
-
-
-def _surfaces(found: Found) -> dict[str, Ints]:
-    """Named triangles, and the exterior facets whose corners are all in a set of nodes."""
-    facets = exterior_facets(found.cells)[0][:, :3]
-    whole = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in found.nodes.items()}
-    left = [n for n, block in whole.items() if not len(block) and n not in found.triangles]
-    found.leave("sets of nodes without a whole facet are no boundaries", left)
-    return {n: block for n, block in whole.items() if len(block)} | found.triangles
+    found.sets = {name: rows for name, rows in found.sets.items() if name not in left}
 
 
 def _table(text: str, width: int, what: str, kind: type = float) -> Any:
@@ -193,7 +178,9 @@ def _inp(path: Path) -> Found:
     """Capitals do not matter: a name is written as it is first, without its instance."""
     found, blocks, spelled = Found(), [*_blocks(path)], dict[str, str]()
     sets: dict[str, dict[str, Ints]] = {"ELSET": {}, "NSET": {}, "SURFACE": {}}
-    found.leave("of the file are not read", (f"*{b.key}" for b in blocks if b.key not in READ))
+    found.told += left_out(
+        "of the file are not read", (f"*{b.key}" for b in blocks if b.key not in READ)
+    )
     nodes = np.concatenate([np.zeros((0, 4)), *(b.table(4) for b in blocks if b.key == "NODE")])
     found.points, node = nodes[:, 1:], nodes[:, 0].astype(np.int64)
     element, flat = np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
@@ -216,7 +203,7 @@ def _inp(path: Path) -> Found:
         elif OTHER.fullmatch(kind):
             raise ValueError(f"{b.at}: the cells are of type {kind}; {ONLY}")
         else:
-            found.leave("elements that are not read", [kind])
+            found.told += left_out("elements that are not read", [kind])
     for b in blocks:
         if b.key == "NODE" and "NSET" in b.options:
             put("NSET", b.options["NSET"], b.table(4)[:, 0].astype(np.int64))
@@ -227,14 +214,15 @@ def _inp(path: Path) -> Found:
         elif b.key == "SURFACE":
             sides = [line.replace(" ", "").upper().partition(",") for line in b.lines]
             parts = [replace(b, lines=[on]).members(sets["ELSET"]) for on, _, _ in sides]
-            face = np.repeat([SIDES[f.strip(",")] for _, _, f in sides], [*map(len, parts)])
-            at = _rows(element, np.concatenate(parts), "element")
-            put("SURFACE", b.options["NAME"], faces_of(found.cells, at, face)[:, :3])
+            face = np.array([SIDES[f.strip(",")] for _, _, f in sides])
+            at = _rows(element, np.concatenate(parts), "element")[:, None]
+            corners = np.repeat(face, [*map(len, parts)], axis=0)
+            put("SURFACE", b.options["NAME"], found.cells[at, corners])
     sections = {b.options["ELSET"].upper() for b in blocks if b.key == "SOLIDSECTION"}
     solids = {n: np.unique(e[np.isin(e, element)]) for n, e in sets["ELSET"].items()}
     regions = [n for n, e in solids.items() if len(e)]
     left = [spelled[n] for n in regions if sections & {*regions} and n not in sections]
-    found.leave("sets without *SOLID SECTION are no regions", left)
+    found.told += left_out("sets without *SOLID SECTION are no regions", left)
     for n in (n for n in regions if spelled[n] not in left):
         found.sets[spelled[n]] = _rows(element, solids[n], "element")
     for n, e in sets["ELSET"].items():
@@ -292,7 +280,7 @@ def _feb(path: Path) -> Found:
             found.nodes[name] = _rows(number, np.concatenate(parts), "node")
         elif part.tag != "Nodes":
             other.append(f"{part.tag} {name}")
-    found.leave("of the file's mesh are not read", other)
+    found.told += left_out("of the file's mesh are not read", other)
     return found
 
 
@@ -348,7 +336,9 @@ def _labels(mesh: Any, found: Found) -> tuple[str, Callable[[int], list[str]]]:
         return "cell_tags" * ("cell_tags" in mesh.cell_data), lambda v: mesh.cell_tags.get(v, [])
     data = {k: np.concatenate([b.ravel() for b in v]) for k, v in mesh.cell_data.items()}
     fit = [k for k, v in data.items() if v.dtype.kind in "iu" and len(np.unique(v)) <= MOST]
-    found.leave("arrays of cells that are not read", (k for k in data if k not in fit[:1]))
+    found.told += left_out(
+        "arrays of cells that are not read", (k for k in data if k not in fit[:1])
+    )
     names = fit[0].split("-") if fit else []
     if fit and data[fit[0]].max() >= len(names):
         return fit[0], lambda v: [f"{fit[0]}_{v}"]
