@@ -19,8 +19,8 @@ LAYERS = ("app", "forms", "meshes")
 
 # Lowest first: a package imports only what stands before its row, and itself. Packages of one row
 # do not know each other. Beside them stand `app.errors`, `app.captured`, `app.files`,
-# `app.mesh_files` and `app.version`, which everybody may import, and `mantle.py` with the public functions and
-# `app.cli`, which see everything.
+# `app.mesh_files` and `app.version`, which everybody may import, and `mantle.py` with the public
+# functions and `app.cli`, which see everything.
 ROWS = (
     ("configs", "forms", "meshes", "system"),
     ("schema", "numerics"),
