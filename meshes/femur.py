@@ -58,7 +58,7 @@ def assembled(
 ) -> MeshData:
     """The mesh with tags, muscle patches and notes; masks are over its exterior facets."""
     tag_of = number(regions)
-    tags = np.array([tag_of[name] for name in made.names])[made.region]
+    tags = np.array([tag_of.get(name, 0) for name in made.names])[made.region]
     facets, _ = made.facets
     x = turned(made.nodes.x, geometry.anteversion)
     masks |= _patches(geometry, x, facets, made.on(facets, rho=4))

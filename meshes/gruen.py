@@ -65,7 +65,8 @@ class Zones:
 
     def borders(self, x: Floats) -> dict[str, Floats]:
         """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
-        return {"tip": x[:, 2] - self.tip - EDGE, "rim": self.depth(x) - RIM}
+        end = self.tip + self._geometry.tip_height
+        return {"tip": x[:, 2] - end - EDGE, "rim": self.depth(x) - RIM}
 
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
