@@ -1,6 +1,6 @@
 r"""Write the table of docs/howto/loads.md that has a history beside one step without a past.
 
-    ./mantle run configs/history.yaml -n 2 -o out/history
+    ./mantle run configs/history.yaml -o out/history
     S='--set mesh.size="6 mm" --set output.error=false'
     ./mantle run configs/stance_cocr.yaml $S -o out/stance_once
     ./mantle run configs/stance_cocr.yaml $S --set loads.library=walking -o out/walking_once

@@ -71,7 +71,7 @@ def assembled(
 ) -> MeshData:
     """The mesh of nodes x with tags, patches and notes; masks are over its exterior facets."""
     tag_of = number(regions)
-    tags = np.array([tag_of[name] for name in made.names])[made.region]
+    tags = np.array([tag_of.get(name, 0) for name in made.names])[made.region]
     facets, _ = made.facets
     masks |= _patches(geometry, x, facets, made.on(facets, rho=4))
     data = assemble(x, made.cells, tags, tag_of, interfaces, masks, facets)

@@ -111,6 +111,7 @@ class Intact(FemurSurfaces):
 
     def ended(self, nodes: Nodes, number: Ints, body: ReferenceBody) -> tuple[Nodes, Ints]:
         """Put the nodes of the head on sections, those of its cortex between two spheres."""
+        nodes, number = super().ended(nodes, number, body)
         c, steps = len(body.at), self.ball - self.neck
         head = nodes.s > 2 * self.neck
         j, k = nodes.rho[head], nodes.s[head] // 2 - self.neck

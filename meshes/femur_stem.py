@@ -19,6 +19,8 @@ from app.arrays import Floats
 from app.errors import GeometryError
 
 CORNERS = 0.35  # of a quarter's length: what its corner counts more
+RIM, ZONE = math.sqrt(0.75), 0.5  # cosine and sine of 30 degrees: where a rounded tip gets a bowl
+SHALLOW = 0.3  # depth of the bowl over that of the ellipsoid
 BLEND = (0.38, 0.8)  # of the neck's length: where it is round, at least and at most
 CLEAR = 2.0  # mm that the round neck is above the cut
 OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of the bone
@@ -104,6 +106,52 @@ def body(geometry: Any) -> Body:
         slopes.append((top - tip) / (high - low))
         values.append(tip - slopes[-1] * low)
     return Body((values[0], values[1], values[2]), (slopes[0], slopes[1], slopes[2]))
+
+
+@dataclass(frozen=True)
+class Tip:
+    """The end of the stem: a zone of an ellipsoid in the shape of its sections, and a shallow bowl.
+
+    The bowl begins where sections are narrowed to `RIM`, and has `SHALLOW` of the depth of the
+    ellipsoid: were it as deep, cells at its rim would have a straight angle there.
+    Below, the surfaces that go on in the plug widen again.
+
+    Attributes:
+        low: Level of the tip [mm].
+        height: Height of zone and bowl [mm]; 0: the end is flat.
+        plug: Level of the plug's end [mm].
+    """
+
+    low: float
+    height: float
+    plug: float
+
+    @property
+    def axis(self) -> float:
+        """Half an axis of the ellipsoid, along the stem [mm]."""
+        return self.height / (ZONE + SHALLOW * (1.0 - ZONE))
+
+    @property
+    def rim(self) -> float:
+        """Level of the last section [mm]."""
+        return self.low + self.height - ZONE * self.axis
+
+    def width(self, z: Floats) -> Floats:
+        """Width of sections at levels z [mm], over that of the body."""
+        if not self.height:
+            return np.ones_like(z)
+        off = np.clip((self.low + self.height - z) / self.axis, 0.0, ZONE)
+        width, plug = np.sqrt(1.0 - off**2), (self.rim - z) / (self.rim - self.plug)
+        return np.asarray(width + (1.0 - width) * np.clip(plug, 0.0, 1.0))
+
+    def bulge(self, part: Floats, z: Floats) -> Floats:
+        """How far sections hang below their outlines at parts of their width [mm].
+
+        The last section is the bowl; in the plug sections get flat again.
+        """
+        deep = np.sqrt(np.maximum(1.0 - (RIM * part) ** 2, 0.0)) - ZONE
+        level = np.clip((z - self.plug) / (self.rim - self.plug), 0.0, 1.0)
+        return np.asarray(SHALLOW * self.axis * deep * level)
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ TURN = 60.0  # mm below the neck cut over which sections turn to it
 CORE = 0.5  # of the canal: where the innermost surface goes below the plug
 CORE_OVER = 30.0  # mm that it takes to get there
 SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the plug
+VOID = "void"  # where no cells are
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
 REACH = 90.0  # mm: farther from the axis there is no bone
 WAYS = np.linspace(0.0, 1.2, 25)  # of a line, where it is asked how often it meets bone
@@ -71,10 +72,11 @@ class FemurSurfaces:
         mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
             in one continue below and above.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
-        tip: Station of the stem's tip.
+        tip: Station of the stem's last section.
     """
 
     mirrored = range(0)
+    _lean = 0.0  # slope of the sections along y over that along x
 
     def __init__(self, geometry: Any, mesh: Any) -> None:
         self.mesh, thickness = mesh, geometry.cement_thickness
@@ -91,16 +93,28 @@ class FemurSurfaces:
 
     def _divide(self, implant: Any, distal: float, thickness: float) -> None:
         """Divide the bone from a distal level [mm] to the cut: stations, lines, cells."""
-        mesh, tip = self.mesh, implant.stem_tip_z
-        plug = tip - implant.plug_length
+        mesh, plug = self.mesh, implant.stem_tip_z - implant.plug_length
+        self._tip = femur_stem.Tip(implant.stem_tip_z, implant.tip_height, plug)
         below = _distances(mesh, plug - distal, "below")
-        above = _distances(mesh, self._top - tip, "stem")
-        steps, start = mesh.steps(tip - plug), len(below) - 1
-        inside = plug + (tip - plug) * np.arange(1, steps + 1) / steps
-        self._zeta = np.concatenate([(plug - below)[::-1], inside, (self._top - above)[-2::-1]])
-        self.tip = start + steps
+        flank = self._tip.low + self._tip.height
+        above = _distances(mesh, self._top - flank, "stem")
+        void, start = implant.tip_void, len(below) - 1
+        floor, rim = self._tip.rim - void, self._tip.rim
+        counts = [mesh.steps(length) if length else 0 for length in (void, self._tip.height)]
+        counts.insert(0, mesh.steps(floor - plug))
+        turn = math.asin(femur_stem.ZONE) * (1 - np.arange(1, counts[2] + 1) / max(counts[2], 1))
+        self._zeta = np.concatenate(
+            [
+                (plug - below)[::-1],
+                np.linspace(plug, floor, counts[0] + 1)[1:],
+                np.linspace(floor, rim, counts[1] + 1)[1:],
+                flank - self._tip.axis * np.sin(turn),
+                (self._top - above)[-2::-1],
+            ]
+        )
+        self._floor, self.tip = start + counts[0], start + counts[0] + counts[1]
         self.mantle = (start, len(self._zeta) - 1)
-        self._middle = 0.25 * tip + 0.75 * self._top
+        self._middle = 0.25 * implant.stem_tip_z + 0.75 * self._top
         self.around = mesh.lines_around(self._body.section(self._middle), thickness)
         self.through, self.cement = mesh.cells_through(thickness), mesh.along_cement(thickness)
 
@@ -113,12 +127,14 @@ class FemurSurfaces:
         """Divide the stem above the cut."""
         self._upper = femur_stem.upper(geometry, self._body, self.mesh, self._top, self._steepest)
         bone = ("cancellous_bone", "cortical_bone")
-        self.segments: tuple[Segment, ...] = (
+        segments = (
             Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
-            Segment(self.tip - self.mantle[0], ("cement", "cement", *bone)),
+            Segment(self._floor - self.mantle[0], ("cement", "cement", *bone)),
+            Segment(self.tip - self._floor, (VOID, "cement", *bone)),
             Segment(self.cut - self.tip, ("stem", "cement", *bone)),
             Segment(self._upper.ends[-1], ("stem",)),
         )
+        self.segments = tuple(segment for segment in segments if segment.steps)
 
     def outline(self) -> Floats:
         """Section of the stem, a quarter of its way from cut to tip (around, 2) [mm]."""
@@ -150,8 +166,18 @@ class FemurSurfaces:
         lines.mantle[above], lines.endosteum[above] = 0.3, 0.6
 
     def ended(self, nodes: Nodes, number: Ints, body: ReferenceBody) -> tuple[Nodes, Ints]:
-        """Take nodes of a ball at the end off their lines; nodes, and what stands for each."""
-        return nodes, number
+        """Hang the nodes inside sections of the plug; nodes, and what stands for each."""
+        x, first = nodes.x.copy(), self.mantle[0]
+        plug = (nodes.rho == 0) & (nodes.s > 2 * first) & (nodes.s <= 2 * self.tip)
+        x[plug] = self.hung(x[plug], self.plane(nodes.s[plug] / 2)[0])
+        return replace(nodes, x=x), number
+
+    def hung(self, x: Floats, z: Floats) -> Floats:
+        """Points (n, 3) inside sections at levels z, moved onto the bowls in them [mm]."""
+        theta = np.arctan2(x[:, 1], x[:, 0])
+        part = np.hypot(x[:, 0], x[:, 1]) / (self._body.radius(theta, z) * self._tip.width(z))
+        hung = np.column_stack([x[:, :2], z - self._tip.bulge(part, z)])
+        return np.asarray(np.round(hung, DIGITS))
 
     def arc(self, a: Floats, b: Floats) -> Floats:
         """Middles of edges from a to b (n, 3) in the shell of a ball (n, 3)."""
@@ -164,7 +190,9 @@ class FemurSurfaces:
         end = self._ends(theta, zeta, slope)
         below = s < self.mantle[0]
         at = np.where(below, float(self.mantle[0]), s)
-        start = self._body.point(phi, *self.plane(at))
+        z, tilt = self.plane(at)
+        start = self._body.point(phi, z, tilt) * [[1.0, 1.0, 0.0]] * self._tip.width(z)[:, None]
+        start[:, 2] = z - tilt * (start[:, 0] + self._lean * start[:, 1])
         depth = np.where(below, self._zeta[self.mantle[0]] - zeta, 0.0)
         start = self._sink(start, theta, zeta, depth)
         endosteum = self._meets(self._inside, zeta, start, end)

@@ -40,14 +40,14 @@ class Zones:
 
     def __init__(self, geometry: Any) -> None:
         self._geometry, self._placed = geometry, getattr(geometry, "placement", None)
-        implant = geometry
+        self._implant = geometry.implant if self._placed else geometry
         if self._placed:
-            implant, self._normal = geometry.implant, self._placed.normal @ self._placed.turn
+            self._normal = self._placed.normal @ self._placed.turn
             self._level = self._normal[2] * self._placed.top
         else:
             self._normal, self._level = femur_bone.resection(geometry)
-        self.tip = implant.stem_tip_z
-        self.top = min(self._level / self._normal[2], self.tip + implant.stem_length)
+        self.tip = self._implant.stem_tip_z
+        self.top = min(self._level / self._normal[2], self.tip + self._implant.stem_length)
 
     def _local(self, x: Floats) -> Floats:
         """Points (n, 3) in the stem's axes [mm]."""
@@ -75,7 +75,8 @@ class Zones:
 
     def borders(self, x: Floats) -> dict[str, Floats]:
         """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
-        return {"tip": self._local(x)[:, 2] - self.tip - EDGE, "rim": self.depth(x) - RIM}
+        end = self.tip + self._implant.tip_height
+        return {"tip": self._local(x)[:, 2] - end - EDGE, "rim": self.depth(x) - RIM}
 
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""

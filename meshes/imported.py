@@ -1,4 +1,4 @@
-"""Meshes from and to gmsh files, by physical names; scripts are meshed first."""
+"""Meshes from files by the names in them, and to gmsh files; scripts are meshed first."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ from typing import Any
 
 import numpy as np
 
+from app import mesh_files
 from app.errors import GeometryError
 from meshes.data import (
     MeshData,
     assemble,
     cell_volumes,
+    connected,
     exterior_facets,
     interface_facets,
     number,
     same_triangles,
 )
 from meshes.gmsh_child import MILLIMETRES, SECONDS, session
+from meshes.pieces import coincident
 from meshes.quality import bent, overlapping, places, untangle
 
 _SERVE = "from meshes.gmsh_child import serve; serve()"
@@ -33,7 +36,7 @@ _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:
-    """Read a ``.msh`` file (2.2 or 4.1) of straight or quadratic tetrahedra, or run a script.
+    """Read a file of straight or quadratic tetrahedra, or run a script.
 
     Args:
         geometry: ``path``, ``unit`` and ``interfaces`` (name to the regions on either side).
@@ -88,17 +91,19 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),
         "cells_without_region": int(found["everything"]) - len(cells),
-        "told": [turned] if negative.any() else [],
+        "told": [*([turned] if negative.any() else []), *found.get("told", [])],
     }
     return replace(data, notes=notes)
 
 
 def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
-    """Arrays of the file by name, as a child process finds them (`meshes.gmsh_child.serve`)."""
+    """Arrays of the file by name; gmsh finds its own in a child (`meshes.gmsh_child.serve`)."""
     path = geometry.path
     with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
         if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
             raise GeometryError(f"{path} has changed since it was looked at: run it again")
+        if path.suffix in mesh_files.READERS:
+            return _of_others(path)
         request = {
             "path": str(path),
             "script": geometry.is_script,
@@ -129,6 +134,23 @@ def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
     if "error" in found:
         raise GeometryError(_not_numbers(path) or str(found["error"]))
     return found
+
+
+def _of_others(path: Path) -> dict[str, Any]:
+    """The same of another program's file: facets of sets of nodes, nodes that coincide as one."""
+    found = mesh_files.read(path, path.stat().st_mtime_ns)
+    points, cells = found.points, found.cells
+    facets = exterior_facets(cells)[0][:, :3]
+    whole = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in found.nodes.items()}
+    empty = [n for n, block in whole.items() if not len(block) and n not in found.triangles]
+    label = connected(len(points), *coincident(points).T)
+    row = np.unique(label, return_index=True)[1][label]
+    told = found.told + mesh_files.left_out("sets of nodes without a facet", empty)
+    if doubled := int((row != np.arange(len(row))).sum()):
+        told.append(f"geometry: {doubled} nodes are merged with others at their places")
+    arrays: dict[str, Any] = {"points": points, "everything": len(cells), "told": told}
+    arrays |= {f"cells {name}": row[cells[rows]] for name, rows in found.sets.items()}
+    return arrays | {f"surfaces {n}": row[t] for n, t in (whole | found.triangles).items()}
 
 
 def _not_numbers(path: Path) -> str:

@@ -32,15 +32,15 @@ def describe(
     Args:
         data: The mesh.
         nominal: Nominal thickness [mm].
-        tip: Level of the stem's tip [mm]. The plug below it and the stem's face there, which has
-            the plug before it, have no thickness.
+        tip: Level at which the stem's flanks end [mm]. Its end below and the plug have no
+            thickness.
         zones: Zones of the bone around the stem.
 
     Returns:
         ``thickness`` [mm]: distance of the stem's surface from the bone's, with percentiles by the
         stem's area, and the part of that area where it is below `CLIPPED` of the nominal one;
-        ``volume`` of the cement and ``plug_volume`` below the tip [mm^3]; with zones ``gruen``, the
-        least, mean and largest thickness on the stem's surface in each.
+        ``volume`` of the cement and ``plug_volume`` below the flanks [mm^3]; with zones ``gruen``,
+        the least, mean and largest thickness on the stem's surface in each.
     """
     facets, _, _ = interface_facets(data, "stem_cement")
     facets = facets[data.points[facets[:, :3], 2].max(axis=1) > tip + 1e-6]

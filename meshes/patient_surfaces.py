@@ -70,6 +70,10 @@ class Leaning:
         """Of the body."""
         return self.body.section(z)
 
+    def radius(self, theta: Floats, z: Floats) -> Floats:
+        """Of the body."""
+        return np.asarray(self.body.radius(theta, z))
+
     def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
         """Points of the outline in the planes (n, 3) [mm]."""
         z = zeta + np.zeros(len(phi))

@@ -18,7 +18,7 @@ from app.arrays import Bools, Floats, Ints
 from app.errors import GeometryError
 from meshes import reference_body
 from meshes.data import EDGES, cell_volumes, faces_of, match_faces
-from meshes.femur_surfaces import FemurSurfaces
+from meshes.femur_surfaces import VOID, FemurSurfaces
 from meshes.layers import DIGITS, Nodes
 from meshes.quality import untangle
 from meshes.reference_body import ReferenceBody
@@ -94,7 +94,9 @@ def mesh(surfaces: FemurSurfaces, curved: bool) -> Swept:
     body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.segments)
     nodes, number = _grid(surfaces, body)
     cells, parent = _split(surfaces, body, number)
-    made = _packed(surfaces, nodes, cells, body.region[parent], body.names)
+    region = body.region[parent]
+    solid = np.array([name != VOID for name in body.names])[region]
+    made = _packed(surfaces, nodes, cells[solid], region[solid], body.names)
     _check_volume(made)
     return _curved(made) if curved else made
 
@@ -268,5 +270,8 @@ def _middles(made: Swept, a: Ints, b: Ints) -> Nodes:
         floor=np.where(inner, 0.0, 0.5 * (nodes.floor[a] + nodes.floor[b])),
         x=0.5 * (nodes.x[a] + nodes.x[b]),
     )
+    tip = 2 * made.surfaces.tip
+    bowl = inner & ~shell & (nodes.s[a] == tip) & (nodes.s[b] == tip)
+    middle.x[bowl] = made.surfaces.hung(middle.x[bowl], made.surfaces.plane(middle.s[bowl] / 2)[0])
     middle.x[shell] = made.surfaces.arc(nodes.x[a[shell]], nodes.x[b[shell]])
     return _place(made.surfaces, middle)

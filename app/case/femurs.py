@@ -73,6 +73,11 @@ class _Femur(Shape):
     """Half the antero-posterior depth at the tip."""
     stem_tip_corner_radius: PositiveLength = 2.1
     """Radius of the section's corners at the tip."""
+    tip_rounding: Annotated[float, _length("2 mm", at_least=0.0, at_most=20.0)] = 2.0
+    """Height of the stem's rounded end, 1 to 20 mm; 0: it is flat, as it is over a void."""
+    tip_void: Annotated[float, _length("5 mm", at_least=0.0)] = 0.0
+    """Length without cement below the stem's end, as of a hollow centraliser: nothing bears on the
+    end. 1 mm at least, and 1 mm less than the plug at most; 0: none."""
     stem_section_z: Length = 15.0
     """Level of the proximal section that the next three describe."""
     stem_half_width: PositiveLength = 8.5
@@ -111,6 +116,12 @@ class _Femur(Shape):
         plug = self.stem_tip_z - self.plug_length
         if self.distal_cut_z >= plug:
             fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
+        for name in ("tip_rounding", "tip_void"):  # cells in less are flat
+            if 0.0 < getattr(self, name) < 1.0:
+                fail("is neither 0 nor 1 mm at least", at=(name,))
+        if self.tip_void and self.tip_void > self.plug_length - 1.0:
+            text = f"leaves less than 1 mm of the plug, which is {self.plug_length:g} mm long"
+            fail(text, at=("tip_void",))
         if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
             fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
         if not 0.0 <= self.resection_angle < math.pi / 2:
@@ -166,6 +177,11 @@ class _Femur(Shape):
         return sizes["half_width"]
 
     @property
+    def tip_height(self) -> float:
+        """Height of the stem's rounded end (mm)."""
+        return 0.0 if self.tip_void else self.tip_rounding
+
+    @property
     def head_centre(self) -> Point3:
         """Centre of the femoral head in the model's axes (mm)."""
         medial, anterior = math.cos(self.anteversion), math.sin(self.anteversion)
@@ -191,12 +207,15 @@ class _Femur(Shape):
             for name in ("half_width", "half_depth", "corner_radius")
         )
         plug = self.stem_tip_z - self.plug_length
-        stem, more, _ = mesh.graded(self._cut - self.stem_tip_z, "stem")
+        flank = self._cut - self.stem_tip_z - self.tip_height
+        stem, more, _ = mesh.graded(flank, "stem")
+        ends = [length for length in (self.tip_height, self.tip_void) if length]
+        ends.append(self.plug_length - self.tip_void)
         below, equal, _ = mesh.graded(plug - self.distal_cut_z, "below")
         through = mesh.cells_through(self.cement_thickness)
         return {
             "lines around": mesh.lines_around((half, depth, corner), self.cement_thickness),
-            "steps along the stem": len(stem) - 1 + more + mesh.steps(self.plug_length),
+            "steps along the stem": len(stem) - 1 + more + sum(map(mesh.steps, ends)),
             "steps below": len(below) - 1 + equal,
             "cells through cement, cancellous and cortical bone": through,
         }
@@ -247,8 +266,8 @@ class Femur(_Femur):
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
-        """The mantle around the stem, with a plug below its tip."""
-        return (Mantle(self.cement_thickness, self.stem_tip_z),)
+        """The mantle around the stem, with a plug around its end."""
+        return (Mantle(self.cement_thickness, self.stem_tip_z + self.tip_height),)
 
     @property
     def interface_area(self) -> float:

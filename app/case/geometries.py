@@ -186,9 +186,10 @@ _TwoSides = Annotated[tuple[_Side, _Side], Pair("[cement, [cortical, cancellous]
 
 
 class MeshFile(Shape):
-    """A gmsh file; its named physical volumes are regions, its surfaces boundaries.
+    """A mesh file; its named volumes or sets of cells are regions, its named surfaces boundaries.
 
-    A ``.msh`` file is taken as it is. A ``.geo`` script is meshed: it declares
+    Files of gmsh (``.msh``), Abaqus and CalculiX (``.inp``), FEBio (``.feb``), VTU, XDMF and MED
+    are taken as they are. A ``.geo`` script of gmsh is meshed: it declares
     ``DefineConstant[ size = 1 ];``, and ``far_size`` if it likes, which are set from the mesh
     section (in the script's unit).
     """

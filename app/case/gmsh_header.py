@@ -1,4 +1,4 @@
-"""Names in the header of a gmsh ``.msh`` file or in a ``.geo`` script, read without gmsh."""
+"""Names in a mesh file, of gmsh (``.msh``, ``.geo``: without it) or of other programs."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import configs
+from app import mesh_files
 
 ENTRY = re.compile(rb'\s*(\d+)\s+\d+\s+"(.*)"\s*')
 # The sections before the nodes are short; a file without names is not read to its end.
@@ -18,6 +19,7 @@ HEADER = 4 << 20
 # Scripts: comments go, text in quotes stays.
 COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?(?:\*/|\Z)""", re.DOTALL)
 QUOTED = re.compile(r"""\"([^"\n]*)"|'([^'\n]*)'""")
+ARRAYS = re.compile(r"()([^<>:]+\.h5):")  # of an .xdmf file
 GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
 DIMENSIONS = {"Volume": 3, "Surface": 2}
 # Environment variable: the user trusts the scripts of this command.
@@ -28,14 +30,19 @@ def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
     """Names of the physical groups of one dimension, in the order of the file.
 
     Args:
-        path: A ``.msh`` file of format 2.2 or 4.1, ASCII or binary, or a ``.geo`` script.
+        path: A ``.msh`` file of format 2.2 or 4.1, ASCII or binary, a ``.geo`` script, or a file
+            of another program.
         dimension: 3 for volumes, 2 for surfaces.
 
     Raises:
         ValueError: The file is not of this format; the script does not use its parameter, or is
             not allowed to run.
     """
-    groups = _groups(path, path.stat().st_mtime_ns)
+    modified = path.stat().st_mtime_ns
+    if path.suffix in mesh_files.READERS:
+        found = mesh_files.read(path, modified)
+        return tuple(found.sets if dimension == 3 else found.triangles | found.nodes)
+    groups = _groups(path, modified)
     return tuple(name for d, name in groups if d == dimension)
 
 
@@ -44,7 +51,8 @@ def _groups(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
     """Dimension and name of every physical group; `modified` invalidates the cache."""
     readers = {".geo": _groups_of_script, ".msh": _groups_of_mesh}
     if path.suffix not in readers:
-        raise ValueError("is neither a .msh file nor a .geo script")
+        others = ", ".join(mesh_files.READERS)
+        raise ValueError(f"is neither a .msh file nor a .geo script, nor one of {others}")
     return tuple(dict.fromkeys(readers[path.suffix](path)))
 
 
@@ -83,13 +91,13 @@ def content(path: Path, copies: Path | None = None) -> str:
 
 
 def _files(path: Path) -> list[str]:
-    """A file, and the files below its folder quoted in a script, recursively."""
+    """A file, and the files below its folder that it names, recursively."""
     folder, found = path.parent.resolve(), [path.name]
     for name in found:  # it grows
-        if not name.endswith(".geo"):
+        if not name.endswith((".geo", ".xdmf")):
             continue
         text = (folder / name).read_text("utf-8", "replace")
-        for quoted in QUOTED.finditer(text):
+        for quoted in (QUOTED if name.endswith(".geo") else ARRAYS).finditer(text):
             other = os.path.normpath(Path(name).parent / (quoted[1] or quoted[2] or "."))
             with suppress(OSError, ValueError):  # not a file name
                 inside = (folder / other).resolve().is_relative_to(folder)
@@ -99,7 +107,9 @@ def _files(path: Path) -> list[str]:
 
 
 def counts(path: Path) -> int:
-    """Number of elements of all dimensions announced by a ``.msh`` file; 0 if unknown."""
+    """Number of cells, in a ``.msh`` file of all dimensions as announced; 0 if unknown."""
+    if path.suffix in mesh_files.READERS:
+        return len(mesh_files.read(path, path.stat().st_mtime_ns).cells)
     data = path.read_bytes()
     elements = data.partition(b"$Elements\n")[2]
     try:

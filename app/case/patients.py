@@ -274,7 +274,8 @@ class Patient(Shape):
     def mantles(self) -> tuple[Mantle, ...]:
         """The mantle around the stem, with a plug below its tip."""
         half = max(self.stem.tip_half_width, self.stem.tip_half_depth)
-        tip = float(self.placement.to_model([0.0, 0.0, -self.stem.length])[2])
+        end = self.implant.tip_height - self.stem.length
+        tip = float(self.placement.to_model([0.0, 0.0, end])[2])
         return (Mantle(self.cement_thickness, tip + half * math.tan(abs(self.insertion.varus))),)
 
     @property

@@ -33,8 +33,8 @@ class Mantle:
 
     Attributes:
         thickness: Nominal thickness (mm).
-        tip: Level of the stem's end (mm), below which the cement is a plug without thickness; minus
-            infinity without a plug.
+        tip: Level of the end of the stem's flanks (mm), below which the cement is a plug without
+            thickness; minus infinity without a plug.
     """
 
     thickness: float

@@ -73,7 +73,9 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
             known = [f"{x:g}" for x in numbers if x is not None]
             numeric = len(known) == len(written)
             words = [*dict.fromkeys(known if numeric else map(value, written))]
-            if len(words) > MOST_LEVELS:
+            if not numeric and len(words) < (number := len({*map(str, written)})):
+                words = [f"{number} of {', '.join(words)}"]
+            elif len(words) > MOST_LEVELS:
                 words = [f"{len(words)} levels from {words[0]} to {words[-1]}"]
             elif len(words) < 2:
                 continue
@@ -207,23 +209,24 @@ def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float,
 
 
 def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[Any]]]:
-    """Spearman's coefficients of each headline number with each key: head and rows.
+    """Rank correlation of each headline number with each key: head and rows.
 
-    Parts with fewer than two varied numeric keys have none, as a curve shows more.
+    Parts with fewer than two varied keys have none, as a curve shows more.
     """
     rows: list[list[Any]] = []
     for part, own in by_part([c for c in cases if c.done]).items():
-        numbers = {
-            key: [x for x in levels(own, key)[1] if x is not None] for key in own[0].overrides
+        found = {key: levels(own, key)[1] for key in own[0].overrides}
+        varied: dict[str, Sequence[Any]] = {
+            key: [c.overrides.get(key) for c in own] if None in x else x for key, x in found.items()
         }
-        varied = {k: x for k, x in numbers.items() if len(x) == len(own) and len(set(x)) > 1}
+        varied = {key: x for key, x in varied.items() if len(set(map(str, x))) > 1}
         if len(varied) < 2 or len(own) < FEWEST:
             continue
         for name in headlines(own)[:MOST_NUMBERS]:
             y = [n.value for c in own if (n := c.number(name)) is not None]
             if ((q := quantities.get(name)) and q.exact) or not _varies(y):
                 continue
-            ranks = {k: correlation(x, y) for k, x in varied.items() if len(y) == len(own)}
+            ranks = {k: correlation(y, x) for k, x in varied.items() if len(y) == len(own)}
             known = [(r, title(key)) for key, r in ranks.items() if r is not None]
             known.sort(key=lambda pair: -abs(pair[0]))
             if known:

@@ -180,7 +180,7 @@ def _mantle(note: Mapping[str, Any]) -> str:
         f"cement mantle: {t['nominal']:.3g} mm, achieved {t['min']:.2f} to {t['max']:.2f}, mean "
         f"{t['mean']:.2f}, median {t['median']:.2f}, p5 {t['p5']:.2f}, p95 {t['p95']:.2f} mm; "
         f"clipped on {t['clipped_fraction']:.1%} of the stem; {note['volume']:.0f} mm3 of cement, "
-        f"{note['plug_volume']:.0f} below the tip"
+        f"{note['plug_volume']:.0f} below the stem's flanks"
     )
 
 

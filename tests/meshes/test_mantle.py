@@ -137,5 +137,5 @@ def test_it_is_told_in_a_line() -> None:
     }
     assert cost._mantle(note) == (
         "cement mantle: 4 mm, achieved 1.59 to 4.81, mean 3.05, median 2.95, p5 1.80, p95 4.08 mm; "
-        "clipped on 61.0% of the stem; 20070 mm3 of cement, 1238 below the tip"
+        "clipped on 61.0% of the stem; 20070 mm3 of cement, 1238 below the stem's flanks"
     )

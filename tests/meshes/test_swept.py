@@ -30,6 +30,7 @@ from meshes.data import (
     cell_volumes,
     facet_areas,
     interface_facets,
+    region_volumes,
     tangents,
 )
 from meshes.femur import PATCH_RADIUS
@@ -65,11 +66,18 @@ def test_nodes_are_on_the_exact_surfaces(thickness: float, curved: bool) -> None
     body = femur_stem.body(geometry)
     facets, _, _ = interface_facets(data, "stem_cement")
     x, y, z = data.points[np.unique(facets)].T
-    flank = z > geometry.stem_tip_z + 1e-6
+    flank = z > geometry.stem_tip_z + geometry.tip_rounding + 1e-6
     on_body = np.hypot(x, y) - body.radius(np.arctan2(y, x), z)
     exact = np.abs(on_body[flank]) < 2e-6
     # Curved cells that bend too far are straightened: some nodes in a thousand.
     assert exact.mean() > (0.99 if curved else 1.0 - 1e-12)
+    # Of the end, an ellipsoid for 30 degrees, then a bowl with 0.3 of its depth.
+    axis, end = geometry.tip_rounding / 0.65, ~flank
+    width = np.hypot(x, y)[end] / (np.hypot(x, y) - on_body)[end]
+    depth = np.sqrt(np.maximum(1 - width**2, 0.0))
+    depth = np.where(depth > 0.5, 0.5 + 0.3 * (depth - 0.5), depth)
+    off = z[end] - (geometry.stem_tip_z + geometry.tip_rounding - axis * depth)
+    assert np.abs(off).max() < 0.02 and width.min() < 0.5 and (width > 0.86).sum() > 8
     facets, _, _ = interface_facets(data, "cement_bone")
     x, y, z = data.points[np.unique(facets)].T
     theta, r = np.arctan2(y, x), np.hypot(x, y)
@@ -110,7 +118,8 @@ def test_stem_and_neck_turn_in_a_bone_that_does_not(build: Any) -> None:
         facets, _, _ = interface_facets(data, "stem_cement")
         x, y, z = femur_bone.turned(data.points[np.unique(facets)], -angle).T
         off = np.hypot(x, y) - femur_stem.body(geometry).radius(np.arctan2(y, x), z)
-        assert np.abs(off[z > geometry.stem_tip_z + 1e-6]).max() < 2e-6
+        flank = z > geometry.stem_tip_z + geometry.tip_rounding + 1e-6
+        assert np.abs(off[flank]).max() < 2e-6
 
 
 @pytest.mark.parametrize("fillet", [3.0, 6.0])
@@ -130,6 +139,17 @@ def test_the_stem_turns_into_the_neck_with_the_fillet(fillet: float) -> None:
     assert curvatures.index(max(curvatures)) in (7, 8, 9)  # on the lateral side
 
 
+def test_cement_is_left_out_below_the_end() -> None:
+    """As far as asked for, over the section of the stem; nothing bears on the end."""
+    data, full = built(6.0, True, tip_void=5.0), built(6.0, True, tip_rounding=0.0)
+    left, whole = (region_volumes(d)["cement"] for d in (data, full))
+    a, b, r = femur_stem.body(hip()).section(np.linspace(-123.0, -118.0, 1001))
+    assert whole - left == pytest.approx(5 * (4 * a * b - (4 - np.pi) * r**2).mean(), rel=0.003)
+    for d, bears in ((data, False), (full, True)):
+        facets, _, _ = interface_facets(d, "stem_cement")
+        assert (d.points[facets[:, :3], 2].max(axis=1) < -118.0 + 1e-6).any() == bears
+
+
 def test_facets_approach_the_normals_of_the_exact_surface() -> None:
     """Angles of the stem's facets to the exact normals halve with the mesh size."""
     geometry = hip()
@@ -139,7 +159,8 @@ def test_facets_approach_the_normals_of_the_exact_surface() -> None:
         data = built(size)
         facets, _, _ = interface_facets(data, "stem_cement")
         corners = data.points[facets]
-        facets = facets[corners[:, :, 2].max(axis=1) > geometry.stem_tip_z + 1e-6]
+        flank = geometry.stem_tip_z + geometry.tip_rounding
+        facets = facets[corners[:, :, 2].max(axis=1) > flank + 1e-6]
         a, b, c = data.points[facets].transpose(1, 0, 2)
         normals = np.cross(b - a, c - a)
         areas = np.linalg.norm(normals, axis=1)
@@ -161,18 +182,20 @@ def test_facets_approach_the_normals_of_the_exact_surface() -> None:
 
 
 def test_the_volume_of_the_stem_converges_to_its_integral() -> None:
-    """Body between tip and neck cut, by curved cells of two sizes."""
+    """Body between its end and the neck cut, by curved cells of two sizes."""
     geometry = hip()
     body = femur_stem.body(geometry)
-    z = np.linspace(geometry.stem_tip_z, 0.0, 20001)
+    end = geometry.stem_tip_z + geometry.tip_rounding
+    z = np.linspace(end, 0.0, 20001)
     a, b, r = body.section(z)
     exact = float(np.trapezoid(4 * a * b - (4 - np.pi) * r**2, z))
 
     def below(size: float) -> float:
         data = built(size, curved=True)
         own = data.cells[data.cell_tags == data.regions["stem"]]
-        # Cells that the level z = 0 cuts count by the part of their corners' lattice below it.
-        part = (data.points[own[:, :4], 2] @ mantle.LATTICE.T < 0.0).mean(axis=1)
+        # Cells that the levels cut count by the part of their corners' lattice below it.
+        level = data.points[own[:, :4], 2] @ mantle.LATTICE.T
+        part = ((level > end) & (level < 0.0)).mean(axis=1)
         return float(cell_volumes(data.points, own) @ part)
 
     assert below(6.0) == pytest.approx(exact, rel=0.01)

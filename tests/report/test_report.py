@@ -467,6 +467,7 @@ def test_mantles_are_compared_by_what_they_achieve_within_a_part(maker: Maker) -
         ("interfaces.a_b.gap", [0.2, 1], "gap, a b (mm): 0.2, 1", [0.2, 1]),
         ("interfaces.a_b.gap", ["0.02 * z", "1 mm"], "gap, a b: 0.02 * z, 1 mm", [None, 1]),
         ("mesh.curved", [True, False], "mesh curved: True, False", [None, None]),
+        ("a.b", [{"kind": "c", "m": m} for m in (1, 2)], "a b: 2 of c", [None, None]),
     ],
 )
 def test_levels_are_numbers_in_one_unit(
@@ -493,6 +494,9 @@ def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
     for name, words in rows:
         assert name.startswith("thickness: ")
         assert words == ["+1.00 taper", "+0.00 length"]
+    for case in (cases := rs.read(maker.folder).cases):  # the same without numbers
+        case.overrides["geometry.taper"] = {"kind": case.overrides["geometry.taper"]}
+    assert sweep_figures.sensitivity(cases)[1][0][1] == ["+1.00 taper", "+0.00 length"]
     # With one key alone a curve says it.
     assert sweep_figures.sensitivity(rs.read(maker.folder).cases[::2])[1] == []
     # The page begins with the range of the first numbers and with what they depend on.
