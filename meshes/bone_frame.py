@@ -141,7 +141,7 @@ class _Finder:
         """The landmarks."""
         neck, spread = self._neck()
         up, medial = self.up, _unit(neck - (neck @ self.up) * self.up)
-        side = self._side(np.cross(up, medial))
+        side = self._side(np.asarray(np.cross(up, medial)))
         way = 1.0 if side == "left" else -1.0  # of up x medial, if that is anterior
         version, turn = None, 0.0
         if self.has_condyles or "condyles" in self.given:
@@ -160,12 +160,13 @@ class _Finder:
         """Centres (q, 3), averaged unit normals (q, 3) and areas (q,) of boxes of `SAMPLES`."""
         box = np.floor((self.centre - self.centre.min(axis=0)) / SAMPLES).astype(np.int64)
         of = np.unique(box, axis=0, return_inverse=True)[1].ravel()
-        area = np.bincount(of, self.area)
-        x, normal = (
+        area = np.asarray(np.bincount(of, self.area), dtype=float)
+        sums: list[Any] = [
             np.stack([np.bincount(of, v[:, i]) for i in range(3)], axis=1)
             for v in (self.area[:, None] * self.centre, self.normal)
-        )
-        tree = cKDTree(x := x / area[:, None])
+        ]
+        x, normal = sums[0] / area[:, None], sums[1]
+        tree = cKDTree(x)
         normal = normal + tree.sparse_distance_matrix(tree, SMOOTH).tocsr().sign() @ normal
         return x, normal / _far(normal)[:, None], area
 
@@ -206,7 +207,7 @@ class _Finder:
             self.up = _unit(self.point - low)
             return
         end = float(((self.x - self.origin) @ self.up).min())
-        depths = np.linspace(*np.multiply(SHAFT, self.radius), 33)
+        depths = self.radius * np.linspace(*SHAFT, 33)
         depths = depths[-depths > end + 3.0]
         if len(depths) < 8:
             text = f"ends {-end:.0f} mm below the lesser trochanter"
@@ -367,7 +368,7 @@ def _fit(x: Floats, area: Floats, centre: Floats, radius: float) -> tuple[Floats
 def _across(axis: Floats, hint: Floats | None = None) -> tuple[Floats, Floats]:
     """Two unit vectors that are right-handed with an axis (3,), the first across a hint."""
     one = _unit(np.cross(np.eye(3)[np.abs(axis).argmin()] if hint is None else hint, axis))
-    return one, np.cross(axis, one)
+    return one, np.asarray(np.cross(axis, one))
 
 
 def _dot(a: Floats, b: Floats) -> Floats:

@@ -7,7 +7,7 @@ surface elsewhere. Both surfaces, and those of stem and bone, are functions on o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -44,7 +44,7 @@ def operated(
     geometry: Any,
     surfaces: FemurSurfaces,
     placed: Callable[[Floats], Floats] | None = None,
-    notes: dict[str, Any] | None = None,
+    told: Sequence[str] = (),
 ) -> MeshData:
     """The mesh of surfaces with a stem, placed in the axes of the model."""
     made = swept.mesh(surfaces, surfaces.mesh.curved)
@@ -58,7 +58,7 @@ def operated(
     }
     x = placed(made.nodes.x) if placed else turned(made.nodes.x, geometry.anteversion)
     data = assembled(geometry, made, x, REGIONS, INTERFACES, masks)
-    return replace(data, notes=data.notes | (notes or {}))
+    return replace(data, notes={**data.notes, "told": list(told)}) if told else data
 
 
 def assembled(

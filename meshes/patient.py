@@ -16,5 +16,5 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         GeometryError: The stem does not fit the bone, with the place.
     """
     surfaces = PatientSurfaces(geometry, mesh, geometry.placement)
-    told = {"told": [*(f"{k}: {v}" for k, v in geometry.told.items()), *surfaces.told]}
+    told = [*(f"{k}: {v}" for k, v in geometry.told.items()), *surfaces.told]
     return operated(geometry, surfaces, geometry.placement.to_model, told)

@@ -36,8 +36,8 @@ BROACH = 0.3  # mm that a broach is wider than stem and mantle
 CORE = 0.7  # of the canal: the innermost surface below the plug
 LID, NEAR_LID = 0.9, 15.0  # of the normal along the shaft: a canal's flat end; mm from its top
 WIDE, OVER = 12.0, 2.0  # mm of an edge around the metaphysis, and over the size
-SIDES = ("medially", "antero-medially", "anteriorly", "antero-laterally")
-SIDES += ("laterally", "postero-laterally", "posteriorly", "postero-medially")
+SIDES = "medially antero-medially anteriorly antero-laterally laterally postero-laterally".split()
+SIDES += ["posteriorly", "postero-medially"]
 
 
 class Sheet:
@@ -166,7 +166,8 @@ class PatientSurfaces(FemurSurfaces):
     def _table(self, geometry: Any) -> Floats:
         """Radii of the endosteum by its ratio to the periosteum in the parametric femur [mm]."""
         x = self._places(self._bone.radii)
-        theta, z = np.arctan2(x[..., 1], x[..., 0]), x[..., 2] / self._placed.size
+        theta: Any = np.arctan2(x[..., 1], x[..., 0])
+        z = x[..., 2] / self._placed.size
         self.told.append("canal: by the ratios of mantle's own femur")
         ratio = femur_bone.endosteum(geometry.implant)(theta, z)
         return np.asarray(self._bone.radii * ratio / femur_bone.PERIOSTEUM.radius(theta, z))
@@ -294,8 +295,8 @@ class PatientSurfaces(FemurSurfaces):
 def _limited(radii: Floats) -> Floats:
     """Radii (n, `ANGLES`) where they change no faster than `STEEPEST`; gaps take those below."""
     radii, turn = radii.copy(), 1 + STEEPEST * THETA[1]
-    for row, before in zip(radii[1:], radii[:-1], strict=True):
-        row[np.isnan(row)] = before[np.isnan(row)]
+    for i in range(1, len(radii)):
+        radii[i] = np.where(np.isnan(radii[i]), radii[i - 1], radii[i])
     while True:
         least = np.minimum(np.roll(radii, 1, axis=1), np.roll(radii, -1, axis=1)) * turn
         least[1:] = np.minimum(least[1:], radii[:-1] + STEEPEST * EVERY)

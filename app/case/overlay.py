@@ -65,8 +65,8 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
             # Paths of a mesh and of surfaces are relative to the file of their case.
             surfaces = [(geometry.get(name), "surface") for name in ("bone", "canal")]
             for part, key in ((geometry, "path"), *surfaces):
-                if isinstance(part, dict) and isinstance(path := part.get(key), str):
-                    part[key] = str((FilePath(file.name).parent / expanduser(path)).absolute())
+                if isinstance(part, dict) and isinstance(of_part := part.get(key), str):
+                    part[key] = str((FilePath(file.name).parent / expanduser(of_part)).absolute())
         below = None if file is chain[-1] else case.data
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
         case.data = _over(case, below, upper, ())

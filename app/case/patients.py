@@ -218,11 +218,12 @@ class Patient(Shape):
             fail(text, at=tuple(key.split("."))) if found and " " not in key else fail(str(error))
         low = float(placed.bone.points[:, 2].min())
         plug = float(placed.to_model([0.0, 0.0, -self.stem.length - self.stem.plug_length])[2])
-        if self.distal_cut_z is None:
-            self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
-        if not low + 2.0 < self.distal_cut_z < plug - 2.0:
-            text = f"{self.distal_cut_z:g} mm is not between the end of the surface and that of"
-            fail(f"{text} the plug, {low:.0f} and {plug:.0f} mm", at=("distal_cut_z",))
+        level = self.distal_cut_z
+        if level is None:
+            level = self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
+        if not low + 2.0 < level < plug - 2.0:
+            text = f"{level:g} mm is not between the end of the surface and that of the plug"
+            fail(f"{text}, {low:.0f} and {plug:.0f} mm", at=("distal_cut_z",))
         return self
 
     @property

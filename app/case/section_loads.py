@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from app.case.case import Case
 from app.laws.loads import Force
@@ -39,7 +40,7 @@ def section_loads(case: Case, time: float) -> list[SectionLoad]:
     """Section loads at ten levels and at the knee, where all loads act; none without such loads."""
     import numpy as np
 
-    geometry = case.geometry
+    geometry: Any = case.geometry
     loads = [load for load in case.loads.values() if isinstance(load, Force) and load.at]
     if not (geometry.has_gruen_zones and loads):
         return []

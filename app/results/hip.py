@@ -140,7 +140,8 @@ def of_femur(problem: Problem, case: Case) -> dict[str, Any]:
     ``strain_lateral_10`` and others [-] are on the outside of the bone, at the levels of `GAUGES`
     where there is bone: linear fits to the strain nearby.
     """
-    geometry, elastic = case.geometry, {e.region for e in problem.scene.elastic}
+    geometry: Any = case.geometry
+    elastic = {e.region for e in problem.scene.elastic}
     bone = elastic.intersection(case.of_tissue("bone"))
     if not geometry.has_gruen_zones or "cortical_bone" not in bone:
         return {}

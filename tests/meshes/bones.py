@@ -15,6 +15,7 @@ from meshes import femur_bone, femur_intact
 from meshes.bone_surface import Surface
 from meshes.data import exterior_facets
 
+LINES = 24  # around mantle's own femur here: a polygon within its sections
 VERSION = 15.0  # deg: anteversion of mantle's own femur here
 MEASURED = Path("/work/shared/data/femur_right_mm.stl")
 MEASURED_CANAL = MEASURED.with_name("femur_right_canal_mm.stl")
@@ -26,7 +27,7 @@ def own() -> Surface:
     geometry = IntactFemur.model_validate(
         {"anteversion": f"{VERSION} deg", "distal_cut_z": "-260 mm"}
     )
-    mesh = MeshOptions.model_validate({"size": "3 mm", "order": 1, "around": 24})
+    mesh = MeshOptions.model_validate({"size": "3 mm", "order": 1, "around": LINES})
     data = femur_intact.build(geometry, mesh.model_copy(update={"curved": False}))
     facets, _ = exterior_facets(data.cells)
     used, triangles = np.unique(facets, return_inverse=True)
