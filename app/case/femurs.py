@@ -74,10 +74,10 @@ class _Femur(Shape):
     stem_tip_corner_radius: PositiveLength = 2.1
     """Radius of the section's corners at the tip."""
     tip_rounding: Annotated[float, _length("2 mm", at_least=0.0, at_most=20.0)] = 2.0
-    """Height of the stem's rounded end, up to 20 mm; 0: it is flat, as it is over a void."""
+    """Height of the stem's rounded end, 1 to 20 mm; 0: it is flat, as it is over a void."""
     tip_void: Annotated[float, _length("5 mm", at_least=0.0)] = 0.0
     """Length without cement below the stem's end, as of a hollow centraliser: nothing bears on the
-    end. Less than the plug's length."""
+    end. 1 mm at least, and 1 mm less than the plug at most; 0: none."""
     stem_section_z: Length = 15.0
     """Level of the proximal section that the next three describe."""
     stem_half_width: PositiveLength = 8.5
@@ -116,8 +116,11 @@ class _Femur(Shape):
         plug = self.stem_tip_z - self.plug_length
         if self.distal_cut_z >= plug:
             fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
-        if self.tip_void >= self.plug_length:
-            fail(f"is not below the plug's length, {self.plug_length:g} mm", at=("tip_void",))
+        for name in ("tip_rounding", "tip_void"):  # cells in less are flat
+            if 0.0 < getattr(self, name) < 1.0:
+                fail("is neither 0 nor 1 mm at least", at=(name,))
+        if self.tip_void and self.tip_void > self.plug_length - 1.0:
+            fail(f"leaves less than 1 mm of {self.plug_length:g} mm of plug", at=("tip_void",))
         if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
             fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
         if not 0.0 <= self.resection_angle < math.pi / 2:
@@ -205,13 +208,12 @@ class _Femur(Shape):
         plug = self.stem_tip_z - self.plug_length
         flank = self._cut - self.stem_tip_z - self.tip_height
         stem, more, _ = mesh.graded(flank, "stem")
-        ends = [length for length in (self.tip_height, self.tip_void) if length]
-        ends.append(self.plug_length - self.tip_void)
+        ends = self.plug_length - self.tip_void, self.tip_height, self.tip_void
         below, equal, _ = mesh.graded(plug - self.distal_cut_z, "below")
         through = mesh.cells_through(self.cement_thickness)
         return {
             "lines around": mesh.lines_around((half, depth, corner), self.cement_thickness),
-            "steps along the stem": len(stem) - 1 + more + sum(map(mesh.steps, ends)),
+            "steps along the stem": len(stem) - 1 + more + sum(map(mesh.steps, filter(None, ends))),
             "steps below": len(below) - 1 + equal,
             "cells through cement, cancellous and cortical bone": through,
         }
