@@ -184,12 +184,8 @@ class Upper:
 
     def ways(self, phi: Floats) -> tuple[Floats, Floats]:
         """From the body to the first ring, and on to the last (n, 3) [mm]."""
-        low, ring, high = (
-            self.body.point(phi, *self.planes[1]),
-            self.ring(phi, 0),
-            self.ring(phi, 1),
-        )
-        return ring - low, high - ring
+        ring = self.ring(phi, 0)
+        return ring - self.body.point(phi, *self.planes[1]), self.ring(phi, 1) - ring
 
     def points(self, phi: Floats, s: Floats) -> Floats:
         """Points at stations above the cut (n, 3) [mm]: the sum of the ways up to there.
@@ -273,10 +269,6 @@ def upper(geometry: Any, body: Body, mesh: Any, top: float, steep: float) -> Upp
     planes, centres = ((top, steep), (base, slope)), np.stack([ring, head])
     made = Upper(body, planes, centres, (first, last)).with_fillet(geometry.neck_fillet)
     blend, cone = float(np.linalg.norm(ring - [0.0, 0.0, base])), (1.0 - part) * length
-    steps = (
-        0 if base == top else mesh.steps(base - top),
-        mesh.steps(blend - made.arm),
-        mesh.steps(2 * made.arm),
-        mesh.steps(cone - made.arm),
-    )
-    return replace(made, ends=tuple(int(n) for n in np.cumsum(steps)))
+    lengths = base - top, blend - made.arm, 2 * made.arm, cone - made.arm
+    steps = np.cumsum([mesh.steps(length) if length else 0 for length in lengths])
+    return replace(made, ends=tuple(map(int, steps)))

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -100,18 +101,13 @@ class FemurSurfaces:
         above = _distances(mesh, self._top - flank, "stem")
         void, start = implant.tip_void, len(below) - 1
         floor, rim = self._tip.rim - void, self._tip.rim
-        counts = [mesh.steps(length) if length else 0 for length in (void, self._tip.height)]
-        counts.insert(0, mesh.steps(floor - plug))
+        lengths = floor - plug, void, self._tip.height
+        counts = [mesh.steps(length) if length else 0 for length in lengths]
+        levels = pairwise((plug, floor, rim))
+        inside = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(levels, counts, strict=False)]
         turn = math.asin(femur_stem.ZONE) * (1 - np.arange(1, counts[2] + 1) / max(counts[2], 1))
-        self._zeta = np.concatenate(
-            [
-                (plug - below)[::-1],
-                np.linspace(plug, floor, counts[0] + 1)[1:],
-                np.linspace(floor, rim, counts[1] + 1)[1:],
-                flank - self._tip.axis * np.sin(turn),
-                (self._top - above)[-2::-1],
-            ]
-        )
+        inside.append(flank - self._tip.axis * np.sin(turn))
+        self._zeta = np.concatenate([(plug - below)[::-1], *inside, (self._top - above)[-2::-1]])
         self._floor, self.tip = start + counts[0], start + counts[0] + counts[1]
         self.mantle = (start, len(self._zeta) - 1)
         self._middle = 0.25 * implant.stem_tip_z + 0.75 * self._top

@@ -120,8 +120,7 @@ class _Femur(Shape):
             if 0.0 < getattr(self, name) < 1.0:
                 fail("is neither 0 nor 1 mm at least", at=(name,))
         if self.tip_void and self.tip_void > self.plug_length - 1.0:
-            text = f"leaves less than 1 mm of the plug, which is {self.plug_length:g} mm long"
-            fail(text, at=("tip_void",))
+            fail(f"leaves less than 1 mm of {self.plug_length:g} mm of plug", at=("tip_void",))
         if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
             fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
         if not 0.0 <= self.resection_angle < math.pi / 2:
@@ -209,13 +208,12 @@ class _Femur(Shape):
         plug = self.stem_tip_z - self.plug_length
         flank = self._cut - self.stem_tip_z - self.tip_height
         stem, more, _ = mesh.graded(flank, "stem")
-        ends = [length for length in (self.tip_height, self.tip_void) if length]
-        ends.append(self.plug_length - self.tip_void)
+        ends = self.plug_length - self.tip_void, self.tip_height, self.tip_void
         below, equal, _ = mesh.graded(plug - self.distal_cut_z, "below")
         through = mesh.cells_through(self.cement_thickness)
         return {
             "lines around": mesh.lines_around((half, depth, corner), self.cement_thickness),
-            "steps along the stem": len(stem) - 1 + more + sum(map(mesh.steps, ends)),
+            "steps along the stem": len(stem) - 1 + more + sum(map(mesh.steps, filter(None, ends))),
             "steps below": len(below) - 1 + equal,
             "cells through cement, cancellous and cortical bone": through,
         }

@@ -133,10 +133,19 @@ def _mesh(options: argparse.Namespace) -> int:
     from app.soundness import cost, memory
 
     memory.check(case.file, case.config)
-    path = _writable(options.output or Path("out")) / f"{options.case.stem}.msh"
+    deck = options.output if options.output and options.output.suffix == ".inp" else None
+    folder = _writable(deck.parent if deck else options.output or Path("out"))
+    path = deck or folder / f"{options.case.stem}.msh"
     configure_log("info", sys.stderr)
     log.info("meshing")
     data = mantle.mesh(case)
+    if deck:
+        with stack_needed():
+            from app.simulation import calculix
+        for line in calculix.write(case, data, deck):
+            print(painted(f"note: {line}", "doubtful", sys.stderr), file=sys.stderr)
+        print(deck)
+        return 0
     from app.report import case_picture
     from meshes import picture
 

@@ -28,7 +28,7 @@ def _number_of_ranks(text: str) -> int:
 
 def _folder(text: str) -> Path:
     path = Path(text)
-    if path.suffix[1:2].isalpha() and not path.exists():
+    if path.suffix[1:2].isalpha() and path.suffix != ".inp" and not path.exists():
         raise InputError(f"-o {path}: expected a folder, whose name does not end in {path.suffix}")
     return path
 
@@ -40,7 +40,7 @@ COMMANDS = {
     "init": ("write a short case to start from; it runs as it is", "name --kind --stem"),
     "run": ("solve a case", f"{CASE} -o -n --force --restart --walltime --error --accuracy -v"),
     "check": ("check a case and estimate its size, without solving", f"{CASE} --mesh -o"),
-    "mesh": ("make the mesh of a case, a .msh file, and pictures of it", f"{CASE} -o"),
+    "mesh": ("make the mesh of a case and pictures of it, or an .inp file", f"{CASE} -o"),
     "study": ("error against run time of a case, by a study file", f"{CASE} {SUITE}"),
     "sweep": (
         "run many cases of one base case, and compare them",
@@ -58,7 +58,7 @@ COMMANDS = {
 }
 OUTPUTS = {
     "check": "draw the case on its mesh, too: <name of CASE>.png",
-    "mesh": "default: out, for <name of CASE>.msh",
+    "mesh": "default: out, for <name of CASE>.msh; NAME.inp: the case, for CalculiX",
     "report": "of several runs; default: out, for compare.html",
     "run": "default: out/<name of CASE>",
     "study": "default: out/<name of the study>-study",

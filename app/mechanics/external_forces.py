@@ -52,7 +52,7 @@ class Forces:
         self.comm, self._given = mechanics.mesh.comm, scene.loads
         found: dict[Load, Action] = known._full if known else {}
         self._full: dict[Load, Action] = {
-            _at_full(s): found.get(_at_full(s)) or self.action(self._on_bodies(s).items())
+            _at_full(s): found.get(_at_full(s)) or self.action(nodal_forces(s, mechanics).items())
             for s in scene.loads
         }
         self._loads = [(load.history, self._full[_at_full(load)]) for load in scene.loads]
@@ -62,14 +62,6 @@ class Forces:
             known._eigenstrains if known else [(h, self._eigenstrain(e, k)) for e, k, h in strains]
         )
         self._free: dict[str, Action] = {}
-
-    def _on_bodies(self, load: Load) -> dict[int, PETSc.Vec]:
-        v = ufl.TestFunction(self._mechanics.space)
-        works = {
-            b: load.work(v, OnBody(self._mechanics, b)) for b in range(len(self._bodies.names))
-        }
-        forms = {b: self._mechanics.form(w) for b, w in works.items() if w != 0}
-        return {b: assembled_vector(form) for b, form in forms.items()}
 
     def _eigenstrain(self, e: Elastic, k: int) -> Action:
         """Nodal forces of an eigenstrain at full amplitude."""
@@ -129,7 +121,7 @@ class Forces:
         work = np.zeros((len(self._bodies.names), motions.shape[2]))
         flat = motions.reshape(-1, motions.shape[2])
         for load in self._given:
-            for body, nodal in self._on_bodies(_at_full(load)).items():
+            for body, nodal in nodal_forces(_at_full(load), self._mechanics).items():
                 work[body] += amplitude(load.history, time) * (nodal.array_r[: len(flat)] @ flat)
         return np.asarray(self.comm.allreduce(work))
 
@@ -142,6 +134,14 @@ class Forces:
         acting += [(1.0, a) for a in self._free.values()]
         works = [factor * (a.nodal @ nodal + a.jump @ jump) / 2 for factor, a in acting]
         return float(np.abs(self.comm.allreduce(np.array(works), MPI.SUM)).sum())
+
+
+def nodal_forces(load: Load, mechanics: BodyForms) -> dict[int, PETSc.Vec]:
+    """Forces of a load at full amplitude on the nodes of each body by number [N]; collective."""
+    v = ufl.TestFunction(mechanics.space)
+    works = {b: load.work(v, OnBody(mechanics, b)) for b in range(len(mechanics.bodies.names))}
+    forms = {b: mechanics.form(w) for b, w in works.items() if w != 0}
+    return {b: assembled_vector(form) for b, form in forms.items()}
 
 
 def _at_full(load: Load) -> Load:

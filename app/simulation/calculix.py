@@ -1,0 +1,202 @@
+"""A case as an input file of CalculiX: mesh, materials, contact, supports, forces, steps.
+
+Nodes are those of the displacement, once for each body, so that bonded interfaces need no ties.
+Forces are the load vectors that mantle solves with. Contact is of facets (SURFACE TO SURFACE): a
+penalty at their integration points, and a stick slope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+
+from app import files
+from app.arrays import Floats, Ints
+from app.case.case import Case, LoadedCase
+from app.laws.fibres import Radial, Straight
+from app.laws.interface_laws import Bonded, Coulomb, Penalty, Unilateral
+from app.laws.loads import Load
+from app.laws.materials import Elastic, Isotropic, TransverselyIsotropic
+from app.laws.supports import Foundation
+from app.laws.values import amplitude
+from app.mechanics.body_forms import BodyForms
+from app.mechanics.external_forces import nodal_forces
+from app.scene.bodies import (
+    FacetCells,
+    bodies_of,
+    boundary_facets,
+    cell_tags,
+    facet_nodes,
+    facets_between,
+)
+from app.scene.scene import build_scene
+from app.schema.yaml_file import Fault
+from app.system.timing import Timing
+from meshes.data import MeshData
+from meshes.distribute import distribute
+
+# Of exact contact: pressure per penetration [MPa/mm]. And shear per slip of a point that sticks,
+# in parts of that.
+STIFF, STICK = 1e4, 0.1
+# Nodes of a C3D10 by those of basix, and the number of the face opposite each corner.
+ORDER, FACE = [0, 1, 2, 3, 9, 6, 8, 7, 5, 4], np.array([3, 4, 2, 1])
+
+
+def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
+    """Write the deck of a case on its mesh; returns what is otherwise in it.
+
+    Raises:
+        InputError: The case has what a deck does not hold; all of it, each at its place.
+    """
+    case.file.raise_all(_refused(case.config))
+    text = "\n".join(_Deck(case.config, data).lines()) + "\n"
+    files.write_bytes(path, text.encode("ascii", "replace"))
+    notes = [f"{', '.join(v.name for v in case.variations)}: variations are not in the file"]
+    exact = [name for name, law in case.config.interfaces.items() if isinstance(law, Coulomb)]
+    soft = f"{', '.join(exact)}: contact has a penalty of {STIFF:g} MPa/mm and a stick slope of "
+    soft += f"{STICK * STIFF:g} MPa/mm in the file, which are yours to choose"
+    return [*(notes if case.variations else []), *([soft] if exact else [])]
+
+
+def _refused(case: Case) -> list[Fault]:
+    found: list[tuple[tuple[str | int, ...], str]] = []
+    for name, region in case.regions.items():
+        if not isinstance(region, Elastic):
+            found.append((("regions", name), f"a region that is {type(region).__name__.lower()}"))
+        elif region.varies or region.eigenstrains:
+            what = "a modulus that varies" if region.varies else "eigenstrains"
+            found.append((("regions", name), what))
+        if region.thermal is not None:
+            found.append((("regions", name, "thermal"), "heat"))
+    for name, law in case.interfaces.items():
+        if type(law) not in (Bonded, Coulomb, Penalty):
+            found.append((("interfaces", name), f"the law {law.kind}"))
+        elif law.initial_gap[0]:
+            found.append((("interfaces", name, "gap"), "a gap"))
+    for name, support in case.supports.items():
+        if isinstance(support, Foundation) or support.normal is not None:
+            found.append((("supports", name), "springs to the ground, and rollers along a normal"))
+    found += [
+        (("stages", k, "cycles"), "cycles") for k, s in enumerate(case.stages) if s.cycles > 1
+    ]
+    return [Fault(at, f"an .inp file of CalculiX does not hold {what}") for at, what in found]
+
+
+class _Deck:
+    def __init__(self, case: Case, data: MeshData) -> None:
+        self.case, self.scene = case, build_scene(case)
+        self.tagged = distribute(data, MPI.COMM_SELF)
+        self.bodies = bodies_of(self.tagged, self.scene.contacts, ())
+        self.forms = BodyForms(self.scene, self.tagged, self.bodies, Timing())
+        self.space, self.tags = self.forms.space, cell_tags(self.tagged)
+        self.dofs = self.space.dofmap.list
+        keys = self._keys(self.dofs, self.tags)
+        self.nodes, self.cells = np.unique(keys, return_inverse=True)
+        self.cells = self.cells.reshape(keys.shape)[:, ORDER[: keys.shape[1]]] + 1
+
+    def _keys(self, dofs: Ints, tags: Ints) -> Ints:
+        """Number of a node and its body, of dofs (n, k) in cells of some tags (n,)."""
+        return dofs.astype(np.int64) * len(self.bodies.names) + self.bodies.of_tag[tags][:, None]
+
+    def lines(self) -> Iterator[str]:
+        """Lines of the deck."""
+        yield f"*HEADING\n{self.case.title or 'mantle'}; mm, N, MPa\n*NODE, NSET=ALL"
+        x = self.space.tabulate_dof_coordinates()[self.nodes // len(self.bodies.names)]
+        yield from (f"{k + 1}, {_real(*x[k])}" for k in range(len(x)))
+        for e in self.scene.elastic:
+            yield f"*ELEMENT, TYPE=C3D{self.cells.shape[1]}, ELSET={e.region}"
+            rows = np.flatnonzero(self.tags == self.tagged.regions[e.region])
+            yield from (f"{k + 1}, " + ", ".join(map(str, self.cells[k])) for k in rows)
+            yield from _material(e)
+        for name in self.tagged.boundaries:
+            yield from self._surface(name, boundary_facets(self.tagged, name))
+        for i in self.scene.contacts:
+            assert isinstance(i.law, Unilateral)
+            for side, own, other in (("slave", i.slave, i.master), ("master", i.master, i.slave)):
+                f = facets_between(self.tagged, own, other)
+                yield from self._surface(f"{i.name}_{side}", f)
+            stiff = i.law.penalty if isinstance(i.law, Penalty) else STIFF
+            yield f"*SURFACE INTERACTION, NAME={i.name}"
+            yield f"*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n{_real(stiff)}"
+            if i.law.friction_coefficient:
+                yield f"*FRICTION\n{_real(i.law.friction_coefficient, STICK * stiff)}"
+            yield f"*CONTACT PAIR, INTERACTION={i.name}, TYPE=SURFACE TO SURFACE"
+            yield f"{i.name}_slave, {i.name}_master"
+        forces = [(load.history, self._forces(load)) for load in self.scene.loads]
+        for k, stage in enumerate(self.scene.stages):
+            yield f"** {stage.name}\n*STEP, INC=1000\n*STATIC\n{_real(1 / stage.increments, 1.0)}"
+            yield from self._supports(k)
+            total = sum(amplitude(h, k + 1) * f for h, f in forces) + np.zeros((len(x), 3))
+            yield "*CLOAD, OP=NEW"
+            for node, c in np.argwhere(total):
+                yield f"{node + 1}, {c + 1}, {_real(total[node, c])}"
+            yield "*NODE FILE\nU, RF\n*EL FILE\nS"
+            if self.scene.contacts:
+                yield "*CONTACT FILE\nCDIS, CSTR"
+            yield "*END STEP"
+
+    def _surface(self, name: str, f: FacetCells) -> Iterator[str]:
+        yield f"*SURFACE, NAME={name}, TYPE=ELEMENT"
+        yield from (f"{c + 1}, S{s}" for c, s in zip(f.cells, FACE[f.local], strict=True))
+
+    def _forces(self, load: Load) -> Floats:
+        """Forces on the nodes at full amplitude (n, 3) [N]."""
+        forces: Floats = np.zeros((len(self.nodes), 3))
+        for body, vector in nodal_forces(load, self.forms).items():
+            of_dof = vector.array_r.reshape(-1, 3)
+            dofs = np.flatnonzero(of_dof.any(axis=1))
+            at = np.searchsorted(self.nodes, dofs * len(self.bodies.names) + body)
+            forces[at] = of_dof[dofs]
+        return forces
+
+    def _supports(self, stage: int) -> Iterator[str]:
+        """Components held in a stage; where supports meet the last one says how far they move."""
+        held: dict[tuple[int, int], float] = {}
+        for s in self.scene.supports:
+            if not self.scene.holds(s, stage):
+                continue
+            f = boundary_facets(self.tagged, s.boundary)
+            dofs = facet_nodes(self.tagged, self.space, f)[1]
+            keys = np.unique(self._keys(dofs, self.tags[f.cells]))
+            x = self.space.tabulate_dof_coordinates()[keys // len(self.bodies.names)]
+            u = s.values(x) * amplitude(s.history, stage + 1)
+            node = np.searchsorted(self.nodes, keys) + 1
+            for c in np.flatnonzero(s.components):
+                held |= dict(zip(((int(n), c + 1) for n in node), u[:, c], strict=True))
+        yield "*BOUNDARY, OP=NEW"
+        yield from (f"{n}, {c}, {c}, {_real(u)}" for (n, c), u in sorted(held.items()))
+
+
+def _real(*values: float) -> str:
+    """Numbers: CalculiX reads the first 20 characters of each."""
+    return ", ".join(f"{value:.12e}" for value in values)
+
+
+def _material(e: Elastic) -> Iterator[str]:
+    """Constants of a region; the fibre is the first axis of its orientation, or the second."""
+    yield f"*MATERIAL, NAME={e.region}"
+    section = f"*SOLID SECTION, ELSET={e.region}, MATERIAL={e.region}"
+    if isinstance(e, Isotropic):
+        yield f"*ELASTIC\n{_real(e.moduli[0], e.poisson_ratio)}\n{section}"
+        return
+    assert isinstance(e, TransverselyIsotropic)
+    along, across = e.moduli
+    ν, ν_t, μ = e.axial_poisson_ratio, e.transverse_poisson_ratio, e.axial_shear_modulus
+    μ_t = across / (2 * (1 + ν_t))
+    constants = [along, across, across, ν, ν, ν_t, μ, μ, μ_t]
+    if not isinstance(e.fibre, (Straight, Radial)):
+        constants = [across, along, across, ν * across / along, ν_t, ν, μ, μ_t, μ]
+    yield "*ELASTIC, TYPE=ENGINEERING CONSTANTS"
+    yield f"{_real(*constants[:8])},\n{_real(constants[8])}"
+    axis = np.array(e.fibre.axis)
+    if isinstance(e.fibre, Straight):
+        other = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+        yield f"*ORIENTATION, NAME={e.region}, SYSTEM=RECTANGULAR\n{_real(*axis, *other)}"
+    else:
+        ends = [*e.fibre.through, *(e.fibre.through + axis)]
+        yield f"*ORIENTATION, NAME={e.region}, SYSTEM=CYLINDRICAL\n{_real(*ends)}"
+    yield f"{section}, ORIENTATION={e.region}"

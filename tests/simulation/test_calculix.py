@@ -1,0 +1,140 @@
+"""A case as an input file of CalculiX: forces, materials, bodies, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mantle
+import meshes
+from app.case.case import load
+from app.case.geometries import MeshFile, MeshOptions
+from app.errors import InputError
+from app.simulation import calculix
+from meshes.data import boundary_areas, region_volumes
+
+CASE = """
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 6 mm,
+  length: 12 mm, sector: half}
+mesh: {size: 5 mm, order: 2}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2 GPa, poisson_ratio: 0.3}
+  bone:
+    kind: transversely_isotropic
+    axial_youngs_modulus: 17 GPa
+    transverse_youngs_modulus: 11.5 GPa
+    axial_poisson_ratio: 0.31
+    transverse_poisson_ratio: 0.51
+    axial_shear_modulus: 3.3 GPa
+    fibre: FIBRE
+interfaces: {stem_cement: {kind: contact, friction_coefficient: 0.4}}
+supports:
+  floor: {kind: fixed, boundary: bone_bottom, stages: [press]}
+  wall: {kind: roller, axis: x, boundary: bone_top, stages: [squeeze]}
+  plane: {kind: roller, axis: y, boundary: symmetry_y}
+  foot: {kind: displacement, boundary: bone_bottom, z: -0.1 mm, history: [0, 1]}
+loads:
+  push: {kind: force, boundary: stem_top, force: [10 N, 20 N, -300 N], at: [1 mm, 9 mm, 30 mm],
+    history: [1, 0.5]}
+  squeeze: {kind: pressure, boundary: bone_surface, pressure: 2 MPa, history: [0, 1]}
+stages: [{name: press, increments: 4}, {name: squeeze}]
+"""
+
+
+def deck(folder: Path, text: str) -> tuple[str, meshes.MeshData]:
+    path = folder / "case.yaml"
+    path.write_text(text)
+    case = load(path)
+    data = mantle.mesh(case)
+    calculix.write(case, data, folder / "case.inp")
+    return (folder / "case.inp").read_text(), data
+
+
+def blocks(text: str, key: str) -> list[np.ndarray]:
+    """Numbers below each of some keywords."""
+    found = [part.partition("\n")[2].split("*")[0] for part in text.split(f"*{key}")[1:]]
+    return [
+        np.array([line.split(",") for line in f.split("\n") if line], dtype=float) for f in found
+    ]
+
+
+def test_forces_have_the_resultant_and_the_moment_of_the_loads(tmp_path: Path) -> None:
+    """F and r x F of the force at its point; of the pressure on a half cylinder 2 R L p."""
+    text, data = deck(tmp_path, CASE.replace("FIBRE", "[0, 0, 1]"))
+    x = blocks(text, "NODE, ")[0][:, 1:]
+    totals = []
+    for block in blocks(text, "CLOAD"):
+        forces = np.zeros(x.shape)
+        forces[block[:, 0].astype(int) - 1, block[:, 1].astype(int) - 1] = block[:, 2]
+        totals.append((forces.sum(axis=0), np.cross(x, forces).sum(axis=0)))
+    force, at = np.array([10.0, 20.0, -300.0]), np.array([1.0, 9.0, 30.0])
+    np.testing.assert_allclose(totals[0][0], force, rtol=1e-10)
+    np.testing.assert_allclose(totals[0][1], np.cross(at, force), rtol=1e-10)
+    resultant = totals[1][0] - 0.5 * force
+    np.testing.assert_allclose(resultant, [0.0, -2.0 * 17.0 * 12.0 * 2.0, 0.0], atol=0.5)
+    # The contact interface has its nodes twice, the bonded one once.
+    back = meshes.build(
+        MeshFile(path=tmp_path / "case.inp", interfaces={n: s for n, s in data.interfaces.items()}),
+        MeshOptions(size="1 mm"),
+    )
+    assert region_volumes(back) == pytest.approx(region_volumes(data))
+    assert {n: boundary_areas(back)[n] for n in data.boundaries} == pytest.approx(
+        boundary_areas(data)
+    )
+    doubled = len(np.unique(np.round(x, 9), axis=0))
+    assert len(back.points) == doubled < len(x)
+
+
+def test_supports_by_stage(tmp_path: Path) -> None:
+    """The floor is let go in the second stage, in which the foot moves: of the same nodes."""
+    text, _ = deck(tmp_path, CASE.replace("FIBRE", "[0, 0, 1]"))
+    x, (first, second) = blocks(text, "NODE, ")[0][:, 1:], blocks(text, "BOUNDARY")
+    held = x[first[first[:, 1] == 1, 0].astype(int) - 1]
+    assert (abs(held[:, 2]) < 1e-9).all() and np.linalg.norm(held[:, :2], axis=1).min() > 10.99
+    assert (first[:, 3] == 0.0).all() and (
+        x[second[second[:, 1] == 1, 0].astype(int) - 1, 2] == 12.0
+    ).all()
+    moved = second[second[:, 1] == 3]
+    assert len(moved) == len(held) and (moved[:, 3] == -0.1).all()
+    assert "*STATIC\n2.5" in text and text.count("*END STEP") == 2
+
+
+@pytest.mark.parametrize(
+    ("fibre", "constants", "orientation"),
+    [
+        (
+            "[0, 0, 2]",
+            [17e3, 11.5e3, 11.5e3, 0.31, 0.31, 0.51, 3.3e3, 3.3e3, 11.5e3 / 3.02],
+            "RECT",
+        ),
+        (
+            "{kind: circumferential, axis: [0, 0, 1]}",
+            [11.5e3, 17e3, 11.5e3, 0.31 * 11.5 / 17, 0.51, 0.31, 3.3e3, 11.5e3 / 3.02, 3.3e3],
+            "CYL",
+        ),
+    ],
+)
+def test_materials(fibre: str, constants: list[float], orientation: str, tmp_path: Path) -> None:
+    """E1 E2 E3 nu12 nu13 nu23 G12 G13 G23, by nu12 / E1 = nu21 / E2; axis 2 is the hoop's."""
+    text, _ = deck(tmp_path, CASE.replace("FIBRE", fibre))
+    lines = text.partition("*ELASTIC, TYPE=ENGINEERING CONSTANTS\n")[2].splitlines()
+    found = [float(word) for word in f"{lines[0]}{lines[1]}".split(",")]
+    np.testing.assert_allclose(found, constants, rtol=1e-12)
+    assert f"SYSTEM={orientation}" in text
+    assert "*ELASTIC\n1.1" in text and "*FRICTION\n4.000000000000e-01, 1.0" in text
+
+
+def test_what_a_deck_does_not_hold_is_refused_at_its_place(tmp_path: Path) -> None:
+    text = CASE.replace("FIBRE", "[0, 0, 1]").replace("increments: 4", "cycles: 3")
+    text = text.replace("friction_coefficient: 0.4", "friction_coefficient: 0.4, gap: 0.1 mm")
+    text = text.replace("axis: y,", "normal: face,").replace(
+        "{youngs_modulus: 110 GPa, poisson_ratio: 0.3}", "{rigid: true}"
+    )
+    with pytest.raises(InputError) as caught:
+        deck(tmp_path, text)
+    found = "\n".join(caught.value.messages)
+    for words in ("stem: an .inp", "rigid", "gap: an", "plane: an", "stages[0].cycles: an"):
+        assert words in found, found
