@@ -166,8 +166,8 @@ class PatientSurfaces(FemurSurfaces):
     def _table(self, geometry: Any) -> Floats:
         """Radii of the endosteum by its ratio to the periosteum in the parametric femur [mm]."""
         x = self._places(self._bone.radii)
-        theta: Any = np.arctan2(x[..., 1], x[..., 0])
-        z = x[..., 2] / self._placed.size
+        theta = np.arctan2(x[..., 1], x[..., 0])
+        z = np.asarray(x[..., 2] / self._placed.size)
         self.told.append("canal: by the ratios of mantle's own femur")
         ratio = femur_bone.endosteum(geometry.implant)(theta, z)
         return np.asarray(self._bone.radii * ratio / femur_bone.PERIOSTEUM.radius(theta, z))

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from app.errors import GeometryError
 from meshes import bone_frame, bone_surface
-from meshes.bone_frame import Frame
 from meshes.bone_surface import Surface
 from tests.meshes.bones import MEASURED, moved, opened, own, write
 
@@ -126,9 +125,7 @@ def test_landmarks_with_bumps(rms: float, head: float, neck: float, version: flo
             angle(found.neck, first.neck),
             abs(float(np.degrees(found.version - first.version))),
         ]
-        assert off <= [head, neck, version], seed
-        assert off[1] <= neck
-        assert off[2] <= version
+        assert (np.array(off) <= [head, neck, version]).all(), seed
         told = [found.spread["head"], *(np.degrees(found.spread[k]) for k in ("neck", "version"))]
         covered += [o <= t for o, t in zip(off, told, strict=True)]
     assert np.mean(covered) >= 0.9
@@ -191,10 +188,6 @@ def finned(s: Surface) -> Surface:
     return Surface(x, np.concatenate([s.triangles, [[a, b, len(s.points)]]]))
 
 
-def headless(s: Surface) -> Surface:
-    return without(s, (41.5, 11.1, 54.0), 30.0)
-
-
 WRONG = {
     "a hole": (
         lambda s: without(s, (15.0, 0.0, -60.0), 8.0),
@@ -202,7 +195,6 @@ WRONG = {
     ),
     "a fin": (finned, "has 2 bodies, of 5,564 and 1 triangles"),
     "two femora": (twice, "has 2 bodies"),
-    "no head": (headless, "is open at"),
     "the distal half": (
         lambda s: opened(moved(s, -np.eye(3), np.zeros(3)), 70.0),
         "no sphere|no lesser trochanter",
@@ -232,15 +224,3 @@ def test_a_damaged_file_is_refused(tmp_path: Path, content: bytes, text: str) ->
     path.write_bytes(content)
     with pytest.raises(GeometryError, match=text):
         bone_surface.read(path)
-
-
-def test_text_is_read_as_binary_is(tmp_path: Path) -> None:
-    surface, lines = own(), ["solid bone"]
-    for corners in surface.corners:
-        lines += ["facet normal 0 0 0 outer loop"]
-        lines += [f"vertex {x:.9g} {y:.9g} {z:.9g}" for x, y, z in corners]
-        lines += ["endloop endfacet"]
-    path = tmp_path / "text.stl"
-    path.write_text("\n".join([*lines, "endsolid bone"]))
-    read: list[Frame] = [bone_frame.find(bone_surface.read(path))]
-    assert read[0].head == pytest.approx(bone_frame.find(surface).head, abs=1e-4)
