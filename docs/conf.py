@@ -42,6 +42,7 @@ glossary
 install
 case
 geometry
+patient
 loads
 heat
 error
