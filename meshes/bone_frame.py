@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from app.arrays import Bools, Floats
 from app.errors import GeometryError
-from meshes.bone_surface import Surface, centroid, exits, section
+from meshes.bone_surface import BoneSurface, centroid, exits, section
 
 RADII = (14.0, 36.0)  # mm: of heads
 END = 90.0  # mm from an end of the bone within which its head is
@@ -79,7 +79,7 @@ class Frame:
         x, y, _ = self.axes @ self.neck
         return math.atan2(y, x)
 
-    def surface(self, surface: Surface) -> Surface:
+    def surface(self, surface: BoneSurface) -> BoneSurface:
         """A surface in the model's axes, still outward."""
         way = slice(None, None, -1 if np.linalg.det(self.axes) < 0 else 1)
         x, triangles = self.to_model(surface.points), surface.triangles[:, way]
@@ -103,7 +103,7 @@ class Frame:
         }
 
 
-def find(surface: Surface, given: Mapping[str, Any] | None = None) -> Frame:
+def find(surface: BoneSurface, given: Mapping[str, Any] | None = None) -> Frame:
     """Find the landmarks of a femur; ``given`` has those that are known.
 
     Args:
@@ -120,7 +120,7 @@ def find(surface: Surface, given: Mapping[str, Any] | None = None) -> Frame:
 class _Finder:
     """Triangles of a femur by areas, centres and normals, and what is found on them, in order."""
 
-    def __init__(self, surface: Surface, given: Mapping[str, Any]) -> None:
+    def __init__(self, surface: BoneSurface, given: Mapping[str, Any]) -> None:
         self.given, self.x, self.triangles = given, surface.points, surface.triangles
         a, b, c = surface.corners.transpose(1, 0, 2)
         self.normal = 0.5 * np.cross(b - a, c - a)

@@ -25,7 +25,7 @@ HEADER = 84  # bytes before the triangles of a binary STL file, each of 50
 
 
 @dataclass(frozen=True)
-class Surface:
+class BoneSurface:
     """Outward triangles that enclose a body; they may be open at one end.
 
     Attributes:
@@ -44,7 +44,7 @@ class Surface:
         return self.points[self.triangles]
 
 
-def read(path: Path, unit: str | None = None) -> Surface:
+def read(path: Path, unit: str | None = None) -> BoneSurface:
     """Read a surface; without a unit it is the one that makes a femur of it, and this is told.
 
     Raises:
@@ -108,7 +108,7 @@ def _welded(corners: Floats, size: float) -> tuple[Floats, Ints]:
     return points[used], of.reshape(-1, 3)
 
 
-def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool) -> Surface:
+def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool) -> BoneSurface:
     """The surface turned outwards; refused if it is open on a side, or not of one body.
 
     Thinning leaves edges of four triangles and small bodies; open edges stay as they are.
@@ -149,7 +149,7 @@ def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool
         triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
     a, b, c = (x[triangles[:, k]] - x.mean(axis=0) for k in range(3))
     outward = float((np.cross(a, b) * c).sum()) > 0
-    return Surface(x, triangles if outward else triangles[:, ::-1], tuple(told))
+    return BoneSurface(x, triangles if outward else triangles[:, ::-1], tuple(told))
 
 
 def _flipped(graph: csr_array, one: Ints, other: Ints, opposed: Bools) -> Bools:

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
 from meshes import femur_bone, femur_stem
-from meshes.bone_surface import Surface, centroid, exits, section
+from meshes.bone_surface import BoneSurface, centroid, exits, section
 from meshes.femur_bone import CORTEX
 from meshes.femur_surfaces import CORE_OVER, LEAST_MANTLE, FemurSurfaces
 from meshes.placement import Placement
@@ -40,7 +40,7 @@ SIDES = "medially antero-medially anteriorly antero-laterally laterally postero-
 SIDES += ["posteriorly", "postero-medially"]
 
 
-class Sheet:
+class Radii:
     """A surface around the stem: a periodic bicubic spline of radii (n, `ANGLES`) [mm]."""
 
     def __init__(self, zeta: Floats, radii: Floats) -> None:
@@ -114,7 +114,7 @@ class PatientSurfaces(FemurSurfaces):
         """Centre of the rays of sections (n, 2) [mm]: straight between stations."""
         return np.stack([np.interp(zeta, self._zeta, c) for c in self._centres.T], axis=1)
 
-    def _in_stem(self, surface: Surface) -> Surface:
+    def _in_stem(self, surface: BoneSurface) -> BoneSurface:
         return replace(surface, points=self._placed.to_stem(surface.points))
 
     def _at_axis(self, zeta: float) -> str:
@@ -124,7 +124,7 @@ class PatientSurfaces(FemurSurfaces):
         """What a slope of sections of 1 lowers points (..., 2) by [mm]."""
         return np.asarray(x[..., 0] + self._lean * x[..., 1])
 
-    def _rays(self, surface: Surface, zeta: Floats) -> tuple[Floats, Ints]:
+    def _rays(self, surface: BoneSurface, zeta: Floats) -> tuple[Floats, Ints]:
         """Radii of a surface in sections, and how often rays meet it (n, `ANGLES`)."""
         x, rise = surface.points, self._rise(surface.points)
         found = []
@@ -159,9 +159,9 @@ class PatientSurfaces(FemurSurfaces):
                 f"geometry: {100 * twice:.0f} % of rays across the bone meet its surface more than"
                 " once: it crosses itself or has cavities; repair it where it was made"
             )
-        self._bone = Sheet(zeta, _limited(radii))
+        self._bone = Radii(zeta, _limited(radii))
         own = self._own_canal(geometry, canal) if canal else self._table(geometry)
-        self._endosteum = Sheet(zeta, self._reamed(geometry, own))
+        self._endosteum = Radii(zeta, self._reamed(geometry, own))
 
     def _table(self, geometry: Any) -> Floats:
         """Radii of the endosteum by its ratio to the periosteum in the parametric femur [mm]."""
@@ -172,7 +172,7 @@ class PatientSurfaces(FemurSurfaces):
         ratio = femur_bone.endosteum(geometry.implant)(theta, z)
         return np.asarray(self._bone.radii * ratio / femur_bone.PERIOSTEUM.radius(theta, z))
 
-    def _own_canal(self, geometry: Any, canal: Surface) -> Floats:
+    def _own_canal(self, geometry: Any, canal: BoneSurface) -> Floats:
         """Radii of the endosteum by the canal's surface, and above it by a thinning cortex [mm]."""
         zeta, bone = self._bone.zeta, self._bone.radii
         radii, times = self._rays(canal, zeta)
@@ -202,7 +202,7 @@ class PatientSurfaces(FemurSurfaces):
         self.told.append(f"canal: measured up to z = {top:.0f} mm; above, cortex thins to {THIN:g}")
         return np.concatenate([below, own, above])
 
-    def _lid(self, canal: Surface) -> float:
+    def _lid(self, canal: BoneSurface) -> float:
         """Height of the lowest section that meets the flat proximal end of a canal [mm]."""
         a, b, c = canal.corners.transpose(1, 0, 2)
         normal = np.cross(b - a, c - a)

@@ -21,7 +21,7 @@ from app.arrays import Floats
 from app.errors import GeometryError
 from meshes import bone_frame, bone_surface, femur_stem
 from meshes.bone_frame import Frame
-from meshes.bone_surface import Surface, centroid, exits, section
+from meshes.bone_surface import BoneSurface, centroid, exits, section
 
 # Of the parametric femur [mm]: from the axis to the greater trochanter, height of the head, radius
 # of the shaft and its level.
@@ -36,7 +36,7 @@ class Placement:
     Attributes:
         frame: Landmarks found on the bone.
         bone: Its surface, in the model's axes as all below.
-        canal: Surface of its canal, or None.
+        canal: BoneSurface of its canal, or None.
         normal: Unit normal of the neck cut (3,): what is below is kept.
         turn: Axes of the stem as columns (3, 3).
         foot: Where its axis meets the cut (3,) [mm].
@@ -44,8 +44,8 @@ class Placement:
     """
 
     frame: Frame
-    bone: Surface
-    canal: Surface | None
+    bone: BoneSurface
+    canal: BoneSurface | None
     normal: Floats
     turn: Floats
     foot: Floats
@@ -103,7 +103,7 @@ class Placement:
 @lru_cache(maxsize=8)
 def _found(
     path: Path, content: str, unit: str | None, landmarks: tuple[tuple[str, Any], ...]
-) -> tuple[Frame, Surface]:
+) -> tuple[Frame, BoneSurface]:
     """Frame and surface of the bone in a file, whose content is a part of the key."""
     surface = bone_surface.read(path, unit)
     frame = bone_frame.find(surface, dict(landmarks))

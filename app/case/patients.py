@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
@@ -15,9 +16,6 @@ from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
 from app.errors import GeometryError
 from app.schema.section import Pair, Section, Triple, fail, show
 from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
-
-if TYPE_CHECKING:
-    from meshes.placement import Placement
 
 SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
@@ -243,11 +241,9 @@ class Patient(Shape):
         return tuple((k, v) for k, v in [("side", self.bone.side), *self.landmarks] if v)
 
     @cached_property
-    def placement(self) -> Placement:
-        """Bone, cut and stem in the model's axes."""
-        from meshes.placement import place  # imported late: it brings scipy
-
-        return place(self)
+    def placement(self) -> Any:
+        """Bone, cut and stem in the model's axes (`meshes.placement.Placement`)."""
+        return import_module("meshes.placement").place(self)  # by name: no other case needs scipy
 
     @property
     def head_centre(self) -> Point3:

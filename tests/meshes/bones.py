@@ -12,7 +12,7 @@ from app.arrays import Floats
 from app.case.femurs import IntactFemur
 from app.case.shapes import MeshOptions
 from meshes import femur_bone, femur_intact
-from meshes.bone_surface import Surface
+from meshes.bone_surface import BoneSurface
 from meshes.data import exterior_facets
 
 LINES = 24  # around mantle's own femur here: a polygon within its sections
@@ -22,7 +22,7 @@ MEASURED_CANAL = MEASURED.with_name("femur_right_canal_mm.stl")
 
 
 @cache
-def own() -> Surface:
+def own() -> BoneSurface:
     """Mantle's intact femur, of 3 mm: a left one in its own axes, closed, without condyles."""
     geometry = IntactFemur.model_validate(
         {"anteversion": f"{VERSION} deg", "distal_cut_z": "-260 mm"}
@@ -31,10 +31,10 @@ def own() -> Surface:
     data = femur_intact.build(geometry, mesh.model_copy(update={"curved": False}))
     facets, _ = exterior_facets(data.cells)
     used, triangles = np.unique(facets, return_inverse=True)
-    return Surface(data.points[used], triangles.reshape(-1, 3))
+    return BoneSurface(data.points[used], triangles.reshape(-1, 3))
 
 
-def own_canal() -> Surface:
+def own_canal() -> BoneSurface:
     """The canal of mantle's femur, between two levels, with flat ends."""
     theta, z = 2 * np.pi * np.arange(48) / 48, np.linspace(-250.0, -25.0, 80)
     radius = femur_bone.Tube(femur_bone.CANAL).radius(*np.meshgrid(theta, z))
@@ -48,23 +48,23 @@ def own_canal() -> Surface:
     low, high = np.full(48, 3840), np.full(48, 3841)
     sides = [np.stack([a, b, b + 48], 1), np.stack([a, b + 48, a + 48], 1)]
     caps = [np.stack([after, j, low], 1), np.stack([3792 + j, 3792 + after, high], 1)]
-    return Surface(points, np.concatenate(sides + caps))
+    return BoneSurface(points, np.concatenate(sides + caps))
 
 
-def moved(surface: Surface, turn: Floats, shift: Floats) -> Surface:
+def moved(surface: BoneSurface, turn: Floats, shift: Floats) -> BoneSurface:
     """A surface turned, or mirrored, and shifted, still outward."""
     triangles = surface.triangles[:, :: 1 if np.linalg.det(turn) > 0 else -1]
     return replace(surface, points=surface.points @ turn.T + shift, triangles=triangles)
 
 
-def opened(surface: Surface, low: float) -> Surface:
+def opened(surface: BoneSurface, low: float) -> BoneSurface:
     """The part above a level, open there."""
     above = (surface.points[surface.triangles, 2] > low).all(axis=1)
     used, triangles = np.unique(surface.triangles[above], return_inverse=True)
-    return Surface(surface.points[used], triangles.reshape(-1, 3))
+    return BoneSurface(surface.points[used], triangles.reshape(-1, 3))
 
 
-def write(path: Path, surface: Surface, scale: float = 1.0) -> Path:
+def write(path: Path, surface: BoneSurface, scale: float = 1.0) -> Path:
     """Write a binary STL file."""
     kind = np.dtype([("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
     rows = np.zeros(len(surface.triangles), dtype=kind)

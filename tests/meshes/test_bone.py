@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from app.errors import GeometryError
 from meshes import bone_frame, bone_surface
-from meshes.bone_surface import Surface
+from meshes.bone_surface import BoneSurface
 from tests.meshes.bones import MEASURED, moved, opened, own, write
 
 measured = pytest.mark.skipif(not MEASURED.exists(), reason="no measured femur here")
@@ -46,7 +46,9 @@ def test_landmarks_that_are_given_are_taken() -> None:
     assert np.degrees(with_condyles.version) == pytest.approx(15.0, abs=1.0)
 
 
-def copies(surface: Surface, seed: int, number: int) -> list[tuple[Surface, np.ndarray, str]]:
+def copies(
+    surface: BoneSurface, seed: int, number: int
+) -> list[tuple[BoneSurface, np.ndarray, str]]:
     """Turned, mirrored and shifted, every other one open; how they were moved, and their side."""
     rng, top = np.random.default_rng(seed), surface.points[:, 2].max()
     sides = ("left", "right") if surface is own() else ("right", "left")
@@ -58,7 +60,7 @@ def copies(surface: Surface, seed: int, number: int) -> list[tuple[Surface, np.n
     return made
 
 
-def check_copies(surface: Surface, number: int) -> None:
+def check_copies(surface: BoneSurface, number: int) -> None:
     """Repeatability: 0.1 mm, 0.5 and 0.1 deg, 1 mm, and the side always."""
     first = bone_frame.find(surface)
     for copy, turn, side in copies(surface, 1, number):
@@ -96,7 +98,7 @@ def test_twenty_copies_of_a_measured_femur() -> None:
     check_copies(bone_surface.read(MEASURED), 20)
 
 
-def bumps(surface: Surface, rms: float, seed: int) -> Surface:
+def bumps(surface: BoneSurface, rms: float, seed: int) -> BoneSurface:
     """The surface moved along its normals by waves of about 9 mm."""
     rng = np.random.default_rng(seed)
     k = rng.normal(size=(200, 3))
@@ -108,7 +110,7 @@ def bumps(surface: Surface, rms: float, seed: int) -> Surface:
         np.add.at(normal, surface.triangles[:, j], np.cross(b - a, c - a))
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     far = rms * height / np.sqrt((height**2).mean())
-    return Surface(surface.points + far[:, None] * normal, surface.triangles)
+    return BoneSurface(surface.points + far[:, None] * normal, surface.triangles)
 
 
 @measured
@@ -131,7 +133,9 @@ def test_landmarks_with_bumps(rms: float, head: float, neck: float, version: flo
     assert np.mean(covered) >= 0.9
 
 
-def bytes_of(tmp_path: Path, change: Callable[[Surface], Surface], scale: float = 1.0) -> Path:
+def bytes_of(
+    tmp_path: Path, change: Callable[[BoneSurface], BoneSurface], scale: float = 1.0
+) -> Path:
     return write(tmp_path / "bone.stl", change(own()), scale)
 
 
@@ -145,10 +149,10 @@ def test_the_unit_is_found_and_told(tmp_path: Path) -> None:
 
 
 def test_flipped_triangles_are_turned_and_told(tmp_path: Path) -> None:
-    def flip(s: Surface) -> Surface:
+    def flip(s: BoneSurface) -> BoneSurface:
         triangles = s.triangles.copy()
         triangles[100:130] = triangles[100:130, ::-1]
-        return Surface(s.points, triangles)
+        return BoneSurface(s.points, triangles)
 
     surface = bone_surface.read(bytes_of(tmp_path, flip))
     assert "30 triangles turned over" in surface.told
@@ -170,22 +174,22 @@ def test_many_triangles_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert "5,564 triangles: corners within 6.0 mm made one" in " ".join(surface.told)
 
 
-def without(s: Surface, near: tuple[float, float, float], radius: float) -> Surface:
+def without(s: BoneSurface, near: tuple[float, float, float], radius: float) -> BoneSurface:
     """A surface with a hole."""
     far = np.linalg.norm(s.corners.mean(axis=1) - near, axis=1) > radius
-    return Surface(s.points, s.triangles[far])
+    return BoneSurface(s.points, s.triangles[far])
 
 
-def twice(s: Surface) -> Surface:
+def twice(s: BoneSurface) -> BoneSurface:
     x = np.concatenate([s.points, s.points + np.array([200.0, 0, 0])])
-    return Surface(x, np.concatenate([s.triangles, s.triangles + len(s.points)]))
+    return BoneSurface(x, np.concatenate([s.triangles, s.triangles + len(s.points)]))
 
 
-def finned(s: Surface) -> Surface:
+def finned(s: BoneSurface) -> BoneSurface:
     near = np.abs(s.corners.mean(axis=1)[:, 2] + 60.0).argmin()
     a, b, _ = s.triangles[near]
     x = np.concatenate([s.points, s.points[[a]] + 5.0])
-    return Surface(x, np.concatenate([s.triangles, [[a, b, len(s.points)]]]))
+    return BoneSurface(x, np.concatenate([s.triangles, [[a, b, len(s.points)]]]))
 
 
 WRONG = {
