@@ -18,9 +18,9 @@ FOLDERS = ("app", "configs", "forms", "meshes")
 LAYERS = ("app", "forms", "meshes")
 
 # Lowest first: a package imports only what stands before its row, and itself. Packages of one row
-# do not know each other. Beside them stand `app.errors`, `app.captured`, `app.files`,
-# `app.mesh_files` and `app.version`, which everybody may import, and `mantle.py` with the public
-# functions and `app.cli`, which see everything.
+# do not know each other. Beside them stand `app.errors`, `app.captured`, `app.confined`,
+# `app.files`, `app.mesh_files` and `app.version`, which everybody may import, and `mantle.py` with
+# the public functions and `app.cli`, which see everything.
 ROWS = (
     ("configs", "forms", "meshes", "system"),
     ("schema", "numerics"),
