@@ -128,9 +128,9 @@ class CadStem:
         """Points of outlines (n, 3) [mm], one outline for all with the same arguments (n,)."""
         keys, of = np.unique(np.stack(planes, axis=1), axis=0, return_inverse=True)
         found = np.empty((len(phi), 3))
-        for k, key in enumerate(keys.tolist()):
+        for k in range(len(keys)):
             own = of.ravel() == k
-            x, at = self._kept(*key)
+            x, at = self._kept(*keys[k])
             found[own] = np.stack([np.interp(phi[own], at, v) for v in x.T], axis=1)
         return found
 

@@ -176,7 +176,8 @@ def test_forms_import_only_ufl(path: Path) -> None:
 def test_meshes_know_nothing_of_the_application(path: Path) -> None:
     """What belongs to no layer above apart: errors, arrays, files."""
     own = {m for m in imported(path) if top(m) == "app"}
-    aside = {f"app.{m}" for m in ("arrays", "captured", "errors", "figures", "files", "mesh_files")}
+    names = ("arrays", "captured", "confined", "errors", "figures", "files", "mesh_files")
+    aside = {f"app.{m}" for m in names}
     assert own <= aside
 
 
