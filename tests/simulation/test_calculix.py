@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +12,16 @@ import pytest
 
 import mantle
 import meshes
+from app.arrays import Floats
 from app.case.case import load
 from app.case.geometries import MeshFile, MeshOptions
 from app.errors import InputError
+from app.results import hip
+from app.results.percentiles import SurfaceField
+from app.scene import bodies
 from app.simulation import calculix
 from meshes.data import boundary_areas, region_volumes
+from tests import support
 
 CASE = """
 geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 6 mm,
@@ -138,3 +146,66 @@ def test_what_a_deck_does_not_hold_is_refused_at_its_place(tmp_path: Path) -> No
     found = "\n".join(caught.value.messages)
     for words in ("stem: an .inp", "rigid", "gap: an", "plane: an", "stages[0].cycles: an"):
         assert words in found, found
+
+
+def solved_by_calculix(folder: Path, changes: str) -> tuple[support.Solved, Floats, Floats]:
+    """The stance at 10 mm; displacement of all nodes of each body by mantle and by CalculiX."""
+    deck(
+        folder,
+        f"base: stance\nmesh: {{size: 10 mm, order: 1}}\noutput: {{error: false}}\n{changes}",
+    )
+    subprocess.run(["ccx", "case"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    found = re.split(r"^ -4  DISP.*\n", (folder / "case.frd").read_text(), flags=re.M)[-1]
+    lines = [line for line in found.partition("\n -3")[0].splitlines() if line[:3] == " -1"]
+    solved = support.solve(load(folder / "case.yaml").config)
+    p = solved.problem
+    u = hip._displacements(p)
+    of_cell = p.bodies.of_tag[bodies.cell_tags(p.tagged)][:, None]
+    keys = np.unique(p.space.dofmap.list.astype(np.int64) * len(u) + of_cell)
+    node, body = np.divmod(keys, len(u))
+    theirs: Floats = np.zeros(u.shape)
+    theirs[body, node] = [[float(line[k : k + 12]) for k in (13, 25, 37)] for line in lines]
+    ours: Floats = np.zeros(u.shape)
+    ours[body, node] = u[body, node]
+    return solved, ours, theirs
+
+
+def numbers(solved: support.Solved, u: Floats, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Subsidence, and p99 of gap and slip at the nodes of the stem [mm]."""
+    p = solved.problem
+    monkeypatch.setattr(hip, "_displacements", lambda _: u)
+    stem = p.scene.contacts[0]
+    f = bodies.facets_between(p.tagged, stem.slave, stem.master)
+    dofs = bodies.facet_nodes(p.tagged, p.space, f)[1]
+    x, inside = bodies.facet_coordinates(p.tagged, f)
+    n = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    area = np.linalg.norm(n, axis=1) / 2
+    n *= (np.sign(np.einsum("fi,fi->f", x.mean(axis=1) - inside, n)) / (2 * area))[:, None]
+    slave, master = (p.bodies.of_region[side[0]] for side in (stem.slave, stem.master))
+    jump = u[master, dofs] - u[slave, dofs]
+    gap = np.einsum("fci,fi->fc", jump, n)
+    slip = np.linalg.norm(jump - gap[..., None] * n[:, None], axis=2)
+    both = (SurfaceField(values, area).percentile() for values in (gap, slip))
+    return [hip.stem_motion(p, solved.case)["subsidence"], *both]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not installed")
+@pytest.mark.parametrize(
+    ("law", "same"),
+    [
+        ("kind: bonded", []),
+        ("kind: penalty, penalty: 1e4 MPa/mm, friction_coefficient: μ", [0.02, 0.05, 0.05]),
+    ],
+)
+def test_a_hip_in_calculix(
+    law: str, same: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bonded displacements agree to the digits that it prints, contact as far as its facets do."""
+    stem, bone = law.replace("μ", "0.4"), law.replace("μ", "1.0")
+    changes = f"interfaces: {{stem_cement: {{{stem}}}, cement_bone: {{{bone}}}}}"
+    solved, ours, theirs = solved_by_calculix(tmp_path, changes)
+    assert np.abs(theirs - ours).max() < (5e-3 if same else 5e-6) * np.abs(ours).max()
+    if same:
+        own, other = (numbers(solved, u, monkeypatch) for u in (ours, theirs))
+        np.testing.assert_array_less(np.abs(np.array(other) / own - 1), same)
