@@ -34,6 +34,8 @@ def key(geometry: Any, mesh: Any) -> str:
         content["geometry"].pop("path", None)
     if of_files := getattr(geometry, "content", None):
         content["file"] = of_files
+    if of_stem := getattr(getattr(geometry, "stem", None), "content", None):
+        content["geometry"]["stem"] = of_stem
     if geometry.kind != "file" or geometry.is_script:
         content["gmsh"] = _gmsh_version()
     text = json.dumps(content, sort_keys=True, default=str)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -25,6 +26,7 @@ from scipy.optimize.elementwise import find_root
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
 from meshes import femur_bone, femur_stem
+from meshes.cad_stem import CadStem
 from meshes.femur_bone import PERIOSTEUM
 from meshes.layers import DIGITS, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
@@ -81,13 +83,12 @@ class FemurSurfaces:
 
     def __init__(self, geometry: Any, mesh: Any) -> None:
         self.mesh, thickness = mesh, geometry.cement_thickness
-        self._body = femur_stem.body(geometry)
-        self._grown = self._body.offset(thickness)
         # In axes that turn with the stem.
         self._canal = femur_bone.endosteum(geometry)
         self._periosteum = replace(PERIOSTEUM, turn=geometry.anteversion)
         normal, level = femur_bone.resection(geometry)
         self._top, self._steepest = level / normal[2], normal[0] / normal[2]
+        self._shape(geometry)
         self._divide(geometry, geometry.distal_cut_z, thickness)
         self._refuse()
         self._continue(geometry)
@@ -119,9 +120,23 @@ class FemurSurfaces:
         """Station of the neck cut."""
         return self.mantle[1]
 
+    def _shape(self, geometry: Any) -> None:
+        """Make the stem's body, and the function that is the depth within its mantle."""
+        thickness, low = geometry.cement_thickness, geometry.stem_tip_z
+        if stem := getattr(geometry, "stem", None):
+            cut = self._top, self._steepest
+            self._body: Any = CadStem(stem.found, low, cut, self.mesh)
+            self._mantle = partial(self._body.depth, thickness)
+        else:
+            self._body = femur_stem.body(geometry)
+            self._mantle = partial(self._within, self._body.offset(thickness).radius)
+
     def _continue(self, geometry: Any) -> None:
         """Divide the stem above the cut."""
-        self._upper = femur_stem.upper(geometry, self._body, self.mesh, self._top, self._steepest)
+        self._upper = self._body
+        if not isinstance(self._body, CadStem):
+            cut = self._top, self._steepest
+            self._upper = femur_stem.upper(geometry, self._body, self.mesh, *cut)
         bone = ("cancellous_bone", "cortical_bone")
         segments = (
             Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
@@ -170,6 +185,8 @@ class FemurSurfaces:
 
     def hung(self, x: Floats, z: Floats) -> Floats:
         """Points (n, 3) inside sections at levels z, moved onto the bowls in them [mm]."""
+        if not self._tip.height:
+            return x
         theta = np.arctan2(x[:, 1], x[:, 0])
         part = np.hypot(x[:, 0], x[:, 1]) / (self._body.radius(theta, z) * self._tip.width(z))
         hung = np.column_stack([x[:, :2], z - self._tip.bulge(part, z)])
@@ -194,7 +211,7 @@ class FemurSurfaces:
         endosteum = self._meets(self._inside, zeta, start, end)
         mantle = np.empty(len(s))
         ways = (v[~below] for v in (zeta, start, end))
-        mantle[~below] = self._meets(lambda x, _: self._within(self._grown.radius, x), *ways)
+        mantle[~below] = self._meets(lambda x, _: self._mantle(x), *ways)
         if below.any():
             # The mantle's outer side goes on below the plug from where it is at its end.
             first = self._across(phi[below], at[below])

@@ -80,9 +80,9 @@ class Zones:
 
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
-        if self._placed:  # a patient's bone is meshed after the operation alone
-            return np.ones(len(x), dtype=bool)
         g, x = self._geometry, self._local(x)
+        if getattr(g, "stem", None):  # bone around a stem of its own is what it leaves
+            return np.ones(len(x), dtype=bool)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
         cavity = femur_stem.body(g).offset(g.cement_thickness).radius(theta, z)

@@ -8,6 +8,7 @@ from the stem's axis: there the centre of the rays goes over to the canal's.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,7 +96,7 @@ class PatientSurfaces(FemurSurfaces):
         self._top, (self._steepest, self._lean) = placed.top, placed.slopes
         body, thickness = femur_stem.body(implant), geometry.cement_thickness
         self._body: Any = Leaning(body, self._lean)
-        self._grown = body.offset(thickness)
+        self._mantle = partial(self._within, body.offset(thickness).radius)
         self._plug = implant.stem_tip_z - implant.plug_length
         distal = (geometry.distal_cut_z - placed.foot[2]) / placed.turn[2, 2]
         self._divide(implant, placed.top + distal, thickness)

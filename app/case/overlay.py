@@ -62,11 +62,11 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
             case.digests |= case.libraries[-1].digests
         geometry = file.data.get("geometry")
         if file is not chain[0] and isinstance(geometry, dict):
-            # Paths of a mesh and of surfaces are relative to the file of their case.
+            # Paths of a mesh, a stem and surfaces are relative to the file of their case.
             surfaces = [(geometry.get(name), "surface") for name in ("bone", "canal")]
-            for part, key in ((geometry, "path"), *surfaces):
-                if isinstance(part, dict) and isinstance(of_part := part.get(key), str):
-                    part[key] = str((FilePath(file.name).parent / expanduser(of_part)).absolute())
+            for part, key in ((geometry, "path"), (geometry.get("stem"), "step"), *surfaces):
+                if isinstance(part, dict) and isinstance(name := part.get(key), str):
+                    part[key] = str((FilePath(file.name).parent / expanduser(name)).absolute())
         below = None if file is chain[-1] else case.data
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
         case.data = _over(case, below, upper, ())

@@ -15,8 +15,8 @@ from app.numerics.system import Contact
 log = logging.getLogger("mantle")
 
 # Factors of the augmentation tried in turn, and whether Newton continues from the current state or
-# from the start: mostly the augmentation is too large.
-AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
+# from the start: mostly the augmentation is too large. None: the line search is switched.
+AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
 # Factors of the default augmentation, tried last if the case sets another one.
 USUAL = (1.0, 0.1, 0.01)
 # Part of the default augmentation below which a solution is refined with the default.
@@ -100,9 +100,15 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         yield "factorizing the contact block"
     if contact is None:
         return
-    for factor, continues in AUGMENTATIONS:
+    for remedy in AUGMENTATIONS:
         if solver.converged:
             return
+        if remedy is None:
+            if not hopeless(solver):
+                yield _switch_search(solver)
+            solver.use_search(solver.usual_search)
+            continue
+        factor, continues = remedy
         if continues and hopeless(solver):
             continue
         if factor != solver.augmentation:
@@ -111,13 +117,8 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
                 start.copy(solver.x)
             solver.augmentation = factor
             yield f"augmentation {factor:g} r{_values(contact)}"
-    if not hopeless(solver):
-        other = "basic" if solver.usual_search == "bt" else "bt"
-        solver.use_search(other)
-        yield "full Newton steps" if other == "basic" else "line search"
     if solver.converged or (usual := contact.usual_augmentation()) == 1.0:
         return
-    solver.use_search(solver.usual_search)
     start.copy(solver.x)
     for share in USUAL:
         if hopeless(solver):
@@ -126,6 +127,13 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         contact.scale_augmentation(solver.augmentation)
         times = f"{share:g} times the default"
         yield f"augmentation {solver.augmentation:.3g} r, {times}{_values(contact)}"
+
+
+def _switch_search(solver: Solver) -> str:
+    """Switch the line search on or off; the remedy in words."""
+    other = "basic" if solver.usual_search == "bt" else "bt"
+    solver.use_search(other)
+    return "full Newton steps" if other == "basic" else "line search"
 
 
 def hopeless(solver: Solver) -> bool:
