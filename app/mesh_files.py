@@ -34,7 +34,7 @@ SIDES = {"S1": (0, 1, 2), "S2": (0, 3, 1), "S3": (1, 3, 2), "S4": (2, 3, 0)}
 # Keywords of .inp files that make or move nodes and cells, or take them from elsewhere.
 MOVING = {"INCLUDE", "SYSTEM", "NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY"}
 READ = {"NODE", "ELEMENT", "ELSET", "NSET", "SURFACE", "SOLIDSECTION", "HEADING", "PREPRINT"}
-READ |= {f"{end}{part}" for part in ("PART", "INSTANCE", "ASSEMBLY") for end in ("", "END")}
+READ |= {"PART", "INSTANCE", "ASSEMBLY", "ENDPART", "ENDINSTANCE", "ENDASSEMBLY", "ENDSTEP"}
 MOST = 255  # values of an array; one of more does not tell regions apart
 
 
@@ -123,17 +123,6 @@ def _divide(found: Found) -> None:
     found.sets = {name: rows for name, rows in found.sets.items() if name not in left}
 
 
-def _table(text: str, width: int, what: str, kind: type = float) -> Any:
-    """Numbers in a text, apart by commas or blanks (n, width)."""
-    try:
-        numbers: Any = np.array(text.replace(",", " ").split(), dtype=kind)
-    except ValueError as error:
-        raise ValueError(f"{what}: {error}") from None
-    if len(numbers) % width:
-        raise ValueError(f"{what}: {len(numbers)} numbers are no rows of {width}: is it cut short?")
-    return numbers.reshape(-1, width)
-
-
 def _rows(numbers: Ints, wanted: Ints, what: str) -> Ints:
     """Rows of the nodes or cells that have some numbers, in the shape of those."""
     by = np.argsort(numbers, kind="stable")
@@ -159,13 +148,21 @@ class _Block:
     lines: list[str]
 
     def table(self, width: int, kind: type = float) -> Any:
-        return _table(" ".join(self.lines), width, self.at, kind)
+        """Numbers, apart by commas or blanks (n, width)."""
+        try:
+            numbers: Any = np.array(" ".join(self.lines).replace(",", " ").split(), dtype=kind)
+        except ValueError as error:
+            raise ValueError(f"{self.at}: {error}") from None
+        if len(numbers) % width:
+            text = f"{self.at}: {len(numbers)} numbers are no rows of {width}: is it cut short?"
+            raise ValueError(text)
+        return numbers.reshape(-1, width)
 
     def members(self, known: Mapping[str, Ints]) -> Ints:
         """Numbers of a set: from, to, step; or each, and those of the sets that are named."""
         if "GENERATE" in self.options:
-            ranges = (_table(line, 1, self.at, int).ravel() for line in self.lines)
-            return np.concatenate([np.arange(r[0], r[1] + 1, *r[2:]) for r in ranges])
+            ranges = ([*map(int, line.strip(" ,").split(","))] for line in self.lines)
+            return np.concatenate([np.arange(r[0], r[1] + 1, (r[2:] or [1])[0]) for r in ranges])
         words = [w for line in self.lines for w in line.replace(",", " ").upper().split()]
         names = [w.rpartition(".")[2] for w in words if not w.isdigit()]
         if wrong := [name for name in names if name not in known]:
@@ -178,9 +175,8 @@ def _inp(path: Path) -> Found:
     """Capitals do not matter: a name is written as it is first, without its instance."""
     found, blocks, spelled = Found(), [*_blocks(path)], dict[str, str]()
     sets: dict[str, dict[str, Ints]] = {"ELSET": {}, "NSET": {}, "SURFACE": {}}
-    found.told += left_out(
-        "of the file are not read", (f"*{b.key}" for b in blocks if b.key not in READ)
-    )
+    unread = (f"*{b.key}" for b in blocks if b.key not in READ)
+    found.told += left_out("of the file are not read", unread)
     nodes = np.concatenate([np.zeros((0, 4)), *(b.table(4) for b in blocks if b.key == "NODE")])
     found.points, node = nodes[:, 1:], nodes[:, 0].astype(np.int64)
     element, flat = np.zeros(0, dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
@@ -258,7 +254,7 @@ def _feb(path: Path) -> Found:
     found, root = Found(), ET.parse(path).getroot()
     mesh = [part for grid in root if grid.tag in ("Mesh", "Geometry") for part in grid]
     items = [node for part in mesh if part.tag == "Nodes" for node in part]
-    found.points = _table(",".join(node.text or "" for node in items), 3, "Nodes")
+    found.points = _Block("Nodes", "", {}, [node.text or "" for node in items]).table(3)
     number = np.array([node.attrib["id"] for node in items], dtype=np.int64)
     other = []
     for part in mesh:
@@ -268,11 +264,13 @@ def _feb(path: Path) -> Found:
         if part.tag in ("Elements", "Surface") and not all(known):
             raise ValueError(f"{name}: is of type {', '.join(sorted(kinds))}; {ONLY}")
         if part.tag == "Elements" and known[0]:
-            block = _table(",".join(e.text or "" for e in part), int(known[0][2]), name, int)
-            found.sets[name] = found.add(_rows(number, block, "node"))
+            block = _Block(name, "", {}, [e.text or "" for e in part])
+            cells = _rows(number, block.table(int(known[0][2]), int), "node")
+            found.sets[name] = found.add(cells)
         elif part.tag == "Surface":
-            corners = ",".join(",".join((e.text or "").split(",")[:3]) for e in part)
-            found.triangles[name] = _rows(number, _table(corners, 3, name, int), "node")
+            corners = [",".join((e.text or "").split(",")[:3]) for e in part]
+            table = _Block(name, "", {}, corners).table(3, int)
+            found.triangles[name] = _rows(number, table, "node")
         elif part.tag == "NodeSet":
             words = (part.text or "").replace(",", " ").split() + [n.attrib["id"] for n in part]
             ranges = ([*map(int, word.split(":"))] for word in words)
@@ -336,9 +334,8 @@ def _labels(mesh: Any, found: Found) -> tuple[str, Callable[[int], list[str]]]:
         return "cell_tags" * ("cell_tags" in mesh.cell_data), lambda v: mesh.cell_tags.get(v, [])
     data = {k: np.concatenate([b.ravel() for b in v]) for k, v in mesh.cell_data.items()}
     fit = [k for k, v in data.items() if v.dtype.kind in "iu" and len(np.unique(v)) <= MOST]
-    found.told += left_out(
-        "arrays of cells that are not read", (k for k in data if k not in fit[:1])
-    )
+    unread = (k for k in data if k not in fit[:1])
+    found.told += left_out("arrays of cells that are not read", unread)
     names = fit[0].split("-") if fit else []
     if fit and data[fit[0]].max() >= len(names):
         return fit[0], lambda v: [f"{fit[0]}_{v}"]

@@ -33,6 +33,8 @@ def key(geometry: Any, mesh: Any) -> str:
     if geometry.kind == "file":
         content["geometry"].pop("path", None)
         content["file"] = geometry.content
+    if stem := getattr(geometry, "stem", None):
+        content["geometry"]["stem"] = stem.content
     if geometry.kind != "file" or geometry.is_script:
         content["gmsh"] = _gmsh_version()
     text = json.dumps(content, sort_keys=True, default=str)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -25,6 +26,7 @@ from scipy.optimize.elementwise import find_root
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
 from meshes import femur_bone, femur_stem
+from meshes.cad_stem import CadStem
 from meshes.femur_bone import PERIOSTEUM
 from meshes.layers import DIGITS, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
@@ -80,13 +82,12 @@ class FemurSurfaces:
 
     def __init__(self, geometry: Any, mesh: Any) -> None:
         self.mesh, thickness = mesh, geometry.cement_thickness
-        self._body = femur_stem.body(geometry)
-        self._grown = self._body.offset(thickness)
         # In axes that turn with the stem.
         self._canal = femur_bone.endosteum(geometry)
         self._periosteum = replace(PERIOSTEUM, turn=geometry.anteversion)
         normal, level = femur_bone.resection(geometry)
         self._top, self._steepest = level / normal[2], normal[0] / normal[2]
+        self._shape(geometry)
         plug = geometry.stem_tip_z - geometry.plug_length
         self._tip = femur_stem.Tip(geometry.stem_tip_z, geometry.tip_height, plug)
         below = _distances(mesh, plug - geometry.distal_cut_z, "below")
@@ -114,9 +115,23 @@ class FemurSurfaces:
         """Station of the neck cut."""
         return self.mantle[1]
 
+    def _shape(self, geometry: Any) -> None:
+        """Make the stem's body, and the function that is the depth within its mantle."""
+        thickness, low = geometry.cement_thickness, geometry.stem_tip_z
+        if stem := getattr(geometry, "stem", None):
+            cut = self._top, self._steepest
+            self._body: Any = CadStem(stem.found, low, cut, self.mesh)
+            self._mantle = partial(self._body.depth, thickness)
+        else:
+            self._body = femur_stem.body(geometry)
+            self._mantle = partial(self._within, self._body.offset(thickness).radius)
+
     def _continue(self, geometry: Any) -> None:
         """Divide the stem above the cut."""
-        self._upper = femur_stem.upper(geometry, self._body, self.mesh, self._top, self._steepest)
+        self._upper = self._body
+        if isinstance(self._body, femur_stem.Body):
+            cut = self._top, self._steepest
+            self._upper = femur_stem.upper(geometry, self._body, self.mesh, *cut)
         bone = ("cancellous_bone", "cortical_bone")
         segments = (
             Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
@@ -161,6 +176,8 @@ class FemurSurfaces:
 
     def hung(self, x: Floats, z: Floats) -> Floats:
         """Points (n, 3) inside sections at levels z, moved onto the bowls in them [mm]."""
+        if not self._tip.height:
+            return x
         theta = np.arctan2(x[:, 1], x[:, 0])
         part = np.hypot(x[:, 0], x[:, 1]) / (self._body.radius(theta, z) * self._tip.width(z))
         hung = np.column_stack([x[:, :2], z - self._tip.bulge(part, z)])
@@ -187,9 +204,9 @@ class FemurSurfaces:
         start[:, 2] = z - tilt * start[:, 0]
         depth = np.where(below, self._zeta[self.mantle[0]] - zeta, 0.0)
         start = self._sink(start, theta, zeta, depth)
-        endosteum = self._meets(self._canal, start, end)
+        endosteum = self._meets(partial(self._within, self._canal), start, end)
         mantle = np.empty(len(s))
-        mantle[~below] = self._meets(self._grown.radius, start[~below], end[~below])
+        mantle[~below] = self._meets(self._mantle, start[~below], end[~below])
         if below.any():
             # The mantle's outer side goes on below the plug from where it is at its end.
             first = self._across(phi[below], at[below])
@@ -209,14 +226,10 @@ class FemurSurfaces:
         return x
 
     @staticmethod
-    def _meets(radius: Callable[[Floats, Floats], Floats], start: Floats, end: Floats) -> Floats:
-        """Fraction of lines, from start to end, at which they meet a surface r(theta, z) (n,)."""
+    def _meets(depth: Callable[[Floats], Floats], start: Floats, end: Floats) -> Floats:
+        """Fraction of lines, from start to end, to where the depth in a surface is zero (n,)."""
         way = end - start
-
-        def within(part: Floats, k: Ints) -> Floats:
-            return FemurSurfaces._within(radius, start[k] + part[:, None] * way[k])
-
-        return root(within, np.ones(len(start)))
+        return root(lambda part, k: depth(start[k] + part[:, None] * way[k]), np.ones(len(start)))
 
     @staticmethod
     def _within(radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:

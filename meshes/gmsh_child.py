@@ -12,7 +12,7 @@ import locale
 import os
 import resource
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,6 @@ CROSS = "surfaces of the geometry cross each other"
 GROWTH = 0.4  # mm of element size per mm of distance from an interface
 # How often the finest cells of a script may be in its diagonal; any more would never be meshed.
 MOST_EDGES = 20_000
-SECONDS = 3600
 WRITTEN = 1 << 30  # bytes in a file
 
 
@@ -141,7 +140,7 @@ def elements(gmsh: Any, kind: int, entities: Iterable[int], row: Ints) -> Ints:
     return row[np.concatenate(found).astype(np.int64) - 1].reshape(-1, width)
 
 
-def serve() -> None:
+def serve(reader: Callable[[Any], dict[str, Any]], seconds: int) -> None:
     """Answer the request on standard input, within the limits: arrays by name, or an error."""
     request = json.load(sys.stdin)
     answer = os.dup(1)
@@ -149,20 +148,20 @@ def serve() -> None:
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     for limit, most in (
         (resource.RLIMIT_AS, memory),
-        (resource.RLIMIT_CPU, SECONDS),
+        (resource.RLIMIT_CPU, seconds),
         (resource.RLIMIT_FSIZE, WRITTEN),
         (resource.RLIMIT_CORE, 0),
     ):
         resource.setrlimit(limit, (most, most))
     try:
-        found = _arrays(request)
+        found = reader(request)
     except GeometryError as error:
         found = {"error": np.array(str(error))}
     with open(answer, "wb") as pipe:
         np.savez(pipe, **found)
 
 
-def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
+def read(request: Mapping[str, Any]) -> dict[str, Any]:
     """Read a ``.msh`` file, or mesh a script.
 
     Returns:

@@ -71,6 +71,8 @@ class Zones:
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
         g = self._geometry
+        if getattr(g, "stem", None):  # bone around a stem from a file is what it leaves
+            return np.ones(len(x), dtype=bool)
         x = femur_bone.turned(x, -g.anteversion)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import json
 import math
-import subprocess
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from app import mesh_files
+from app import confined, mesh_files
 from app.errors import GeometryError
 from meshes.data import (
     MeshData,
@@ -26,11 +22,10 @@ from meshes.data import (
     number,
     same_triangles,
 )
-from meshes.gmsh_child import MILLIMETRES, SECONDS, session
+from meshes.gmsh_child import MILLIMETRES, session
 from meshes.pieces import coincident
 from meshes.quality import bent, overlapping, places, untangle
 
-_SERVE = "from meshes.gmsh_child import serve; serve()"
 # Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
 
@@ -97,7 +92,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
 
 def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
-    """Arrays of the file by name; gmsh finds its own in a child (`meshes.gmsh_child.serve`)."""
+    """Arrays of the file by name; gmsh finds its own in a child (`meshes.gmsh_child.read`)."""
     path = geometry.path
     with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
         if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
@@ -114,26 +109,9 @@ def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
             "regions": geometry.region_names,
         }
         try:
-            answer = subprocess.run(
-                [sys.executable, "-P", "-c", _SERVE],
-                input=json.dumps(request).encode(),
-                cwd=folder,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                timeout=SECONDS,
-                check=True,
-            ).stdout
-        except subprocess.SubprocessError as error:
-            raise GeometryError(
-                f"{path}: gmsh crashed or was stopped: the file is damaged or too large (limits "
-                f"are {SECONDS} s and the memory of the machine)"
-            ) from error
-    # No pickle: a file may have forged the answer.
-    with np.load(io.BytesIO(answer), allow_pickle=False) as arrays:
-        found = dict(arrays)
-    if "error" in found:
-        raise GeometryError(_not_numbers(path) or str(found["error"]))
-    return found
+            return confined.ask("meshes.gmsh_child:read", request, folder)
+        except GeometryError as error:
+            raise GeometryError(_not_numbers(path) or str(error)) from error
 
 
 def _of_others(path: Path) -> dict[str, Any]:

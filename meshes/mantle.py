@@ -100,15 +100,15 @@ def least_cortex(data: MeshData, tip: float) -> float:
     return float(away.min())
 
 
-def triangles(points: Floats, facets: Ints) -> Floats:
+def triangles(points: Floats, facets: Ints, parts: int = PARTS) -> Floats:
     """Flat triangles (n, 3, 3) [mm] of facets, approximate for curved ones."""
     if facets.shape[1] == 3:
         return points[facets]
-    nodes = [(i, j) for i in range(PARTS + 1) for j in range(PARTS + 1 - i)]
+    nodes = [(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]
     row = {node: k for k, node in enumerate(nodes)}
-    corners = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in nodes if i + j < PARTS]
-    corners += [[(i + 1, j), (i + 1, j + 1), (i, j + 1)] for i, j in nodes if i + j < PARTS - 1]
-    at = np.array([(i, j, PARTS - i - j) for i, j in nodes]) / PARTS
+    corners = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in nodes if i + j < parts]
+    corners += [[(i + 1, j), (i + 1, j + 1), (i, j + 1)] for i, j in nodes if i + j < parts - 1]
+    at = np.array([(i, j, parts - i - j) for i, j in nodes]) / parts
     # `shape_functions` has the middle of 12 before that of 20 and 01.
     x = points[facets[:, [0, 1, 2, 4, 5, 3]]]
     fine = np.einsum("qn,fni->fqi", shape_functions(at, 6), x)

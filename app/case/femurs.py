@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import model_validator
 
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
+from app.case.stems import StemFile
 from app.schema.section import fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 
@@ -33,6 +34,14 @@ FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
 WIDTHS = (5.6, 5.2)
 # Least fraction of the stem in the bone; range of the angle between neck and shaft (deg).
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
+
+# Keys that a stem from a file replaces.
+OF_STEM: tuple[str, ...] = (
+    *("stem_length", "stem_tip_half_width", "stem_tip_half_depth", "stem_tip_corner_radius"),
+    *("stem_section_z", "stem_half_width", "stem_half_depth", "stem_corner_radius"),
+    *("tip_rounding", "neck_diameter", "neck_fillet", "trunnion_diameter"),
+    *("head_offset", "head_height", "neck_angle"),
+)
 
 
 def _between(at: float, values: tuple[float, ...]) -> float:
@@ -113,6 +122,7 @@ class _Femur(Shape):
 
     @model_validator(mode="after")
     def _consistent(self) -> _Femur:
+        self._check_stem()
         plug = self.stem_tip_z - self.plug_length
         if self.distal_cut_z >= plug:
             fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
@@ -125,12 +135,6 @@ class _Femur(Shape):
             fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
         if not 0.0 <= self.resection_angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection_angle",))
-        for end in ("stem", "stem_tip"):
-            radius = getattr(self, f"{end}_corner_radius")
-            half = min(getattr(self, f"{end}_half_width"), getattr(self, f"{end}_half_depth"))
-            if radius >= half:
-                text = f"is not below the half-width and half-depth, {half:g} mm"
-                fail(text, at=(f"{end}_corner_radius",))
         if self._cut >= self.head_height:
             text = (
                 f"puts the neck cut at z = {self._cut:.3g} mm on the shaft's axis, above the head's"
@@ -143,6 +147,16 @@ class _Femur(Shape):
             text = f"{self.stem_length:g} mm puts the shoulder at z = {shoulder:g} mm, too far"
             text += f" {where}; expected at most {min(inside, longest):.3g} mm"
             fail(text, at=("stem_length",))
+        return self
+
+    def _check_stem(self) -> None:
+        shoulder, plug = self.stem_tip_z + self.stem_length, self.stem_tip_z - self.plug_length
+        for end in ("stem", "stem_tip"):
+            radius = getattr(self, f"{end}_corner_radius")
+            half = min(getattr(self, f"{end}_half_width"), getattr(self, f"{end}_half_depth"))
+            if radius >= half:
+                text = f"is not below the half-width and half-depth, {half:g} mm"
+                fail(text, at=(f"{end}_corner_radius",))
         if not self.stem_tip_z < self.stem_section_z < shoulder:
             fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
         width = 2.0 * self._check_section(shoulder, "the shoulder", 0.0)
@@ -150,7 +164,6 @@ class _Femur(Shape):
         if self.neck_diameter > width:
             text = f"is wider than the stem's shoulder; expected at most {width:.3g} mm"
             fail(text, at=("neck_diameter",))
-        return self
 
     def _check_section(self, z: float, where: str, offset: float) -> float:
         """Half-width of the section extrapolated linearly to a level (mm); refuse a degenerate one.
@@ -196,15 +209,18 @@ class _Femur(Shape):
         """Approximate height at which the neck cut meets the shaft's axis (mm)."""
         return self.resection_height + 24.747 * math.tan(self.resection_angle)
 
-    def grid(self, mesh: MeshOptions) -> dict[str, Any]:
-        """Lines around, steps along the stem and below it, cells through the layers."""
-        # The section a quarter of the way from the cut to the tip.
+    def _section(self) -> tuple[float, float, float]:
+        """Half-width, half-depth and corner radius a quarter of the way from cut to tip (mm)."""
         middle = 0.75 * (self._cut - self.stem_tip_z)
         part = middle / (self.stem_section_z - self.stem_tip_z)
         half, depth, corner = (
             (1.0 - part) * getattr(self, f"stem_tip_{name}") + part * getattr(self, f"stem_{name}")
             for name in ("half_width", "half_depth", "corner_radius")
         )
+        return half, depth, corner
+
+    def grid(self, mesh: MeshOptions) -> dict[str, Any]:
+        """Lines around, steps along the stem and below it, cells through the layers."""
         plug = self.stem_tip_z - self.plug_length
         flank = self._cut - self.stem_tip_z - self.tip_height
         stem, more, _ = mesh.graded(flank, "stem")
@@ -212,7 +228,7 @@ class _Femur(Shape):
         below, equal, _ = mesh.graded(plug - self.distal_cut_z, "below")
         through = mesh.cells_through(self.cement_thickness)
         return {
-            "lines around": mesh.lines_around((half, depth, corner), self.cement_thickness),
+            "lines around": mesh.lines_around(self._section(), self.cement_thickness),
             "steps along the stem": len(stem) - 1 + more + sum(map(mesh.steps, filter(None, ends))),
             "steps below": len(below) - 1 + equal,
             "cells through cement, cancellous and cortical bone": through,
@@ -261,6 +277,35 @@ class Femur(_Femur):
     }
 
     kind: Literal["femur"] = "femur"
+    stem: StemFile | None = None
+    """A stem from a file of CAD, placed by `stem_tip_z`. The other keys of stem, neck, trunnion and
+    head are left out then."""
+
+    @property
+    def found(self) -> dict[str, Any]:
+        """Values that a stem's file answers, by key."""
+        return self.stem.values(self.stem_tip_z) if self.stem else {}
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """Where axis, head and neck of a stem are in its file."""
+        return self.stem.told if self.stem else {}
+
+    def _check_stem(self) -> None:
+        if not self.stem:
+            super()._check_stem()
+            return
+        for key in OF_STEM:
+            value = self.found.get(key)
+            if key in self.model_fields_set and getattr(self, key) != value:
+                fail("is the file's, where `stem` is one; expected no such key", at=(key,))
+            self.__dict__[key] = value
+
+    def _section(self) -> tuple[float, float, float]:
+        if not self.stem:
+            return super()._section()
+        half = float(self.stem.found["around"]) / 8  # of a square
+        return half, half, 0.0
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
@@ -270,9 +315,8 @@ class Femur(_Femur):
     @property
     def interface_area(self) -> float:
         """Approximate area of both interfaces (mm2): the stem's flanks and their offset."""
-        width = self.stem_half_width + self.stem_tip_half_width
-        depth = self.stem_half_depth + self.stem_tip_half_depth
-        flanks = 2.0 * (width + depth) * self.stem_length
+        half, depth, _ = self._section()
+        flanks = 3.25 * (half + depth) * self.stem_length
         return 2.0 * flanks + 2.0 * math.pi * self.cement_thickness * self.stem_length
 
     def estimate_cells(self, mesh: MeshOptions) -> int:

@@ -62,9 +62,10 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
             case.digests |= case.libraries[-1].digests
         geometry = file.data.get("geometry")
         if file is not chain[0] and isinstance(geometry, dict):
-            # The path of a mesh is relative to the file of its case.
-            if isinstance(mesh := geometry.get("path"), str):
-                geometry["path"] = str((FilePath(file.name).parent / expanduser(mesh)).absolute())
+            # Paths of a mesh and of a stem are relative to the file of their case.
+            for part, key in ((geometry, "path"), (geometry.get("stem"), "step")):
+                if isinstance(part, dict) and isinstance(name := part.get(key), str):
+                    part[key] = str((FilePath(file.name).parent / expanduser(name)).absolute())
         below = None if file is chain[-1] else case.data
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
         case.data = _over(case, below, upper, ())

@@ -84,6 +84,11 @@ class Shape(Section):
         """Largest edge length that it can be meshed with (mm)."""
         return min((most * length for length, most in self.spans.values()), default=math.inf)
 
+    @property
+    def told(self) -> dict[str, Any]:
+        """What else is known of it, for `mantle check`."""
+        return {}
+
     def grid(self, mesh: MeshOptions) -> dict[str, Any]:
         """Lines around, steps along and cells through the layers, where there are layers."""
         return {}

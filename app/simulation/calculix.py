@@ -55,35 +55,39 @@ def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
     case.file.raise_all(_refused(case.config))
     text = "\n".join(_Deck(case.config, data).lines()) + "\n"
     files.write_bytes(path, text.encode("ascii", "replace"))
-    notes = [f"{', '.join(v.name for v in case.variations)}: variations are not in the file"]
-    exact = [name for name, law in case.config.interfaces.items() if isinstance(law, Coulomb)]
-    soft = f"{', '.join(exact)}: contact has a penalty of {STIFF:g} MPa/mm and a stick slope of "
-    soft += f"{STICK * STIFF:g} MPa/mm in the file, which are yours to choose"
-    return [*(notes if case.variations else []), *([soft] if exact else [])]
+    notes = [f"variation {v.name} is not in the file: --set writes it" for v in case.variations]
+    soft = (
+        f"a penalty of {STIFF:g} MPa/mm and a stick slope of {STICK * STIFF:g} MPa/mm in the file"
+    )
+    exact = (name for name, law in case.config.interfaces.items() if isinstance(law, Coulomb))
+    return [*notes, *(f"interfaces.{name}: has {soft}" for name in exact)]
 
 
 def _refused(case: Case) -> list[Fault]:
-    found: list[tuple[tuple[str | int, ...], str]] = []
+    found: list[Fault] = []
+
+    def no(what: str, *at: str | int) -> None:
+        found.append(Fault(at, f"an .inp file of CalculiX does not hold {what}"))
+
     for name, region in case.regions.items():
         if not isinstance(region, Elastic):
-            found.append((("regions", name), f"a region that is {type(region).__name__.lower()}"))
+            no(f"a region that is {type(region).__name__.lower()}", "regions", name)
         elif region.varies or region.eigenstrains:
-            what = "a modulus that varies" if region.varies else "eigenstrains"
-            found.append((("regions", name), what))
+            no("a modulus that varies" if region.varies else "eigenstrains", "regions", name)
         if region.thermal is not None:
-            found.append((("regions", name, "thermal"), "heat"))
+            no("heat", "regions", name, "thermal")
     for name, law in case.interfaces.items():
         if type(law) not in (Bonded, Coulomb, Penalty):
-            found.append((("interfaces", name), f"the law {law.kind}"))
+            no(f"the law {law.kind}", "interfaces", name)
         elif law.initial_gap[0]:
-            found.append((("interfaces", name, "gap"), "a gap"))
+            no("a gap", "interfaces", name, "gap")
     for name, support in case.supports.items():
         if isinstance(support, Foundation) or support.normal is not None:
-            found.append((("supports", name), "springs to the ground, and rollers along a normal"))
-    found += [
-        (("stages", k, "cycles"), "cycles") for k, s in enumerate(case.stages) if s.cycles > 1
-    ]
-    return [Fault(at, f"an .inp file of CalculiX does not hold {what}") for at, what in found]
+            no("springs to the ground, and rollers along a normal", "supports", name)
+    for k, stage in enumerate(case.stages):
+        if stage.cycles > 1:
+            no("cycles", "stages", k, "cycles")
+    return found
 
 
 class _Deck:
@@ -93,8 +97,7 @@ class _Deck:
         self.bodies = bodies_of(self.tagged, self.scene.contacts, ())
         self.forms = BodyForms(self.scene, self.tagged, self.bodies, Timing())
         self.space, self.tags = self.forms.space, cell_tags(self.tagged)
-        self.dofs = self.space.dofmap.list
-        keys = self._keys(self.dofs, self.tags)
+        keys = self._keys(self.space.dofmap.list, self.tags)
         self.nodes, self.cells = np.unique(keys, return_inverse=True)
         self.cells = self.cells.reshape(keys.shape)[:, ORDER[: keys.shape[1]]] + 1
 

@@ -44,6 +44,7 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     """The case in words and tables; ``given`` is the data of the file, for its units."""
     lines = [case.title or "(no title)", ""]
     lines += ["geometry", *_entries(case.geometry, given.get("geometry"))]
+    lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.told.items()]
     lines += ["mesh", *_entries(case.mesh, given.get("mesh"))]
     lines += [f"  {k}: {plain(v)}" for k, v in case.geometry.grid(case.mesh).items()]
     lines.append("regions")
@@ -87,6 +88,7 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
     """A line per field: internal value, and the given one where that differs."""
     written = model.model_dump(mode="json", exclude_none=True)
     source = given if isinstance(given, dict) else {}
+    found = getattr(model, "found", ())
     for key, value in written.items():
         if value in ([], {}) or key in ORIGIN or (indent > 2 and key in ("kind", "rigid")):
             continue  # nothing to say, or said already in the line above
@@ -98,7 +100,9 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
         text = plain(value)
         raw = plain(source[key]) if key in source else None
         note = "" if raw is None or raw == text else f"  ({raw})"
-        yield f"{' ' * indent}{key}: {text}{note}" + ("" if key in source else "  [default]")
+        yield f"{' ' * indent}{key}: {text}{note}" + (
+            "" if key in source else f"  [{'found' if key in found else 'default'}]"
+        )
 
 
 def _table(entries: Mapping[str, Any]) -> list[str]:

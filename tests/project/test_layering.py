@@ -18,9 +18,9 @@ FOLDERS = ("app", "configs", "forms", "meshes")
 LAYERS = ("app", "forms", "meshes")
 
 # Lowest first: a package imports only what stands before its row, and itself. Packages of one row
-# do not know each other. Beside them stand `app.errors`, `app.captured`, `app.files`,
-# `app.mesh_files` and `app.version`, which everybody may import, and `mantle.py` with the public
-# functions and `app.cli`, which see everything.
+# do not know each other. Beside them stand `app.errors`, `app.captured`, `app.confined`,
+# `app.files`, `app.mesh_files` and `app.version`, which everybody may import, and `mantle.py` with
+# the public functions and `app.cli`, which see everything.
 ROWS = (
     ("configs", "forms", "meshes", "system"),
     ("schema", "numerics"),
@@ -176,7 +176,8 @@ def test_forms_import_only_ufl(path: Path) -> None:
 def test_meshes_know_nothing_of_the_application(path: Path) -> None:
     """What belongs to no layer above apart: errors, arrays, files."""
     own = {m for m in imported(path) if top(m) == "app"}
-    aside = {f"app.{m}" for m in ("arrays", "captured", "errors", "figures", "files", "mesh_files")}
+    names = ("arrays", "captured", "confined", "errors", "figures", "files", "mesh_files")
+    aside = {f"app.{m}" for m in names}
     assert own <= aside
 
 

@@ -1,0 +1,46 @@
+"""Readers of files that others made, each in a process of its own, which those may crash."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from app.errors import GeometryError
+
+SECONDS = 3600
+_SERVE = "from {0} import {1}; from meshes.gmsh_child import serve; serve({1}, {2})"
+
+
+def ask(reader: str, request: Mapping[str, Any], folder: str) -> dict[str, Any]:
+    """Answer of a reader, ``module:function``, in a folder with its files: arrays by name.
+
+    Raises:
+        GeometryError: It refuses ``request["path"]``, crashes or is stopped.
+    """
+    try:
+        answer = subprocess.run(
+            [sys.executable, "-P", "-c", _SERVE.format(*reader.split(":"), SECONDS)],
+            input=json.dumps(request).encode(),
+            cwd=folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            timeout=SECONDS,
+            check=True,
+        ).stdout
+    except subprocess.SubprocessError as error:
+        raise GeometryError(
+            f"{request['path']}: gmsh crashed or was stopped: the file is damaged or too large"
+            f" (limits are {SECONDS} s and the memory of the machine)"
+        ) from error
+    # No pickle: a file may have forged the answer.
+    with np.load(io.BytesIO(answer), allow_pickle=False) as arrays:
+        found = dict(arrays)
+    if "error" in found:
+        raise GeometryError(str(found["error"]))
+    return found

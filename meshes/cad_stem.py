@@ -1,0 +1,155 @@
+"""A stem from CAD in a hip: points of its surface in the sections of the mesh.
+
+Above the neck cut sections turn on until they are across the neck, about points that lead from the
+stem's axis to the neck's. Rays from these points meet the surface, which is triangles, once.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from app.arrays import Floats
+from app.errors import GeometryError
+from meshes.femur_stem import CORNERS
+from meshes.mantle import distance
+
+ROUND = 720  # rays around
+HIDDEN = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
+TIP = 3.0  # mm above the tip from which the mantle goes on below it
+NECK = 0.38  # of the neck's length: what the points between axis and neck head for
+Y = (0.0, 1.0, 0.0)
+INSIDE = 1e-3  # mm that the last section is within the neck
+
+
+def crossed(x: Floats, f: Floats) -> Floats:
+    """Segments (k, 2, 3) in which triangles (m, 3, 3) meet a surface f = 0; f by corners (m, 3)."""
+    above = f > 0
+    number = above.sum(axis=1)
+    met = np.flatnonzero(number % 3)
+    x, f, row = x[met], f[met], np.arange(len(met))
+    lone = np.where(number[met] == 1, above[met].argmax(axis=1), above[met].argmin(axis=1))
+    ends = []
+    for other in ((lone + 1) % 3, (lone + 2) % 3):
+        part = f[row, lone] / (f[row, lone] - f[row, other])
+        ends.append(x[row, lone] + part[:, None] * (x[row, other] - x[row, lone]))
+    return np.stack(ends, axis=1)
+
+
+def outline(x: Floats, origin: Floats, first: Floats, second: Floats) -> Floats:
+    """Where rays from a point leave triangles (m, 3, 3) in a plane (`ROUND`, 3) [mm].
+
+    Angles are from the first to the second of two directions in it, at right angles.
+
+    Raises:
+        ValueError: The point is outside, or rays meet the surface again.
+    """
+    ends = crossed(x, (x - origin) @ np.cross(first, second)) - origin
+    p, q = ends @ first / (first @ first), ends @ second / (second @ second)
+    turn = np.arctan2(q, p) * ROUND / (2 * np.pi)
+    width = (turn[:, 1] - turn[:, 0] + ROUND / 2) % ROUND - ROUND / 2
+    start = np.ceil(np.where(width > 0, turn[:, 0], turn[:, 1]))
+    number = (np.floor(np.where(width > 0, turn[:, 0], turn[:, 1]) + np.abs(width)) - start).astype(
+        int
+    ) + 1
+    of = np.repeat(np.arange(len(ends)), number)
+    ray = start[of].astype(int) + np.arange(len(of)) - np.repeat(np.cumsum(number) - number, number)
+    c, s = np.cos(2 * np.pi * ray / ROUND), np.sin(2 * np.pi * ray / ROUND)
+    off = q[of] * c[:, None] - p[of] * s[:, None]
+    part = off[:, 0] / (off[:, 0] - off[:, 1])
+    r = sum((v[of, 0] + part * (v[of, 1] - v[of, 0])) * w for v, w in ((p, c), (q, s)))
+    near, far = np.full(ROUND, np.inf), np.zeros(ROUND)
+    np.minimum.at(near, ray % ROUND, r)
+    np.maximum.at(far, ray % ROUND, r)
+    if not (np.isfinite(near).all() and (far - near).max() < HIDDEN):
+        raise ValueError
+    theta = 2 * np.pi * np.arange(ROUND)[:, None] / ROUND
+    return np.asarray(origin + near[:, None] * (np.cos(theta) * first + np.sin(theta) * second))
+
+
+def around(x: Floats) -> float:
+    """Length of an outline [mm]."""
+    return float(np.sqrt(((x - np.roll(x, 1, axis=0)) ** 2).sum(axis=1)).sum())
+
+
+class CadStem:
+    """A stem as `stem_file.read` finds it.
+
+    Attributes:
+        ends: Steps above the neck cut.
+    """
+
+    def __init__(
+        self, found: dict[str, Floats], low: float, cut: tuple[float, float], mesh: Any
+    ) -> None:
+        """The tip is at a level [mm]; the cut has a height on the axis [mm] and a slope."""
+        self._low, shift = low, np.array([0.0, 0.0, low])
+        self._x, self._coarse = found["x"] + shift, found["coarse"] + shift
+        self._kept = lru_cache(maxsize=4096)(self._section)
+        end, up = found["end"] + shift, found["neck"]
+        bend = end - (1 - NECK) * end[0] / up[0] * up
+        self._path = np.array([[0.0, 0.0, cut[0]], bend, end - INSIDE * up])
+        medial = np.array([1.0, 0.0, 0.0]) - up[0] * up
+        medial /= np.linalg.norm(medial)
+        self._planes = np.array([[[1.0, 0.0, -cut[1]], Y], [medial, np.cross(up, medial)]])
+        self.ends = (mesh.steps(np.linalg.norm(np.diff(self._path, axis=0), axis=1).sum()),)
+
+    def _section(self, height: float, slope: float, part: float = 0.0) -> tuple[Floats, Floats]:
+        """Outline (`ROUND` + 1, 3) [mm], and its length and bend up to there in turns.
+
+        A part above 0 is that of the way from the cut to the neck's end.
+        """
+        t = 1 - part
+        origin = np.array([t * t, 2 * t * part, part * part]) @ self._path
+        plane = t * t * self._planes[0] + (1 - t * t) * self._planes[1]
+        if part <= 0:
+            origin, plane = np.array([0.0, 0.0, height]), np.array([[1.0, 0.0, -slope], Y])
+        try:
+            x = outline(self._x, origin, *plane)
+        except ValueError:
+            a, b, c = origin
+            raise GeometryError(
+                f"geometry.stem: around ({a:.0f}, {b:.0f}, {c:.0f}) mm the section of the stem is"
+                " met more than once from there: a collar, or a neck that leaves the body below the"
+                " neck cut? Move it proximally (stem_tip_z), cut lower (resection_height), or leave"
+                " the collar out"
+            ) from None
+        edges = np.roll(x, -1, axis=0) - x
+        length = np.sqrt((edges**2).sum(axis=1))
+        along = edges / length[:, None]
+        bend = np.arccos(np.clip((along * np.roll(along, 1, axis=0)).sum(axis=1), -1.0, 1.0))
+        bend += np.roll(bend, -1)
+        weight = length / length.sum() + CORNERS * bend / bend.sum()
+        return np.concatenate([x, x[:1]]), np.append(0.0, np.cumsum(weight)) / weight.sum()
+
+    def _at(self, phi: Floats, *planes: Floats) -> Floats:
+        """Points of outlines (n, 3) [mm], one outline for all with the same arguments (n,)."""
+        keys, of = np.unique(np.stack(planes, axis=1), axis=0, return_inverse=True)
+        found = np.empty((len(phi), 3))
+        for k in range(len(keys)):
+            own = of.ravel() == k
+            x, at = self._kept(*keys[k])
+            found[own] = np.stack([np.interp(phi[own], at, v) for v in x.T], axis=1)
+        return found
+
+    def section(self, z: float) -> tuple[float, float, float]:
+        """Half-width, half-depth and corner radius of a square of the same length around [mm]."""
+        half = around(self._kept(z, 0.0)[0]) / 8
+        return half, half, 0.0
+
+    def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
+        """Points of outlines as `femur_stem.Body.point`; below the tip they are the tip's."""
+        zeta, slope = (np.broadcast_to(v, phi.shape) for v in (zeta, slope))
+        return self._at(phi, np.maximum(zeta, self._low), slope)
+
+    def points(self, phi: Floats, s: Floats) -> Floats:
+        """Points at stations above the cut (n, 3) [mm]."""
+        zero = np.zeros(len(phi))
+        return self._at(phi, zero, zero, np.asarray(s) / self.ends[-1])
+
+    def depth(self, thickness: float, x: Floats) -> Floats:
+        """Depth of points (n, 3) within the surface at a distance [mm]; below the tip its own."""
+        x = np.stack([x[:, 0], x[:, 1], np.maximum(x[:, 2], self._low + TIP)], axis=1)
+        return thickness - distance(x, self._coarse)

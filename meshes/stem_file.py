@@ -1,0 +1,207 @@
+"""A stem from a file of CAD: read by OpenCASCADE, triangulated, and laid along its axis.
+
+Runs in a process of its own (`app.confined`), which damaged files may crash. Axes of the answer: z
+along the stem, proximal, 0 at the end of its tip; x towards the head; y across.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.arrays import Floats
+from app.errors import GeometryError
+from meshes.cad_stem import INSIDE, around, crossed, outline
+from meshes.gmsh_child import MILLIMETRES, elements, nodes, session
+from meshes.mantle import triangles
+
+# Second-order triangles in a full turn, and what their edges are divided into: a circle of 6 mm
+# is met to 0.008 mm.
+TURN, PARTS = 15, 4
+SEWN = 1e-3  # mm between edges of faces that are one
+FLAT = 1e-3  # mm that nodes of a planar face may be off its plane
+LONG = (60.0, 400.0)  # mm that a stem may be long
+STRAIGHT = (0.05, 0.5)  # of its length: where sections show the axis
+WHOLE = (0.05, 0.75)  # of the height of its shoulder: where the axis is within the metal
+BLUNT, WIDE = 6.0, 0.4  # mm of a rounded tip; outline of the first section over that there
+TAPER, ASIDE = (25.0, 80.0), 10.0  # deg between axis and neck; mm of its end from the axis
+
+
+def read(request: Mapping[str, Any]) -> dict[str, Any]:
+    """The stem of a file.
+
+    Args:
+        request: ``path``, ``unit`` and, in the file's coordinates [mm] or None, ``head_centre``
+            (3,), two points of the ``axis`` from distal (2, 3), ``taper_face``: a point of it (3,).
+
+    Returns:
+        ``x``: triangles (m, 3, 3), ``coarse``: fewer [mm]; ``head``: the head's centre (3,) [mm];
+        ``neck``: unit vector along the neck (3,); ``end``: centre of its end (3,), ``radius`` of a
+        circle as large, ``shoulder``: height of the highest point lateral to the axis [mm];
+        ``around``: length of a section at 3/4 of that [mm]; ``in_file``: in the file, two
+        points of the axis, the centres of head and neck's end [mm], the way to medial (5, 3).
+
+    Raises:
+        GeometryError: It is no file of one solid, or no stem.
+    """
+    path, unit = request["path"], request["unit"]
+    points, faces = _faces(request)
+    points *= MILLIMETRES[unit]
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if not LONG[0] <= size <= LONG[1]:
+        raise GeometryError(
+            f"{path}: {size:.3g} mm from end to end; a stem has {LONG[0]:g} to {LONG[1]:g} mm: the"
+            f" file names no unit or a wrong one, or `unit: {unit}` is wrong"
+        )
+    coarse = points[np.concatenate(faces)[:, :3]]
+    given = request["axis"]
+    origin, axis = _axis(coarse) if given is None else (np.array(given[0]), _way(*given))
+    end, normal, radius = _taper(path, points, faces, origin, axis, request["taper_face"])
+    head = end if request["head_centre"] is None else np.array(request["head_centre"])
+    medial = _way(origin + axis * (axis @ (head - origin)), head)
+    turn = np.stack([medial, np.cross(axis, medial), axis])
+    x = (triangles(points, np.concatenate(faces), PARTS) - origin) @ turn.T
+    tip = np.array([0.0, 0.0, _tip(x)])
+    x -= tip
+    shoulder = x[x[..., 0] <= 0][:, 2].max()
+    ends = origin + np.outer([tip[2], tip[2] + shoulder], axis)
+    return {
+        "x": x,
+        "coarse": (coarse - origin) @ turn.T - tip,
+        "head": turn @ (head - origin) - tip,
+        "end": turn @ (end - origin) - tip,
+        "neck": turn @ normal,
+        "radius": radius,
+        "shoulder": shoulder,
+        "around": around(_whole(path, x, shoulder)),
+        "in_file": np.stack([*ends, head, end, medial]),
+    }
+
+
+def _faces(request: Mapping[str, Any]) -> tuple[Floats, list[Any]]:
+    """Nodes (n, 3) [mm], and the second-order triangles of each face (m, 6)."""
+    path = Path(request["path"])
+    with session(path.name) as gmsh:
+        occ, mesh = gmsh.model.occ, gmsh.model.mesh
+        try:
+            if all(dim < 3 for dim, _ in occ.importShapes(path.name)):
+                occ.healShapes([], SEWN)  # IGES has faces alone
+            occ.synchronize()
+        except Exception as error:
+            raise GeometryError(f"{path}: no STEP, IGES or BREP file: {error}") from error
+        if (solids := len(gmsh.model.getEntities(3))) != 1:
+            raise GeometryError(
+                f"{path}: {solids or 'no'} solid{'s' * (solids > 1)}; a stem is one:"
+                f" {'fuse them, or leave parts out' if solids else 'close its surface'}"
+            )
+        box = np.array(gmsh.model.getBoundingBox(-1, -1))
+        size = float(np.linalg.norm(box[3:] - box[:3]))
+        for option, value in (("FromCurvature", TURN), ("Max", size / 20), ("Min", size / 2000)):
+            gmsh.option.setNumber(f"Mesh.MeshSize{option}", value)
+        mesh.generate(2)
+        mesh.setOrder(2)
+        points, row = nodes(gmsh)
+        # `triangles` has the middle of 12 before that of 20 and 01.
+        return points, [elements(gmsh, 9, [face], row) for _, face in gmsh.model.getEntities(2)]
+
+
+def _level(x: Floats, z: float) -> Floats:
+    """Outline of a section across the axis (r, 3) [mm]."""
+    return outline(x, np.array([0.0, 0.0, z]), *np.eye(3)[:2])
+
+
+def _tip(x: Floats) -> float:
+    """Level of the lowest section that is wide [mm]."""
+    low = float(x[..., 2].min())
+    for z in low + np.linspace(INSIDE, BLUNT, 60):
+        with suppress(ValueError):
+            if around(_level(x, z)) > WIDE * around(_level(x, low + BLUNT)):
+                return float(z)
+    return low
+
+
+def _whole(path: str, x: Floats, shoulder: float) -> Floats:
+    """Outline of the highest section of the body (r, 3) [mm].
+
+    Raises:
+        GeometryError: The axis leaves the metal there or below.
+    """
+    found: Floats = np.zeros(0)
+    for z in np.linspace(*WHOLE, 20) * shoulder:
+        try:
+            found = _level(x, z)
+        except ValueError:
+            raise GeometryError(
+                f"{path}: {z:.0f} mm above the tip its axis is not within the metal, or meets more"
+                " than one surface across: fill holes, or give the stem's `axis`"
+            ) from None
+    return found
+
+
+def _axis(x: Floats) -> tuple[Floats, Floats]:
+    """Point and direction to proximal of the line through sections of triangles.
+
+    Of the two halves of the length the straighter one is distal.
+    """
+    middle = x.mean(axis=1)
+    rough = np.linalg.svd(middle - middle.mean(axis=0), full_matrices=False)[2][0]
+    found = []
+    for axis in (rough, -rough):
+        for _ in range(5):
+            along = x @ axis
+            middles = []
+            for part in np.linspace(*STRAIGHT, 24):
+                ends = crossed(x, along - (1 - part) * along.min() - part * along.max())
+                length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+                middles.append(length @ ends.mean(axis=1) / length.sum())
+            origin = np.mean(middles, axis=0)
+            _, size, ways = np.linalg.svd(middles - origin)
+            axis = ways[0] * np.sign(ways[0] @ axis)
+        found.append((float(size[1]), origin, axis))
+    return min(found, key=lambda one: one[0])[1:]
+
+
+def _taper(
+    path: str, points: Floats, faces: list[Any], origin: Floats, axis: Floats, given: Any
+) -> tuple[Floats, Floats, float]:
+    """Centre of the planar face that ends the neck, its normal, radius of a circle as large."""
+    found = []
+    for face in faces:
+        x = points[np.unique(face)]
+        normal = np.linalg.svd(x - x.mean(axis=0))[2][2]
+        if np.abs((x - x.mean(axis=0)) @ normal).max() > FLAT:
+            continue
+        normal *= 1.0 if normal @ axis > 0 else -1.0
+        fine = triangles(points, face, PARTS)
+        area = 0.5 * np.linalg.norm(
+            np.cross(*(fine[:, 1:] - fine[:, :1]).transpose(1, 0, 2)), axis=1
+        )
+        centre = area @ fine.mean(axis=1) / area.sum()
+        high = (centre - origin) @ axis
+        aside = np.linalg.norm(centre - origin - high * axis)
+        rank = high + aside
+        if given is not None:
+            rank = -np.linalg.norm(fine - given, axis=2).min()
+        elif not (
+            aside > ASIDE
+            and high > 0
+            and TAPER[0] <= np.degrees(np.arccos(min(1.0, normal @ axis))) <= TAPER[1]
+        ):
+            continue
+        found.append((rank, centre, normal, float(np.sqrt(area.sum() / np.pi))))
+    if not found:
+        raise GeometryError(
+            f"{path}: no planar face ends a neck, {TAPER[0]:g} to {TAPER[1]:g} deg from the axis"
+            f" and {ASIDE:g} mm beside it: give `taper_face`, a point of it"
+        )
+    return max(found, key=lambda one: one[0])[1:]
+
+
+def _way(low: Any, high: Any) -> Floats:
+    """Unit vector from one point to another (3,)."""
+    way = np.subtract(high, low)
+    return np.asarray(way / np.linalg.norm(way))

@@ -1,0 +1,146 @@
+"""Stems from files of CAD: read, meshed, solved, and refused in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mantle
+import meshes
+from app.arrays import Floats
+from app.case.case import dump, load
+from app.cli import main
+from app.errors import GeometryError, InputError
+from meshes import quality
+from meshes.data import exterior_facets, interface_facets
+from meshes.gmsh_child import session
+from tests.meshes import cad_stems
+
+# Levels of the tip that put the shoulder at the neck cut, where that is not the default.
+TIPS = {"short": -71, "charnley": -112}
+
+
+def case(file: Path, mesh: str = "{size: 8 mm, order: 1}") -> Path:
+    path, tip = file.with_suffix(".yaml"), TIPS.get(file.stem, -118)
+    stem = f"stem: {{step: {file.name}}}"
+    path.write_text(f"base: stance\ngeometry: {{{stem}, stem_tip_z: {tip} mm}}\nmesh: {mesh}\n")
+    return path
+
+
+def off(file: Path, x: Floats) -> Floats:
+    """Distance of points (n, 3) from the exact faces of a file (n,) [mm]."""
+    away = np.full(len(x), np.inf)
+    with session("faces") as gmsh:
+        gmsh.model.occ.importShapes(str(file))
+        gmsh.model.occ.synchronize()
+        for _, face in gmsh.model.getEntities(2):
+            box = np.array(gmsh.model.getBoundingBox(2, face))
+            near = np.flatnonzero(((x > box[:3] - 1) & (x < box[3:] + 1)).all(axis=1))
+            if len(near):
+                feet = gmsh.model.getClosestPoint(2, face, x[near].ravel())[0].reshape(-1, 3)
+                feet[((feet < box[:3] - 1e-3) | (feet > box[3:] + 1e-3)).any(axis=1)] = np.inf
+                away[near] = np.minimum(away[near], np.linalg.norm(feet - x[near], axis=1))
+    return away
+
+
+def check(file: Path, mesh: str, least: float) -> None:
+    """Corners of cells are on the faces of the file, and cells have a shape."""
+    known = load(case(file, mesh)).config
+    data = meshes.build(known.geometry, known.mesh)
+    assert quality.sicn(data.points, data.cells).min() > least
+    facets, owner = exterior_facets(data.cells)
+    neck = facets[data.cell_tags[owner] == data.regions["stem"]]
+    low, high, *_, medial = known.geometry.stem.found["in_file"]
+    axis = (high - low) / np.linalg.norm(high - low)
+    turn = np.stack([medial, np.cross(axis, medial), axis])
+    # At the tip, corners within the first section are in its plane.
+    body = interface_facets(data, "stem_cement")[0]
+    for on, p95, most in ((body, 0.005, 0.12), (neck, 0.02, 0.1)):
+        x = data.points[np.unique(on[:, :3])] - [0.0, 0.0, known.geometry.stem_tip_z]
+        away = off(file, x @ turn + low)
+        assert np.quantile(away, 0.95) < p95 and away.max() < most
+
+
+def test_corners_are_on_the_faces(tmp_path: Path) -> None:
+    check(cad_stems.write("turned", tmp_path), "{size: 8 mm, order: 1}", 0.12)
+
+
+def test_check_tells_what_was_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Head, neck and length as drawn, in inches; what is given is not found."""
+    path = case(cad_stems.write("inch", tmp_path))
+    assert main(["check", str(path)]) == 0
+    told = capsys.readouterr().out
+    for line in ("stem_length: 147 mm", "head_offset: 42.9 mm", "neck_angle: 130 deg"):
+        assert f"{line}  [found]" in told
+    assert "axis in inch.step: [0.0, 0.0, 0.0] to [0.0, 0.0, 147.0] mm" in told
+    moved = load(path, ["geometry.stem.head_centre=[45 mm, 0 mm, 170 mm]"]).config
+    assert moved.geometry.head_centre == pytest.approx((45.0, 0.0, 52.0), abs=6e-3)
+    with pytest.raises(InputError, match="head_offset: is the file's"):
+        load(path, ["geometry.head_offset=40 mm"])
+    (tmp_path / "again.yaml").write_text(dump(moved))
+    assert load(tmp_path / "again.yaml").config == moved
+
+
+@pytest.mark.parametrize(
+    ("what", "why"),
+    [
+        ("text", "no STEP, IGES or BREP file"),
+        ("two", "2 solids; a stem is one: fuse them, or leave parts out"),
+        ("shell", "no solid; a stem is one: close its surface"),
+        ("small", "6.06 mm from end to end; a stem has 60 to 400 mm: the file names no unit"),
+        ("large", "mm from end to end; a stem has 60 to 400 mm: the file names no unit"),
+        ("straight", "no planar face ends a neck, 25 to 80 deg from the axis"),
+        ("hole", "mm above the tip its axis is not within the metal"),
+    ],
+)
+def test_what_is_no_stem_is_refused(what: str, why: str, tmp_path: Path) -> None:
+    file = tmp_path / "bad.step"
+    if what == "text":
+        file.write_text("a stem")
+    elif what == "hole":
+        file = cad_stems.write("short", tmp_path, hole=True)
+    else:
+        with session("bad") as gmsh:
+            occ = gmsh.model.occ
+            for k in range(2 if what == "two" else 1):
+                occ.addCylinder(30 * k, 0, 0, 0, 0, 120, 6)
+            if what == "shell":
+                occ.remove([(3, 1)])
+                occ.remove([(2, 3)])
+            scale = {"small": 0.05, "large": 40.0}.get(what, 1.0)
+            occ.dilate(occ.getEntities(2 if what == "shell" else 3), 0, 0, 0, scale, scale, scale)
+            occ.synchronize()
+            gmsh.write(str(file))
+    with pytest.raises(InputError) as caught:
+        load(case(file))
+    (message,) = caught.value.messages
+    assert "bad.yaml:2:" in message or "short.yaml:2:" in message
+    assert "geometry.stem.step: " in message and why in message
+
+
+@pytest.mark.slow
+def test_a_collar_and_a_buried_shoulder_are_refused(tmp_path: Path) -> None:
+    file = cad_stems.write("exeter", tmp_path, collar=True)
+    for tip in ("-118 mm", "-132 mm"):
+        known = load(case(file), [f"geometry.stem_tip_z={tip}"]).config
+        with pytest.raises(GeometryError, match=r"section of the stem is met more than once"):
+            meshes.build(known.geometry, known.mesh)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(cad_stems.STEMS))
+def test_every_stem_is_meshed(name: str, tmp_path: Path) -> None:
+    check(cad_stems.write(name, tmp_path), "{size: 6 mm}", 0.09)
+
+
+@pytest.mark.slow
+def test_the_parametric_stem_solves_alike_from_a_file(tmp_path: Path) -> None:
+    """Within the errors told; below the cut they are the same, necks turn away differently."""
+    plain = tmp_path / "plain.yaml"
+    plain.write_text("base: stance\nmesh: {size: 8 mm}\n")
+    file = case(cad_stems.write("own", tmp_path), "{size: 8 mm}")
+    one, other = (mantle.run(path, tmp_path / path.stem).summary["stem"] for path in (file, plain))
+    for name in ("subsidence", "retroversion", "varus"):
+        assert abs(one[name] - other[name]) < one[f"{name}_error"] + other[f"{name}_error"]
