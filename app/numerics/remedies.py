@@ -38,9 +38,10 @@ def solve(solver: Solver) -> NewtonResult:
         log.info("     %s: %s", failure_text(solver), text)
         runs.append(solver.run())
         tried.append((text, solver.residuals[-1]))
-    if contact and solver.converged and solver.augmentation < SMALL * contact.usual_augmentation():
-        runs.append(_refine(solver, contact))
     augmentation = solver.augmentation
+    if contact and solver.converged and augmentation < SMALL * contact.usual_augmentation():
+        augmentation, spent = _refine(solver, contact)
+        runs.append(spent)
     solver.use_search(solver.usual_search)
     if solver.converged:
         solver.linear.sweep_interfaces()
@@ -64,17 +65,24 @@ def solve(solver: Solver) -> NewtonResult:
     )
 
 
-def _refine(solver: Solver, contact: Contact) -> tuple[int, int]:
-    """Continue with the default augmentation: gaps and slips are wrong by the residual over r."""
+def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
+    """Continue with the default augmentation: gaps and slips are wrong by the residual over r.
+
+    Returns:
+        The augmentation of the solution; Newton and Krylov iterations.
+    """
     found, reached = solver.x.copy(), len(solver.residuals)
-    contact.scale_augmentation(contact.usual_augmentation())
+    usual = contact.usual_augmentation()
+    contact.scale_augmentation(usual)
+    log.info("     converged: refining with augmentation %.3g r, the default", usual)
     spent = solver.run()
-    if not solver.converged:
-        found.copy(solver.x)
-        contact.scale_augmentation(solver.augmentation)
-        del solver.residuals[reached:], solver.changes[reached:]
-        solver.converged = True
-    return spent
+    if solver.converged:
+        return usual, spent
+    found.copy(solver.x)
+    contact.scale_augmentation(solver.augmentation)
+    del solver.residuals[reached:], solver.changes[reached:]
+    solver.converged = True
+    return solver.augmentation, spent
 
 
 def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:

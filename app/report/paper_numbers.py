@@ -145,7 +145,7 @@ def _stance(fact: Fact, thickness: float, case: SweptCase, quantity: str) -> Com
         if over is not None and area is not None:
             part = over.value / area.value
             share = f"{100 * part:.2g} %" if part < 0.995 else "100 %"
-            remark = f"mantle: more than 30 µm on {share} of the area but rim and tip"
+            remark = f"mantle: more than 30 µm on {share} of the area without rim and tip"
     elif place := paper.peak_zone(case, fact.place, quantity):
         remark = f"mantle: largest {place}"
     other = quantity if quantity != fact.quantity else ""

@@ -84,7 +84,7 @@ def _contacts(summary: Numbers) -> Iterator[str]:
             continue
         one = f"one side of {name.replace('_', ' ')}"
         first, second, surface = PAIRS.get(name, (one, "the other", one))
-        surface += " but rim and tip" * ("rim" in q)
+        surface += " without rim and tip" * ("rim" in q)
         gap = _with_error("interfaces", "gap_p99", q)
         if q.get("open_fraction", 0.0) > APART:
             yield f"{first} touches {second} nowhere; 99 % of it is less than {gap} away"

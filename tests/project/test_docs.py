@@ -204,8 +204,8 @@ def test_the_citation_is_of_this_version() -> None:
 # Numbers of the study of the stance as README names them.
 COSTS = {
     "stem_cement.slip_p99": "slip on the stem",
-    "stem_cement.gap_p99": "The gap there",
-    "cement_bone.pressure_p95": "Pressure on the bone",
+    "cement_bone.gap_p99": "The gap at the bone",
+    "stem_cement.pressure_p95": "Pressure on the stem",
     "stem.subsidence": "Subsidence",
 }
 
