@@ -6,10 +6,11 @@ order: 8 to 10 anterior, 11 distal to the tip, 12 to 14 posterior (Johnston et a
 Surg 72-A (1990) 161). From memory, not verified against the originals.
 
 Heights are thirds of the length of the stem in the bone, measured on its axis from the tip to the
-neck cut; bone beside the stem above it counts to the proximal third. Zones 4 and 11 are drawn on
-radiographs as far as these reach. Here they end 20 mm below the tip, about the length measured
-there by X-ray absorptiometry (a habit, not a standard): down to the distal cut they would depend
-on where a model is cut and supported. Bone below is in no zone.
+neck cut; bone beside the stem above it counts to the proximal third. Zones 4 and 11 begin where the
+end of the stem is rounded, and are drawn on radiographs as far as these reach. Here they end 20 mm
+below the tip, about the length measured there by X-ray absorptiometry (a habit, not a standard):
+down to the distal cut they would depend on where a model is cut and supported. Bone below is in no
+zone.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ class Zones:
         else:
             self._normal, self._level = femur_bone.resection(geometry)
         self.tip = self._implant.stem_tip_z
+        self._end = self.tip + self._implant.tip_height
         self.top = min(self._level / self._normal[2], self.tip + self._implant.stem_length)
 
     def _local(self, x: Floats) -> Floats:
@@ -65,7 +67,7 @@ class Zones:
         frontal = np.where(medial, 5 + third, 3 - third)
         lateral = np.where(anterior, 10 - third, 12 + third)
         zones = np.concatenate([frontal, lateral], axis=1)
-        zones[x[:, 2] < self.tip + EDGE] = (4, 11)
+        zones[x[:, 2] < self._end + EDGE] = (4, 11)
         zones[x[:, 2] < self.tip - BELOW + EDGE] = 0
         return zones
 
@@ -75,8 +77,7 @@ class Zones:
 
     def borders(self, x: Floats) -> dict[str, Floats]:
         """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
-        end = self.tip + self._implant.tip_height
-        return {"tip": self._local(x)[:, 2] - end - EDGE, "rim": self.depth(x) - RIM}
+        return {"tip": self._local(x)[:, 2] - self._end - EDGE, "rim": self.depth(x) - RIM}
 
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""

@@ -188,6 +188,7 @@ def test_a_case_with_a_base_is_run_and_run_again_from_what_it_leaves(tmp_path: P
 FEMUR = """
 geometry.cement_thickness  (kind femur)
 geometry.cement_thickness  (kind intact_femur)
+geometry.cement_thickness  (kind patient)
   Thickness of the mantle where the canal has room for it, 1 to 8 mm.
   value    length, at least 1 and at most 8, e.g. 4 mm
   unit     mm

@@ -141,8 +141,7 @@ def test_the_parametric_stem_solves_alike_from_a_file(tmp_path: Path) -> None:
     plain = tmp_path / "plain.yaml"
     plain.write_text("base: stance\nmesh: {size: 8 mm}\n")
     file = case(cad_stems.write("own", tmp_path), "{size: 8 mm}")
-    one, other = (
-        mantle.run(mantle.load(path), tmp_path / path.stem).summary["stem"] for path in (file, plain)
-    )
+    cases = {path.stem: mantle.load(path) for path in (file, plain)}
+    one, other = (mantle.run(case, tmp_path / name).summary["stem"] for name, case in cases.items())
     for name in ("subsidence", "retroversion", "varus"):
         assert abs(one[name] - other[name]) < one[f"{name}_error"] + other[f"{name}_error"]

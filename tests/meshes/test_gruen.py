@@ -35,11 +35,15 @@ def test_zones_are_numbered_as_on_a_radiograph() -> None:
 
 
 def test_thirds_are_of_the_length_in_the_bone() -> None:
-    """From the tip to where the axis of the stem leaves the neck cut; 20 mm below it none."""
+    """From the tip to where the axis of the stem leaves the neck cut; 20 mm below it none.
+
+    Zones 4 and 11 begin where the stem's end is rounded.
+    """
     normal, level = femur_bone.resection(GEOMETRY)
     assert normal @ [0.0, 0.0, ZONES.top] == pytest.approx(level)
     assert ZONES.tip == -118.0 and 20.0 < ZONES.top < 25.0
-    levels = np.array([ZONES.top + 20.0, ZONES.tip + 1e-3, ZONES.tip, ZONES.tip - BELOW + 1e-3])
+    end = ZONES.tip + GEOMETRY.tip_height
+    levels = np.array([ZONES.top + 20.0, end + 1e-3, end, ZONES.tip - BELOW + 1e-3])
     x = np.column_stack([np.full(4, 10.0), np.ones(4), levels])
     assert ZONES.at(x).tolist() == [[7, 8], [5, 10], [4, 11], [4, 11]]
     assert ZONES.at(np.array([(10.0, 1.0, ZONES.tip - BELOW - 1e-3)])).tolist() == [[0, 0]]
