@@ -164,11 +164,11 @@ class Stresses:
         deviator = σ - mean[:, None, None] * np.eye(3)
         eigen = np.linalg.eigvalsh(σ)
         mises = np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator))
-        local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel(), *x.T])
-        rows = np.concatenate(self._problem.comm.allgather(local), axis=1)
-        values, x = rows[:6], rows[6:].T
+        local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
+        values = self._whole(local)
         found: dict[str, Any] = computed("regions", self, region)
         if region == "stem" and self._depth:
+            x = self._whole(x.T).T
             outside = self._depth(x) < 0
             neck, places = values[:, outside], x[outside]
             found["neck"] = self._statistics(neck) | {
@@ -177,6 +177,10 @@ class Stresses:
             }
             values = values[:, ~outside]
         return self._statistics(values) | found
+
+    def _whole(self, rows: Floats) -> Floats:
+        """Values at the points of all ranks (k, n)."""
+        return np.concatenate(self._problem.comm.allgather(rows), axis=1)
 
     def _statistics(self, values: Floats) -> dict[str, Any]:
         """Published numbers of stresses and volumes at points, one row for each (6, n)."""
