@@ -41,7 +41,8 @@ def outline(x: Floats, origin: Floats, plane: Floats) -> Floats:
     np.maximum.at(far, ray, r)
     if not (np.isfinite(near).all() and (far - near).max() < HIDDEN):
         raise ValueError
-    return np.asarray(origin + near[:, None] * (np.stack([np.cos(THETA), np.sin(THETA)], 1) @ plane))
+    ends = near * [np.cos(THETA), np.sin(THETA)]
+    return np.asarray(origin + ends.T @ plane)
 
 
 def around(x: Floats) -> float:
