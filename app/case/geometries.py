@@ -16,7 +16,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, physical_names
 from app.case.patients import Patient
-from app.case.shapes import Mantle, MeshOptions, Shape, Sides, file, graded_cells
+from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
+from app.schema.paths import file
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail, not_one_of
 from app.schema.units import Angle, PositiveLength, SizeVector
 

@@ -6,14 +6,14 @@ import hashlib
 import math
 from functools import cached_property
 from importlib import import_module
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
 from app.case.femurs import BONE, MUSCLES, Femur
-from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, file
+from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
 from app.errors import GeometryError
+from app.schema.paths import File
 from app.schema.section import Pair, Section, Triple, fail
 from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
 
@@ -21,7 +21,6 @@ SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
 
 
-File = Annotated[Path, file()]
 Unit = Literal["mm", "cm", "m", "inch"]
 Place = Annotated[tuple[Number, Number, Number], Triple("[4.1, -28.4, -39.1]")]
 Places = Annotated[tuple[Place, Place], Pair("[[31, -8, -98], [29, -17, -37]]")]

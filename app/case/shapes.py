@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BeforeValidator, ValidationInfo, model_validator
+from pydantic import model_validator
 
-from app.schema.section import Section, Truth, fail, not_one_of, show
+from app.schema.section import Section, Truth, fail
 from app.schema.units import Plain, PositiveLength
 
 Point3 = tuple[float, float, float]
@@ -27,29 +25,6 @@ CANCELLOUS, CORTICAL = 15.0, 8.0
 # Steps along (mm): first and largest over the size, and growth per mm; from the plug down, and down
 # from the neck cut, beside whose rim the largest gaps are and where sections turn apart.
 GRADING = {"below": (1.0, 1.4, 0.2), "stem": (0.6, 1.0, 0.06)}
-
-
-def file(*suffixes: str, check: Callable[[Path], None] | None = None) -> BeforeValidator:
-    """A file that exists, relative to the case's folder; `check` raises ValueError or OSError."""
-
-    def find(value: object, info: ValidationInfo) -> Path:
-        if not isinstance(value, str | Path):
-            fail("is not a path; expected text")
-        try:
-            path: Path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
-            if (found := path.is_file()) and check:
-                check(path)
-        except OSError as error:
-            fail(f"{show(str(value))} cannot be read: {error.strerror}")
-        except (RuntimeError, ValueError) as error:  # an unknown user; a bad file
-            fail(f"{show(str(value))}: {error}")
-        if suffixes and path.suffix.lower() not in suffixes:
-            fail(f"{show(str(value))}: {not_one_of(path.suffix, suffixes)}")
-        if not found:
-            fail(f"no such file: {path}")
-        return path.resolve()
-
-    return BeforeValidator(find)
 
 
 @dataclass(frozen=True)
