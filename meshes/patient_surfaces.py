@@ -7,8 +7,7 @@ from the stem's axis: there the centre of the rays goes over to the canal's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,9 @@ from app.errors import GeometryError
 from meshes import femur_bone, femur_stem
 from meshes.bone_surface import BoneSurface, centroid, exits, section
 from meshes.femur_bone import CORTEX
-from meshes.femur_surfaces import CORE_OVER, LEAST_MANTLE, FemurSurfaces
-from meshes.placement import Placement
+from meshes.femur_surfaces import CORE_OVER, FemurSurfaces
+from meshes.layers import Lines
+from meshes.placement import PatientPlacement
 
 EVERY = 2.0  # mm between sections
 ANGLES = 96  # rays around
@@ -37,8 +37,6 @@ BROACH = 0.3  # mm that a broach is wider than stem and mantle
 CORE = 0.7  # of the canal: the innermost surface below the plug
 LID, NEAR_LID = 0.9, 15.0  # of the normal along the shaft: a canal's flat end; mm from its top
 WIDE, OVER = 12.0, 2.0  # mm of an edge around the metaphysis, and over the size
-SIDES = "medially antero-medially anteriorly antero-laterally laterally postero-laterally".split()
-SIDES += ["posteriorly", "postero-medially"]
 
 
 class Radii:
@@ -55,59 +53,13 @@ class Radii:
         return np.asarray(self._spline.ev(zeta, np.mod(theta, 2 * np.pi)))
 
 
-@dataclass(frozen=True)
-class Leaning:
-    """A stem's body in planes that are not across its medial plane: z = zeta - slope (x + lean y).
-
-    Attributes:
-        body: The body.
-        lean: Slope of the planes along y over that along x.
-    """
-
-    body: Any
-    lean: float
-
-    def section(self, z: Any) -> Any:
-        """Of the body."""
-        return self.body.section(z)
-
-    def radius(self, theta: Floats, z: Floats) -> Floats:
-        """Of the body."""
-        return np.asarray(self.body.radius(theta, z))
-
-    def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
-        """Points of the outline in the planes (n, 3) [mm]."""
-        z = zeta + np.zeros(len(phi))
-        for _ in range(12):  # the body tapers: each time the error is a few percent of what it was
-            x = self.body.point(phi, z, 0.0)
-            z = zeta - slope * (x[:, 0] + self.lean * x[:, 1])
-        return np.column_stack([x[:, :2], z])
-
-
 class PatientSurfaces(FemurSurfaces):
-    """Nested surfaces, in the stem's axes, of a bone that is known by triangles.
+    """Nested surfaces, in the stem's axes, of a bone that is known by triangles."""
 
-    Attributes:
-        told: What was found, in words.
-    """
-
-    def __init__(self, geometry: Any, mesh: Any, placed: Placement) -> None:
-        self.mesh, self._placed, implant = mesh, placed, geometry.implant
-        self._top, (self._steepest, self._lean) = placed.top, placed.slopes
-        body, thickness = femur_stem.body(implant), geometry.cement_thickness
-        self._body: Any = Leaning(body, self._lean)
-        self._mantle = partial(self._within, body.offset(thickness).radius)
-        self._plug = implant.stem_tip_z - implant.plug_length
-        distal = (geometry.distal_cut_z - placed.foot[2]) / placed.turn[2, 2]
-        self._divide(implant, placed.top + distal, thickness)
-        self.told: list[str] = []
-        self._measure(geometry)
-        if not mesh.around:
-            edge = max(mesh.size, min(WIDE, OVER * mesh.size))
-            wide = 2 * np.pi * float(self._bone.radii[self._bone.zeta < self._top].mean(1).max())
-            self.around = max(self.around, int(np.ceil(wide / edge)))
-        self._refuse()
-        self._continue(implant)
+    _placed: PatientPlacement
+    remedy = (
+        "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and offsets"
+    )
 
     # Measuring
 
@@ -136,7 +88,8 @@ class PatientSurfaces(FemurSurfaces):
         return radii, times
 
     def _measure(self, geometry: Any) -> None:
-        """Take the radii of periosteum and endosteum."""
+        implant = geometry.implant
+        self._plug = implant.stem_tip_z - implant.plug_length
         bone, canal = self._in_stem(self._placed.bone), None
         if self._placed.canal:
             canal = self._in_stem(self._placed.canal)
@@ -163,6 +116,10 @@ class PatientSurfaces(FemurSurfaces):
         self._bone = Radii(zeta, _limited(radii))
         own = self._own_canal(geometry, canal) if canal else self._table(geometry)
         self._endosteum = Radii(zeta, self._reamed(geometry, own))
+        if not (mesh := self.mesh).around:
+            edge = max(mesh.size, min(WIDE, OVER * mesh.size))
+            wide = 2 * np.pi * float(self._bone.radii[within].mean(axis=1).max())
+            self.around = max(self.around, int(np.ceil(wide / edge)))
 
     def _table(self, geometry: Any) -> Floats:
         """Radii of the endosteum by its ratio to the periosteum in the parametric femur [mm]."""
@@ -272,25 +229,8 @@ class PatientSurfaces(FemurSurfaces):
         x[below] = self._on(turn, level, ratio * self._endosteum(turn, level))
         return x
 
-    def _refuse(self) -> None:
-        along, around = np.linspace(self.tip, self.cut, 90), np.arange(72) / 72
-        phi, s = (v.ravel() for v in np.meshgrid(around, along))
-        lines, zeta = self._across(phi, s), self.plane(s)[0]
-        inside = self._inside(lines.start, zeta)
-        room = np.where(inside > 0, lines.endosteum * lines.length, inside)
-        worst = int(room.argmin())
-        if room[worst] >= LEAST_MANTLE:
-            return
-        x = self._placed.to_model(lines.start[worst])
-        out = x - self._placed.to_model([0.0, 0.0, zeta[worst]])
-        side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
-        text = f"cuts {-room[worst]:.1f} mm into the cortex"
-        if room[worst] >= 0:
-            text = f"leaves {room[worst]:.1f} mm for cement, of {LEAST_MANTLE:g} mm at least,"
-        raise GeometryError(
-            f"geometry.insertion: the stem {text} {side} at {self._placed.where(x)}; ream"
-            " (canal.ream: broach), take a smaller or shorter stem, or change varus and offsets"
-        )
+    def _check(self, lines: Lines) -> None:
+        """Nothing: `_measure` counts how often rays meet bone."""
 
 
 def _limited(radii: Floats) -> Floats:

@@ -19,33 +19,28 @@ import numpy as np
 
 from app.arrays import Floats
 from app.errors import GeometryError
-from meshes import bone_frame, bone_surface, femur_stem
+from meshes import bone_frame, bone_surface, femur_bone, femur_stem
 from meshes.bone_frame import Frame
 from meshes.bone_surface import BoneSurface, centroid, exits, section
 
 # Of the parametric femur [mm]: from the axis to the greater trochanter, height of the head, radius
 # of the shaft and its level.
 LATERAL, HEAD, SHAFT, LEVEL = 31.5, 54.0, 14.4, -50.0
+EXACT = 1e-12  # of a cut's normal: rounded off
 BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Bone, canal, cut and stem of a patient.
+    """The neck cut and the stem, in the model's axes.
 
     Attributes:
-        frame: Landmarks found on the bone.
-        bone: Its surface, in the model's axes as all below.
-        canal: BoneSurface of its canal, or None.
         normal: Unit normal of the neck cut (3,): what is below is kept.
         turn: Axes of the stem as columns (3, 3).
         foot: Where its axis meets the cut (3,) [mm].
-        top: The same on its axis: height above the shoulder [mm].
+        top: The same on its axis: height in the stem's axes [mm].
     """
 
-    frame: Frame
-    bone: BoneSurface
-    canal: BoneSurface | None
     normal: Floats
     turn: Floats
     foot: Floats
@@ -63,17 +58,32 @@ class Placement:
     def slopes(self) -> tuple[float, float]:
         """Slope of the cut along x of the stem, and along y over that along x."""
         x, y, z = self.normal @ self.turn
-        return x / z, y / x
-
-    @property
-    def size(self) -> float:
-        """Height of the patient's head over that of the parametric femur."""
-        return float(self.frame.to_model(self.frame.head)[2]) / HEAD
+        return x / z, y / x if abs(y) > EXACT else 0.0
 
     def where(self, x: Floats) -> str:
         """A point of the model (3,) in words."""
         below = float(self.normal @ (self.foot - x)) / self.normal[2]
         return "({:.0f}, {:.0f}, {:.0f}) mm, {:.0f} mm below the cut".format(*x, below)
+
+
+@dataclass(frozen=True)
+class PatientPlacement(Placement):
+    """The same on a patient's bone.
+
+    Attributes:
+        frame: Landmarks found on the bone.
+        bone: Its surface, in the model's axes.
+        canal: Surface of its canal, or None.
+    """
+
+    frame: Frame
+    bone: BoneSurface
+    canal: BoneSurface | None
+
+    @property
+    def size(self) -> float:
+        """Height of the patient's head over that of the parametric femur."""
+        return float(self.frame.to_model(self.frame.head)[2]) / HEAD
 
     @property
     def trochanter_lost(self) -> float:
@@ -110,7 +120,15 @@ def _found(
     return frame, frame.surface(surface)
 
 
-def place(geometry: Any) -> Placement:
+def of_femur(geometry: Any) -> Placement:
+    """The placement in the parametric femur: the axes of its stem are turned by its anteversion."""
+    (x, _, z), level = femur_bone.resection(geometry)
+    c, s = math.cos(geometry.anteversion), math.sin(geometry.anteversion)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return Placement(np.array([x * c, x * s, z]), turn, np.array([0.0, 0.0, level / z]), level / z)
+
+
+def place(geometry: Any) -> PatientPlacement:
     """Read the bone, find its landmarks, cut the neck and place the stem.
 
     Raises:
@@ -143,4 +161,5 @@ def place(geometry: Any) -> Placement:
     level = float(normal @ [*(edge * way), cut.height]) - float(normal[:2] @ aside)
     nx, _, nz = normal @ turn
     top = insertion.depth - nx / nz * float(femur_stem.body(geometry.implant).section(0.0)[0])
-    return Placement(frame, bone, canal, normal, turn, np.r_[aside, level / normal[2]], top)
+    foot = np.r_[aside, level / normal[2]]
+    return PatientPlacement(normal, turn, foot, top, frame, bone, canal)

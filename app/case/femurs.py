@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from importlib import import_module
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import model_validator
@@ -187,6 +188,16 @@ class _Femur(Shape):
                 least = "positive" if size <= 0.0 else f"above the corner radius, {radius:.3g} mm,"
                 fail(f"{text}; expected sections that stay {least} there", at=(f"stem_{name}",))
         return sizes["half_width"]
+
+    @property
+    def implant(self) -> _Femur:
+        """What has the keys of the stem: itself."""
+        return self
+
+    @property
+    def placement(self) -> Any:
+        """Cut and stem in the model's axes (`meshes.placement.Placement`)."""
+        return import_module("meshes.placement").of_femur(self)  # by name: it needs scipy
 
     @property
     def tip_height(self) -> float:

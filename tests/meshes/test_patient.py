@@ -108,7 +108,7 @@ def test_axes_of_the_scan_do_not_matter(folder: Path) -> None:
     canal = {"surface": "canal_moved.stl", "ream": "broach"}
     still = patient(folder, canal=canal | {"surface": "canal.stl"})
     turned = patient(folder, bone={"surface": "bone_moved.stl"}, canal=canal)
-    one, other = (PatientSurfaces(g, options(), g.placement) for g in (still, turned))
+    one, other = (PatientSurfaces(g, options()) for g in (still, turned))
     s = np.linspace(0, one.cut, 200)
     phi = np.random.default_rng(1).uniform(size=200)
     a, b = one.lines(phi, s), other.lines(phi, s)
@@ -162,7 +162,7 @@ def test_what_does_not_fit_is_refused_with_the_place(folder: Path, name: str) ->
     changes, text = REFUSED[name]
     geometry = patient(folder, **changes)
     with pytest.raises(GeometryError, match=text):
-        PatientSurfaces(geometry, options(), geometry.placement)
+        PatientSurfaces(geometry, options())
 
 
 WRONG = {
@@ -198,7 +198,7 @@ def test_a_wrong_canal_is_refused(folder: Path, name: str) -> None:
     write(folder / f"{name}.stl", change(own_canal()))
     geometry = patient(folder, canal={"surface": f"{name}.stl"})
     with pytest.raises(GeometryError, match=f"geometry.canal.surface: .*{text}"):
-        PatientSurfaces(geometry, options(), geometry.placement)
+        PatientSurfaces(geometry, options())
 
 
 def random_patient(folder: Path, seed: int) -> Patient:
