@@ -104,6 +104,11 @@ class Body:
         across = [thickness / math.cos(math.atan(slope)) for slope in self.slope[:2]]
         return Body((a + across[0], b + across[1], r + thickness), self.slope)
 
+    def depth(self, thickness: float, x: Floats) -> Floats:
+        """Depth of points (n, 3) within the surface at a distance, across the z axis (n,) [mm]."""
+        r = self.offset(thickness).radius(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
+        return np.asarray(r - np.hypot(x[:, 0], x[:, 1]))
+
 
 def body(geometry: Any) -> Body:
     """The stem's body from its sections at the tip and at ``stem_section_z``."""
@@ -114,6 +119,13 @@ def body(geometry: Any) -> Body:
         slopes.append((top - tip) / (high - low))
         values.append(tip - slopes[-1] * low)
     return Body((values[0], values[1], values[2]), (slopes[0], slopes[1], slopes[2]))
+
+
+def lateral(implant: Any) -> float:
+    """How far the shoulder reaches lateral of the axis [mm]."""
+    if implant.stem:
+        return float(implant.stem.found["lateral"])
+    return float(body(implant).section(implant.stem_tip_z + implant.stem_length)[0])
 
 
 @dataclass(frozen=True)

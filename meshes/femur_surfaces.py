@@ -90,7 +90,11 @@ class FemurSurfaces:
         self.mesh, self._placed, self.told = mesh, geometry.placement, list[str]()
         placed = self._placed
         self._top, (self._steepest, self._lean) = placed.top, placed.slopes
-        self._shape(implant, thickness)
+        if stem := getattr(implant, "stem", None):
+            self._body: Any = CadStem(stem.found, implant.stem_tip_z, placed, mesh)
+        else:
+            self._body = replace(femur_stem.body(implant), lean=self._lean)
+        self._mantle = partial(self._body.depth, thickness)
         distal = placed.top + (geometry.distal_cut_z - placed.foot[2]) / placed.turn[2, 2]
         self._divide(implant, distal, thickness)
         self._measure(geometry)
@@ -128,16 +132,6 @@ class FemurSurfaces:
     def cut(self) -> int:
         """Station of the neck cut."""
         return self.mantle[1]
-
-    def _shape(self, implant: Any, thickness: float) -> None:
-        """Make the stem's body, and the function that is the depth within its mantle."""
-        if stem := getattr(implant, "stem", None):
-            cut = self._top, self._steepest
-            self._body: Any = CadStem(stem.found, implant.stem_tip_z, cut, self.mesh)
-            self._mantle = partial(self._body.depth, thickness)
-        else:
-            self._body = replace(femur_stem.body(implant), lean=self._lean)
-            self._mantle = partial(self._within, self._body.offset(thickness).radius)
 
     def _continue(self, implant: Any) -> None:
         """Divide the stem above the cut."""
@@ -212,8 +206,7 @@ class FemurSurfaces:
         below = s < self.mantle[0]
         at = np.where(below, float(self.mantle[0]), s)
         z, tilt = self.plane(at)
-        start = self._body.point(phi, z, tilt) * [[1.0, 1.0, 0.0]] * self._tip.width(z)[:, None]
-        start[:, 2] = z - tilt * (start[:, 0] + self._lean * start[:, 1])
+        start = self._outline(phi, z, tilt)
         depth = np.where(below, self._zeta[self.mantle[0]] - zeta, 0.0)
         start = self._sink(start, theta, zeta, depth)
         endosteum = self._meets(self._inside, zeta, start, end)
@@ -227,6 +220,12 @@ class FemurSurfaces:
             ratio += (SPREAD - ratio) * np.minimum(1.0, depth[below] / (4 * self.mesh.size))
             mantle[below] = ratio * endosteum[below]
         return Lines(start, end, mantle, endosteum)
+
+    def _outline(self, phi: Floats, zeta: Floats, slope: Floats) -> Floats:
+        """Points of the stem's outline in sections (n, 3) [mm]."""
+        x = self._body.point(phi, zeta, slope) * [[1.0, 1.0, 0.0]] * self._tip.width(zeta)[:, None]
+        x[:, 2] = zeta - slope * (x[:, 0] + self._lean * x[:, 1])
+        return np.asarray(x)
 
     def _sink(self, start: Floats, theta: Floats, zeta: Floats, depth: Floats) -> Floats:
         """Points of the innermost surface below the plug, scaled to a part of the canal."""

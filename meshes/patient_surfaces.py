@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
-from meshes import femur_bone, femur_stem
+from meshes import femur_bone
 from meshes.bone_surface import BoneSurface, centroid, exits, section
 from meshes.femur_bone import CORTEX
 from meshes.femur_surfaces import CORE_OVER, FemurSurfaces
@@ -177,13 +177,7 @@ class PatientSurfaces(FemurSurfaces):
         bone, zeta, ream = self._bone.radii, self._bone.zeta, geometry.canal.ream
         wanted = own + (geometry.canal.ream_by if ream == "by" else 0.0)
         if ream == "broach":
-            wide = femur_stem.body(geometry.implant).offset(geometry.cement_thickness + BROACH)
-            theta = np.broadcast_to(THETA, own.shape)
-            slope = self._slope(zeta)[:, None] * (np.cos(THETA) + self._lean * np.sin(THETA))
-            r = np.zeros_like(own)
-            for _ in range(12):
-                r = wide.radius(theta, zeta[:, None] - slope * r)
-            wanted = np.maximum(own, r)
+            wanted = np.maximum(own, self._broached(geometry.cement_thickness + BROACH))
         most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - own))
         made = np.minimum(wanted, most)
         # Below the plug the reamed canal goes over to the patient's own.
@@ -198,6 +192,18 @@ class PatientSurfaces(FemurSurfaces):
             where = self._placed.where(self._places(made)[i, j])
             self.told.append(f"bone {what}: {abs(size[i, j]):.1f} mm at {where}")
         return made
+
+    def _broached(self, thickness: float) -> Floats:
+        """Radii of the surface at a distance from the stem, up to the cut (n, `ANGLES`) [mm]."""
+        theta, zeta = (
+            v.ravel() for v in np.meshgrid(THETA, np.minimum(self._bone.zeta, self._top))
+        )
+        slope = self._slope(zeta)
+        start, end = self._outline(theta / (2 * np.pi), zeta, slope), self._ends(theta, zeta, slope)
+        part = self._meets(lambda x, _: self._body.depth(thickness, x), zeta, start, end)
+        x, y, _ = (start + part[:, None] * (end - start)).T.reshape(3, -1, ANGLES)
+        rows = zip(np.arctan2(y, x), np.hypot(x, y), strict=True)
+        return np.array([np.interp(THETA, turn, r, period=2 * np.pi) for turn, r in rows])
 
     def _on(self, theta: Floats, zeta: Floats, radii: Floats) -> Floats:
         """Points of sections, about their centres (..., 3) [mm]."""

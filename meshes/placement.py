@@ -60,6 +60,11 @@ class Placement:
         x, y, z = self.normal @ self.turn
         return x / z, y / x if abs(y) > EXACT else 0.0
 
+    @property
+    def mirrored(self) -> bool:
+        """Whether the model is the mirror image of what is operated on."""
+        return False
+
     def where(self, x: Floats) -> str:
         """A point of the model (3,) in words."""
         below = float(self.normal @ (self.foot - x)) / self.normal[2]
@@ -79,6 +84,11 @@ class PatientPlacement(Placement):
     frame: Frame
     bone: BoneSurface
     canal: BoneSurface | None
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the model is the mirror image of what is operated on: a right femur."""
+        return self.frame.side == "right"
 
     @property
     def size(self) -> float:
@@ -160,6 +170,6 @@ def place(geometry: Any) -> PatientPlacement:
     aside = insertion.medial_offset * way + insertion.anterior_offset * np.array([-way[1], way[0]])
     level = float(normal @ [*(edge * way), cut.height]) - float(normal[:2] @ aside)
     nx, _, nz = normal @ turn
-    top = insertion.depth - nx / nz * float(femur_stem.body(geometry.implant).section(0.0)[0])
+    top = insertion.depth - nx / nz * femur_stem.lateral(geometry.implant)
     foot = np.r_[aside, level / normal[2]]
     return PatientPlacement(normal, turn, foot, top, frame, bone, canal)

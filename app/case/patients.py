@@ -12,9 +12,10 @@ from pydantic import Field, model_validator
 
 from app.case.femurs import BONE, MUSCLES, Femur
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
+from app.case.stems import StemFile
 from app.errors import GeometryError
 from app.schema.paths import File
-from app.schema.section import Pair, Section, Triple, fail
+from app.schema.section import Kinds, Pair, Section, Triple, fail
 from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
 
 SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
@@ -99,8 +100,6 @@ class Stem(Section):
     """Height of the head's centre above the shoulder."""
     neck_angle: Angle = _of_femur("neck_angle")
     """Angle between neck and stem (rad)."""
-    plug_length: PositiveLength = _of_femur("plug_length")
-    """Length of cement below the tip."""
 
     @model_validator(mode="after")
     def _solid(self) -> Stem:
@@ -113,11 +112,12 @@ class Stem(Section):
                 fail(text, at=(f"{end}corner_radius",))
         return self
 
-    def as_femur(self, cement: float) -> Femur:
-        """The same in the parametric femur's keys, with the shoulder at z = 0."""
+    @property
+    def femur_keys(self) -> dict[str, Any]:
+        """The same in the parametric femur's keys, with its shoulder at z = 0."""
         known = {k if k in Femur.model_fields else f"stem_{k}": v for k, v in self}
         levels = {"stem_tip_z": -self.length, "stem_section_z": -known.pop("stem_section_depth")}
-        return Femur.model_construct(cement_thickness=cement, **known, **levels)
+        return known | levels
 
 
 class Resection(Section):
@@ -182,8 +182,8 @@ class Patient(Shape):
     """Its medullary canal, and how it is reamed."""
     landmarks: Landmarks = Field(default_factory=Landmarks)
     """Landmarks that are given and not found."""
-    stem: Stem = Field(default_factory=Stem)
-    """The implant."""
+    stem: Annotated[Stem | StemFile, Kinds(".")] = Field(default_factory=Stem)
+    """The implant: mantle's own by its numbers, or one from a file of CAD."""
     resection: Resection = Field(default_factory=Resection)
     """The cut across the neck."""
     insertion: Insertion = Field(default_factory=Insertion)
@@ -192,6 +192,8 @@ class Patient(Shape):
         float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
     ] = 4.0
     """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
+    plug_length: PositiveLength = _of_femur("plug_length")
+    """Length of cement below the tip."""
     distal_cut_z: Length | None = None
     """Level at which the shaft is cut and held; by default 70 mm below the plug, or where the
     surface ends."""
@@ -204,7 +206,8 @@ class Patient(Shape):
             key, found, text = str(error).removeprefix("geometry.").partition(": ")
             fail(text, at=tuple(key.split("."))) if found and " " not in key else fail(str(error))
         low = float(placed.bone.points[:, 2].min())
-        plug = float(placed.to_model([0.0, 0.0, -self.stem.length - self.stem.plug_length])[2])
+        plug = self.implant.stem_tip_z - self.plug_length
+        plug = float(placed.to_model([0.0, 0.0, plug])[2])
         level = self.distal_cut_z
         if level is None:
             level = self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
@@ -216,7 +219,8 @@ class Patient(Shape):
     @property
     def implant(self) -> Femur:
         """The stem in the parametric femur's keys, in axes of its own."""
-        return self.stem.as_femur(self.cement_thickness)
+        mantle = {"cement_thickness": self.cement_thickness, "plug_length": self.plug_length}
+        return Femur.model_construct(**mantle, **self.stem.femur_keys)
 
     @cached_property
     def content(self) -> str:
@@ -237,7 +241,8 @@ class Patient(Shape):
     @property
     def head_centre(self) -> Point3:
         """Centre of the implant's head (mm)."""
-        return _point(self.placement.to_model([self.stem.head_offset, 0.0, self.stem.head_height]))
+        implant = self.implant
+        return _point(self.placement.to_model([implant.head_offset, 0.0, implant.head_height]))
 
     @cached_property
     def points(self) -> dict[str, Point3]:
@@ -254,13 +259,16 @@ class Patient(Shape):
             found["surface"] = ", ".join(placed.bone.told)
         if (lost := placed.trochanter_lost) > 0.5:
             found["left out"] = f"the greater trochanter's tip, {lost:.0f} mm above the cut"
+        if isinstance(self.stem, StemFile):
+            found |= self.stem.told
         return found | {"muscles moved (mm)": ", ".join(placed.projected(MUSCLES)[1])}
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
         """The mantle around the stem, with a plug below its tip."""
-        half = max(self.stem.tip_half_width, self.stem.tip_half_depth)
-        end = self.implant.tip_height - self.stem.length
+        implant = self.implant
+        half = max(implant.stem_tip_half_width, implant.stem_tip_half_depth)
+        end = implant.stem_tip_z + implant.tip_height
         tip = float(self.placement.to_model([0.0, 0.0, end])[2])
         return (Mantle(self.cement_thickness, tip + half * math.tan(abs(self.insertion.varus))),)
 
@@ -272,8 +280,9 @@ class Patient(Shape):
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, of the parametric femur with this stem."""
         least = {"around": mesh.around or 14} if mesh.size <= 10.0 else {}
-        levels = {"stem_tip_z": SHOULDER - self.stem.length, "stem_section_z": SHOULDER - 14.0}
-        return self.implant.model_copy(update=levels).estimate_cells(mesh.model_copy(update=least))
+        implant = self.implant
+        levels = {"stem_tip_z": SHOULDER - implant.stem_length, "stem_section_z": SHOULDER - 14.0}
+        return implant.model_copy(update=levels).estimate_cells(mesh.model_copy(update=least))
 
 
 def _point(x: Any) -> Point3:
