@@ -94,7 +94,8 @@ class FemurSurfaces:
             self._body: Any = CadStem(stem.found, implant.stem_tip_z, placed, mesh)
         else:
             self._body = replace(femur_stem.body(implant), lean=self._lean)
-        self._mantle = partial(self._body.depth, thickness)
+        self._thickness = femur_stem.thickness(thickness, implant.stem_tip_z, placed.top)
+        self._mantle = partial(self._body.depth, self._thickness)
         distal = placed.top + (geometry.distal_cut_z - placed.foot[2]) / placed.turn[2, 2]
         self._divide(implant, distal, thickness)
         self._measure(geometry)
@@ -106,7 +107,7 @@ class FemurSurfaces:
         self._canal = femur_bone.endosteum(geometry)
         self._periosteum = replace(PERIOSTEUM, turn=geometry.anteversion)
 
-    def _divide(self, implant: Any, distal: float, thickness: float) -> None:
+    def _divide(self, implant: Any, distal: float, thickness: Any) -> None:
         """Divide the bone from a distal level [mm] to the cut: stations, lines, cells."""
         mesh, plug = self.mesh, implant.stem_tip_z - implant.plug_length
         self._tip = femur_stem.Tip(implant.stem_tip_z, implant.tip_height, plug)

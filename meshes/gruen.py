@@ -47,6 +47,7 @@ class Zones:
         self.tip = implant.stem_tip_z
         self._end = self.tip + implant.tip_height
         self.top = min(placed.top, self.tip + implant.stem_length)
+        self._thickness = femur_stem.thickness(geometry.cement_thickness, self.tip, placed.top)
 
     def at(self, x: Floats) -> Ints:
         """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""
@@ -66,6 +67,11 @@ class Zones:
         """Distance of points (n, 3) below the plane of the neck cut (n,) [mm]."""
         return np.asarray(self._level - self._local(x) @ self._normal)
 
+    def thickness(self, x: Floats) -> Any:
+        """Thickness asked for of the mantle at points (n, 3), the same for all or (n,) [mm]."""
+        x = self._local(x)
+        return self._thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
+
     def borders(self, x: Floats) -> dict[str, Floats]:
         """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
         return {"tip": self._local(x)[:, 2] - self._end - EDGE, "rim": self.depth(x) - RIM}
@@ -77,7 +83,7 @@ class Zones:
             return np.ones(len(x), dtype=bool)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
-        cavity = femur_stem.body(g).offset(g.cement_thickness).radius(theta, z)
+        cavity = femur_stem.body(g).outside(self._thickness, theta, z)
         canal = femur_bone.endosteum(g)(theta, z)
         # The mantle ends at the endosteum.
         cavity = np.minimum(cavity, canal)

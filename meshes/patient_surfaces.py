@@ -177,7 +177,7 @@ class PatientSurfaces(FemurSurfaces):
         bone, zeta, ream = self._bone.radii, self._bone.zeta, geometry.canal.ream
         wanted = own + (geometry.canal.ream_by if ream == "by" else 0.0)
         if ream == "broach":
-            wanted = np.maximum(own, self._broached(geometry.cement_thickness + BROACH))
+            wanted = np.maximum(own, self._broached())
         most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - own))
         made = np.minimum(wanted, most)
         # Below the plug the reamed canal goes over to the patient's own.
@@ -193,14 +193,14 @@ class PatientSurfaces(FemurSurfaces):
             self.told.append(f"bone {what}: {abs(size[i, j]):.1f} mm at {where}")
         return made
 
-    def _broached(self, thickness: float) -> Floats:
-        """Radii of the surface at a distance from the stem, up to the cut (n, `ANGLES`) [mm]."""
+    def _broached(self) -> Floats:
+        """Radii that a broach for stem and mantle leaves, up to the cut (n, `ANGLES`) [mm]."""
         theta, zeta = (
             v.ravel() for v in np.meshgrid(THETA, np.minimum(self._bone.zeta, self._top))
         )
         slope = self._slope(zeta)
         start, end = self._outline(theta / (2 * np.pi), zeta, slope), self._ends(theta, zeta, slope)
-        part = self._meets(lambda x, _: self._body.depth(thickness, x), zeta, start, end)
+        part = self._meets(lambda x, _: self._mantle(x) + BROACH, zeta, start, end)
         x, y, _ = (start + part[:, None] * (end - start)).T.reshape(3, -1, ANGLES)
         rows = zip(np.arctan2(y, x), np.hypot(x, y), strict=True)
         return np.array([np.interp(THETA, turn, r, period=2 * np.pi) for turn, r in rows])

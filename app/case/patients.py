@@ -10,8 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from app.case.femurs import BONE, MUSCLES, Femur
-from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
+from app.case.femurs import BONE, MUSCLES, Femur, check_sections, check_void
+from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.case.stems import StemFile
 from app.errors import GeometryError
 from app.schema.paths import File
@@ -105,11 +105,7 @@ class Stem(Section):
     def _solid(self) -> Stem:
         if not self.section_depth < self.length:
             fail("is not above the tip", at=("section_depth",))
-        for end in ("", "tip_"):
-            half = min(getattr(self, f"{end}half_width"), getattr(self, f"{end}half_depth"))
-            if getattr(self, f"{end}corner_radius") >= half:
-                text = f"is not below the half-width and half-depth, {half:g} mm"
-                fail(text, at=(f"{end}corner_radius",))
+        check_sections(self, "", "tip_")
         return self
 
     @property
@@ -188,18 +184,21 @@ class Patient(Shape):
     """The cut across the neck."""
     insertion: Insertion = Field(default_factory=Insertion)
     """Where the stem is put."""
-    cement_thickness: Annotated[
-        float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
-    ] = 4.0
-    """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
+    cement_thickness: Thickness = 4.0
+    """Thickness of the mantle where the canal has room for it, 1 to 8 mm: one, or several by height
+    and side."""
     plug_length: PositiveLength = _of_femur("plug_length")
     """Length of cement below the tip."""
+    tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] = 0.0
+    """Length without cement below the end, which is flat then: 1 mm at least, and 1 mm less than
+    the plug at most; 0: none."""
     distal_cut_z: Length | None = None
     """Level at which the shaft is cut and held; by default 70 mm below the plug, or where the
     surface ends."""
 
     @model_validator(mode="after")
     def _placed(self) -> Patient:
+        check_void(self)
         try:
             placed = self.placement
         except GeometryError as error:
@@ -219,8 +218,8 @@ class Patient(Shape):
     @property
     def implant(self) -> Femur:
         """The stem in the parametric femur's keys, in axes of its own."""
-        mantle = {"cement_thickness": self.cement_thickness, "plug_length": self.plug_length}
-        return Femur.model_construct(**mantle, **self.stem.femur_keys)
+        own = {k: getattr(self, k) for k in ("cement_thickness", "plug_length", "tip_void")}
+        return Femur.model_construct(**own | self.stem.femur_keys)
 
     @cached_property
     def content(self) -> str:
@@ -270,7 +269,8 @@ class Patient(Shape):
         half = max(implant.stem_tip_half_width, implant.stem_tip_half_depth)
         end = implant.stem_tip_z + implant.tip_height
         tip = float(self.placement.to_model([0.0, 0.0, end])[2])
-        return (Mantle(self.cement_thickness, tip + half * math.tan(abs(self.insertion.varus))),)
+        mean = spread(self.cement_thickness)[1]
+        return (Mantle(mean, tip + half * math.tan(abs(self.insertion.varus))),)
 
     @property
     def interface_area(self) -> float:
