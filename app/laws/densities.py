@@ -51,7 +51,7 @@ class Calibration(Section):
     """Density at the CT number 0."""
 
 
-class Range(Section):
+class DensityRange(Section):
     """Range of densities in which E = a + b rho^c, rho in g/cm3."""
 
     above: Annotated[float, Dimension("g/cm^3", "a density", "0.27 g/cm^3", at_least=0.0)] = 0.0
@@ -69,7 +69,7 @@ class DensityLaw(Section):
 
     density: Literal["qct", "ash", "apparent"]
     """Density that it is of: by the phantom, of ash or apparent."""
-    ranges: Annotated[tuple[Range, ...], ITEMS]
+    ranges: Annotated[tuple[DensityRange, ...], ITEMS]
     """Ranges, by density."""
 
 
