@@ -14,10 +14,11 @@ from pydantic import ValidationError
 from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, MeshOptions, Patient
 from app.errors import GeometryError
-from meshes import _make, femur_bone
-from meshes.data import MeshData, region_volumes
+from meshes import _make, femur_bone, femur_stem
+from meshes.data import MeshData, interface_facets, region_volumes
 from meshes.gruen import Zones
 from meshes.patient_surfaces import PatientSurfaces
+from tests.meshes import cad_stems
 from tests.meshes.bones import (
     LINES,
     MEASURED,
@@ -116,6 +117,47 @@ def test_axes_of_the_scan_do_not_matter(folder: Path) -> None:
     assert a.endosteum == pytest.approx(b.endosteum, abs=0.02)
 
 
+# Mantle's own stem below the cut, placed where its shoulder is out of the bone.
+NECK = (135.919, 130.0, 4.9, 5.5, 56.133)
+PUT = {"depth": "-1 mm", "varus": "1 deg", "version": {"angle": "-8 deg"}}
+IN = {"canal": {"ream": "broach"}, "insertion": PUT}
+
+
+def test_a_stem_from_a_file_is_as_mantles_own(folder: Path) -> None:
+    """Circles of 6 mm are met to 0.008 mm, and its axis is found to 0.005 mm; its end is flat."""
+    file = {"step": cad_stems.write("own", folder, neck=NECK)}
+    given, here = patient(folder, **IN), patient(folder, stem=file, **IN)
+    (there, expected), (data, volumes) = ((d, region_volumes(d)) for d in map(made, (given, here)))
+    assert here.head_centre == pytest.approx(given.head_centre, abs=0.02)
+    assert here.told["end of the neck in own.step"] == "[43.0, 0.0, 172.0] mm"
+    x = here.placement.to_stem(data.points[np.unique(interface_facets(data, "stem_cement")[0])])
+    x, y, z = x[x[:, 2] > -146.9].T
+    body = femur_stem.body(given.implant)
+    assert len(z) > 200 and z.max() < 0
+    assert np.hypot(x, y) == pytest.approx(body.radius(np.arctan2(y, x), z), abs=0.013)
+    for name in ("cement", "cortical_bone", "cancellous_bone"):
+        assert volumes[name] == pytest.approx(expected[name], rel=0.006), name
+    nominal = [d.notes["mantle"]["thickness"]["median"] for d in (data, there)]
+    assert nominal[0] == pytest.approx(nominal[1], abs=0.02)
+
+
+def test_a_stem_of_the_right_side_is_mirrored_with_the_bone(folder: Path) -> None:
+    """One that is not symmetric: its medial direction is that to a head beside its plane."""
+    file, mirror = cad_stems.write("own", folder, neck=NECK), np.diag([-1.0, 1.0, 1.0])
+    write(folder / "right.stl", moved(own(), mirror, np.zeros(3)))
+    found = []
+    for name, y in (("bone", -8), ("right", 8)):
+        stem = {"step": file, "head_centre": ["42 mm", f"{y} mm", "172 mm"]}
+        geometry = patient(folder, bone={"surface": f"{name}.stl"}, stem=stem, **IN)
+        surfaces = PatientSurfaces(geometry, options())
+        outlines = [surfaces._body._section(z, 0.1)[0] for z in (-140.0, -80.0, -20.0)]
+        found.append((np.stack(outlines), geometry.head_centre))
+    (one, head), (other, centre) = found
+    assert head == pytest.approx(centre, abs=0.001)
+    assert one == pytest.approx(other, abs=0.02)
+    assert np.abs(one[:, 1:-1] - one[:, -2:0:-1] * [1, -1, 1]).max() > 0.5
+
+
 def test_muscles_are_on_the_bone_and_below_the_cut(folder: Path) -> None:
     geometry = patient(folder)
     placed = geometry.placement
@@ -172,6 +214,8 @@ WRONG = {
     "deep": ({"insertion": {"depth": "15 mm"}}, r"at most 4\.5"),
     "condyles": ({"insertion": {"version": {"relative_to": "condyles"}}}, "relative_to: neck"),
     "corner": ({"stem": {"corner_radius": "6 mm"}}, "half-depth"),
+    "stem": ({"stem": {"step": "bone.stl"}}, "not one of .step"),
+    "void": ({"tip_void": "12 mm"}, "plug"),
     "long": ({"stem": {"length": "300 mm"}}, "distal_cut_z|between the end of the surface"),
     "cut": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
     "axis": ({"resection": {"height": "120 mm"}}, "outside of the bone; cut lower"),
