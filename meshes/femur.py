@@ -17,7 +17,7 @@ from meshes import swept
 from meshes.data import MeshData, assemble, facet_areas, number
 from meshes.femur_bone import turned
 from meshes.femur_surfaces import FemurSurfaces
-from meshes.patient_surfaces import PatientSurfaces
+from meshes.patient_surfaces import InsertedSurfaces, PatientSurfaces
 
 PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
@@ -37,7 +37,10 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         GeometryError: The stem does not fit the canal (with the place), or its neck or shoulder
             does not go with the neck cut.
     """
-    surfaces = (PatientSurfaces if geometry.kind == "patient" else FemurSurfaces)(geometry, mesh)
+    kind = FemurSurfaces
+    if geometry.insertion:
+        kind = PatientSurfaces if geometry.kind == "patient" else InsertedSurfaces
+    surfaces = kind(geometry, mesh)
     made = swept.mesh(surfaces, mesh.curved)
     facets, owner = made.facets
     bone = np.array([name.endswith("bone") for name in made.names])[made.region[owner]]
@@ -47,9 +50,10 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "stem_trunnion": made.on(facets, s=surfaces.cut + surfaces.segments[-1].steps),
         "resection": bone & made.on(facets, s=surfaces.cut),
     }
-    x = turned(made.nodes.x, getattr(geometry, "anteversion", 0.0))
-    if geometry.kind == "patient":
-        x = geometry.placement.to_model(x)
+    if geometry.insertion:
+        x = geometry.placement.to_model(made.nodes.x)
+    else:
+        x = turned(made.nodes.x, geometry.anteversion)
     data = assembled(geometry, made, x, REGIONS, INTERFACES, masks)
     told = [*(f"{k}: {v}" for k, v in geometry.told.items()), *surfaces.told]
     return replace(data, notes={**data.notes, "told": told}) if told else data

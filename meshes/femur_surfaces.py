@@ -266,8 +266,7 @@ class FemurSurfaces:
 
         return root(within, np.ones(len(start)))
 
-    @staticmethod
-    def _within(radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
+    def _within(self, radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
         """Depth of points inside a surface r(theta, z), across the z axis (n,) [mm]."""
         x, y, z = points.T
         return radius(np.arctan2(y, x), z) - np.hypot(x, y)
@@ -277,11 +276,11 @@ class FemurSurfaces:
         along, around = np.linspace(self.tip, self.cut, 90), np.arange(72) / 72
         phi, s = (v.ravel() for v in np.meshgrid(around, along))
         lines, zeta = self._across(phi, s), self.plane(s)[0]
-        self._check(lines)
         inside = self._inside(lines.start, zeta)
         room = np.where(inside > 0, lines.endosteum * lines.length, inside)
-        worst = int(room.argmin())
+        worst = int(np.nanargmin(room))  # no number where the axis is outside of the bone
         if (least := room[worst]) >= LEAST_MANTLE:
+            self._check(lines)
             return
         x = self._placed.to_model(lines.start[worst])
         out = x - self._placed.to_model([0.0, 0.0, zeta[worst]])

@@ -7,7 +7,9 @@ from the stem's axis: there the centre of the rays goes over to the canal's.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,10 +20,9 @@ from app.arrays import Floats, Ints
 from app.errors import GeometryError
 from meshes import femur_bone
 from meshes.bone_surface import BoneSurface, centroid, exits, section
-from meshes.femur_bone import CORTEX
-from meshes.femur_surfaces import CORE_OVER, FemurSurfaces
+from meshes.femur_bone import CORTEX, PERIOSTEUM
+from meshes.femur_surfaces import CORE_OVER, REACH, FemurSurfaces, root
 from meshes.layers import Lines
-from meshes.placement import PatientPlacement
 
 EVERY = 2.0  # mm between sections
 ANGLES = 96  # rays around
@@ -56,7 +57,9 @@ class Radii:
 class PatientSurfaces(FemurSurfaces):
     """Nested surfaces, in the stem's axes, of a bone that is known by triangles."""
 
-    _placed: PatientPlacement
+    _placed: Any
+    _bone: Any
+    _endosteum: Any
     remedy = (
         "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and offsets"
     )
@@ -251,3 +254,32 @@ def _limited(radii: Floats) -> Floats:
         if (radii <= least).all():
             return radii
         radii = np.minimum(radii, least)
+
+
+class InsertedSurfaces(PatientSurfaces):
+    """The same of the parametric femur, by its functions at places of its own axes."""
+
+    remedy = "change insertion, widen the canal (canal_widening), or take a smaller or shorter stem"
+    _check, _inside = FemurSurfaces._check, FemurSurfaces._inside
+
+    def _measure(self, geometry: Any) -> None:
+        implant, placed = geometry.implant, self._placed
+        plug = implant.stem_tip_z - implant.plug_length
+        low, way = placed.to_stem(np.zeros(3)), placed.turn[2]  # the shaft's axis
+        part = np.clip((plug - self._zeta) / CORE_OVER, 0.0, 1.0)
+        shaft = low[:2] + np.outer((self._zeta - low[2]) / way[2], way[:2])
+        self._centres = (part * part * (3 - 2 * part))[:, None] * shaft
+        self._periosteum = PERIOSTEUM
+        self._canal = femur_bone.endosteum(geometry.model_copy(update={"anteversion": 0.0}))
+        self._bone = partial(self._met, PERIOSTEUM.radius)
+        self._endosteum = partial(self._met, self._canal)
+
+    def _met(self, radius: Callable[..., Floats], theta: Floats, zeta: Floats) -> Floats:
+        """Radii of a surface in sections (n,) [mm]."""
+        return root(
+            lambda r, k: self._within(radius, self._on(theta[k], zeta[k], r)),
+            np.full(len(theta), REACH),
+        )
+
+    def _within(self, radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
+        return super()._within(radius, self._placed.to_model(points))

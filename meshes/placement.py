@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -152,11 +152,35 @@ def _found(
 
 
 def of_femur(geometry: Any) -> Placement:
-    """The placement in the parametric femur: the axes of its stem are turned by its anteversion."""
+    """The placement in the parametric femur: by default its stem is turned by its anteversion."""
     (x, _, z), level = femur_bone.resection(geometry)
-    c, s = math.cos(geometry.anteversion), math.sin(geometry.anteversion)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return Placement(np.array([x * c, x * s, z]), turn, np.array([0.0, 0.0, level / z]), level / z)
+    angle, given = geometry.anteversion, getattr(geometry, "insertion", None)
+    way = np.array([math.cos(angle), math.sin(angle)])
+    if given:
+        angle = given.version.angle + (angle if given.version.relative_to == "neck" else 0.0)
+    placed = Placement(*_put(given, angle, way, np.r_[x * way, z], level), level / z)
+    return _deep(placed, geometry) if given and given.depth is not None else placed
+
+
+def _put(
+    insertion: Any, version: float, way: Floats, normal: Floats, level: float
+) -> tuple[Floats, Floats, Floats]:
+    """Normal of a cut, its level and azimuth (2,) given, axes of a stem, and where it meets it."""
+    varus, aside = 0.0, np.zeros(2)
+    if insertion:
+        varus = insertion.varus
+        medial, anterior = insertion.medial_offset, insertion.anterior_offset
+        aside = medial * way + anterior * np.array([-way[1], way[0]])
+    c, s, cv, sv = (f(v) for v in (version, varus) for f in (math.cos, math.sin))
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ [[cv, 0, sv], [0, 1, 0], [-sv, 0, cv]]
+    return normal, turn, np.r_[aside, (level - float(normal[:2] @ aside)) / normal[2]]
+
+
+def _deep(placed: Any, geometry: Any) -> Any:
+    """The same with the lateral edge of the stem's shoulder at its depth below the cut."""
+    implant, slope = geometry.implant, placed.slopes[0]
+    edge = implant.stem_tip_z + implant.stem_length - slope * femur_stem.lateral(implant)
+    return replace(placed, top=edge + (geometry.insertion.depth or 0.0))
 
 
 def place(geometry: Any) -> PatientPlacement:
@@ -186,11 +210,6 @@ def place(geometry: Any) -> PatientPlacement:
     elif frame.version is None:
         text = "is against the condyles, which this surface does not have"
         raise GeometryError(f"geometry.insertion.version: {text}; give relative_to: neck")
-    c, s, cv, sv = (f(v) for v in (version, insertion.varus) for f in (math.cos, math.sin))
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ [[cv, 0, sv], [0, 1, 0], [-sv, 0, cv]]
-    aside = insertion.medial_offset * way + insertion.anterior_offset * np.array([-way[1], way[0]])
-    level = float(normal @ [*(edge * way), cut.height]) - float(normal[:2] @ aside)
-    nx, _, nz = normal @ turn
-    top = insertion.depth - nx / nz * femur_stem.lateral(geometry.implant)
-    foot = np.r_[aside, level / normal[2]]
-    return PatientPlacement(normal, turn, foot, top, frame, bone, canal)
+    level = float(normal @ [*(edge * way), cut.height])
+    put = _put(insertion, version, way, normal, level)
+    return _deep(PatientPlacement(*put, 0.0, frame, bone, canal), geometry)

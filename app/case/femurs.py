@@ -7,11 +7,11 @@ from functools import partial
 from importlib import import_module
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.case.stems import StemFile
-from app.schema.section import fail
+from app.schema.section import Section, fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 
 BONE = ("cortical_bone", "cancellous_bone")
@@ -35,6 +35,7 @@ FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
 WIDTHS = (5.6, 5.2)
 # Least fraction of the stem in the bone; range of the angle between neck and shaft (deg).
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
+HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
 
 # Keys that a stem from a file replaces.
 OF_STEM: tuple[str, ...] = (
@@ -69,7 +70,50 @@ def check_sections(stem: Any, *sections: str) -> None:
             fail(text, at=(f"{name}corner_radius",))
 
 
+def point(x: Any) -> Point3:
+    """Numbers of a vector."""
+    return float(x[0]), float(x[1]), float(x[2])
+
+
+def placed_head(geometry: Any) -> Point3:
+    """Centre of the head of a stem that is placed, in the model's axes (mm)."""
+    implant = geometry.implant
+    return point(geometry.placement.to_model([implant.head_offset, 0.0, implant.head_height]))
+
+
+def flanks_end(geometry: Any) -> float:
+    """Level above which there are only flanks of a stem that is placed (mm)."""
+    end = [0.0, 0.0, geometry.implant.stem_tip_z + geometry.implant.tip_height]
+    tilt = math.tan(abs(geometry.insertion.varus))
+    return float(geometry.placement.to_model(end)[2]) + HALF_TIP * tilt
+
+
 _length = partial(Dimension, "mm", "a length")
+
+
+class Version(Section):
+    """Turn of the stem about the shaft's axis."""
+
+    relative_to: Literal["neck", "condyles"] = "neck"
+    """What it is measured against: the neck, or the line of the posterior condyles."""
+    angle: Angle = 0.0
+    """The turn, the head to anterior (rad)."""
+
+
+class Insertion(Section):
+    """Where the stem is put in the femur."""
+
+    depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=4.5)] | None = None
+    """How deep the lateral edge of the shoulder is below the cut, at most 4.5 mm: the body of the
+    stem is meshed up to the cut. By default 0, and in mantle's own femur as `stem_tip_z` says."""
+    varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
+    """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
+    version: Version = Field(default_factory=Version)
+    """Turn of the stem about the shaft's axis."""
+    medial_offset: Length = 0.0
+    """How far the stem's axis is medial of the shaft's, along the cut's azimuth."""
+    anterior_offset: Length = 0.0
+    """How far it is anterior of it."""
 
 
 class _Femur(Shape):
@@ -303,6 +347,13 @@ class Femur(_Femur):
     stem: StemFile | None = None
     """A stem from a file of CAD, placed by `stem_tip_z`. The other keys of stem, neck, trunnion and
     head are left out then."""
+    insertion: Insertion | None = None
+    """Where the stem is put, other than along the shaft's axis, turned by `anteversion`."""
+
+    @property
+    def head_centre(self) -> Point3:
+        """Centre of the femoral head in the model's axes (mm)."""
+        return placed_head(self) if self.insertion else super().head_centre
 
     @property
     def found(self) -> dict[str, Any]:
@@ -333,7 +384,8 @@ class Femur(_Femur):
     @property
     def mantles(self) -> tuple[Mantle, ...]:
         """The mantle around the stem, with a plug around its end."""
-        return (Mantle(spread(self.cement_thickness)[1], self.stem_tip_z + self.tip_height),)
+        tip = flanks_end(self) if self.insertion else self.stem_tip_z + self.tip_height
+        return (Mantle(spread(self.cement_thickness)[1], tip),)
 
     @property
     def interface_area(self) -> float:

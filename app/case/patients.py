@@ -10,7 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from app.case.femurs import BONE, MUSCLES, Femur, check_sections, check_void
+from app.case import femurs
+from app.case.femurs import BONE, MUSCLES, Femur, Insertion
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.case.stems import StemFile
 from app.errors import GeometryError
@@ -105,7 +106,7 @@ class Stem(Section):
     def _solid(self) -> Stem:
         if not self.section_depth < self.length:
             fail("is not above the tip", at=("section_depth",))
-        check_sections(self, "", "tip_")
+        femurs.check_sections(self, "", "tip_")
         return self
 
     @property
@@ -128,31 +129,6 @@ class Resection(Section):
     azimuth: Angle | None = None
     """Direction of its normal about the shaft, from medial to anterior (rad); by default the
     neck's."""
-
-
-class Version(Section):
-    """Turn of the stem about the shaft's axis."""
-
-    relative_to: Literal["neck", "condyles"] = "neck"
-    """What it is measured against: the patient's neck, or the line of the posterior condyles."""
-    angle: Angle = 0.0
-    """The turn, the head to anterior (rad)."""
-
-
-class Insertion(Section):
-    """Where the stem is put."""
-
-    depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=4.5)] = 0.0
-    """How deep the lateral edge of the shoulder is below the cut, at most 4.5 mm: the body of the
-    stem is meshed up to the cut."""
-    varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
-    """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
-    version: Version = Field(default_factory=Version)
-    """Turn of the stem about the shaft's axis."""
-    medial_offset: Length = 0.0
-    """How far the stem's axis is medial of the shaft's, along the cut's azimuth."""
-    anterior_offset: Length = 0.0
-    """How far it is anterior of it."""
 
 
 class Patient(Shape):
@@ -198,7 +174,7 @@ class Patient(Shape):
 
     @model_validator(mode="after")
     def _placed(self) -> Patient:
-        check_void(self)
+        femurs.check_void(self)
         try:
             placed = self.placement
         except GeometryError as error:
@@ -240,14 +216,13 @@ class Patient(Shape):
     @property
     def head_centre(self) -> Point3:
         """Centre of the implant's head (mm)."""
-        implant = self.implant
-        return _point(self.placement.to_model([implant.head_offset, 0.0, implant.head_height]))
+        return femurs.placed_head(self)
 
     @cached_property
     def points(self) -> dict[str, Point3]:
         """Centre of the implant's head and muscles' insertions on this bone (mm)."""
         found, _ = self.placement.projected(MUSCLES)
-        return {"head_centre": self.head_centre} | {k: _point(x) for k, x in found.items()}
+        return {"head_centre": self.head_centre} | {k: femurs.point(x) for k, x in found.items()}
 
     def in_image(self, x: Any, depth: float) -> Any:
         """Points (n, 3) in the axes of the bone's file, at a depth below its surface at least."""
@@ -269,12 +244,7 @@ class Patient(Shape):
     @property
     def mantles(self) -> tuple[Mantle, ...]:
         """The mantle around the stem, with a plug below its tip."""
-        implant = self.implant
-        half = max(implant.stem_tip_half_width, implant.stem_tip_half_depth)
-        end = implant.stem_tip_z + implant.tip_height
-        tip = float(self.placement.to_model([0.0, 0.0, end])[2])
-        mean = spread(self.cement_thickness)[1]
-        return (Mantle(mean, tip + half * math.tan(abs(self.insertion.varus))),)
+        return (Mantle(spread(self.cement_thickness)[1], femurs.flanks_end(self)),)
 
     @property
     def interface_area(self) -> float:
@@ -287,7 +257,3 @@ class Patient(Shape):
         implant = self.implant
         levels = {"stem_tip_z": SHOULDER - implant.stem_length, "stem_section_z": SHOULDER - 14.0}
         return implant.model_copy(update=levels).estimate_cells(mesh.model_copy(update=least))
-
-
-def _point(x: Any) -> Point3:
-    return float(x[0]), float(x[1]), float(x[2])
