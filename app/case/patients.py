@@ -241,6 +241,10 @@ class Patient(Shape):
         found, _ = self.placement.projected(MUSCLES)
         return {"head_centre": self.head_centre} | {k: _point(x) for k, x in found.items()}
 
+    def in_image(self, x: Any, depth: float) -> Any:
+        """Points (n, 3) in the axes of the bone's file, at a depth below its surface at least."""
+        return self.placement.in_file(x, depth)
+
     @property
     def told(self) -> dict[str, Any]:
         """What was found and done, in words."""

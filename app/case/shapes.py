@@ -180,6 +180,13 @@ class Shape(Section):
         """Named points (mm) for loads; none by default."""
         return {}
 
+    def in_image(self, x: Any, depth: float) -> Any:
+        """Points (n, 3) in the axes of an image of it, moved to a depth in bone where less (mm).
+
+        Images of a bone in air have densities of both at its surface.
+        """
+        return x
+
     @property
     def tissues(self) -> dict[str, str]:
         """Default tissue of each region, where it is known."""

@@ -78,7 +78,6 @@ def test_a_stem_is_of_what_is_asked_for(tmp_path: Path) -> None:
     [
         (["--kind", "blocks", "--stem", "cocr"], "--stem cocr: of kind blocks there is no stem"),
         (["--kind", "file"], "new.msh: not a gmsh .msh file"),
-        (["--mesh", "new.msh"], "mantle init --mesh has been removed: the mesh is NAME.msh"),
         (["--kind", "knee"], "mantle init: argument --kind: invalid choice: 'knee'"),
     ],
 )
