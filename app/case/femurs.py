@@ -53,10 +53,11 @@ def _between(at: float, values: tuple[float, ...]) -> float:
     return values[low] + (at - low) * (values[low + 1] - values[low])
 
 
-def check_void(geometry: Any) -> None:
-    """Refuse a void below the tip without room in the plug."""
-    if 0.0 < geometry.tip_void < 1.0:  # cells in less are flat
-        fail("is neither 0 nor 1 mm at least", at=("tip_void",))
+def check_end(geometry: Any) -> None:
+    """Refuse ends of a stem that cannot be meshed."""
+    for name in ("tip_rounding", "tip_void"):  # cells in less are flat
+        if 0.0 < getattr(geometry, name, 0.0) < 1.0:
+            fail("is neither 0 nor 1 mm at least", at=(name,))
     if geometry.tip_void and geometry.tip_void > geometry.plug_length - 1.0:
         fail(f"leaves less than 1 mm of {geometry.plug_length:g} mm of plug", at=("tip_void",))
 
@@ -127,8 +128,7 @@ class _Femur(Shape):
 
     kind: str
     cement_thickness: Thickness = 4.0
-    """Thickness of the mantle where the canal has room for it, 1 to 8 mm: one, or several by height
-    and side."""
+    """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side."""
     canal_widening: Annotated[float, _length("1 mm", at_least=0.0, at_most=5.0)] = 0.0
     """Reaming: distance by which the endosteal surface is moved outwards, 0 to 5 mm."""
     metaphyseal_cortex: Annotated[float, _length("2 mm", at_least=1.5, at_most=4.0)] | None = None
@@ -189,9 +189,7 @@ class _Femur(Shape):
         plug = self.stem_tip_z - self.plug_length
         if self.distal_cut_z >= plug:
             fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
-        check_void(self)
-        if 0.0 < self.tip_rounding < 1.0:  # cells in less are flat
-            fail("is neither 0 nor 1 mm at least", at=("tip_rounding",))
+        check_end(self)
         if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
             fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
         if not 0.0 <= self.resection_angle < math.pi / 2:

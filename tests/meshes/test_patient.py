@@ -215,7 +215,7 @@ WRONG = {
     "condyles": ({"insertion": {"version": {"relative_to": "condyles"}}}, "relative_to: neck"),
     "corner": ({"stem": {"corner_radius": "6 mm"}}, "half-depth"),
     "stem": ({"stem": {"step": "bone.stl"}}, "not one of .step"),
-    "void": ({"tip_void": "12 mm"}, "plug"),
+    "void": ({"tip_void": "9.5 mm"}, "less than 1 mm of 10 mm of plug"),
     "long": ({"stem": {"length": "300 mm"}}, "distal_cut_z|between the end of the surface"),
     "cut": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
     "axis": ({"resection": {"height": "120 mm"}}, "outside of the bone; cut lower"),
@@ -260,6 +260,7 @@ def random_patient(folder: Path, seed: int) -> Patient:
         insertion=shift | turn,
         cement_thickness={"proximal": cement, "distal": "2 mm"} if seed % 2 else cement,
         stem={"length": f"{rng.uniform(110, 147)} mm"},
+        tip_void=f"{5 * (seed % 3 == 2)} mm",
         resection={"angle": f"{rng.uniform(34, 44)} deg"},
     )
 
