@@ -55,26 +55,6 @@ class Placement:
         """Points in the stem's axes (..., 3) in those of the model [mm]."""
         return np.asarray(np.subtract(x, [0.0, 0.0, self.top]) @ self.turn.T + self.foot)
 
-    @cached_property
-    def _skin(self) -> tuple[Any, Floats]:
-        """Tree of the bone's corners, and outward normals there (n, 3)."""
-        a, b, c = self.bone.corners.transpose(1, 0, 2)
-        normals = np.zeros_like(self.bone.points)
-        np.add.at(normals, self.bone.triangles, np.cross(b - a, c - a)[:, None])
-        return cKDTree(self.bone.points), normals / np.linalg.norm(normals, axis=1)[:, None]
-
-    def in_file(self, x: Floats, depth: float) -> Floats:
-        """Points of the model (n, 3) in the axes of the bone's file [mm].
-
-        Those less deep below its surface are moved inwards, along the normal of the next corner.
-        """
-        tree, normals = self._skin
-        _, near = tree.query(x)
-        n = normals[near]
-        below = ((self.bone.points[near] - x) * n).sum(axis=1)
-        moved = x - np.maximum(depth - below, 0.0)[:, None] * n
-        return np.asarray(moved @ self.frame.axes + self.frame.origin)
-
     @property
     def slopes(self) -> tuple[float, float]:
         """Slope of the cut along x of the stem, and along y over that along x."""
@@ -115,6 +95,26 @@ class PatientPlacement(Placement):
     def size(self) -> float:
         """Height of the patient's head over that of the parametric femur."""
         return float(self.frame.to_model(self.frame.head)[2]) / HEAD
+
+    @cached_property
+    def _skin(self) -> tuple[Any, Floats]:
+        """Tree of the bone's corners, and outward normals there (n, 3)."""
+        a, b, c = self.bone.corners.transpose(1, 0, 2)
+        normals = np.zeros_like(self.bone.points)
+        np.add.at(normals, self.bone.triangles, np.cross(b - a, c - a)[:, None])
+        return cKDTree(self.bone.points), normals / np.linalg.norm(normals, axis=1)[:, None]
+
+    def in_file(self, x: Floats, depth: float) -> Floats:
+        """Points of the model (n, 3) in the axes of the bone's file [mm].
+
+        Those less deep below its surface are moved inwards, along the normal of the next corner.
+        """
+        tree, normals = self._skin
+        _, near = tree.query(x)
+        n = normals[near]
+        below = ((self.bone.points[near] - x) * n).sum(axis=1)
+        moved = x - np.maximum(depth - below, 0.0)[:, None] * n
+        return np.asarray(moved @ self.frame.axes + self.frame.origin)
 
     @property
     def trochanter_lost(self) -> float:
