@@ -79,10 +79,12 @@ class FemurSurfaces:
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
         tip: Station of the stem's last section.
         told: What was found, in words.
-        remedy: What to change where a stem has no room.
+        key: Key that says where the stem is.
+        remedy: What to change where it has no room.
     """
 
     mirrored = range(0)
+    key = "geometry"
     remedy = "widen the canal (canal_widening), narrow the stem or move it proximally (stem_tip_z)"
 
     def __init__(self, geometry: Any, mesh: Any) -> None:
@@ -289,7 +291,7 @@ class FemurSurfaces:
         if least < 0:
             text = f"cuts {-least:.1f} mm into the cortex"
         where = f"{side} at {self._placed.where(x)}"
-        raise GeometryError(f"geometry: the stem {text} {where}; {self.remedy}")
+        raise GeometryError(f"{self.key}: the stem {text} {where}; {self.remedy}")
 
     def _check(self, lines: Lines) -> None:
         """Refuse lines that meet bone twice."""

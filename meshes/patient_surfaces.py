@@ -60,6 +60,7 @@ class PatientSurfaces(FemurSurfaces):
     _placed: Any
     _bone: Any
     _endosteum: Any
+    key = "geometry.insertion"
     remedy = (
         "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and offsets"
     )
