@@ -84,7 +84,7 @@ class SolverOptions(Section):
     """Residual relative to the scale of the forces at which a step has converged."""
     max_iterations: units.PositiveInteger = 40
     """Largest number of Newton iterations in a step."""
-    linear: Literal["auto", "direct", "multigrid"] = "auto"
+    linear: Literal["auto", "direct", "multigrid", "condensed"] = "auto"
     """Linear solver; `auto` is direct for small models."""
     petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc), MAPPING] = Field(
         default_factory=dict
