@@ -55,10 +55,10 @@ def read(path: Path, unit: str | None = None) -> BoneSurface:
         raise GeometryError(f"{path}: has no triangles, or corners that are no numbers")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     fits = [u for u, mm in UNITS.items() if EXTENT[0] <= extent * mm <= EXTENT[1]]
-    if unit not in (None, *fits) or not fits:
+    if unit not in (None, *fits) or not (unit or len(fits) == 1):
         raise GeometryError(
             f"{path}: is {extent:.4g} {unit or 'units'} long, and a femur {EXTENT[0]:g} to"
-            f" {EXTENT[1]:g} mm; which unit is it in?"
+            f" {EXTENT[1]:g} mm; which unit is it in? Expected {' or '.join(fits or UNITS)}"
         )
     if unit is None:
         told.append(f"unit: {fits[0]}, as the surface is {extent:.4g} long")
@@ -127,7 +127,7 @@ def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool
         second = int(np.argsort(sizes)[-2])
         raise GeometryError(
             f"{path}: has {bodies} bodies, of {sizes.max():,} and {sizes[second]:,} triangles, the"
-            f" second about {_place(x[triangles[body == second]])}; expected one: keep the femur"
+            f" second about {place(x[triangles[body == second]])}; expected one: keep the femur"
         )
     lone = first[times % 2 == 1] if thin else first[times != 2]
     edges = x[ends[order[lone]]]
@@ -137,7 +137,7 @@ def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool
     if aside.any():
         most = int(times[times != 2].max())
         what = "is open" if most == 1 else f"has edges of up to {most} triangles"
-        where = f"{_place(edges[aside])} ({int(aside.sum())} edges), not at an end"
+        where = f"{place(edges[aside])} ({int(aside.sum())} edges), not at an end"
         raise GeometryError(f"{path}: {what} at {where}; close it where it was made")
     if len(lone):
         told.append(f"open at an end: {len(lone)} edges")
@@ -167,8 +167,9 @@ def _flipped(graph: csr_array, one: Ints, other: Ints, opposed: Bools) -> Bools:
     return flipped
 
 
-def _place(x: Floats) -> str:
-    return "({:.0f}, {:.0f}, {:.0f}) mm".format(*x.reshape(-1, 3).mean(axis=0))
+def place(x: Floats) -> str:
+    """Mean of points (..., 3) in words."""
+    return "({:.0f}, {:.0f}, {:.0f}) mm of the file".format(*x.reshape(-1, 3).mean(axis=0))
 
 
 def section(x: Floats, height: Floats, triangles: Ints) -> Floats:

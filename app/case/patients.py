@@ -11,13 +11,14 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
-from app.case.femurs import BONE, MUSCLES, Femur
+from app.case.femurs import BONE, INSIDE, MUSCLES, NECK_ANGLES, Femur
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
-from app.errors import GeometryError
+from app.errors import GeometryError, InputError
 from app.schema.section import Pair, Section, Triple, fail, show
 from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
 
 SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
+SHORTEST = 50.0  # mm of the stem in the bone
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
 
 
@@ -117,6 +118,8 @@ class Stem(Section):
     def _solid(self) -> Stem:
         if not self.section_depth < self.length:
             fail("is not above the tip", at=("section_depth",))
+        if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
+            fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
         for end in ("", "tip_"):
             half = min(getattr(self, f"{end}half_width"), getattr(self, f"{end}half_depth"))
             if getattr(self, f"{end}corner_radius") >= half:
@@ -212,16 +215,27 @@ class Patient(Shape):
         try:
             placed = self.placement
         except GeometryError as error:
-            key, found, text = str(error).removeprefix("geometry.").partition(": ")
-            fail(text, at=tuple(key.split("."))) if found and " " not in key else fail(str(error))
+            key, _, text = str(error).removeprefix("geometry.").partition(": ")
+            if Path(key).is_absolute():
+                fail(str(error), at=("canal" if key == str(self.canal.surface) else "bone",))
+            fail(text, at=tuple(key.split(".")))
         low = float(placed.bone.points[:, 2].min())
         plug = float(placed.to_model([0.0, 0.0, -self.stem.length - self.stem.plug_length])[2])
         level = self.distal_cut_z
         if level is None:
+            if plug < low + 5.0:
+                text = (
+                    f"puts the plug's end at z = {plug:.0f} mm; expected 5 mm above the surface's"
+                )
+                fail(f"{text}, at {low:.0f} mm", at=("stem", "length"))
             level = self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
         if not low + 2.0 < level < plug - 2.0:
             text = f"{level:g} mm is not between the end of the surface and that of the plug"
             fail(f"{text}, {low:.0f} and {plug:.0f} mm", at=("distal_cut_z",))
+        least, inside = max(INSIDE * self.stem.length, SHORTEST), self.stem.length + placed.top
+        if inside < least:
+            text = f"leaves {inside:.0f} mm of the stem below the cut; expected {least:.0f} mm"
+            fail(text, at=("insertion", "depth"))
         return self
 
     @property
@@ -244,6 +258,13 @@ class Patient(Shape):
     def placement(self) -> Any:
         """Bone, cut and stem in the model's axes (`meshes.placement.Placement`)."""
         return import_module("meshes.placement").place(self)  # by name: no other case needs scipy
+
+    def check_fit(self, mesh: MeshOptions) -> None:
+        """Raise InputError, with the place, if the stem does not fit into the bone."""
+        try:
+            import_module("meshes.patient_surfaces").PatientSurfaces(self, mesh, self.placement)
+        except GeometryError as error:
+            raise InputError(str(error)) from error
 
     @property
     def head_centre(self) -> Point3:
