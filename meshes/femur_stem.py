@@ -177,7 +177,7 @@ class Upper:
 
     def ring(self, phi: Floats, end: int) -> Floats:
         """Points of the first or the last round section (n, 3) [mm]."""
-        axis = _unit(self.rings[1] - self.rings[0])
+        axis = unit(self.rings[1] - self.rings[0])
         turn = 2 * np.pi * phi[:, None]
         across = np.cos(turn) * [axis[2], 0.0, -axis[0]] + np.sin(turn) * [0.0, 1.0, 0.0]
         return np.asarray(self.rings[end] + self.radii[end] * across)
@@ -199,7 +199,7 @@ class Upper:
         planes = zip(*self.planes, strict=True)
         x = self.body.point(phi, *(a + out[:, 0] * (b - a) for a, b in planes))
         first, second = self.ways(phi)
-        before, after = self.arm * _unit(first), self.arm * _unit(second)
+        before, after = self.arm * unit(first), self.arm * unit(second)
         x += loft * (first - before) + cone * (second - after)
         return np.asarray(x + (1 - (1 - turn) ** 2) * before + turn**2 * after)
 
@@ -214,7 +214,7 @@ class Upper:
             GeometryError: There is no room.
         """
         first, second = self.ways(np.arange(72) / 72)
-        turn = float((_unit(first) * _unit(second)).sum(axis=1).min())
+        turn = float((unit(first) * unit(second)).sum(axis=1).min())
         arm = radius * math.sqrt(2 * (1 - turn)) / (1 + turn)
         room = ROOM * math.sqrt(min((way**2).sum(axis=1).min() for way in (first, second)))
         if arm > room:
@@ -225,7 +225,7 @@ class Upper:
         return replace(self, arm=max(arm, LEAST_ARM))
 
 
-def _unit(x: Floats) -> Floats:
+def unit(x: Floats) -> Floats:
     """Vectors (..., 3) over their lengths."""
     return np.asarray(x / np.sqrt((x**2).sum(axis=-1, keepdims=True)))
 

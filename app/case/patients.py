@@ -9,12 +9,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
 from app.case.femurs import BONE, INSIDE, MUSCLES, NECK_ANGLES, Femur
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
 from app.errors import GeometryError, InputError
-from app.schema.section import Pair, Section, Triple, fail, show
+from app.schema.paths import File
+from app.schema.section import Pair, Section, Triple, fail
 from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
 
 SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
@@ -22,17 +23,6 @@ SHORTEST = 50.0  # mm of the stem in the bone
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
 
 
-def _file(value: object, info: ValidationInfo) -> Path:
-    """A file, relative to the case's folder."""
-    if not isinstance(value, str | Path):
-        fail(f"{show(value)} is not a path; expected text")
-    path: Path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
-    if not path.is_file():
-        fail(f"no such file: {path}")
-    return path.resolve()
-
-
-File = Annotated[Path, BeforeValidator(_file)]
 Unit = Literal["mm", "cm", "m", "inch"]
 Place = Annotated[tuple[Number, Number, Number], Triple("[4.1, -28.4, -39.1]")]
 Places = Annotated[tuple[Place, Place], Pair("[[31, -8, -98], [29, -17, -37]]")]
