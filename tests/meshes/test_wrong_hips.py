@@ -167,14 +167,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def written(folder: Path, changes: dict[str, Any], mesh: str = "{}") -> Path:
+    geometry = json.dumps({"kind": "patient", "bone": {"surface": "bone.stl"}} | changes)
+    case, loads = folder / "case.yaml", "{library: one_leg_stance}"
+    case.write_text(f"base: stance\ngeometry: {geometry}\nmesh: {mesh}\nloads: {loads}\n")
+    return case
+
+
+def test_a_sound_hip_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(written(folder, {}, "{size: 6 mm, around: 14}"))]) == 0
+    assert "cells through cement, cancellous and cortical bone" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_hip_is_refused(
     name: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     changes, words = WRONG[name]
-    geometry = json.dumps({"kind": "patient", "bone": {"surface": "bone.stl"}} | changes)
-    case = folder / "case.yaml"
-    case.write_text(f"base: stance\ngeometry: {geometry}\nloads: {{library: one_leg_stance}}\n")
+    case = written(folder, changes)
     assert main(["check", str(case)]) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"{case}:2:") and said.count("\n") == 1
