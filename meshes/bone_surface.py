@@ -50,7 +50,7 @@ def read(path: Path, unit: str | None = None) -> BoneSurface:
     Raises:
         GeometryError: The file is damaged, or its triangles are not the surface of one body.
     """
-    corners, told = _stl(path), []
+    corners, told = _other(path) if path.suffix.lower() in (".ply", ".obj") else _stl(path), []
     if not len(corners) or not np.isfinite(corners).all():
         raise GeometryError(f"{path}: has no triangles, or corners that are no numbers")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
@@ -87,6 +87,18 @@ def _stl(path: Path) -> Floats:
         return np.array([[float(w) for w in words[k + 1 : k + 4]] for k in at]).reshape(-1, 3, 3)
     except ValueError:
         text = f"{path}: its text ends or is damaged after {len(at):,} corners"
+        raise GeometryError(text) from None
+
+
+def _other(path: Path) -> Floats:
+    """Corners of triangles (m, 3, 3) of a PLY or OBJ file, in its unit."""
+    import meshio
+
+    try:
+        mesh = getattr(meshio, path.suffix[1:].lower()).read(path)
+        return np.asarray(mesh.points, float)[mesh.get_cells_type("triangle")].reshape(-1, 3, 3)
+    except Exception as error:  # damaged files let meshio fail in any way
+        text = f"{path}: is no {path.suffix[1:].upper()} file, or not all of one: {error}"
         raise GeometryError(text) from None
 
 

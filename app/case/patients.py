@@ -32,7 +32,7 @@ class Bone(Section):
     """The outer surface of a femur, of all of it or of its proximal part."""
 
     surface: File
-    """STL file of its triangles; relative to the case file."""
+    """STL, PLY or OBJ file of its triangles; relative to the case file."""
     unit: Unit | None = None
     """Unit of the file; by default the one that makes a femur of it, which is told."""
     side: Literal["left", "right"] | None = None
@@ -43,8 +43,8 @@ class Canal(Section):
     """The medullary canal."""
 
     surface: File | None = None
-    """STL file of its surface, in the axes of the bone's; without it the canal has the part of the
-    bone's radius that it has in mantle's own femur."""
+    """STL, PLY or OBJ file of its surface, in the axes of the bone's; without it the canal has the
+    part of the bone's radius that it has in mantle's own femur."""
     unit: Unit | None = None
     """Unit of the file; by default as of the bone."""
     ream: Literal["none", "by", "broach"] = "none"

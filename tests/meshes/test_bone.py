@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import meshio
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -46,9 +48,7 @@ def test_landmarks_that_are_given_are_taken() -> None:
     assert np.degrees(with_condyles.version) == pytest.approx(15.0, abs=1.0)
 
 
-def copies(
-    surface: BoneSurface, seed: int, number: int
-) -> list[tuple[BoneSurface, np.ndarray, str]]:
+def copies(surface: BoneSurface, seed: int, number: int) -> list[tuple[Any, ...]]:
     """Turned, mirrored and shifted, every other one open; how they were moved, and their side."""
     rng, top = np.random.default_rng(seed), surface.points[:, 2].max()
     sides = ("left", "right") if surface is own() else ("right", "left")
@@ -56,14 +56,15 @@ def copies(
     for k in range(number):
         turn = Rotation.random(random_state=rng).as_matrix() @ np.diag([(-1) ** k, 1, 1])
         part = opened(surface, top - rng.uniform(120, 200)) if k % 4 > 1 else surface
-        made.append((moved(part, turn, 100 * rng.normal(size=3)), turn, sides[k % 2]))
+        shift = 100 * rng.normal(size=3)
+        made.append((moved(part, turn, shift), turn, shift, sides[k % 2]))
     return made
 
 
 def check_copies(surface: BoneSurface, number: int) -> None:
     """Repeatability: 0.1 mm, 0.5 and 0.1 deg, 1 mm, and the side always."""
     first = bone_frame.find(surface)
-    for copy, turn, side in copies(surface, 1, number):
+    for copy, turn, shift, side in copies(surface, 1, number):
         found = bone_frame.find(copy)
         assert found.side == side
         assert angle(found.axes[2], turn @ first.axes[2]) < 0.5
@@ -71,6 +72,7 @@ def check_copies(surface: BoneSurface, number: int) -> None:
         apart = (found.head - found.trochanter) - turn @ (first.head - first.trochanter)
         assert np.linalg.norm(apart) < 1.0
         assert found.radius == pytest.approx(first.radius, abs=0.1)
+        assert np.linalg.norm(found.head - shift - turn @ first.head) < 0.1
         if found.version is not None and first.version is not None:
             assert np.degrees(found.version - first.version) == pytest.approx(0.0, abs=0.2)
 
@@ -120,7 +122,7 @@ def test_landmarks_with_bumps(rms: float, head: float, neck: float, version: flo
     """The deviations asked for, and a spread that covers 90 % of them."""
     surface = bone_surface.read(MEASURED)
     first, covered = bone_frame.find(surface), []
-    for seed in range(10):
+    for seed in range(20):
         found = bone_frame.find(bumps(surface, rms, seed))
         off = [
             float(np.linalg.norm(found.head - first.head)),
@@ -159,6 +161,16 @@ def test_flipped_triangles_are_turned_and_told(tmp_path: Path) -> None:
     a, b, c = surface.corners.transpose(1, 0, 2)
     x, y, z = own().corners.transpose(1, 0, 2)
     assert (np.cross(a, b) * c).sum() == pytest.approx((np.cross(x, y) * z).sum(), rel=1e-5)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj"])
+def test_other_files_have_the_same_triangles(suffix: str, tmp_path: Path) -> None:
+    path, stl = tmp_path / f"bone.{suffix}", bone_surface.read(bytes_of(tmp_path, lambda s: s))
+    meshio.Mesh(own().points, [("triangle", own().triangles)]).write(path)
+    assert bone_surface.read(path).corners == pytest.approx(stl.corners, abs=1e-4)
+    path.write_bytes(path.read_bytes()[:20_000])
+    with pytest.raises(GeometryError, match=f"no {suffix.upper()} file, or not all of one"):
+        bone_surface.read(path)
 
 
 def test_an_open_distal_end_is_told(tmp_path: Path) -> None:
