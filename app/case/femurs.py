@@ -52,7 +52,7 @@ def _between(at: float, values: tuple[float, ...]) -> float:
 
 
 def check_stem(stem: Any, *sections: str) -> None:
-    """Refuse what cannot be meshed: necks, ends, and sections, by their keys, without flat sides."""
+    """Refuse what cannot be meshed: neck, ends, and sections, by their keys, without flat sides."""
     if not NECK_ANGLES[0] <= math.degrees(stem.neck_angle) <= NECK_ANGLES[1]:
         fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
     for name in ("tip_rounding", "tip_void"):  # cells in less are flat
