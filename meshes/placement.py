@@ -31,7 +31,7 @@ EXACT = 1e-12  # of a cut's normal: rounded off
 BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # arrays have no one truth: geometries compare their keys
 class Placement:
     """The neck cut and the stem, in the model's axes.
 
@@ -69,7 +69,7 @@ class Placement:
     def where(self, x: Floats) -> str:
         """A point of the model (3,) in words."""
         below = float(self.normal @ (self.foot - x)) / self.normal[2]
-        return "({:.0f}, {:.0f}, {:.0f}) mm, {:.0f} mm below the cut".format(*x, below)
+        return "({:.0f}, {:.0f}, {:.0f}) mm, {} mm below the cut".format(*x, round(below))
 
 
 @dataclass(frozen=True)

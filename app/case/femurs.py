@@ -62,8 +62,10 @@ def check_end(geometry: Any) -> None:
         fail(f"leaves less than 1 mm of {geometry.plug_length:g} mm of plug", at=("tip_void",))
 
 
-def check_sections(stem: Any, *sections: str) -> None:
-    """Refuse sections, by their keys, without flat sides."""
+def check_stem(stem: Any, *sections: str) -> None:
+    """Refuse a neck, and sections, by their keys, that cannot be meshed."""
+    if not NECK_ANGLES[0] <= math.degrees(stem.neck_angle) <= NECK_ANGLES[1]:
+        fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
     for name in sections:
         half = min(getattr(stem, f"{name}half_width"), getattr(stem, f"{name}half_depth"))
         if getattr(stem, f"{name}corner_radius") >= half:
@@ -190,8 +192,6 @@ class _Femur(Shape):
         if self.distal_cut_z >= plug:
             fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
         check_end(self)
-        if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
-            fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
         if not 0.0 <= self.resection_angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection_angle",))
         if self._cut >= self.head_height:
@@ -210,7 +210,7 @@ class _Femur(Shape):
 
     def _check_stem(self) -> None:
         shoulder, plug = self.stem_tip_z + self.stem_length, self.stem_tip_z - self.plug_length
-        check_sections(self, "stem_", "stem_tip_")
+        check_stem(self, "stem_", "stem_tip_")
         if not self.stem_tip_z < self.stem_section_z < shoulder:
             fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
         width = 2.0 * self._check_section(shoulder, "the shoulder", 0.0)
@@ -372,6 +372,7 @@ class Femur(_Femur):
             if key in self.model_fields_set and getattr(self, key) != value:
                 fail("is the file's, where `stem` is one; expected no such key", at=(key,))
             self.__dict__[key] = value
+        check_stem(self)
 
     def _section(self) -> tuple[float, float, float]:
         if not self.stem:
