@@ -233,7 +233,7 @@ class Patient(Shape):
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError, with the place, if the stem does not fit into the bone."""
         try:
-            import_module("meshes.patient_surfaces").PatientSurfaces(self, mesh, self.placement)
+            import_module("meshes.patient_surfaces").PatientSurfaces(self, mesh)
         except GeometryError as error:
             raise InputError(str(error)) from error
 
