@@ -36,7 +36,7 @@ SECTORS = 12  # of the head, one left out at a time
 SURE = 1.65  # standard deviations that hold 90 %
 # In radii of the head:
 SHAFT = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
-TROCHANTER = (1.5, 3.4)  # below the head's centre, where the lesser trochanter is
+TROCHANTER = (1.2, 3.4)  # below the head's centre, where the lesser trochanter is
 CONDYLES = 3.0  # above the distal end
 APART = 2.1  # between the condyles
 WIDER = 1.8  # of the shaft's section: that of condyles, at least
