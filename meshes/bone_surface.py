@@ -171,15 +171,17 @@ def _place(x: Floats) -> str:
     return "({:.0f}, {:.0f}, {:.0f}) mm".format(*x.reshape(-1, 3).mean(axis=0))
 
 
-def section(x: Floats, height: Floats, triangles: Ints) -> Floats:
+def section(x: Floats, height: Floats, triangles: Ints | None = None) -> Floats:
     """Lines (k, 2, d) in which triangles meet height 0, the body to their left, seen from above.
 
     Args:
         x: Places of the corners, of any dimension (n, d) [mm].
         height: Height of the corners over the section (n,).
-        triangles: Outward triangles (m, 3).
+        triangles: Outward triangles (m, 3); by default every three corners are one.
     """
     above = height >= 0
+    if triangles is None:
+        triangles = np.arange(len(x)).reshape(-1, 3)
     one, other, third = above[triangles].T
     own = triangles[(one != other) | (other != third)]
     after = np.roll(own, -1, axis=1)
@@ -199,6 +201,16 @@ def centroid(lines: Floats) -> tuple[Floats, float]:
     return np.asarray((twice[:, None] * (a + b)).sum(axis=0) / (6 * area)), area
 
 
+def met(lines: Floats, angles: Floats) -> tuple[Ints, Floats]:
+    """Where rays from 0 at angles (j,) meet lines (k, 2, 2): numbers of rays, and radii (n,)."""
+    ray = np.stack([np.cos(angles), np.sin(angles)])
+    across = lines @ np.stack([ray[1], -ray[0]])  # (k, 2, j)
+    k, j = np.nonzero((across[:, 0] >= 0) != (across[:, 1] >= 0))
+    part = (across[k, 0, j] / (across[k, 0, j] - across[k, 1, j]))[:, None]
+    r = (((1 - part) * lines[k, 0] + part * lines[k, 1]) * ray[:, j].T).sum(axis=1)
+    return j[r > 0], r[r > 0]
+
+
 def exits(lines: Floats, angles: Floats, bridged: float = 0.0) -> tuple[Floats, Ints]:
     """Where rays from 0 first leave what lines (k, 2, 2) enclose, and how often they meet it.
 
@@ -210,12 +222,7 @@ def exits(lines: Floats, angles: Floats, bridged: float = 0.0) -> tuple[Floats, 
     Returns:
         Radii (j,) [mm], nan for a ray that meets nothing, and numbers of crossings (j,).
     """
-    ray = np.stack([np.cos(angles), np.sin(angles)])
-    across = lines @ np.stack([ray[1], -ray[0]])  # (k, 2, j)
-    k, j = np.nonzero((across[:, 0] >= 0) != (across[:, 1] >= 0))
-    part = (across[k, 0, j] / (across[k, 0, j] - across[k, 1, j]))[:, None]
-    r = (((1 - part) * lines[k, 0] + part * lines[k, 1]) * ray[:, j].T).sum(axis=1)
-    j, r = j[r > 0], r[r > 0]
+    j, r = met(lines, angles)
     order = np.lexsort((r, j))
     times = np.bincount(j, minlength=len(angles))
     found = np.full(len(angles), np.nan)

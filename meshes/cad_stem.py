@@ -6,6 +6,7 @@ stem's axis to the neck's. Rays from these points meet the surface, which is tri
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -13,10 +14,12 @@ import numpy as np
 
 from app.arrays import Floats
 from app.errors import GeometryError
+from meshes.bone_surface import met, section
 from meshes.femur_stem import CORNERS
 from meshes.mantle import distance
 
 ROUND = 720  # rays around
+THETA = 2 * np.pi * np.arange(ROUND) / ROUND
 HIDDEN = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
 TIP = 3.0  # mm above the tip from which the mantle goes on below it
 NECK = 0.38  # of the neck's length: what the points between axis and neck head for
@@ -24,49 +27,23 @@ Y = (0.0, 1.0, 0.0)
 INSIDE = 1e-3  # mm that the last section is within the neck
 
 
-def crossed(x: Floats, f: Floats) -> Floats:
-    """Segments (k, 2, 3) in which triangles (m, 3, 3) meet a surface f = 0; f by corners (m, 3)."""
-    above = f > 0
-    number = above.sum(axis=1)
-    met = np.flatnonzero(number % 3)
-    x, f, row = x[met], f[met], np.arange(len(met))
-    lone = np.where(number[met] == 1, above[met].argmax(axis=1), above[met].argmin(axis=1))
-    ends = []
-    for other in ((lone + 1) % 3, (lone + 2) % 3):
-        part = f[row, lone] / (f[row, lone] - f[row, other])
-        ends.append(x[row, lone] + part[:, None] * (x[row, other] - x[row, lone]))
-    return np.stack(ends, axis=1)
-
-
-def outline(x: Floats, origin: Floats, first: Floats, second: Floats) -> Floats:
+def outline(x: Floats, origin: Floats, plane: Floats) -> Floats:
     """Where rays from a point leave triangles (m, 3, 3) in a plane (`ROUND`, 3) [mm].
 
-    Angles are from the first to the second of two directions in it, at right angles.
+    Angles are from the first to the second of two directions in it (2, 3).
 
     Raises:
         ValueError: The point is outside, or rays meet the surface again.
     """
-    ends = crossed(x, (x - origin) @ np.cross(first, second)) - origin
-    p, q = ends @ first / (first @ first), ends @ second / (second @ second)
-    turn = np.arctan2(q, p) * ROUND / (2 * np.pi)
-    width = (turn[:, 1] - turn[:, 0] + ROUND / 2) % ROUND - ROUND / 2
-    start = np.ceil(np.where(width > 0, turn[:, 0], turn[:, 1]))
-    number = (np.floor(np.where(width > 0, turn[:, 0], turn[:, 1]) + np.abs(width)) - start).astype(
-        int
-    ) + 1
-    of = np.repeat(np.arange(len(ends)), number)
-    ray = start[of].astype(int) + np.arange(len(of)) - np.repeat(np.cumsum(number) - number, number)
-    c, s = np.cos(2 * np.pi * ray / ROUND), np.sin(2 * np.pi * ray / ROUND)
-    off = q[of] * c[:, None] - p[of] * s[:, None]
-    part = off[:, 0] / (off[:, 0] - off[:, 1])
-    r = sum((v[of, 0] + part * (v[of, 1] - v[of, 0])) * w for v, w in ((p, c), (q, s)))
+    x = x.reshape(-1, 3) - origin
+    ray, r = met(section(x, x @ np.cross(*plane)) @ np.linalg.pinv(plane), THETA)
     near, far = np.full(ROUND, np.inf), np.zeros(ROUND)
-    np.minimum.at(near, ray % ROUND, r)
-    np.maximum.at(far, ray % ROUND, r)
+    np.minimum.at(near, ray, r)
+    np.maximum.at(far, ray, r)
     if not (np.isfinite(near).all() and (far - near).max() < HIDDEN):
         raise ValueError
-    theta = 2 * np.pi * np.arange(ROUND)[:, None] / ROUND
-    return np.asarray(origin + near[:, None] * (np.cos(theta) * first + np.sin(theta) * second))
+    ends = near * [np.cos(THETA), np.sin(THETA)]
+    return np.asarray(origin + ends.T @ plane)
 
 
 def around(x: Floats) -> float:
@@ -107,7 +84,7 @@ class CadStem:
         if part <= 0:
             origin, plane = np.array([0.0, 0.0, height]), np.array([[1.0, 0.0, -slope], Y])
         try:
-            x = outline(self._x, origin, *plane)
+            x = outline(self._x, origin, plane)
         except ValueError:
             a, b, c = origin
             raise GeometryError(
@@ -149,7 +126,8 @@ class CadStem:
         zero = np.zeros(len(phi))
         return self._at(phi, zero, zero, np.asarray(s) / self.ends[-1])
 
-    def depth(self, thickness: float, x: Floats) -> Floats:
+    def depth(self, thickness: Callable[..., Any], x: Floats) -> Floats:
         """Depth of points (n, 3) within the surface at a distance [mm]; below the tip its own."""
         x = np.stack([x[:, 0], x[:, 1], np.maximum(x[:, 2], self._low + TIP)], axis=1)
-        return thickness - distance(x, self._coarse)
+        wanted = thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
+        return np.asarray(wanted - distance(x, self._coarse))

@@ -9,6 +9,7 @@ cone to the trunnion; where they turn they are rounded.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -27,6 +28,22 @@ OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of 
 ROOM = 0.4  # of the lines before and after the turn to the neck: what it may take
 LEAST_ARM = 0.5  # mm before and after it
 SHOULDER = 6.0  # mm that the shoulder may be below or above the cut without standing out
+
+
+def thickness(given: Any, low: float, top: float) -> Callable[..., Any]:
+    """Thickness of a mantle at angles and levels, given from the tip's level to the cut's [mm]."""
+    if isinstance(given, float):
+        return lambda theta, z: given
+    (parts, means), (turns, ratios) = (np.transpose(table) for table in given.tables)
+
+    def at(theta: Floats, z: Floats) -> Floats:
+        turn = turns[0] + np.mod(np.asarray(theta) / (2 * np.pi) - turns[0], 1.0)
+        side = np.interp(turn, turns, np.arange(len(turns)))
+        wave = np.floor(side) + 0.5 * (1 - np.cos(np.pi * (side % 1)))
+        mean = np.interp((z - low) / (top - low), parts, means)
+        return np.asarray(mean * np.interp(wave, np.arange(len(turns)), ratios))
+
+    return at
 
 
 @dataclass(frozen=True)
@@ -90,11 +107,15 @@ class Body:
         y = beside * (b0 - r0 + (b1 - r1) * z) + s * (r0 + r1 * z)
         return np.stack([x, np.where(quarter < 2, y, -y), z], axis=1)
 
-    def offset(self, thickness: float) -> Body:
+    def offset(self, thickness: Any) -> Body:
         """The surface at a distance: exact on the flats, within t (1/cos - 1) at the corners."""
         a, b, r = self.half
         across = [thickness / math.cos(math.atan(slope)) for slope in self.slope[:2]]
         return Body((a + across[0], b + across[1], r + thickness), self.slope)
+
+    def outside(self, thickness: Callable[..., Any], theta: Floats, z: Floats) -> Floats:
+        """As `radius`, of the surface whose points have the thickness of their place."""
+        return self.offset(thickness(theta, z)).radius(theta, z)
 
 
 def body(geometry: Any) -> Body:
@@ -177,7 +198,7 @@ class Upper:
 
     def ring(self, phi: Floats, end: int) -> Floats:
         """Points of the first or the last round section (n, 3) [mm]."""
-        axis = _unit(self.rings[1] - self.rings[0])
+        axis = unit(self.rings[1] - self.rings[0])
         turn = 2 * np.pi * phi[:, None]
         across = np.cos(turn) * [axis[2], 0.0, -axis[0]] + np.sin(turn) * [0.0, 1.0, 0.0]
         return np.asarray(self.rings[end] + self.radii[end] * across)
@@ -199,7 +220,7 @@ class Upper:
         planes = zip(*self.planes, strict=True)
         x = self.body.point(phi, *(a + out[:, 0] * (b - a) for a, b in planes))
         first, second = self.ways(phi)
-        before, after = self.arm * _unit(first), self.arm * _unit(second)
+        before, after = self.arm * unit(first), self.arm * unit(second)
         x += loft * (first - before) + cone * (second - after)
         return np.asarray(x + (1 - (1 - turn) ** 2) * before + turn**2 * after)
 
@@ -214,7 +235,7 @@ class Upper:
             GeometryError: There is no room.
         """
         first, second = self.ways(np.arange(72) / 72)
-        turn = float((_unit(first) * _unit(second)).sum(axis=1).min())
+        turn = float((unit(first) * unit(second)).sum(axis=1).min())
         arm = radius * math.sqrt(2 * (1 - turn)) / (1 + turn)
         room = ROOM * math.sqrt(min((way**2).sum(axis=1).min() for way in (first, second)))
         if arm > room:
@@ -225,7 +246,7 @@ class Upper:
         return replace(self, arm=max(arm, LEAST_ARM))
 
 
-def _unit(x: Floats) -> Floats:
+def unit(x: Floats) -> Floats:
     """Vectors (..., 3) over their lengths."""
     return np.asarray(x / np.sqrt((x**2).sum(axis=-1, keepdims=True)))
 

@@ -15,7 +15,9 @@ import numpy as np
 
 from app.arrays import Floats
 from app.errors import GeometryError
-from meshes.cad_stem import INSIDE, around, crossed, outline
+from meshes.bone_surface import section
+from meshes.cad_stem import INSIDE, around, outline
+from meshes.femur_stem import unit
 from meshes.gmsh_child import MILLIMETRES, elements, nodes, session
 from meshes.mantle import triangles
 
@@ -48,21 +50,24 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         GeometryError: It is no file of one solid, or no stem.
     """
-    path, unit = request["path"], request["unit"]
+    path = request["path"]
     points, faces = _faces(request)
-    points *= MILLIMETRES[unit]
+    points *= MILLIMETRES[request["unit"]]
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     if not LONG[0] <= size <= LONG[1]:
         raise GeometryError(
             f"{path}: {size:.3g} mm from end to end; a stem has {LONG[0]:g} to {LONG[1]:g} mm: the"
-            f" file names no unit or a wrong one, or `unit: {unit}` is wrong"
+            f" file names no unit or a wrong one, or `unit: {request['unit']}` is wrong"
         )
     coarse = points[np.concatenate(faces)[:, :3]]
-    given = request["axis"]
-    origin, axis = _axis(coarse) if given is None else (np.array(given[0]), _way(*given))
+    if request["axis"] is None:
+        origin, axis = _axis(coarse)
+    else:
+        origin, high = np.array(request["axis"])
+        axis = unit(high - origin)
     end, normal, radius = _taper(path, points, faces, origin, axis, request["taper_face"])
     head = end if request["head_centre"] is None else np.array(request["head_centre"])
-    medial = _way(origin + axis * (axis @ (head - origin)), head)
+    medial = unit(head - origin - axis * (axis @ (head - origin)))
     turn = np.stack([medial, np.cross(axis, medial), axis])
     x = (triangles(points, np.concatenate(faces), PARTS) - origin) @ turn.T
     tip = np.array([0.0, 0.0, _tip(x)])
@@ -111,7 +116,7 @@ def _faces(request: Mapping[str, Any]) -> tuple[Floats, list[Any]]:
 
 def _level(x: Floats, z: float) -> Floats:
     """Outline of a section across the axis (r, 3) [mm]."""
-    return outline(x, np.array([0.0, 0.0, z]), *np.eye(3)[:2])
+    return outline(x, np.array([0.0, 0.0, z]), np.eye(3)[:2])
 
 
 def _tip(x: Floats) -> float:
@@ -155,7 +160,8 @@ def _axis(x: Floats) -> tuple[Floats, Floats]:
             along = x @ axis
             middles = []
             for part in np.linspace(*STRAIGHT, 24):
-                ends = crossed(x, along - (1 - part) * along.min() - part * along.max())
+                height = along - (1 - part) * along.min() - part * along.max()
+                ends = section(x.reshape(-1, 3), height.ravel())
                 length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
                 middles.append(length @ ends.mean(axis=1) / length.sum())
             origin = np.mean(middles, axis=0)
@@ -199,9 +205,3 @@ def _taper(
             f" and {ASIDE:g} mm beside it: give `taper_face`, a point of it"
         )
     return max(found, key=lambda one: one[0])[1:]
-
-
-def _way(low: Any, high: Any) -> Floats:
-    """Unit vector from one point to another (3,)."""
-    way = np.subtract(high, low)
-    return np.asarray(way / np.linalg.norm(way))

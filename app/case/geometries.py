@@ -11,13 +11,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, physical_names
 from app.case.patients import Patient
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
-from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail, not_one_of, show
+from app.schema.paths import file
+from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail, not_one_of
 from app.schema.units import Angle, PositiveLength, SizeVector
 
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
@@ -185,6 +186,11 @@ _Side = Annotated[tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(
 _TwoSides = Annotated[tuple[_Side, _Side], Pair("[cement, [cortical, cancellous]]")]
 
 
+def _has_regions(path: Path) -> None:
+    if not physical_names(path, 3):
+        raise ValueError("names no region: it has no physical volume with a name")
+
+
 class MeshFile(Shape):
     """A mesh file; its named volumes or sets of cells are regions, its named surfaces boundaries.
 
@@ -195,31 +201,12 @@ class MeshFile(Shape):
     """
 
     kind: Literal["file"] = "file"
-    path: Path
+    path: Annotated[Path, file(check=_has_regions)]
     """The file; relative to the case file."""
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm"
     """Unit of the file's coordinates."""
     interfaces: Annotated[dict[Name, _TwoSides], MAPPING] = Field(default_factory=dict)
     """For each interface, the regions on its two sides (a name or a list of names each)."""
-
-    @field_validator("path", mode="before")
-    @classmethod
-    def _find(cls, value: object, info: ValidationInfo) -> Path:
-        if not isinstance(value, str | Path):
-            fail("is not a path; expected text")
-        try:
-            path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
-            found = path.is_file()
-            regions = physical_names(path, 3) if found else ()
-        except OSError as error:
-            fail(f"{show(str(value))} cannot be read: {error.strerror}")
-        except (RuntimeError, ValueError) as error:  # an unknown user; a bad file
-            fail(f"{show(str(value))}: {error}")
-        if not found:
-            fail(f"no such file: {path}")
-        if not regions:
-            fail(f"{path} names no region: it has no physical volume with a name")
-        return path.resolve()
 
     @model_validator(mode="after")
     def _known(self) -> MeshFile:

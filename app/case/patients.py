@@ -6,32 +6,21 @@ import hashlib
 import math
 from functools import cached_property
 from importlib import import_module
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+from pydantic import Field, model_validator
 
-from app.case.femurs import BONE, MUSCLES, Femur
-from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
+from app.case.femurs import BONE, MUSCLES, Femur, check_stem
+from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.errors import GeometryError
-from app.schema.section import Pair, Section, Triple, fail, show
+from app.schema.paths import File
+from app.schema.section import Pair, Section, Triple, fail
 from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
 
 SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
 
 
-def _file(value: object, info: ValidationInfo) -> Path:
-    """A file, relative to the case's folder."""
-    if not isinstance(value, str | Path):
-        fail(f"{show(value)} is not a path; expected text")
-    path: Path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
-    if not path.is_file():
-        fail(f"no such file: {path}")
-    return path.resolve()
-
-
-File = Annotated[Path, BeforeValidator(_file)]
 Unit = Literal["mm", "cm", "m", "inch"]
 Place = Annotated[tuple[Number, Number, Number], Triple("[4.1, -28.4, -39.1]")]
 Places = Annotated[tuple[Place, Place], Pair("[[31, -8, -98], [29, -17, -37]]")]
@@ -112,19 +101,18 @@ class Stem(Section):
     """Angle between neck and stem (rad)."""
     plug_length: PositiveLength = _of_femur("plug_length")
     """Length of cement below the tip."""
+    tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] = 0.0
+    """Length without cement below the end, which is flat then: 1 mm at least, and 1 mm less than
+    the plug at most; 0: none."""
 
     @model_validator(mode="after")
     def _solid(self) -> Stem:
         if not self.section_depth < self.length:
             fail("is not above the tip", at=("section_depth",))
-        for end in ("", "tip_"):
-            half = min(getattr(self, f"{end}half_width"), getattr(self, f"{end}half_depth"))
-            if getattr(self, f"{end}corner_radius") >= half:
-                text = f"is not below the half-width and half-depth, {half:g} mm"
-                fail(text, at=(f"{end}corner_radius",))
+        check_stem(self, "", "tip_")
         return self
 
-    def as_femur(self, cement: float) -> Femur:
+    def as_femur(self, cement: Thickness) -> Femur:
         """The same in the parametric femur's keys, with the shoulder at z = 0."""
         known = {k if k in Femur.model_fields else f"stem_{k}": v for k, v in self}
         levels = {"stem_tip_z": -self.length, "stem_section_z": -known.pop("stem_section_depth")}
@@ -199,10 +187,9 @@ class Patient(Shape):
     """The cut across the neck."""
     insertion: Insertion = Field(default_factory=Insertion)
     """Where the stem is put."""
-    cement_thickness: Annotated[
-        float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
-    ] = 4.0
-    """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
+    cement_thickness: Thickness = 4.0
+    """Thickness of the mantle where the canal has room for it, 1 to 8 mm: one, or several by height
+    and side."""
     distal_cut_z: Length | None = None
     """Level at which the shaft is cut and held; by default 70 mm below the plug, or where the
     surface ends."""
@@ -273,7 +260,8 @@ class Patient(Shape):
         half = max(self.stem.tip_half_width, self.stem.tip_half_depth)
         end = self.implant.tip_height - self.stem.length
         tip = float(self.placement.to_model([0.0, 0.0, end])[2])
-        return (Mantle(self.cement_thickness, tip + half * math.tan(abs(self.insertion.varus))),)
+        mean = spread(self.cement_thickness)[1]
+        return (Mantle(mean, tip + half * math.tan(abs(self.insertion.varus))),)
 
     @property
     def interface_area(self) -> float:

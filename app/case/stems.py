@@ -11,14 +11,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import ValidationInfo, field_validator, model_validator
+from pydantic import model_validator
 
 from app import confined
 from app.errors import GeometryError
-from app.schema.section import Pair, Section, Triple, fail, not_one_of, show
+from app.schema.paths import file
+from app.schema.section import Pair, Section, Triple, fail
 from app.schema.units import Length
 
-SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
 _Point = Annotated[tuple[Length, Length, Length], Triple("[0 mm, 0 mm, 100 mm]")]
 _Line = Annotated[tuple[_Point, _Point], Pair("[[0 mm, 0 mm, 0 mm], [0 mm, 0 mm, 100 mm]]")]
 
@@ -26,7 +26,7 @@ _Line = Annotated[tuple[_Point, _Point], Pair("[[0 mm, 0 mm, 0 mm], [0 mm, 0 mm,
 class StemFile(Section):
     """A stem from CAD: one solid with a neck. Points are in the coordinates of the file."""
 
-    step: Path
+    step: Annotated[Path, file(".step", ".stp", ".iges", ".igs", ".brep")]
     """STEP, IGES or BREP file; relative to the case file."""
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm"
     """What a millimetre of the file is, if it names no unit or a wrong one: STEP and IGES files
@@ -39,18 +39,6 @@ class StemFile(Section):
     taper_face: _Point | None = None
     """A point of the planar face that ends the neck; by default it is the one farthest to medial
     and proximal."""
-
-    @field_validator("step", mode="before")
-    @classmethod
-    def _find(cls, value: object, info: ValidationInfo) -> Path:
-        if not isinstance(value, str | Path):
-            fail("is not a path; expected text")
-        path: Path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
-        if path.suffix.lower() not in SUFFIXES:
-            fail(f"{show(str(value))}: {not_one_of(path.suffix, SUFFIXES)}")
-        if not path.is_file():
-            fail(f"no such file: {path}")
-        return path.resolve()
 
     @model_validator(mode="after")
     def _readable(self) -> StemFile:

@@ -214,12 +214,13 @@ def random_patient(folder: Path, seed: int, bone: BoneSurface, canal: BoneSurfac
     shift = {k: f"{rng.uniform(-2, 2)} mm" for k in ("medial_offset", "anterior_offset", "depth")}
     turn = {"varus": f"{rng.uniform(0, 3)} deg", "version": {"angle": f"{rng.uniform(-15, 5)} deg"}}
     own = {"surface": f"{seed}_canal.stl"} if rng.uniform() < 0.8 else {}
+    cement, distal = (f"{t} mm" for t in rng.uniform(3, 6, 2))
     return patient(
         folder,
         bone={"surface": f"{seed}.stl", "unit": "mm"},
         canal={"ream": "broach"} | own,
         insertion=shift | turn,
-        cement_thickness=f"{rng.uniform(3, 6)} mm",
+        cement_thickness={"proximal": cement, "distal": distal} if seed % 2 else cement,
         stem={"length": f"{rng.uniform(100, 147)} mm"},
         resection={"angle": f"{rng.uniform(34, 44)} deg"},
     )

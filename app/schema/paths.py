@@ -1,0 +1,37 @@
+"""Files that a case names, relative to its own folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BeforeValidator, ValidationInfo
+
+from app.schema.section import fail, not_one_of, show
+
+
+def file(*suffixes: str, check: Callable[[Path], None] | None = None) -> BeforeValidator:
+    """A file that exists, relative to the case's folder; `check` raises ValueError or OSError."""
+
+    def find(value: object, info: ValidationInfo) -> Path:
+        if not isinstance(value, str | Path):
+            fail("is not a path; expected text")
+        try:
+            path: Path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
+            if (found := path.is_file()) and check:
+                check(path)
+        except OSError as error:
+            fail(f"{show(str(value))} cannot be read: {error.strerror}")
+        except (RuntimeError, ValueError) as error:  # an unknown user; a bad file
+            fail(f"{show(str(value))}: {error}")
+        if suffixes and path.suffix.lower() not in suffixes:
+            fail(f"{show(str(value))}: {not_one_of(path.suffix, suffixes)}")
+        if not found:
+            fail(f"no such file: {path}")
+        return path.resolve()
+
+    return BeforeValidator(find)
+
+
+File = Annotated[Path, file()]
