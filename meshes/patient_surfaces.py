@@ -36,8 +36,7 @@ BROACH = 0.3  # mm that a broach is wider than stem and mantle
 CORE = 0.65  # of the canal: the innermost surface below the plug
 LID, NEAR_LID = 0.9, 15.0  # of the normal along the shaft: a canal's flat end; mm from its top
 WIDE, OVER = 12.0, 2.0  # mm of an edge around the metaphysis, and over the size
-ECCENTRIC = 10.0  # mm that the canal's middle is beside the bone's, at most
-BESIDE = "geometry.canal.surface: does not surround the stem; is it in the axes of the bone?"
+ECCENTRIC = 10.0  # mm that a canal's middle is beside the bone's, at most
 SIDES = "medially antero-medially anteriorly antero-laterally laterally postero-laterally".split()
 SIDES += ["posteriorly", "postero-medially"]
 
@@ -149,13 +148,12 @@ class PatientSurfaces(FemurSurfaces):
             canal = self._in_stem(self._placed.canal)
         self._centres = np.zeros((len(self._zeta), 2))
         for k, z in enumerate(self._zeta[: self.mantle[0]]):
-            # Of the bone alone where the canal's surface has ended.
-            lines = [self._level(surface, z) for surface in (bone, canal) if surface]
-            middles = [centroid(own)[0] for own in lines if len(own)]
-            if np.hypot(*(middles[-1] - middles[0])) > ECCENTRIC:
-                raise GeometryError(BESIDE)
+            middle = centroid(self._level(bone, z))[0]
+            if canal and len(lines := self._level(canal, z)):
+                own = centroid(lines)[0]
+                middle = own if np.hypot(*(own - middle)) < ECCENTRIC else middle
             part = min((self._plug - z) / CORE_OVER, 1.0)
-            self._centres[k] = part * part * (3 - 2 * part) * middles[-1]
+            self._centres[k] = part * part * (3 - 2 * part) * middle
         low = self._zeta[0] - EVERY
         zeta = np.linspace(low, self._top, int((self._top - low) / EVERY) + 1)
         radii, times = self._rays(bone, zeta)
@@ -189,7 +187,8 @@ class PatientSurfaces(FemurSurfaces):
         radii, times = self._rays(canal, zeta)
         rows = np.flatnonzero((times > 0).all(axis=1) & (zeta < self._lid(canal)))
         if not len(rows) or zeta[rows[-1]] < geometry.implant.stem_tip_z:
-            raise GeometryError(BESIDE)
+            text = "does not surround the stem; is it in the axes of the bone?"
+            raise GeometryError(f"geometry.canal.surface: {text}")
         first, last = rows[[0, -1]]
         if zeta[first] > self._plug - CORE_OVER:
             raise GeometryError(

@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from app.arrays import Floats
 from app.errors import GeometryError
@@ -58,6 +59,26 @@ class Placement:
     def to_model(self, x: Any) -> Floats:
         """Points in the stem's axes (..., 3) in those of the model [mm]."""
         return np.asarray(np.subtract(x, [0.0, 0.0, self.top]) @ self.turn.T + self.foot)
+
+    @cached_property
+    def _skin(self) -> tuple[Any, Floats]:
+        """Tree of the bone's corners, and outward normals there (n, 3)."""
+        a, b, c = self.bone.corners.transpose(1, 0, 2)
+        normals = np.zeros_like(self.bone.points)
+        np.add.at(normals, self.bone.triangles, np.cross(b - a, c - a)[:, None])
+        return cKDTree(self.bone.points), normals / np.linalg.norm(normals, axis=1)[:, None]
+
+    def in_file(self, x: Floats, depth: float) -> Floats:
+        """Points of the model (n, 3) in the axes of the bone's file [mm].
+
+        Those less deep below its surface are moved inwards, along the normal of the next corner.
+        """
+        tree, normals = self._skin
+        _, near = tree.query(x)
+        n = normals[near]
+        below = ((self.bone.points[near] - x) * n).sum(axis=1)
+        moved = x - np.maximum(depth - below, 0.0)[:, None] * n
+        return np.asarray(moved @ self.frame.axes + self.frame.origin)
 
     @property
     def slopes(self) -> tuple[float, float]:

@@ -102,8 +102,7 @@ class Stem(Section):
     plug_length: PositiveLength = _of_femur("plug_length")
     """Length of cement below the tip."""
     tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] = 0.0
-    """Length without cement below the end, which is flat then: 1 mm at least, and 1 mm less than
-    the plug at most; 0: none."""
+    """Length without cement below the end, flat then; from 1 mm to 1 mm less than the plug."""
 
     @model_validator(mode="after")
     def _solid(self) -> Stem:
@@ -188,8 +187,7 @@ class Patient(Shape):
     insertion: Insertion = Field(default_factory=Insertion)
     """Where the stem is put."""
     cement_thickness: Thickness = 4.0
-    """Thickness of the mantle where the canal has room for it, 1 to 8 mm: one, or several by height
-    and side."""
+    """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side."""
     distal_cut_z: Length | None = None
     """Level at which the shaft is cut and held; by default 70 mm below the plug, or where the
     surface ends."""
@@ -242,6 +240,10 @@ class Patient(Shape):
         """Centre of the implant's head and muscles' insertions on this bone (mm)."""
         found, _ = self.placement.projected(MUSCLES)
         return {"head_centre": self.head_centre} | {k: _point(x) for k, x in found.items()}
+
+    def in_image(self, x: Any, depth: float) -> Any:
+        """Points (n, 3) in the axes of the bone's file, at a depth below its surface at least."""
+        return self.placement.in_file(x, depth)
 
     @property
     def told(self) -> dict[str, Any]:

@@ -7,11 +7,20 @@ E_l, E_t, mu_l > 0, |nu_t| < 1 and 1 - nu_t - 2 nu_l^2 E_t / E_l > 0. That margi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    PrivateAttr,
+    Tag,
+    model_validator,
+)
 
+from app.laws.densities import ImageModulus
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
 from app.laws.values import History, Named, Source, Status, Table, rising
@@ -44,16 +53,24 @@ def _sloped(table: Table) -> Table:
     return table if len(table) > 1 else fail("is one pair; expected at least two, or a value")
 
 
-# A modulus, or pairs of height and modulus.
-OverHeight = Annotated[
+def _form(E: object) -> str:
+    """Form of a modulus: a value, pairs, or a section."""
+    if isinstance(E, dict | ImageModulus):
+        return TAG + "image"
+    return TAG + ("graded" if isinstance(E, list | tuple) else "constant")
+
+
+# A modulus, pairs of height and modulus, or the density in an image.
+YoungsModulus = Annotated[
     Annotated[Modulus, Tag(TAG + "constant")]
     | Annotated[
         tuple[Annotated[tuple[Length, Modulus], Pair("[-118 mm, 0.1 GPa]")], ...],
         AfterValidator(rising("height")),
         AfterValidator(_sloped),
         Tag(TAG + "graded"),
-    ],
-    Discriminator(lambda E: TAG + ("graded" if isinstance(E, list | tuple) else "constant")),
+    ]
+    | Annotated[ImageModulus, Tag(TAG + "image")],
+    Discriminator(_form),
 ]
 
 
@@ -100,6 +117,8 @@ class Elastic(Material):
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
+    # Places in an image of points of the model, at a depth in the bone at least [mm].
+    _places: Any = PrivateAttr(None)
 
     @property
     def moduli(self) -> tuple[float, ...]:
@@ -114,14 +133,21 @@ class Elastic(Material):
         """Elastic coefficients of eq. 48 [MPa]: two if isotropic, else five."""
         raise NotImplementedError
 
-    def coefficients_at(self, x: Expr, constant: Callable[[Any], Any]) -> Sequence[Any]:
-        """Elastic coefficients at a position in UFL, of what ``constant`` makes of numbers."""
-        return [constant(c) for c in self.coefficients]
-
     @property
     def varies(self) -> bool:
         """Whether the stiffness depends on the place."""
         return False
+
+    @property
+    def image(self) -> ImageModulus | None:
+        """The image that gives the stiffness, if one does."""
+        return None
+
+    def in_image(self, places: Any) -> Self:
+        """A copy that knows the places in an image of points of the model."""
+        copy = self.model_copy()
+        copy._places = places
+        return copy
 
     def relative_stiffness(self, x: Floats) -> Floats:
         """Stiffness at points (n, 3) [mm] over that of `coefficients` (n,)."""
@@ -144,8 +170,9 @@ class Isotropic(Elastic):
     fibre: ClassVar[None] = None  # type: ignore[misc]
 
     kind: Literal["isotropic"] = "isotropic"
-    youngs_modulus: OverHeight
-    """Young's modulus E; or pairs of height z and E, linear in between and constant beyond."""
+    youngs_modulus: YoungsModulus
+    """Young's modulus E; pairs of height z and E, linear in between and constant beyond; or an
+    image whose density gives E."""
     poisson_ratio: Annotated[float, Plain(above=-1.0, below=0.5)]
     """Poisson's ratio nu."""
 
@@ -164,36 +191,30 @@ class Isotropic(Elastic):
     @property
     def moduli(self) -> tuple[float, ...]:
         """Young's modulus [MPa]."""
-        return (max(self._over_height[1]),)
+        E = self.youngs_modulus
+        if isinstance(E, tuple):
+            return (max(value for _, value in E),)
+        return (E.largest if isinstance(E, ImageModulus) else E,)
+
+    @property
+    def image(self) -> ImageModulus | None:
+        """The image that gives Young's modulus, if one does."""
+        return E if isinstance(E := self.youngs_modulus, ImageModulus) else None
 
     @property
     def varies(self) -> bool:
-        """Whether Young's modulus is a table."""
-        return isinstance(self.youngs_modulus, tuple)
-
-    @property
-    def _over_height(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Heights [mm] and Young's moduli there [MPa]."""
-        if not isinstance(self.youngs_modulus, tuple):
-            return (0.0,), (self.youngs_modulus,)
-        heights, moduli = zip(*self.youngs_modulus, strict=True)
-        return heights, moduli
-
-    def coefficients_at(self, x: Expr, constant: Callable[[Any], Any]) -> Sequence[Any]:
-        """Two elastic coefficients [MPa]: constants, or those of E(x)."""
-        if not self.varies:
-            return super().coefficients_at(x, constant)
-        from forms import elasticity, tables
-
-        heights, moduli = (list(constant(c)) for c in self._over_height)
-        E = tables.piecewise_linear(x[2], heights, moduli)
-        return elasticity.isotropic_coefficients(E, constant(self.poisson_ratio))
+        """Whether Young's modulus is a table or from an image."""
+        return not isinstance(self.youngs_modulus, float)
 
     def relative_stiffness(self, x: Floats) -> Floats:
         """E(x) over the largest E."""
         import numpy as np
 
-        return np.asarray(np.interp(x[:, 2], *self._over_height) / self.moduli[0])
+        E = self.youngs_modulus
+        if isinstance(E, ImageModulus):
+            return np.asarray(E.at(x, self._places) / E.largest)
+        values = np.interp(x[:, 2], *np.transpose(E)) if isinstance(E, tuple) else E
+        return np.asarray(values / self.moduli[0])
 
 
 class TransverselyIsotropic(Elastic):

@@ -42,6 +42,8 @@ Domains = list[tuple[int, NDArray[np.int32]]]
 
 # Degree of quadrature of moments on curved facets; the second is exact on flat ones.
 MOMENT_DEGREE = 8
+# The same of means of moduli: 11 points of a cell.
+MEAN_DEGREE = 4
 
 
 class OnBody:
@@ -114,6 +116,7 @@ class BodyForms:
         self._facets: Domains = []
         self._surface = self._surface_measure()
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
+        self._relative = {e.region: self._relative_stiffness(e) for e in scene.elastic if e.varies}
         self.springs = [self.constant(f.stiffness) for f in scene.foundations]
         self._amplitude = {
             (e.region, k): self.constant(0.0)
@@ -176,13 +179,53 @@ class BodyForms:
         return fem.Constant(self.mesh, np.asarray(value, dtype=default_scalar_type))
 
     def _region_constants(self, e: Elastic) -> tuple[Sequence[Any], Any]:
-        coefficients = e.coefficients_at(ufl.SpatialCoordinate(self.mesh), self.constant)
+        coefficients = [self.constant(c) for c in e.coefficients]
         return coefficients, e.fibre.direction(self.mesh, self.constant) if e.fibre else None
+
+    def places(self, region: str, points: Floats, weights: Floats) -> tuple[Floats, Floats]:
+        """Positions (cells, points, 3) [mm] of points of a region's own cells, and their volumes.
+
+        Points and weights are of the reference cell (points, 3), (points,).
+        """
+        element = self.mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
+        N, *dN = element.tabulate(1, points)
+        x = self.mesh.geometry.x[self.mesh.geometry.dofmap[self.region_cells(region)]]
+        measure = np.abs(np.linalg.det(np.einsum("cni,jqn->cqij", x, np.array(dN)))) / 6
+        return np.einsum("qn,cni->cqi", N, x), np.asarray(measure * weights / weights.sum())
+
+    def relative_stiffness(self, e: Elastic, points: Floats) -> Floats:
+        """Stiffness over its largest at points of a region's own cells (cells, points); collective.
+
+        At the first order, where strains are constant in a cell, it is the mean over the cell.
+        """
+        mean = self.scene.order == 1 or (e.image and e.image.per_cell)
+        rule = basix.make_quadrature(basix.CellType.tetrahedron, MEAN_DEGREE)
+        at, weights = (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
+        x, volumes = self.places(e.region, at, weights)
+        values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
+        values = values.reshape(volumes.shape)
+        if not mean:
+            return values
+        means = (values * volumes).sum(axis=1) / volumes.sum(axis=1)
+        return np.repeat(means[:, None], len(points), axis=1)
+
+    def _relative_stiffness(self, e: Elastic) -> fem.Function:
+        """Stiffness over its largest at the points of the quadrature."""
+        element = basix.ufl.quadrature_element("tetrahedron", degree=self.varying_degree)
+        g = fem.Function(fem.functionspace(self.mesh, element))
+        points, _ = basix.make_quadrature(basix.CellType.tetrahedron, self.varying_degree)
+        rows = g.function_space.dofmap.list[self.region_cells(e.region)]
+        g.x.array[rows] = self.relative_stiffness(e, np.asarray(points))
+        return g
 
     # Energies
 
     def energy_density(self, e: Elastic, ε: Any) -> Any:
         """Strain energy density of a region for an elastic strain [MPa]."""
+        return self._relative.get(e.region, 1) * self.largest_energy_density(e, ε)
+
+    def largest_energy_density(self, e: Elastic, ε: Any) -> Any:
+        """The same where the region is stiffest [MPa]."""
         coefficients, fibre = self._constants[e.region]
         return e.energy(ε, coefficients, fibre)
 

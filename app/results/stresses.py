@@ -62,16 +62,21 @@ class Stresses:
         for region, history in self._history.items():
             self.points[region] = history.points
             self.shares[region] = history.weights / history.weights.sum()
+        # Stiffness over its largest at the points, where it varies.
+        self._relative: dict[str, Floats] = {}
         laws: dict[str, Law] = {}
         self._own: dict[str, fem.Expression] = {}
         self._shared: dict[str, Callable[[], fem.Expression]] = {}
         for e in elastic:
+            if e.varies:
+                points = self.points[e.region]
+                self._relative[e.region] = mechanics.relative_stiffness(e, points)
             if e.region in mechanics.growth:
                 continue
             displacement = problem.displacements()[problem.bodies.of_region[e.region]]
-            if e.eigenstrains or e.varies or e.region in mechanics.swelling:
+            if e.eigenstrains or e.region in mechanics.swelling:
                 ε = mechanics.elastic_strain(e, displacement)
-                σ = elasticity.stress(partial(mechanics.energy_density, e), ε)
+                σ = elasticity.stress(partial(mechanics.largest_energy_density, e), ε)
                 self._own[e.region] = self._expression(σ)
                 continue
             # Regions with the same kind of fibre share the form of their stress.
@@ -122,7 +127,8 @@ class Stresses:
             return np.zeros((0, len(self._points), 3, 3))
         expression = self._own.get(region) or self._shared[region]()
         values = expression.eval(self._problem.tagged.mesh, cells)
-        return values.reshape(len(cells), len(self._points), 3, 3)
+        σ = values.reshape(len(cells), len(self._points), 3, 3)
+        return σ * self._relative[region][..., None, None] if region in self._relative else σ
 
     def mean(self, region: str) -> Floats:
         """Mean stress of a region's own cells (cells, 3, 3) [MPa]."""
@@ -130,12 +136,9 @@ class Stresses:
 
     def places(self, region: str) -> tuple[Floats, Floats]:
         """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points)."""
-        mesh = self._problem.tagged.mesh
-        element = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
-        N, *dN = element.tabulate(1, self.points[region])
-        x = mesh.geometry.x[mesh.geometry.dofmap[self.cells[region]]]
-        measure = np.abs(np.linalg.det(np.einsum("cni,jqn->cqij", x, np.array(dN)))) / 6
-        return np.einsum("qn,cni->cqi", N, x).reshape(-1, 3), measure * self.shares[region]
+        mechanics = self._problem.mechanics
+        x, volumes = mechanics.places(region, self.points[region], self.shares[region])
+        return x.reshape(-1, 3), volumes
 
     def energy_density(self, region: str) -> Floats:
         r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa].
@@ -154,7 +157,7 @@ class Stresses:
         twice = np.diag([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
         S = twice @ np.linalg.inv(_stiffness(e))
         density = np.asarray(np.einsum("cqi,ij,cqj->cq", a, S, a)) / 2
-        return density / np.reshape(e.relative_stiffness(x), (-1, σ.shape[1]))
+        return np.asarray(density / self._relative.get(region, 1.0))
 
     def region(self, region: str) -> dict[str, Any]:
         """Published stresses of a region, of a stem without its neck; collective."""

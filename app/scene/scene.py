@@ -111,7 +111,10 @@ class Scene:
 def build_scene(case: Case) -> Scene:
     """Build the scene of a case."""
     regions: Mapping[str, Any] = case.regions
-    elastic = tuple(r.named(n) for n, r in regions.items() if isinstance(r, Elastic))
+    places = case.geometry.in_image
+    elastic = tuple(
+        r.named(n).in_image(places) for n, r in regions.items() if isinstance(r, Elastic)
+    )
     moduli = {e.region: max(e.moduli) for e in elastic}
     thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
     interfaces = [

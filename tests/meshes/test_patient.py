@@ -175,6 +175,7 @@ WRONG = {
     "deep": ({"insertion": {"depth": "15 mm"}}, r"at most 4\.5"),
     "condyles": ({"insertion": {"version": {"relative_to": "condyles"}}}, "relative_to: neck"),
     "corner": ({"stem": {"corner_radius": "6 mm"}}, "half-depth"),
+    "void": ({"stem": {"tip_void": "9.5 mm"}}, "less than 1 mm of 10 mm of plug"),
     "long": ({"stem": {"length": "300 mm"}}, "distal_cut_z|between the end of the surface"),
     "cut": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
     "axis": ({"resection": {"height": "120 mm"}}, "outside of the bone; cut lower"),
@@ -221,7 +222,7 @@ def random_patient(folder: Path, seed: int, bone: BoneSurface, canal: BoneSurfac
         canal={"ream": "broach"} | own,
         insertion=shift | turn,
         cement_thickness={"proximal": cement, "distal": distal} if seed % 2 else cement,
-        stem={"length": f"{rng.uniform(100, 147)} mm"},
+        stem={"length": f"{rng.uniform(100, 147)} mm", "tip_void": f"{5 * (seed % 3 == 2)} mm"},
         resection={"angle": f"{rng.uniform(34, 44)} deg"},
     )
 
@@ -271,3 +272,20 @@ def test_a_hundred_patients(tmp_path: Path) -> None:
     ]
     meshed = sum(check(random_patient(tmp_path, seed, *surfaces), seed) for seed in range(100))
     assert meshed >= 80
+
+
+def test_places_in_an_image_are_those_of_the_file_and_in_the_bone(folder: Path) -> None:
+    """Of a bone turned, shifted and mirrored: at least 1.5 mm deep, and no deeper than they are."""
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    shift = np.array([50.0, -20.0, 900.0])
+    here, there = (patient(folder, bone={"surface": f"bone{k}.stl"}) for k in ("", "_moved"))
+    angle, z = 2 * np.pi * np.arange(16) / 16, np.linspace(-110.0, -60.0, 16)
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(16)], axis=1)
+    tube = femur_bone.PERIOSTEUM
+    for depth in (0.0, 3.0):
+        x = (tube.radius(angle, z) - depth)[:, None] * ring + [0.0, 0.0, 1.0] * z[:, None]
+        own = here.in_image(here.placement.frame.to_model(x), 1.5)
+        least = max(depth, 1.5)
+        assert np.hypot(*own[:, :2].T) == pytest.approx(tube.radius(angle, z) - least, abs=0.3)
+        moved_ = there.in_image(there.placement.frame.to_model(x @ turn.T + shift), 1.5)
+        assert moved_ == pytest.approx(own @ turn.T + shift, abs=0.05)

@@ -1,0 +1,122 @@
+"""Images of bones: numbers on a lattice of voxels, read from files and interpolated."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from app.arrays import Floats
+from app.errors import InputError
+
+TILT = 0.01  # cosine of the angle between edges of voxels, at most
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image in three dimensions.
+
+    Attributes:
+        values: Numbers of the voxels (i, j, k), of any type.
+        affine: Matrix (4, 4) from (i, j, k, 1) to the middle of a voxel [mm].
+    """
+
+    values: Any
+    affine: Floats
+
+    @property
+    def voxel(self) -> float:
+        """The longest edge of a voxel [mm]."""
+        return float(np.linalg.norm(self.affine[:3, :3], axis=0).max())
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of numbers and places."""
+        digest = hashlib.sha256(np.round(self.affine, 6).tobytes())
+        digest.update(np.ascontiguousarray(self.values))
+        return digest.hexdigest()
+
+    @cached_property
+    def dense(self) -> float:
+        """Number that is exceeded in one voxel of a thousand."""
+        return float(np.percentile(self.values, 99.9))
+
+    def at(self, x: Floats) -> Floats:
+        """Values at points (n, 3) [mm], linear between the middles of voxels (n,).
+
+        Raises:
+            InputError: A point is outside of the image.
+        """
+        matrix, origin = self.affine[:3, :3], self.affine[:3, 3]
+        index = (x - origin) @ np.linalg.inv(matrix).T
+        most = np.array(self.values.shape) - 1
+        outside = ((index < -0.5) | (index > most + 0.5)).any(axis=1)
+        if outside.any():
+            corners = np.array(list(np.ndindex(2, 2, 2))) * most @ matrix.T + origin
+            spans = (f"({a:.0f}, {b:.0f}, {c:.0f})" for a, b, c in (corners.min(0), corners.max(0)))
+            raise InputError(
+                f"{int(outside.sum()):,} of {len(x):,} points are outside of the image, as"
+                " ({:.0f}, {:.0f}, {:.0f}) mm".format(*x[outside][0])
+                + f"; it has {' to '.join(spans)} mm: is it in other axes? See the key `axes`"
+            )
+        return np.asarray(map_coordinates(self.values, index.T, float, order=1, mode="nearest"))
+
+
+def read(path: Path) -> Image:
+    """Read an image: NIfTI, or ``values`` and ``affine`` in an ``.npz``.
+
+    Raises:
+        InputError: It cannot be read, or does not say where its voxels are.
+    """
+    return _read(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=2)
+def _read(path: Path, _changed: int) -> Image:
+    try:
+        values, affine = (_npz if path.suffix == ".npz" else _nifti)(path)
+    except ModuleNotFoundError as error:
+        text = f"{path}: needs {error.name}, which `mantle setup --images` installs"
+        raise InputError(text) from None
+    except (OSError, EOFError, LookupError, ValueError, BadZipFile, zlib.error) as error:
+        raise InputError(f"{path}: is no image that can be read: {error}") from error
+    values = values.reshape([n for n in values.shape if n > 1])
+    if values.ndim != 3 or values.dtype.kind not in "iuf":
+        text = f"has {values.ndim} dimensions of type {values.dtype}; expected 3 of numbers"
+        raise InputError(f"{path}: {text}")
+    edges = np.linalg.norm(affine[:3, :3], axis=0)
+    if not (np.isfinite(affine).all() and edges.all()):
+        raise InputError(f"{path}: has no spacing of its voxels: {edges} mm")
+    u = affine[:3, :3] / edges
+    if np.abs(u.T @ u - np.eye(3)).max() > TILT:
+        text = "edges of voxels are not at right angles, as of a tilted gantry: resample it"
+        raise InputError(f"{path}: {text}")
+    return Image(values, np.asarray(affine, dtype=float))
+
+
+def _npz(path: Path) -> tuple[Any, Any]:
+    with path.open("rb") as file:
+        arrays = np.load(file, allow_pickle=False)
+        return arrays["values"], arrays["affine"]
+
+
+def _nifti(path: Path) -> tuple[Any, Any]:
+    nibabel = import_module("nibabel")
+    try:
+        image = nibabel.load(path)
+        values, header = np.asanyarray(image.dataobj), image.header
+    except (nibabel.filebasedimages.ImageFileError, nibabel.spatialimages.HeaderDataError) as error:
+        raise ValueError(error) from error
+    if not (header["sform_code"] or header["qform_code"]):
+        raise ValueError("its header has neither qform nor sform: no spacing, no axes")
+    if (unit := header.get_xyzt_units()[0]) not in ("mm", "unknown"):
+        raise ValueError(f"it is in {unit}; expected mm")
+    return values, image.affine

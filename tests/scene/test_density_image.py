@@ -1,0 +1,164 @@
+"""Moduli from the density in an image: published laws, closed forms, equal values, bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from app.errors import InputError
+from app.laws.densities import ImageModulus
+from meshes import images
+from meshes.images import Image
+from tests import support
+from tests.scene.test_graded_modulus import PULLED, bar
+
+PHANTOM = {"slope": "0.0008 g/cm^3", "offset": "0.004 g/cm^3"}
+
+
+def write(path: Path, values: Any, start: float = -20.0) -> Path:
+    """An image of voxels of 1 mm whose first one is in the middle of a place."""
+    affine = np.eye(4)
+    affine[:3, 3] = start
+    np.savez(path, values=values, affine=affine)
+    return path
+
+
+def modulus(path: Path, law: Any, **more: Any) -> dict[str, Any]:
+    return {"density": str(path), "calibration": PHANTOM, "law": law} | more
+
+
+@pytest.fixture
+def even(tmp_path: Path) -> Path:
+    """An image of cortical bone."""
+    return write(tmp_path / "even.npz", np.full((60, 60, 60), 1400, dtype=np.int16))
+
+
+@pytest.mark.parametrize(
+    ("law", "expected"),
+    [
+        ("morgan_neck", [1139, 3200, 6850]),
+        ("keyak", [2061, 3653, 10200]),
+        ("carter_hayes", [78, 621, 2875]),
+    ],
+)
+def test_published_laws(even: Path, law: str, expected: list[float]) -> None:
+    """Moduli in MPa at 0.3, 0.6 and 1 g/cm3 of the law's own density; pieces that meet."""
+    E = ImageModulus.model_validate(modulus(even, law))
+    assert E.modulus(np.array([0.3, 0.6, 1.0])) == pytest.approx(expected, abs=0.5)
+    assert ", ".join(f"{e:,}" for e in expected[2:]) in next(iter(E.told.values()))
+    for edge in (0.27, 0.60):
+        below, above = E.modulus(np.array([edge, edge + 1e-9]))
+        assert below == pytest.approx(above, rel=1.5e-3)
+
+
+def test_densities_of_a_phantom_of_ash_and_apparent(even: Path) -> None:
+    """0.0008 times 1400 plus 0.004 is 1.124 by the phantom; Morgan's law is of the apparent one."""
+    E = ImageModulus.model_validate(modulus(even, "morgan_neck"))
+    ash = 0.877 * 1.124 + 0.0789
+    assert E.densities(1400) == pytest.approx({"qct": 1.124, "ash": ash, "apparent": ash / 0.6})
+    assert E.largest == pytest.approx(14664 * ash**1.49, rel=1e-4)
+
+
+def test_values_between_voxels_are_linear() -> None:
+    """A linear field in an oblique image, to rounding."""
+    rng = np.random.default_rng(0)
+    affine = np.eye(4)
+    affine[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * [0.5, 0.7, 2.0]
+    affine[:3, 3] = [10.0, -7.0, 900.0]
+    at = np.moveaxis(np.indices((8, 9, 7)), 0, -1)
+    x = at @ affine[:3, :3].T + affine[:3, 3]
+    slope = np.array([3.0, -2.0, 0.5])
+    image = Image(x @ slope, affine)
+    points = rng.uniform(0, [7, 8, 6], size=(50, 3)) @ affine[:3, :3].T + affine[:3, 3]
+    assert image.at(points) == pytest.approx(points @ slope, rel=1e-12)
+    with pytest.raises(InputError, match=r"1 of 50 points are outside .* See the key `axes`"):
+        image.at(np.vstack([points[1:], points[:1] + 100.0]))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_bar_of_an_image_is_that_of_a_table(tmp_path: Path, order: int) -> None:
+    """E is 100 MPa up to 2 mm and 1 GPa from 8 mm; all of it linear between voxels."""
+    density = np.interp(np.arange(40) - 20.0, [2, 8], [0.1, 1.0])
+    numbers = np.broadcast_to((density - 0.004) / 0.0008, (40, 40, 40))
+    law = {"density": "qct", "ranges": [{"b": "1 GPa", "c": 1}]}
+    E = modulus(write(tmp_path / "bar.npz", numbers), law)
+    text = PULLED.replace("[[2 mm, 100 MPa], [8 mm, 1 GPa]]", json.dumps(E))
+    works = [
+        float(solved.problem.f.dot(solved.solver.u_and_q()[0]))
+        for solved in (
+            support.solve(t, f"mesh.order={order}", tagged=bar(20)) for t in (text, PULLED)
+        )
+    ]
+    assert works[0] == pytest.approx(works[1], rel=1e-11)
+
+
+def test_an_even_image_is_a_constant(even: Path) -> None:
+    """In contact, at the second order: the stiffness to rounding, and what that leaves of u."""
+    given = modulus(even, "keyak")
+    E = ImageModulus.model_validate(given).largest
+    options = ("mesh.order=2", "mesh.curved=false", "solver.tolerance=1e-13")
+    one, two, three = (
+        support.solve(support.STEM, *options, f"regions.bone.youngs_modulus={text}")
+        for text in (f"{E!r} MPa", json.dumps(given), json.dumps(given | {"per_cell": True}))
+    )
+    K = one.problem.stiffness.K
+    for other in (two, three):
+        assert (other.problem.stiffness.K - K).norm() < 1e-14 * K.norm()
+        for region in ("stem", "cement", "bone"):
+            assert (
+                support.difference(other.displacement(region)[1], one.displacement(region)[1])
+                < 3e-12
+            )
+            assert support.difference(other.stress(region), one.stress(region)) < 1e-11
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"calibration": None}, "'calibration' is missing"),
+        (
+            {"calibration": {"slope": "0.8 g/cm^3", "offset": "0 g/cm^3"}},
+            "GPa at the CT number 1400",
+        ),
+        (
+            {"law": {"density": "qct", "ranges": [{"a": "-1 GPa", "b": "2 GPa", "c": 1}]}},
+            "positive",
+        ),
+        ({"sha256": "0" * 64}, "is not the image of this hash"),
+        ({"density": "none.nii.gz"}, "no such file"),
+    ],
+)
+def test_bad_input(even: Path, changes: dict[str, Any], message: str) -> None:
+    given = {k: v for k, v in (modulus(even, "keyak") | changes).items() if v is not None}
+    with pytest.raises(ValidationError, match=message):
+        ImageModulus.model_validate(given)
+
+
+@pytest.mark.parametrize(
+    ("values", "affine", "message"),
+    [
+        (np.zeros((4, 4)), np.eye(4), "has 2 dimensions"),
+        (np.zeros((4, 4, 4)), np.diag([1, 1, 0, 1]), "no spacing"),
+        (np.zeros((4, 4, 4)), np.eye(4) + 0.2 * np.eye(4, k=1), "tilted gantry"),
+    ],
+)
+def test_images_that_are_none(tmp_path: Path, values: Any, affine: Any, message: str) -> None:
+    np.savez(tmp_path / "image.npz", values=values, affine=affine)
+    with pytest.raises(InputError, match=message):
+        images.read(tmp_path / "image.npz")
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "image.npz").read_bytes()[:100])
+    with pytest.raises(InputError, match="no image that can be read"):
+        images.read(tmp_path / "cut.npz")
+
+
+def test_an_image_in_other_axes_is_refused_with_the_place(even: Path) -> None:
+    """The stem's bone is within 20 mm of the axis, and the image here begins there."""
+    write(even, np.zeros((60, 60, 60)), start=0.0)
+    text = f"regions.bone.youngs_modulus={json.dumps(modulus(even, 'morgan_neck'))}"
+    with pytest.raises(InputError, match=r"points are outside of the image, as \(-?\d+"):
+        support.solve(support.STEM, text)
