@@ -52,7 +52,9 @@ def _between(at: float, values: tuple[float, ...]) -> float:
 
 
 def check_stem(stem: Any, *sections: str) -> None:
-    """Refuse ends that cannot be meshed, and sections, by their keys, without flat sides."""
+    """Refuse what cannot be meshed: neck, ends, and sections, by their keys, without flat sides."""
+    if not NECK_ANGLES[0] <= math.degrees(stem.neck_angle) <= NECK_ANGLES[1]:
+        fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
     for name in ("tip_rounding", "tip_void"):  # cells in less are flat
         if 0.0 < getattr(stem, name, 0.0) < 1.0:
             fail("is neither 0 nor 1 mm at least", at=(name,))
@@ -140,8 +142,6 @@ class _Femur(Shape):
         plug = self.stem_tip_z - self.plug_length
         if self.distal_cut_z >= plug:
             fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
-        if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
-            fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
         if not 0.0 <= self.resection_angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection_angle",))
         if self._cut >= self.head_height:

@@ -6,18 +6,20 @@ import hashlib
 import math
 from functools import cached_property
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from app.case.femurs import BONE, MUSCLES, Femur, check_stem
+from app.case.femurs import BONE, INSIDE, MUSCLES, Femur, check_stem
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
-from app.errors import GeometryError
+from app.errors import GeometryError, InputError
 from app.schema.paths import File
 from app.schema.section import Pair, Section, Triple, fail
 from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
 
 SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
+SHORTEST = 50.0  # mm of the stem in the bone
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
 
 
@@ -30,7 +32,7 @@ class Bone(Section):
     """The outer surface of a femur, of all of it or of its proximal part."""
 
     surface: File
-    """STL file of its triangles; relative to the case file."""
+    """STL, PLY or OBJ file of its triangles; relative to the case file."""
     unit: Unit | None = None
     """Unit of the file; by default the one that makes a femur of it, which is told."""
     side: Literal["left", "right"] | None = None
@@ -41,8 +43,8 @@ class Canal(Section):
     """The medullary canal."""
 
     surface: File | None = None
-    """STL file of its surface, in the axes of the bone's; without it the canal has the part of the
-    bone's radius that it has in mantle's own femur."""
+    """STL, PLY or OBJ file of its surface, in the axes of the bone's; without it the canal has the
+    part of the bone's radius that it has in mantle's own femur."""
     unit: Unit | None = None
     """Unit of the file; by default as of the bone."""
     ream: Literal["none", "by", "broach"] = "none"
@@ -197,16 +199,27 @@ class Patient(Shape):
         try:
             placed = self.placement
         except GeometryError as error:
-            key, found, text = str(error).removeprefix("geometry.").partition(": ")
-            fail(text, at=tuple(key.split("."))) if found and " " not in key else fail(str(error))
+            key, _, text = str(error).removeprefix("geometry.").partition(": ")
+            if Path(key).is_absolute():
+                fail(str(error), at=("canal" if key == str(self.canal.surface) else "bone",))
+            fail(text, at=tuple(key.split(".")))
         low = float(placed.bone.points[:, 2].min())
         plug = float(placed.to_model([0.0, 0.0, -self.stem.length - self.stem.plug_length])[2])
         level = self.distal_cut_z
         if level is None:
+            if plug < low + 5.0:
+                text = (
+                    f"puts the plug's end at z = {plug:.0f} mm; expected 5 mm above the surface's"
+                )
+                fail(f"{text}, at {low:.0f} mm", at=("stem", "length"))
             level = self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
         if not low + 2.0 < level < plug - 2.0:
             text = f"{level:g} mm is not between the end of the surface and that of the plug"
             fail(f"{text}, {low:.0f} and {plug:.0f} mm", at=("distal_cut_z",))
+        least, inside = max(INSIDE * self.stem.length, SHORTEST), self.stem.length + placed.top
+        if inside < least:
+            text = f"leaves {inside:.0f} mm of the stem below the cut; expected {least:.0f} mm"
+            fail(text, at=("insertion", "depth"))
         return self
 
     @property
@@ -229,6 +242,18 @@ class Patient(Shape):
     def placement(self) -> Any:
         """Bone, cut and stem in the model's axes (`meshes.placement.Placement`)."""
         return import_module("meshes.placement").place(self)  # by name: no other case needs scipy
+
+    def grid(self, mesh: MeshOptions) -> dict[str, Any]:
+        """Cells through the layers."""
+        through = mesh.cells_through(self.cement_thickness)
+        return {"cells through cement, cancellous and cortical bone": through}
+
+    def check_fit(self, mesh: MeshOptions) -> None:
+        """Raise InputError, with the place, if the stem does not fit into the bone."""
+        try:
+            import_module("meshes.patient_surfaces").PatientSurfaces(self, mesh, self.placement)
+        except GeometryError as error:
+            raise InputError(str(error)) from error
 
     @property
     def head_centre(self) -> Point3:

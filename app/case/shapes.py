@@ -161,6 +161,9 @@ class Shape(Section):
         """What else is known of it, for `mantle check`."""
         return {}
 
+    def check_fit(self, mesh: MeshOptions) -> None:
+        """Raise InputError if a stem does not fit into a measured bone."""
+
     def grid(self, mesh: MeshOptions) -> dict[str, Any]:
         """Lines around, steps along and cells through the layers, where there are layers."""
         return {}
