@@ -224,16 +224,13 @@ def met(lines: Floats, angles: Floats) -> tuple[Ints, Floats]:
     return j[r > 0], r[r > 0]
 
 
-def exits(
-    lines: Floats, angles: Floats, bridged: float = 0.0, filled: Floats | float = 0.0
-) -> tuple[Floats, Ints]:
+def exits(lines: Floats, angles: Floats, bridged: float = 0.0) -> tuple[Floats, Ints]:
     """Where rays from 0 first leave what lines (k, 2, 2) enclose, and how often they meet it.
 
     Args:
         lines: Lines of a section about its centre [mm].
         angles: Of the rays, from x towards y (j,).
         bridged: Gaps that are narrower do not end a ray [mm].
-        filled: Nor do those that end within these radii (j,) [mm].
 
     Returns:
         Radii (j,) [mm], nan for a ray that meets nothing, and numbers of crossings (j,).
@@ -241,9 +238,9 @@ def exits(
     j, r = met(lines, angles)
     order = np.lexsort((r, j))
     times = np.bincount(j, minlength=len(angles))
-    found, filled = np.full(len(angles), np.nan), np.broadcast_to(filled, len(angles))
+    found = np.full(len(angles), np.nan)
     for at, own in enumerate(np.split(r[order], np.cumsum(times)[:-1])):
         if len(own):
-            wide = (own[2::2] - own[1:-1:2] > bridged) & (own[2::2] > filled[at])
+            wide = own[2::2] - own[1:-1:2] > bridged
             found[at] = own[2 * int(np.argmax([*wide, True]))]
     return found, times

@@ -132,15 +132,12 @@ class PatientSurfaces(FemurSurfaces):
         return np.asarray(x[..., 0] + self._lean * x[..., 1])
 
     def _rays(self, surface: BoneSurface, zeta: Floats) -> tuple[Floats, Ints]:
-        """Radii of a surface in sections, and how often rays meet it (n, `ANGLES`).
-
-        What of the bone is hollow where the broach goes, as the fossa's floor, is filled.
-        """
+        """Radii of a surface in sections, and how often rays meet it (n, `ANGLES`)."""
         x, rise = surface.points, self._rise(surface.points)
-        found, rows = [], (zeta, self._slope(zeta), self._centre(zeta), self._broach(zeta))
-        for z, slope, centre, filled in zip(*rows, strict=True):
+        found = []
+        for z, slope, centre in zip(zeta, self._slope(zeta), self._centre(zeta), strict=True):
             lines = section(x[:, :2], x[:, 2] + slope * rise - z, surface.triangles)
-            found.append(exits(lines - centre, THETA, GROOVE, filled))
+            found.append(exits(lines - centre, THETA, GROOVE))
         radii, times = (np.array(part) for part in zip(*found, strict=True))
         return radii, times
 
@@ -229,21 +226,19 @@ class PatientSurfaces(FemurSurfaces):
             zeta = x[:, 2] + self._slope(zeta) * rise
         return float(zeta.min() if flat.any() else zeta.max()) - EVERY
 
-    def _broach(self, zeta: Floats) -> Floats:
-        """Radii of what stem and mantle need in sections (n, `ANGLES`) [mm]."""
-        r = np.zeros((len(zeta), ANGLES))
-        slope = self._slope(zeta)[:, None] * (np.cos(THETA) + self._lean * np.sin(THETA))
-        for _ in range(12):
-            theta, z = np.broadcast_to(THETA, r.shape), zeta[:, None] - slope * r
-            r = self._body.body.offset(self._thickness(theta, z) + BROACH).radius(theta, z)
-        return r
-
     def _reamed(self, geometry: Any, own: Floats) -> Floats:
         """Radii of the endosteum after reaming [mm]; what it takes of the bone is told."""
         bone, zeta, ream = self._bone.radii, self._bone.zeta, geometry.canal.ream
         wanted = own + (geometry.canal.ream_by if ream == "by" else 0.0)
         if ream == "broach":
-            wanted = np.maximum(own, self._broach(zeta))
+            body = femur_stem.body(geometry.implant)
+            theta = np.broadcast_to(THETA, own.shape)
+            slope = self._slope(zeta)[:, None] * (np.cos(THETA) + self._lean * np.sin(THETA))
+            r = np.zeros_like(own)
+            for _ in range(12):
+                z = zeta[:, None] - slope * r
+                r = body.offset(self._thickness(theta, z) + BROACH).radius(theta, z)
+            wanted = np.maximum(own, r)
         most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - own))
         made = np.minimum(wanted, most)
         # Below the plug the reamed canal goes over to the patient's own.
