@@ -6,16 +6,17 @@ import hashlib
 import math
 from functools import cached_property
 from importlib import import_module
-from typing import Annotated, Any, ClassVar, Literal
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from app.case.femurs import BONE, MUSCLES, Femur
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
-from app.errors import GeometryError
+from app.errors import GeometryError, InputError
 from app.schema.paths import File
 from app.schema.section import Pair, Section, Triple, fail
-from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
+from app.schema.units import Angle, Dimension, Length, Number, Plain, PositiveLength
 
 SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
@@ -26,23 +27,46 @@ Place = Annotated[tuple[Number, Number, Number], Triple("[4.1, -28.4, -39.1]")]
 Places = Annotated[tuple[Place, Place], Pair("[[31, -8, -98], [29, -17, -37]]")]
 
 
-class Bone(Section):
+class Outline(Section):
+    """A surface, by triangles or as that of a label in an image."""
+
+    surface: File | None = None
+    """STL file of its triangles; relative to the case file."""
+    image: File | None = None
+    """In place of them, a labelled image (NIfTI, or `values` and `affine` in an `.npz`)."""
+    label: Annotated[int, Plain(integer=True)] | None = None
+    """Number of its voxels in the image."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.image is None) != (self.label is None) or (self.surface and self.image):
+            fail("expected `surface`, or `image` with `label`")
+        if self.path is None and isinstance(self, Bone):
+            fail("has no file; expected `surface`, or `image` with `label`")
+        return self
+
+    @property
+    def path(self) -> Path | None:
+        """The file, if there is one."""
+        return self.surface or self.image
+
+
+class Bone(Outline):
     """The outer surface of a femur, of all of it or of its proximal part."""
 
-    surface: File
-    """STL file of its triangles; relative to the case file."""
     unit: Unit | None = None
     """Unit of the file; by default the one that makes a femur of it, which is told."""
     side: Literal["left", "right"] | None = None
     """Side of the body; found by default. A right femur is mirrored: x is medial, y anterior."""
 
 
-class Canal(Section):
-    """The medullary canal."""
+class Canal(Outline):
+    """The medullary canal, in the axes of the bone's file.
 
-    surface: File | None = None
-    """STL file of its surface, in the axes of the bone's; without it the canal has the part of the
-    bone's radius that it has in mantle's own femur."""
+    Without a file it has the part of the
+    bone's radius that it has in mantle's own femur.
+    """
+
     unit: Unit | None = None
     """Unit of the file; by default as of the bone."""
     ream: Literal["none", "by", "broach"] = "none"
@@ -200,7 +224,7 @@ class Patient(Shape):
     def _placed(self) -> Patient:
         try:
             placed = self.placement
-        except GeometryError as error:
+        except (GeometryError, InputError) as error:
             key, found, text = str(error).removeprefix("geometry.").partition(": ")
             fail(text, at=tuple(key.split("."))) if found and " " not in key else fail(str(error))
         low = float(placed.bone.points[:, 2].min())
@@ -221,7 +245,7 @@ class Patient(Shape):
     @cached_property
     def content(self) -> str:
         """Hash of its files at the first access."""
-        paths = [path for path in (self.bone.surface, self.canal.surface) if path]
+        paths = [path for path in (self.bone.path, self.canal.path) if path]
         return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
 
     @property

@@ -28,7 +28,7 @@ LEAST = 0.01  # g/cm3: smaller densities of a law are taken as that
 STIFFEST = 40e3  # MPa: no bone is stiffer
 SHOWN = (0.3, 0.6, 1.0)  # g/cm3 for which moduli are told
 # Voxels, and mm at most, below the surface of a bone where air is no part of a value.
-INSIDE = (1.5, 1.5)
+INSIDE = (3.0, 1.5)
 KINDS = {"qct": "by the phantom", "ash": "of ash", "apparent": "apparent"}
 Table = tuple[tuple[float, float, float, float], ...]
 # Kind of density, and from which on [g/cm3] E = a + b rho^c: from, a [MPa], b [MPa], c.
