@@ -6,6 +6,7 @@ stem's axis to the neck's. Rays from these points meet the surface, which is tri
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -125,7 +126,8 @@ class CadStem:
         zero = np.zeros(len(phi))
         return self._at(phi, zero, zero, np.asarray(s) / self.ends[-1])
 
-    def depth(self, thickness: float, x: Floats) -> Floats:
+    def depth(self, thickness: Callable[..., Any], x: Floats) -> Floats:
         """Depth of points (n, 3) within the surface at a distance [mm]; below the tip its own."""
         x = np.stack([x[:, 0], x[:, 1], np.maximum(x[:, 2], self._low + TIP)], axis=1)
-        return thickness - distance(x, self._coarse)
+        wanted = thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
+        return np.asarray(wanted - distance(x, self._coarse))

@@ -146,7 +146,8 @@ def faces_around(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, 
     """
     label = _smooth_groups(facets)
     used = point >= 0
-    groups, _, group = distinct_rows(np.stack([point[used], label[used]], axis=1))
+    pairs = np.stack([point[used], label[used]], axis=1)
+    groups, group = np.unique(pairs, axis=0, return_inverse=True)
     corner_area, corner_normal = facets.area.ravel()[used], facets.normal.reshape(-1, 3)[used]
     area, normal = np.zeros(len(groups)), np.zeros((len(groups), 3))
     np.add.at(area, group, corner_area)
@@ -169,7 +170,7 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
     local = np.array([[1, 2], [0, 2], [0, 1]])
     edges = facets.vertices[:, local].reshape(-1, 2)
     side = np.repeat(np.column_stack([facets.interface, facets.bodies]), 3, axis=0)
-    _, _, edge = distinct_rows(np.column_stack([side, edges]))
+    edge = np.unique(np.column_stack([side, edges]), axis=0, return_inverse=True)[1]
     count = np.bincount(edge)
     order = np.argsort(edge, kind="stable")
     start = (np.cumsum(count) - count)[count == 2]
@@ -220,18 +221,6 @@ def drop_held(normals: Floats, faces: Ints, held: Floats) -> None:
 def projectors(axes: Floats, which: Bools | Floats) -> Floats:
     """Sums (n, 3, 3) of projectors on axes, which are columns (n, 3, 3), by weights (n, 3)."""
     return np.asarray(np.einsum("nic,nc,njc->nij", axes, which, axes))
-
-
-def distinct_rows(rows: Ints) -> tuple[Ints, Ints, Ints]:
-    """Distinct rows in rising order, index of the first of each, and inverse.
-
-    As `np.unique` with ``axis=0`` of numbers that are not negative, ten times as fast.
-    """
-    order = np.lexsort(rows.T[::-1])
-    new = np.diff(rows[order], axis=0, prepend=-1).any(axis=1)
-    number = np.empty(len(rows), dtype=np.int64)
-    number[order] = np.cumsum(new) - 1
-    return rows[order[new]], order[new], number
 
 
 def shared(vertex: Ints) -> list[Ints]:

@@ -33,7 +33,6 @@ import numpy as np
 from app.arrays import Bools, Floats, Ints
 from meshes.contact_facets import (
     InterfaceFacets,
-    distinct_rows,
     drop_held,
     faces_around,
     projectors,
@@ -130,7 +129,7 @@ def contact_points(
     """
     facet = np.repeat(np.arange(len(facets.area)), 3)
     keys = np.column_stack([facets.interface[facet], facets.vertices.ravel(), facets.bodies[facet]])
-    every, first, of = distinct_rows(keys)
+    every, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     kept = _without_cycles(every)
     interface, vertex, *_ = every[kept].T
     bodies, n = every[kept, 2:], len(vertex)
@@ -269,14 +268,10 @@ def _at_edges(
     # edge runs the same way in every facet.
     a, b = [1, 0, 0], [2, 2, 1]
     edges = np.stack([facets.dofs[:, 3:], facets.vertices[:, a], facets.vertices[:, b]], axis=2)
-    rows, first, _ = distinct_rows(
-        np.concatenate(
-            [
-                np.column_stack([edges.reshape(-1, 3), np.repeat(side, 3)])
-                for side in facets.bodies.T
-            ]
-        )
-    )
+    of_sides = [
+        np.column_stack([edges.reshape(-1, 3), np.repeat(side, 3)]) for side in facets.bodies.T
+    ]
+    rows, first = np.unique(np.concatenate(of_sides), axis=0, return_index=True)
     bends: Floats = np.zeros((len(rows), 3, 3))
     if facets.nodes.shape[1] == 6:
         corner = first % (3 * len(edges))

@@ -9,6 +9,7 @@ cone to the trunnion; where they turn they are rounded.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -27,6 +28,22 @@ OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of 
 ROOM = 0.4  # of the lines before and after the turn to the neck: what it may take
 LEAST_ARM = 0.5  # mm before and after it
 SHOULDER = 6.0  # mm that the shoulder may be below or above the cut without standing out
+
+
+def thickness(given: Any, low: float, top: float) -> Callable[..., Any]:
+    """Thickness of a mantle at angles and levels, given from the tip's level to the cut's [mm]."""
+    if isinstance(given, float):
+        return lambda theta, z: given
+    (parts, means), (turns, ratios) = (np.transpose(table) for table in given.tables)
+
+    def at(theta: Floats, z: Floats) -> Floats:
+        turn = turns[0] + np.mod(np.asarray(theta) / (2 * np.pi) - turns[0], 1.0)
+        side = np.interp(turn, turns, np.arange(len(turns)))
+        wave = np.floor(side) + 0.5 * (1 - np.cos(np.pi * (side % 1)))
+        mean = np.interp((z - low) / (top - low), parts, means)
+        return np.asarray(mean * np.interp(wave, np.arange(len(turns)), ratios))
+
+    return at
 
 
 @dataclass(frozen=True)
@@ -90,11 +107,15 @@ class Body:
         y = beside * (b0 - r0 + (b1 - r1) * z) + s * (r0 + r1 * z)
         return np.stack([x, np.where(quarter < 2, y, -y), z], axis=1)
 
-    def offset(self, thickness: float) -> Body:
+    def offset(self, thickness: Any) -> Body:
         """The surface at a distance: exact on the flats, within t (1/cos - 1) at the corners."""
         a, b, r = self.half
         across = [thickness / math.cos(math.atan(slope)) for slope in self.slope[:2]]
         return Body((a + across[0], b + across[1], r + thickness), self.slope)
+
+    def outside(self, thickness: Callable[..., Any], theta: Floats, z: Floats) -> Floats:
+        """As `radius`, of the surface whose points have the thickness of their place."""
+        return self.offset(thickness(theta, z)).radius(theta, z)
 
 
 def body(geometry: Any) -> Body:

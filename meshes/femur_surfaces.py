@@ -93,7 +93,7 @@ class FemurSurfaces:
         self._refuse()
         self._continue(geometry)
 
-    def _divide(self, implant: Any, distal: float, thickness: float) -> None:
+    def _divide(self, implant: Any, distal: float, thickness: Any) -> None:
         """Divide the bone from a distal level [mm] to the cut: stations, lines, cells."""
         mesh, plug = self.mesh, implant.stem_tip_z - implant.plug_length
         self._tip = femur_stem.Tip(implant.stem_tip_z, implant.tip_height, plug)
@@ -122,14 +122,15 @@ class FemurSurfaces:
 
     def _shape(self, geometry: Any) -> None:
         """Make the stem's body, and the function that is the depth within its mantle."""
-        thickness, low = geometry.cement_thickness, geometry.stem_tip_z
+        low = geometry.stem_tip_z
+        thickness = femur_stem.thickness(geometry.cement_thickness, low, self._top)
         if stem := getattr(geometry, "stem", None):
             cut = self._top, self._steepest
             self._body: Any = CadStem(stem.found, low, cut, self.mesh)
             self._mantle = partial(self._body.depth, thickness)
         else:
             self._body = femur_stem.body(geometry)
-            self._mantle = partial(self._within, self._body.offset(thickness).radius)
+            self._mantle = partial(self._within, partial(self._body.outside, thickness))
 
     def _continue(self, geometry: Any) -> None:
         """Divide the stem above the cut."""

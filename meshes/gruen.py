@@ -49,7 +49,9 @@ class Zones:
             self._normal, self._level = femur_bone.resection(geometry)
         self.tip = self._implant.stem_tip_z
         self._end = self.tip + self._implant.tip_height
-        self.top = min(self._level / self._normal[2], self.tip + self._implant.stem_length)
+        cut = self._level / self._normal[2]
+        self.top = min(cut, self.tip + self._implant.stem_length)
+        self._thickness = femur_stem.thickness(geometry.cement_thickness, self.tip, cut)
 
     def _local(self, x: Floats) -> Floats:
         """Points (n, 3) in the stem's axes [mm]."""
@@ -75,6 +77,11 @@ class Zones:
         """Distance of points (n, 3) below the plane of the neck cut (n,) [mm]."""
         return np.asarray(self._level - self._local(x) @ self._normal)
 
+    def thickness(self, x: Floats) -> Any:
+        """Thickness asked for of the mantle at points (n, 3), the same for all or (n,) [mm]."""
+        x = self._local(x)
+        return self._thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
+
     def borders(self, x: Floats) -> dict[str, Floats]:
         """Height of points (n, 3) above the stem's end, depth below the rim (n,) [mm]."""
         return {"tip": self._local(x)[:, 2] - self._end - EDGE, "rim": self.depth(x) - RIM}
@@ -86,7 +93,7 @@ class Zones:
             return np.ones(len(x), dtype=bool)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
-        cavity = femur_stem.body(g).offset(g.cement_thickness).radius(theta, z)
+        cavity = femur_stem.body(g).outside(self._thickness, theta, z)
         canal = femur_bone.endosteum(g)(theta, z)
         # The mantle ends at the endosteum.
         cavity = np.minimum(cavity, canal)

@@ -35,11 +35,6 @@ class Image:
     values: Any
     affine: Floats
 
-    @property
-    def voxel(self) -> float:
-        """The longest edge of a voxel [mm]."""
-        return float(np.linalg.norm(self.affine[:3, :3], axis=0).max())
-
     @cached_property
     def sha256(self) -> str:
         """Hash of numbers and places."""
@@ -53,26 +48,19 @@ class Image:
         return float(np.percentile(self.values, 99.9))
 
     def at(self, x: Floats) -> Floats:
-        """Values at points (n, 3) [mm], linear between the middles of voxels (n,).
-
-        Raises:
-            InputError: A point is outside of the image.
-        """
+        """Values at points (n, 3) [mm], linear between voxels (n,); none of them may be outside."""
         matrix, origin = self.affine[:3, :3], self.affine[:3, 3]
         index = (x - origin) @ np.linalg.inv(matrix).T
         most = np.array(self.values.shape) - 1
         outside = ((index < -0.5) | (index > most + 0.5)).any(axis=1)
         if outside.any():
-            corners = np.array(list(np.ndindex(2, 2, 2))) * most @ matrix.T + origin
-            spans = (f"({a:.0f}, {b:.0f}, {c:.0f})" for a, b, c in (corners.min(0), corners.max(0)))
-            raise InputError(
-                f"{int(outside.sum()):,} of {len(x):,} points are outside of the image, as"
-                " ({:.0f}, {:.0f}, {:.0f}) mm".format(*x[outside][0])
-                + f"; it has {' to '.join(spans)} mm: is it in other axes? See the key `axes`"
+            place = "({:.0f}, {:.0f}, {:.0f}) mm".format(*x[outside][0])
+            text = (
+                f"{int(outside.sum()):,} of {len(x):,} points are outside of the image, as {place}"
             )
-        return np.asarray(
-            ndimage.map_coordinates(self.values, index.T, float, order=1, mode="nearest")
-        )
+            raise InputError(f"{text}: is it in other axes? See the key `axes`")
+        values = ndimage.map_coordinates(self.values, index.T, float, order=1, mode="nearest")
+        return np.asarray(values)
 
 
 def read(path: Path) -> Image:
@@ -90,18 +78,18 @@ def _read(path: Path, _changed: int) -> Image:
         values, affine = (_npz if path.suffix == ".npz" else _nifti)(path)
     except (OSError, EOFError, LookupError, ValueError, BadZipFile, zlib.error) as error:
         raise InputError(f"{path}: is no image that can be read: {error}") from error
-    values = values.reshape([n for n in values.shape if n > 1])
+    values, edges = np.squeeze(values), np.linalg.norm(affine[:3, :3], axis=0)
     if values.ndim != 3 or values.dtype.kind not in "iuf":
-        text = f"has {values.ndim} dimensions of type {values.dtype}; expected 3 of numbers"
-        raise InputError(f"{path}: {text}")
-    edges = np.linalg.norm(affine[:3, :3], axis=0)
+        raise InputError(
+            f"{path}: is {values.dtype} in {values.ndim} dimensions; expected 3 of numbers"
+        )
     if not (np.isfinite(affine).all() and edges.all()):
         raise InputError(f"{path}: has no spacing of its voxels: {edges} mm")
     u = affine[:3, :3] / edges
     if np.abs(u.T @ u - np.eye(3)).max() > TILT:
         text = "edges of voxels are not at right angles, as of a tilted gantry: resample it"
         raise InputError(f"{path}: {text}")
-    return Image(values, np.asarray(affine, dtype=float))
+    return Image(values, affine)
 
 
 def _module(name: str, path: Path) -> Any:
@@ -133,16 +121,11 @@ def _nifti(path: Path) -> tuple[Any, Any]:
 
 
 def surface(path: Path, label: int) -> tuple[Floats, list[str]]:
-    """Triangles (m, 3, 3) around the largest body of a label, filled and smoothed [mm].
+    """Triangles (m, 3, 3) [mm] around the largest body of a label, and what was left out.
 
-    Returns:
-        Corners of the triangles, and what was left out, in words.
-
-    Raises:
-        InputError: The image has no such label.
+    Holes in it are filled, and steps of voxels smoothed.
     """
-    image, told = read(path), []
-    measure = _module("skimage.measure", path)
+    image, measure, told = read(path), _module("skimage.measure", path), []
     inside = image.values == label
     if not inside.any():
         labels = ", ".join(f"{v:g}" for v in np.unique(image.values)[:9])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -108,10 +107,7 @@ def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
             "unit": MILLIMETRES[geometry.unit],
             "regions": geometry.region_names,
         }
-        try:
-            return confined.ask("meshes.gmsh_child:read", request, folder)
-        except GeometryError as error:
-            raise GeometryError(_not_numbers(path) or str(error)) from error
+        return confined.ask("meshes.gmsh_child:read", request, folder)
 
 
 def _of_others(path: Path) -> dict[str, Any]:
@@ -129,31 +125,6 @@ def _of_others(path: Path) -> dict[str, Any]:
     arrays: dict[str, Any] = {"points": points, "everything": len(cells), "told": told}
     arrays |= {f"cells {name}": row[cells[rows]] for name, rows in found.sets.items()}
     return arrays | {f"surfaces {n}": row[t] for n, t in (whole | found.triangles).items()}
-
-
-def _not_numbers(path: Path) -> str:
-    """Line and node of the first coordinates in a file of text that are no numbers, or nothing."""
-    lines = path.read_text("utf-8", "replace").splitlines()
-    version, kind = (*lines[1].split(), "", "")[:2] if lines[1:] else ("", "")
-    if kind != "0" or "$Nodes" not in lines:  # binary, or a script
-        return ""
-    at, names = lines.index("$Nodes") + 2, list[str]()
-    for line, words in enumerate(map(str.split, lines[at:]), at + 1):
-        if words[:1] == ["$EndNodes"]:
-            break
-        if len(words) == 1:  # the nodes of a block in format 4.1, before their coordinates
-            names += words
-        if len(words) != (4 if version == "2.2" else 3):
-            continue
-        name = words[0] if version == "2.2" else names.pop(0)
-        try:
-            good = all(map(math.isfinite, map(float, words[-3:])))
-        except ValueError:
-            good = False
-        if not good:
-            where, x = f"{path}:{line}: node {name}", " ".join(words[-3:])
-            return f"{where}: the coordinates {x} are no numbers"
-    return ""
 
 
 def write(data: MeshData, path: Path) -> None:

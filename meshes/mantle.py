@@ -31,14 +31,14 @@ def describe(
 
     Args:
         data: The mesh.
-        nominal: Nominal thickness [mm].
+        nominal: Nominal thickness, the mean of a graded one [mm].
         tip: Level at which the stem's flanks end [mm]. Its end below and the plug have no
             thickness.
         zones: Zones of the bone around the stem.
 
     Returns:
         ``thickness`` [mm]: distance of the stem's surface from the bone's, with percentiles by the
-        stem's area, and the part of that area where it is below `CLIPPED` of the nominal one;
+        stem's area, and the part of that area where it is below `CLIPPED` of the one asked for;
         ``volume`` of the cement and ``plug_volume`` below the flanks [mm^3]; with zones ``gruen``,
         the least, mean and largest thickness on the stem's surface in each.
     """
@@ -49,6 +49,7 @@ def describe(
     area = facet_areas(stem.reshape(-1, 3), np.arange(3 * len(stem)).reshape(-1, 3))
     bone = triangles(data.points, interface_facets(data, "cement_bone")[0])
     away = distance(centres, bone)
+    wanted = zones.thickness(centres) if zones else nominal
     order = np.argsort(away)
     share = (np.cumsum(area[order]) - 0.5 * area[order]) / area.sum()
     p5, median, p95 = np.interp([0.05, 0.5, 0.95], share, away[order])
@@ -67,7 +68,7 @@ def describe(
             "mean": float(np.average(away, weights=area)),
             "p95": float(p95),
             "max": float(away.max()),
-            "clipped_fraction": float(area[away < CLIPPED * nominal].sum() / area.sum()),
+            "clipped_fraction": float(area[away < CLIPPED * wanted].sum() / area.sum()),
         },
         "volume": float(volumes.sum()),
         "plug_volume": float(volumes @ below),

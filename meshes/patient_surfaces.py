@@ -95,8 +95,9 @@ class PatientSurfaces(FemurSurfaces):
         self.mesh, self._placed, implant = mesh, placed, geometry.implant
         self._top, (self._steepest, self._lean) = placed.top, placed.slopes
         body, thickness = femur_stem.body(implant), geometry.cement_thickness
+        self._thickness = femur_stem.thickness(thickness, implant.stem_tip_z, placed.top)
         self._body: Any = Leaning(body, self._lean)
-        self._mantle = partial(self._within, body.offset(thickness).radius)
+        self._mantle = partial(self._within, partial(body.outside, self._thickness))
         self._plug = implant.stem_tip_z - implant.plug_length
         distal = (geometry.distal_cut_z - placed.foot[2]) / placed.turn[2, 2]
         self._divide(implant, placed.top + distal, thickness)
@@ -220,12 +221,13 @@ class PatientSurfaces(FemurSurfaces):
         bone, zeta, ream = self._bone.radii, self._bone.zeta, geometry.canal.ream
         wanted = own + (geometry.canal.ream_by if ream == "by" else 0.0)
         if ream == "broach":
-            wide = femur_stem.body(geometry.implant).offset(geometry.cement_thickness + BROACH)
+            body = femur_stem.body(geometry.implant)
             theta = np.broadcast_to(THETA, own.shape)
             slope = self._slope(zeta)[:, None] * (np.cos(THETA) + self._lean * np.sin(THETA))
             r = np.zeros_like(own)
             for _ in range(12):
-                r = wide.radius(theta, zeta[:, None] - slope * r)
+                z = zeta[:, None] - slope * r
+                r = body.offset(self._thickness(theta, z) + BROACH).radius(theta, z)
             wanted = np.maximum(own, r)
         most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - own))
         made = np.minimum(wanted, most)

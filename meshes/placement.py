@@ -69,10 +69,7 @@ class Placement:
         return cKDTree(self.bone.points), normals / np.linalg.norm(normals, axis=1)[:, None]
 
     def in_file(self, x: Floats, depth: float) -> Floats:
-        """Points of the model (n, 3) in the axes of the bone's file [mm].
-
-        Those less deep below its surface are moved inwards, along the normal of the next corner.
-        """
+        """Points of the model (n, 3) in the file's axes, at a depth in the bone at least [mm]."""
         tree, normals = self._skin
         _, near = tree.query(x)
         n = normals[near]

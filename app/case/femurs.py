@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import model_validator
 
-from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
+from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.case.stems import StemFile
 from app.schema.section import fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
@@ -51,6 +51,19 @@ def _between(at: float, values: tuple[float, ...]) -> float:
     return values[low] + (at - low) * (values[low + 1] - values[low])
 
 
+def check_stem(stem: Any, *sections: str) -> None:
+    """Refuse a void without room in the plug, and sections, by their keys, without flat sides."""
+    if 0.0 < stem.tip_void < 1.0:  # cells in less are flat
+        fail("is neither 0 nor 1 mm at least", at=("tip_void",))
+    if stem.tip_void and stem.tip_void > stem.plug_length - 1.0:
+        fail(f"leaves less than 1 mm of {stem.plug_length:g} mm of plug", at=("tip_void",))
+    for name in sections:
+        half = min(getattr(stem, f"{name}half_width"), getattr(stem, f"{name}half_depth"))
+        if getattr(stem, f"{name}corner_radius") >= half:
+            text = f"is not below the half-width and half-depth, {half:g} mm"
+            fail(text, at=(f"{name}corner_radius",))
+
+
 _length = partial(Dimension, "mm", "a length")
 
 
@@ -64,8 +77,9 @@ class _Femur(Shape):
     joined: ClassVar[tuple[tuple[str, ...], ...]] = (BONE,)
 
     kind: str
-    cement_thickness: Annotated[float, _length("4 mm", at_least=1.0, at_most=8.0)] = 4.0
-    """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
+    cement_thickness: Thickness = 4.0
+    """Thickness of the mantle where the canal has room for it, 1 to 8 mm: one, or several by height
+    and side."""
     canal_widening: Annotated[float, _length("1 mm", at_least=0.0, at_most=5.0)] = 0.0
     """Reaming: distance by which the endosteal surface is moved outwards, 0 to 5 mm."""
     metaphyseal_cortex: Annotated[float, _length("2 mm", at_least=1.5, at_most=4.0)] | None = None
@@ -126,11 +140,8 @@ class _Femur(Shape):
         plug = self.stem_tip_z - self.plug_length
         if self.distal_cut_z >= plug:
             fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
-        for name in ("tip_rounding", "tip_void"):  # cells in less are flat
-            if 0.0 < getattr(self, name) < 1.0:
-                fail("is neither 0 nor 1 mm at least", at=(name,))
-        if self.tip_void and self.tip_void > self.plug_length - 1.0:
-            fail(f"leaves less than 1 mm of {self.plug_length:g} mm of plug", at=("tip_void",))
+        if 0.0 < self.tip_rounding < 1.0:  # cells in less are flat
+            fail("is neither 0 nor 1 mm at least", at=("tip_rounding",))
         if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
             fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
         if not 0.0 <= self.resection_angle < math.pi / 2:
@@ -151,16 +162,11 @@ class _Femur(Shape):
 
     def _check_stem(self) -> None:
         shoulder, plug = self.stem_tip_z + self.stem_length, self.stem_tip_z - self.plug_length
-        for end in ("stem", "stem_tip"):
-            radius = getattr(self, f"{end}_corner_radius")
-            half = min(getattr(self, f"{end}_half_width"), getattr(self, f"{end}_half_depth"))
-            if radius >= half:
-                text = f"is not below the half-width and half-depth, {half:g} mm"
-                fail(text, at=(f"{end}_corner_radius",))
+        check_stem(self, "stem_", "stem_tip_")
         if not self.stem_tip_z < self.stem_section_z < shoulder:
             fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
         width = 2.0 * self._check_section(shoulder, "the shoulder", 0.0)
-        self._check_section(plug, "the end of the plug", self.cement_thickness)
+        self._check_section(plug, "the end of the plug", spread(self.cement_thickness)[0])
         if self.neck_diameter > width:
             text = f"is wider than the stem's shoulder; expected at most {width:.3g} mm"
             fail(text, at=("neck_diameter",))
@@ -243,17 +249,18 @@ class _Femur(Shape):
         around, stem, below, (_, *bone) = self.grid(mesh).values()
         most = (mesh.along_cement(self.cement_thickness), *bone)
         core = 3.0 * max(around - 2.0, 0.085 * around**2 + around - 4.0)
-        filled = self.cement_thickness - self.canal_widening
+        cement = spread(self.cement_thickness)[1]
+        filled = cement - self.canal_widening
         open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
-        widths = (1.4 + 0.4 * self.cement_thickness, *WIDTHS)
-        cement, cancellous, cortical = (
+        widths = (1.4 + 0.4 * cement, *WIDTHS)
+        through, cancellous, cortical = (
             min(cells, max(1.0, width / length))
             for cells, width, length in zip(most, widths, mesh.least_through, strict=True)
         )
-        layers = stem * (cement + cortical + cancellous * open_)
-        layers += below * (cement + cortical + cancellous * free)
+        layers = stem * (through + cortical + cancellous * open_)
+        layers += below * (through + cortical + cancellous * free)
         # In neck and head cancellous bone is wide, cortical bone thin.
-        whole = 6.0 * around * (cement + 0.2 * bone[0] + 0.8 * cancellous + 1.0)
+        whole = 6.0 * around * (through + 0.2 * bone[0] + 0.8 * cancellous + 1.0)
         return (stem + below) * core + 6.0 * around * layers, core, core + whole
 
 
@@ -295,6 +302,7 @@ class Femur(_Femur):
         if not self.stem:
             super()._check_stem()
             return
+        check_stem(self)
         for key in OF_STEM:
             value = self.found.get(key)
             if key in self.model_fields_set and getattr(self, key) != value:
@@ -310,14 +318,14 @@ class Femur(_Femur):
     @property
     def mantles(self) -> tuple[Mantle, ...]:
         """The mantle around the stem, with a plug around its end."""
-        return (Mantle(self.cement_thickness, self.stem_tip_z + self.tip_height),)
+        return (Mantle(spread(self.cement_thickness)[1], self.stem_tip_z + self.tip_height),)
 
     @property
     def interface_area(self) -> float:
         """Approximate area of both interfaces (mm2): the stem's flanks and their offset."""
         half, depth, _ = self._section()
         flanks = 3.25 * (half + depth) * self.stem_length
-        return 2.0 * flanks + 2.0 * math.pi * self.cement_thickness * self.stem_length
+        return 2.0 * flanks + 2.0 * math.pi * spread(self.cement_thickness)[1] * self.stem_length
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, to 12 %."""

@@ -18,7 +18,7 @@ import configs
 from app.case import library, quantities
 from app.case.case import Case
 from app.errors import InputError
-from app.schema.section import docstrings
+from app.schema.section import TAG, docstrings
 from app.schema.units import bounds_in_words
 
 Schema = dict[str, Any]
@@ -37,7 +37,10 @@ class _Generator(GenerateJsonSchema):
     """Shows defaults with their units."""
 
     def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
-        writer: Any = schema["schema"].get("serialization", {})
+        inner: Any = schema["schema"]
+        if inner["type"] == "tagged-union":
+            inner = inner["choices"].get(f"{TAG}uniform", inner)
+        writer = inner.get("serialization", {})
         default = schema.get("default")
         if default is not None and writer.get("type") == "function-plain":
             schema = {**schema, "default": writer["function"](default)}

@@ -11,8 +11,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from app.case.femurs import BONE, MUSCLES, Femur
-from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
+from app.case.femurs import BONE, MUSCLES, Femur, check_stem
+from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.errors import GeometryError, InputError
 from app.schema.paths import File
 from app.schema.section import Pair, Section, Triple, fail
@@ -28,26 +28,29 @@ Places = Annotated[tuple[Place, Place], Pair("[[31, -8, -98], [29, -17, -37]]")]
 
 
 class Outline(Section):
-    """A surface, by triangles or as that of a label in an image."""
+    """A surface, or that of a label in an image."""
 
     surface: File | None = None
     """STL file of its triangles; relative to the case file."""
     image: File | None = None
-    """In place of them, a labelled image (NIfTI, or `values` and `affine` in an `.npz`)."""
+    """Labelled image in place of them: NIfTI, or `values` and `affine` (to mm) in an `.npz`."""
     label: Annotated[int, Plain(integer=True)] | None = None
     """Number of its voxels in the image."""
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if (self.image is None) != (self.label is None) or (self.surface and self.image):
-            fail("expected `surface`, or `image` with `label`")
-        if self.path is None and isinstance(self, Bone):
-            fail("has no file; expected `surface`, or `image` with `label`")
+        files = (self.surface is not None) + (self.image is not None)
+        if (
+            files > 1
+            or files < isinstance(self, Bone)
+            or bool(self.image) != (self.label is not None)
+        ):
+            fail("expected `surface`, or `image` and `label`")
         return self
 
     @property
     def path(self) -> Path | None:
-        """The file, if there is one."""
+        """Its file, if there is one."""
         return self.surface or self.image
 
 
@@ -61,11 +64,7 @@ class Bone(Outline):
 
 
 class Canal(Outline):
-    """The medullary canal, in the axes of the bone's file.
-
-    Without a file it has the part of the
-    bone's radius that it has in mantle's own femur.
-    """
+    """The medullary canal; without a file as wide a part of the bone as in mantle's own femur."""
 
     unit: Unit | None = None
     """Unit of the file; by default as of the bone."""
@@ -125,19 +124,18 @@ class Stem(Section):
     """Angle between neck and stem (rad)."""
     plug_length: PositiveLength = _of_femur("plug_length")
     """Length of cement below the tip."""
+    tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] = 0.0
+    """Length without cement below the end, which is flat then: 1 mm at least, and 1 mm less than
+    the plug at most; 0: none."""
 
     @model_validator(mode="after")
     def _solid(self) -> Stem:
         if not self.section_depth < self.length:
             fail("is not above the tip", at=("section_depth",))
-        for end in ("", "tip_"):
-            half = min(getattr(self, f"{end}half_width"), getattr(self, f"{end}half_depth"))
-            if getattr(self, f"{end}corner_radius") >= half:
-                text = f"is not below the half-width and half-depth, {half:g} mm"
-                fail(text, at=(f"{end}corner_radius",))
+        check_stem(self, "", "tip_")
         return self
 
-    def as_femur(self, cement: float) -> Femur:
+    def as_femur(self, cement: Thickness) -> Femur:
         """The same in the parametric femur's keys, with the shoulder at z = 0."""
         known = {k if k in Femur.model_fields else f"stem_{k}": v for k, v in self}
         levels = {"stem_tip_z": -self.length, "stem_section_z": -known.pop("stem_section_depth")}
@@ -212,10 +210,9 @@ class Patient(Shape):
     """The cut across the neck."""
     insertion: Insertion = Field(default_factory=Insertion)
     """Where the stem is put."""
-    cement_thickness: Annotated[
-        float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
-    ] = 4.0
-    """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
+    cement_thickness: Thickness = 4.0
+    """Thickness of the mantle where the canal has room for it, 1 to 8 mm: one, or several by height
+    and side."""
     distal_cut_z: Length | None = None
     """Level at which the shaft is cut and held; by default 70 mm below the plug, or where the
     surface ends."""
@@ -290,7 +287,8 @@ class Patient(Shape):
         half = max(self.stem.tip_half_width, self.stem.tip_half_depth)
         end = self.implant.tip_height - self.stem.length
         tip = float(self.placement.to_model([0.0, 0.0, end])[2])
-        return (Mantle(self.cement_thickness, tip + half * math.tan(abs(self.insertion.varus))),)
+        mean = spread(self.cement_thickness)[1]
+        return (Mantle(mean, tip + half * math.tan(abs(self.insertion.varus))),)
 
     @property
     def interface_area(self) -> float:

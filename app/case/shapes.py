@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
-from pydantic import model_validator
+from pydantic import BaseModel, Discriminator, Tag, model_validator
 
-from app.schema.section import Section, Truth, fail
-from app.schema.units import Plain, PositiveLength
+from app.schema.section import TAG, Section, Truth, fail
+from app.schema.units import Dimension, Plain, PositiveLength
 
 Point3 = tuple[float, float, float]
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
@@ -25,6 +26,80 @@ CANCELLOUS, CORTICAL = 15.0, 8.0
 # Steps along (mm): first and largest over the size, and growth per mm; from the plug down, and down
 # from the neck cut, beside whose rim the largest gaps are and where sections turn apart.
 GRADING = {"below": (1.0, 1.4, 0.2), "stem": (0.6, 1.0, 0.06)}
+# Keys of a graded thickness: equally far apart from the tip to the neck cut, and around the stem.
+HEIGHTS = ("distal", "middle", "proximal")
+SIDES = ("medial", "anterior", "lateral", "posterior")
+THINNEST, THICKEST = 1.0, 8.0  # mm
+_LENGTH = Dimension("mm", "a length", "4 mm", at_least=THINNEST, at_most=THICKEST)
+_Thickness = Annotated[float, _LENGTH]
+
+
+class GradedThickness(Section):
+    """Thickness of a mantle by height, by side, or both.
+
+    Between heights it is linear, between sides half a wave of a cosine. With both, heights give the
+    mean around, sides the ratios to it.
+    """
+
+    proximal: _Thickness | None = None
+    """Where the stem's axis meets the neck cut, and above."""
+    middle: _Thickness | None = None
+    """Half-way between."""
+    distal: _Thickness | None = None
+    """At the stem's tip, and below."""
+    medial: _Thickness | None = None
+    """On the medial side."""
+    anterior: _Thickness | None = None
+    """On the anterior side."""
+    lateral: _Thickness | None = None
+    """On the lateral side."""
+    posterior: _Thickness | None = None
+    """On the posterior side."""
+
+    @property
+    def tables(self) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+        """Means around (mm) by part of the height, from 0 to 1; ratios to them around, by turns."""
+        heights, ring = (
+            [(k / of, t) for k, key in enumerate(keys) if (t := getattr(self, key)) is not None]
+            for keys, of in ((HEIGHTS, 2), (SIDES, 4))
+        )
+        ring = [*ring, (ring[0][0] + 1.0, ring[0][1])] if ring else [(0.0, 1.0), (1.0, 1.0)]
+        mean = _mean(ring)
+        heights = heights or [(0.0, mean)]
+        heights = [(0.0, heights[0][1]), *heights, (1.0, heights[-1][1])]
+        return heights, [(turn, t / mean) for turn, t in ring]
+
+    @model_validator(mode="after")
+    def _possible(self) -> GradedThickness:
+        given = [[k for k in keys if getattr(self, k) is not None] for keys in (HEIGHTS, SIDES)]
+        for keys, own in zip((HEIGHTS, SIDES), given, strict=True):
+            if len(own) == 1 or not any(given):
+                fail(f"is not enough; expected at least two of {', '.join(keys)}", at=tuple(own))
+        least, _, most = spread(self)
+        if least < THINNEST or most > THICKEST:
+            text = f"heights and sides together give {least:.3g} to {most:.3g} mm"
+            fail(f"{text}; expected {THINNEST:g} to {THICKEST:g} mm")
+        return self
+
+
+def _mean(table: list[tuple[float, float]]) -> float:
+    """Mean over a length of 1 of what is linear between pairs of place and value."""
+    return sum(0.5 * (b[0] - a[0]) * (a[1] + b[1]) for a, b in pairwise(table))
+
+
+Thickness = Annotated[
+    Annotated[_Thickness, Tag(TAG + "uniform")] | Annotated[GradedThickness, Tag(TAG + "graded")],
+    Discriminator(lambda t: TAG + ("graded" if isinstance(t, dict | BaseModel) else "uniform")),
+]
+
+
+def spread(thickness: float | GradedThickness) -> tuple[float, float, float]:
+    """Least, mean and largest thickness of a mantle (mm)."""
+    if not isinstance(thickness, GradedThickness):
+        return thickness, thickness, thickness
+    heights, ring = thickness.tables
+    found = [mean * ratio for _, mean in heights for _, ratio in ring]
+    return min(found), _mean(heights), max(found)
 
 
 @dataclass(frozen=True)
@@ -32,7 +107,7 @@ class Mantle:
     """The cement between interfaces ``stem_cement`` and ``cement_bone``.
 
     Attributes:
-        thickness: Nominal thickness (mm).
+        thickness: Nominal thickness, the mean of a graded one (mm).
         tip: Level of the end of the stem's flanks (mm), below which the cement is a plug without
             thickness; minus infinity without a plug.
     """
@@ -109,10 +184,7 @@ class Shape(Section):
         return {}
 
     def in_image(self, x: Any, depth: float) -> Any:
-        """Points (n, 3) in the axes of an image of it, moved to a depth in bone where less (mm).
-
-        Images of a bone in air have densities of both at its surface.
-        """
+        """Points (n, 3) in the axes of an image of it, at a depth in the bone at least (mm)."""
         return x
 
     @property
@@ -146,25 +218,26 @@ class MeshOptions(Section):
         """Edge length far from the interfaces (mm)."""
         return 4.0 * self.size if self.far_size is None else self.far_size
 
-    def lines_around(self, section: tuple[float, float, float], cement: float) -> int:
+    def lines_around(self, section: tuple[float, float, float], cement: Thickness) -> int:
         """Lines around a stem, by its perimeter half-way through the mantle.
 
         ``section`` is half-width, half-depth and corner radius of a rounded rectangle, ``cement``
         the mantle's thickness (mm).
         """
         half, depth, corner = section
-        perimeter = 4.0 * (half + depth - 2.0 * corner) + 2.0 * math.pi * (corner + 0.5 * cement)
+        bend = corner + 0.5 * spread(cement)[1]
+        perimeter = 4.0 * (half + depth - 2.0 * corner) + 2.0 * math.pi * bend
         least = LINES if self.size <= COARSE else COMPANION
         return self.around or max(least, round(perimeter / self.size))
 
-    def along_cement(self, cement: float) -> float:
-        """Cells through cement of a thickness (mm).
+    def along_cement(self, cement: Thickness) -> float:
+        """Cells through cement of a thickness (mm), by the mean of a graded one.
 
         A fraction is the part, from the neck cut down, with one more.
         """
-        return float(self.through_cement or max(2.0, 1.75 * cement / self.size - 0.5))
+        return float(self.through_cement or max(2.0, 1.75 * spread(cement)[1] / self.size - 0.5))
 
-    def cells_through(self, cement: float) -> tuple[int, int, int]:
+    def cells_through(self, cement: Thickness) -> tuple[int, int, int]:
         """Cells at most through cement of a thickness (mm), cancellous and cortical bone."""
         _, cancellous, cortical = self.least_through
         bone = max(1, round(CANCELLOUS / cancellous)), max(1, round(CORTICAL / cortical))

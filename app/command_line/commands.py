@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import mantle
 from app.case import gmsh_header
-from app.command_line.parser import parser, refuse_removed
+from app.command_line.parser import parser
 from app.command_line.streams import configure_log, painted, pass_colours
 from app.errors import InputError, stack_needed
 from app.system import ranks
@@ -38,7 +38,6 @@ def dispatch(arguments: list[str]) -> int:
     """Parse the command line, call the command and return its exit code."""
     cut = arguments.index("--") if "--" in arguments else len(arguments)
     petsc_options = arguments[cut + 1 :]
-    refuse_removed(arguments[:cut])
     options = parser().parse_args(arguments[:cut])
     if getattr(options, "allow_scripts", False):
         os.environ[gmsh_header.ALLOWED] = "1"

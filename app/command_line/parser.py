@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -151,26 +150,6 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "--schema": dict(action="store_true", help="print the JSON schema of case files, for editors"),
 }
 LONG = {"-o": "--output"}
-# Options and commands of version 0.1 that are gone, and what replaces them; until 0.3.
-REMOVED = {
-    "compare": "use mantle report DIR DIR...",
-    "library": "use mantle explain materials, explain loads or explain NAME",
-    "schema": "use mantle explain --schema",
-    "version": "use mantle --version",
-    "init --mesh": "the mesh is NAME.msh; write another path into the case",
-    "run --keep": "without it, a folder that is finished with this case and program is left",
-    "run --log-level": "use -v to be told more",
-    "run --goal": "use --error, or a finer mesh",
-    "run --adapt": "use --error, or a finer mesh",
-    "run --isolate": "use the container: docker run --network none --read-only",
-    "run --private": "provenance.json has neither host nor command line any more",
-    "mesh --pictures": "they are drawn where there is a cement mantle",
-    "verify --fine": "use --tier long",
-    "stress --full": "use --tier long",
-    "bench --full": "use --tier long",
-    "bench --peers": "docs/verification.md has what was measured",
-    "doctor --sbom": "use dpkg-query -W and pip list",
-}
 
 
 class Parser(argparse.ArgumentParser):
@@ -189,14 +168,6 @@ class Parser(argparse.ArgumentParser):
     def _print_message(self, message: str, file: Any = None) -> None:
         if rank() == 0:
             super()._print_message(message, file)
-
-
-def refuse_removed(arguments: Sequence[str]) -> None:
-    """Raise InputError for a removed command or option, with its replacement."""
-    command = arguments[0] if arguments else ""
-    for word in [command, *(f"{command} {a.partition('=')[0]}" for a in arguments[1:])]:
-        if word in REMOVED:
-            raise InputError(f"mantle {word} has been removed: {REMOVED[word]}")
 
 
 def parser() -> argparse.ArgumentParser:

@@ -183,10 +183,7 @@ class BodyForms:
         return coefficients, e.fibre.direction(self.mesh, self.constant) if e.fibre else None
 
     def places(self, region: str, points: Floats, weights: Floats) -> tuple[Floats, Floats]:
-        """Positions (cells, points, 3) [mm] of points of a region's own cells, and their volumes.
-
-        Points and weights are of the reference cell (points, 3), (points,).
-        """
+        """Positions (cells, points, 3) [mm] and volumes of points of a region's own cells."""
         element = self.mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
         N, *dN = element.tabulate(1, points)
         x = self.mesh.geometry.x[self.mesh.geometry.dofmap[self.region_cells(region)]]

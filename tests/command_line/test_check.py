@@ -14,7 +14,6 @@ import pytest
 from app import cli
 from app.case.case import load
 from app.cli import main
-from app.command_line.parser import REMOVED
 from app.errors import ConvergenceError
 from app.soundness import preview
 from app.system import ranks
@@ -253,14 +252,6 @@ def test_a_press_fit_acts_by_penalty_too() -> None:
     for value, told in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
         case = load(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"]).config
         assert any("nothing acts" in note for note in preview.warnings(case)) == told
-
-
-@pytest.mark.parametrize("words", sorted(REMOVED))
-def test_what_went_is_told_with_what_replaces_it(
-    words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*words.split(), "x"]) == 2
-    assert capsys.readouterr().err == f"mantle {words} has been removed: {REMOVED[words]}\n"
 
 
 @pytest.mark.parametrize(

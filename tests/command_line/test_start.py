@@ -78,7 +78,6 @@ def test_a_stem_is_of_what_is_asked_for(tmp_path: Path) -> None:
     [
         (["--kind", "blocks", "--stem", "cocr"], "--stem cocr: of kind blocks there is no stem"),
         (["--kind", "file"], "new.msh: not a gmsh .msh file"),
-        (["--mesh", "new.msh"], "mantle init --mesh has been removed: the mesh is NAME.msh"),
         (["--kind", "knee"], "mantle init: argument --kind: invalid choice: 'knee'"),
     ],
 )
@@ -189,10 +188,12 @@ FEMUR = """
 geometry.cement_thickness  (kind femur)
 geometry.cement_thickness  (kind intact_femur)
 geometry.cement_thickness  (kind patient)
-  Thickness of the mantle where the canal has room for it, 1 to 8 mm.
-  value    length, at least 1 and at most 8, e.g. 4 mm
+  Thickness of the mantle where the canal has room for it, 1 to 8 mm: one, or several by height
+  and side.
+  value    length, at least 1 and at most 8, e.g. 4 mm or section
   unit     mm
   default  4.0 mm
+  keys     proximal, middle, distal, medial, anterior, lateral, posterior
   example  cement_thickness: 4 mm
 """
 

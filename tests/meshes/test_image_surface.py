@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-import mantle
 from app.laws.densities import ImageModulus
 from meshes import femur_bone, images
 from meshes.data import region_volumes
 from tests.meshes.bones import inside, own, own_canal, write
-from tests.meshes.test_patient import as_own, made, patient
+from tests.meshes.test_patient import as_own, made
 
 VOXEL, LOW = 0.5, -205.0  # mm; the scan ends in the shaft
 SLOPE, OFFSET = 0.0008, 0.004  # g/cm3 of a phantom
@@ -78,7 +77,7 @@ def test_a_ball_is_smooth_and_as_large(tmp_path: Path) -> None:
 
 
 def test_moduli_at_points_of_the_cortex(scan: Path) -> None:
-    """At 200 places from the canal to the surface 95 % within 3 %, where half are off as they are."""
+    """At 200 places up to the surface: 95 % within 3 %, as the noise is; there 10 % as it is."""
     calibration = {"slope": f"{SLOPE} g/cm^3", "offset": f"{OFFSET} g/cm^3"}
     given = {"density": "ct.npz", "calibration": calibration, "law": "morgan_neck"}
     E = ImageModulus.model_validate(given, context={"folder": scan})

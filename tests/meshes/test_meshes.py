@@ -27,7 +27,6 @@ from meshes.data import (
     exterior_facets,
     facet_areas,
     interface_facets,
-    order,
     region_volumes,
 )
 from meshes.gmsh_child import MILLIMETRES, session
@@ -232,12 +231,6 @@ def test_names_may_overlap_and_patches_do_not() -> None:
     assert len(data.facet_tags) == 6
     assert components(data.neighbours, data.cell_tags).tolist() == [0, 0]
     assert components(data.neighbours, np.array([1, 2], dtype=np.int32)).tolist() == [0, 1]
-
-
-@pytest.mark.parametrize("most", [5, 2**40, 2**62])
-def test_rows_are_ordered_as_by_lexsort(most: int) -> None:
-    first, last = np.random.default_rng(1).integers(0, most, (2, 1000)) // 7 * 7
-    np.testing.assert_array_equal(order(first, last), np.lexsort([first, last]))
 
 
 @pytest.mark.parametrize("unit", ["mm", "cm"])

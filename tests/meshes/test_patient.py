@@ -209,11 +209,12 @@ def random_patient(folder: Path, seed: int) -> Patient:
     canal: dict[str, Any] = {"ream": "broach"}
     if rng.uniform() < 0.8:
         canal["surface"] = "canal.stl"
+    cement = f"{rng.uniform(2, 5)} mm"
     return patient(
         folder,
         canal=canal,
         insertion=shift | turn,
-        cement_thickness=f"{rng.uniform(2, 5)} mm",
+        cement_thickness={"proximal": cement, "distal": "2 mm"} if seed % 2 else cement,
         stem={"length": f"{rng.uniform(110, 147)} mm"},
         resection={"angle": f"{rng.uniform(34, 44)} deg"},
     )

@@ -47,21 +47,17 @@ def even(tmp_path: Path) -> Path:
     ],
 )
 def test_published_laws(even: Path, law: str, expected: list[float]) -> None:
-    """Moduli in MPa at 0.3, 0.6 and 1 g/cm3 of the law's own density; pieces that meet."""
+    """Moduli in MPa at 0.3, 0.6 and 1 g/cm3 of the law's own density; pieces that meet.
+
+    A CT number of 1400 is 1.124 g/cm3 by the phantom.
+    """
     E = ImageModulus.model_validate(modulus(even, law))
     assert E.modulus(np.array([0.3, 0.6, 1.0])) == pytest.approx(expected, abs=0.5)
     assert ", ".join(f"{e:,}" for e in expected[2:]) in next(iter(E.told.values()))
-    for edge in (0.27, 0.60):
-        below, above = E.modulus(np.array([edge, edge + 1e-9]))
-        assert below == pytest.approx(above, rel=1.5e-3)
-
-
-def test_densities_of_a_phantom_of_ash_and_apparent(even: Path) -> None:
-    """0.0008 times 1400 plus 0.004 is 1.124 by the phantom; Morgan's law is of the apparent one."""
-    E = ImageModulus.model_validate(modulus(even, "morgan_neck"))
+    below, above = (E.modulus(np.array([0.27, 0.60]) + step) for step in (0, 1e-9))
+    assert below == pytest.approx(above, rel=1.5e-3)
     ash = 0.877 * 1.124 + 0.0789
     assert E.densities(1400) == pytest.approx({"qct": 1.124, "ash": ash, "apparent": ash / 0.6})
-    assert E.largest == pytest.approx(14664 * ash**1.49, rel=1e-4)
 
 
 def test_values_between_voxels_are_linear() -> None:
@@ -76,8 +72,6 @@ def test_values_between_voxels_are_linear() -> None:
     image = Image(x @ slope, affine)
     points = rng.uniform(0, [7, 8, 6], size=(50, 3)) @ affine[:3, :3].T + affine[:3, 3]
     assert image.at(points) == pytest.approx(points @ slope, rel=1e-12)
-    with pytest.raises(InputError, match=r"1 of 50 points are outside .* See the key `axes`"):
-        image.at(np.vstack([points[1:], points[:1] + 100.0]))
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -85,7 +79,7 @@ def test_a_bar_of_an_image_is_that_of_a_table(tmp_path: Path, order: int) -> Non
     """E is 100 MPa up to 2 mm and 1 GPa from 8 mm; all of it linear between voxels."""
     density = np.interp(np.arange(40) - 20.0, [2, 8], [0.1, 1.0])
     numbers = np.broadcast_to((density - 0.004) / 0.0008, (40, 40, 40))
-    law = {"density": "qct", "ranges": [{"b": "1 GPa", "c": 1}]}
+    law = {"density": "qct", "ranges": [["0 g/cm^3", "0 MPa", "1 GPa", 1]]}
     E = modulus(write(tmp_path / "bar.npz", numbers), law)
     text = PULLED.replace("[[2 mm, 100 MPa], [8 mm, 1 GPa]]", json.dumps(E))
     works = [
@@ -123,10 +117,10 @@ def test_an_even_image_is_a_constant(even: Path) -> None:
         ({"calibration": None}, "'calibration' is missing"),
         (
             {"calibration": {"slope": "0.8 g/cm^3", "offset": "0 g/cm^3"}},
-            "GPa at the CT number 1400",
+            "GPa, and bone has at most 40",
         ),
         (
-            {"law": {"density": "qct", "ranges": [{"a": "-1 GPa", "b": "2 GPa", "c": 1}]}},
+            {"law": {"density": "qct", "ranges": [["0 g/cm^3", "-1 GPa", "2 GPa", 1]]}},
             "positive",
         ),
         ({"sha256": "0" * 64}, "is not the image of this hash"),
@@ -142,7 +136,7 @@ def test_bad_input(even: Path, changes: dict[str, Any], message: str) -> None:
 @pytest.mark.parametrize(
     ("values", "affine", "message"),
     [
-        (np.zeros((4, 4)), np.eye(4), "has 2 dimensions"),
+        (np.zeros((4, 4)), np.eye(4), "in 2 dimensions"),
         (np.zeros((4, 4, 4)), np.diag([1, 1, 0, 1]), "no spacing"),
         (np.zeros((4, 4, 4)), np.eye(4) + 0.2 * np.eye(4, k=1), "tilted gantry"),
     ],

@@ -22,7 +22,6 @@ from app.numerics.sparse import from_triplets
 from app.schema import units
 from app.system import folders
 from meshes import cache
-from meshes.contact_facets import distinct_rows
 from meshes.data import connected
 from tests import support
 
@@ -128,12 +127,3 @@ def test_a_law_has_another_note_when_its_text_changes(tmp_path: Path) -> None:
         Path(source.__file__).write_text(text)
         notes |= {pointwise.note_of(law, [source]) for law in ("plain", "corner")}
     assert len(notes) == 4
-
-
-def test_rows_are_told_apart_as_by_numpy() -> None:
-    rng = np.random.default_rng(6)
-    for shape in ((0, 2), (1, 3), (200, 3), (500, 2)):
-        rows = rng.integers(0, 7, shape)
-        expected = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-        for found, known in zip(distinct_rows(rows), expected, strict=True):
-            np.testing.assert_array_equal(found, known.reshape(found.shape))

@@ -61,7 +61,6 @@ ONES = [
     [
         ("stem_cpu", [made(4.0), made(6.0), made(9.0)], 6.0),
         ("stem_memory", [made()], 700.0),
-        ("million_memory", [made()], 0.7),
         ("million_minutes", [made()], 44 / 60),
         ("stem_penetration", [made(slip=(1.0, 2.0))], 2e-3),
         ("growth_exponent", LADDER, 1.1),
