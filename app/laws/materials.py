@@ -93,6 +93,8 @@ class Material(Named):
 
     @model_validator(mode="after")
     def _deforms(self) -> Self:
+        if getattr(self, "image", None) and self.thermal and self.thermal.cure:
+            fail("a modulus that sets is a value", at=("youngs_modulus",))
         for key in self.refused:
             if getattr(self.thermal, key, None) is not None:
                 fail("nothing deforms; expected an elastic region", at=("thermal", key))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,26 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from app.errors import InputError
 from app.laws.densities import ImageModulus
 from meshes import femur_bone, images
 from meshes.data import region_volumes
+from tests import support
 from tests.meshes.bones import inside, own, own_canal, write
 from tests.meshes.test_patient import as_own, made
 
 VOXEL, LOW = 0.5, -205.0  # mm; the scan ends in the shaft
 SLOPE, OFFSET = 0.0008, 0.004  # g/cm3 of a phantom
+DENSITY = {
+    "density": "ct.npz",
+    "calibration": {"slope": f"{SLOPE} g/cm^3", "offset": f"{OFFSET} g/cm^3"},
+    "law": "morgan_neck",
+}
+STL = {"surface": "bone.stl"}, {"surface": "canal.stl", "ream": "broach"}
+LABELS = (
+    {"image": "labels.npz", "label": 1},
+    {"image": "labels.npz", "label": 2, "ream": "broach"},
+)
 BESIDE, MARROW, NOISE = 40.0, -50.0, 20.0  # CT numbers beside and in the bone; their spread
 
 
@@ -47,17 +60,37 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def of_labels(scan: Path) -> Any:
-    pytest.importorskip("skimage")
-    image = {"image": "labels.npz"}
-    return as_own(scan, bone=image | {"label": 1}, canal=image | {"label": 2, "ream": "broach"})
-
-
 def test_volumes_are_those_of_the_triangles(scan: Path) -> None:
     """To 0.3 % each; asked for 1 %."""
-    here, there = of_labels(scan), as_own(scan, canal={"surface": "canal.stl", "ream": "broach"})
-    volumes, expected = (region_volumes(made(g)) for g in (here, there))
+    pytest.importorskip("skimage")
+    both = (as_own(scan, bone=bone, canal=canal) for bone, canal in (LABELS, STL))
+    volumes, expected = (region_volumes(made(g)) for g in both)
     assert volumes == pytest.approx(expected, rel=0.003)
+
+
+def test_nifti(tmp_path: Path) -> None:
+    """Numbers and axes of a file; none without axes, in metres, or cut off."""
+    nibabel = pytest.importorskip("nibabel")
+    values = np.random.default_rng(0).integers(-1000, 2000, (5, 6, 7)).astype(np.int16)
+    affine = np.array([[0, -0.5, 0, 9], [0.4, 0, 0, 8], [0, 0, 1, 7], [0, 0, 0, 1.0]])
+    path = tmp_path / "ct.nii.gz"
+    nibabel.Nifti1Image(values, affine).to_filename(path)
+    image = images.read(path)
+    assert np.array_equal(image.values, values)
+    assert image.at(affine[:3, 3][None] + affine[:3, 2]) == values[0, 0, 1]
+    with pytest.raises(InputError, match="has no label 3000; it has -"):
+        images.surface(path, 3000)
+    whole = path.read_bytes()
+    bare = nibabel.Nifti1Image(values, None)
+    metres = nibabel.Nifti1Image(values, affine)
+    metres.header.set_xyzt_units("meter")
+    for wrong, message in ((bare, "neither qform nor sform"), (metres, "is in meter")):
+        wrong.to_filename(path)
+        with pytest.raises(InputError, match=message):
+            images.read(path)
+    path.write_bytes(whole[:200])
+    with pytest.raises(InputError, match="no image that can be read"):
+        images.read(path)
 
 
 def test_a_ball_is_smooth_and_as_large(tmp_path: Path) -> None:
@@ -78,9 +111,7 @@ def test_a_ball_is_smooth_and_as_large(tmp_path: Path) -> None:
 
 def test_moduli_at_points_of_the_cortex(scan: Path) -> None:
     """At 200 places up to the surface: 95 % within 3 %, as the noise is; there 10 % as it is."""
-    calibration = {"slope": f"{SLOPE} g/cm^3", "offset": f"{OFFSET} g/cm^3"}
-    given = {"density": "ct.npz", "calibration": calibration, "law": "morgan_neck"}
-    E = ImageModulus.model_validate(given, context={"folder": scan})
+    E = ImageModulus.model_validate(DENSITY, context={"folder": scan})
     geometry, rng = as_own(scan), np.random.default_rng(1)
     angle, z, part = rng.uniform([0, -190, 0], [6.28, -30, 1], size=(200, 3)).T
     low = femur_bone.Tube(femur_bone.CANAL).radius(angle, z) + 1.0
@@ -92,3 +123,24 @@ def test_moduli_at_points_of_the_cortex(scan: Path) -> None:
     assert abs(off.mean()) < 0.003
     raw = E.at(x, lambda x, depth: x) / expected - 1.0
     assert np.percentile(np.abs(raw), 95) > 0.1
+
+
+@pytest.mark.slow
+def test_slip_is_that_of_the_triangles_within_its_error(scan: Path) -> None:
+    """At both interfaces, with moduli from the CT."""
+    pytest.importorskip("skimage")
+    E = {"kind": "isotropic", "poisson_ratio": 0.3, "youngs_modulus": DENSITY}
+    case: dict[str, Any] = {
+        "base": "stance",
+        "mesh": {"size": "8 mm"},
+        "regions": {"cortical_bone": E, "cancellous_bone": E},
+        "loads": {"library": "one_leg_stance"},
+        "output": {"error": True},
+    }
+    found = []
+    for bone, canal in (STL, LABELS):
+        case["geometry"] = {"kind": "patient", "bone": bone, "canal": canal}
+        found.append(support.run(json.dumps(case), scan).summary["interfaces"])
+    for name, numbers in found[0].items():
+        off = found[1][name]["slip_p99"] - numbers["slip_p99"]
+        assert abs(off) < numbers["slip_p99_error"], name
