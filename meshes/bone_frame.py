@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from app.arrays import Bools, Floats
 from app.errors import GeometryError
-from meshes.bone_surface import BoneSurface, centroid, exits, section
+from meshes.bone_surface import BoneSurface, centroid, exits, place, section
 
 RADII = (14.0, 36.0)  # mm: of heads
 END = 90.0  # mm from an end of the bone within which its head is
@@ -179,8 +179,9 @@ class _Finder:
             found.append((*_sphere(x[end], normal[end], area[end]), up))
         covered, centre, radius, self.up = max(found, key=lambda f: f[0])
         if covered < COVERED:
-            text = f"no sphere covers more than {100 * covered:.0f} % of itself at either end"
-            raise GeometryError(f"geometry.bone: {text}; expected a femur with its head")
+            text = f"no sphere covers more than {100 * covered:.0f} % of itself at either end, the"
+            text += f" best at {place(centre)}; expected a femur with its head, in the right unit"
+            raise GeometryError(f"geometry.bone: {text}")
         for _ in range(4):
             out = x - centre
             far = _far(out)
@@ -248,8 +249,9 @@ class _Finder:
                         best = max(best, (height, depth, way), key=lambda b: b[0])
             height, depth, way = best
             if not height:
-                text = "no lesser trochanter stands out of the shaft"
-                raise GeometryError(f"geometry.bone: {text}; give landmarks.lesser_trochanter")
+                text = "no lesser trochanter stands out of the shaft below the head at {}; expected"
+                text += " a femur's proximal part, or landmarks.lesser_trochanter"
+                raise GeometryError(f"geometry.bone: {text.format(place(self.head))}")
             for _ in range(3):
                 near = np.abs((self.centre - top) @ up + depth) < 0.4 * radius
                 self.trochanter = self._outermost(way, near)
@@ -304,17 +306,21 @@ class _Finder:
 
         The lesser trochanter and the condyles are posterior.
         """
-        if "side" in self.given:
-            return str(self.given["side"])
         behind = -float((self.trochanter - self.origin) @ left) / self.radius
         if self.has_condyles:
             distal = self.centre @ self.up < self.low + 1.5 * self.radius
             out = (self.centre[distal] - self.origin) @ left
             behind -= float(np.average(out, weights=self.area[distal])) / self.radius
+        found, given = "left" if behind > 0 else "right", self.given.get("side")
         if abs(behind) < 0.15:
             text = "left or right cannot be told: the lesser trochanter is not behind the neck"
-            raise GeometryError(f"geometry.bone: {text}; give geometry.bone.side")
-        return "left" if behind > 0 else "right"
+            if not given:
+                raise GeometryError(f"geometry.bone: {text}; give geometry.bone.side")
+        elif given not in (None, found):
+            off = abs(float((self.trochanter - self.origin) @ left))
+            text = f"the lesser trochanter is {off:.0f} mm behind the axis of a {found} femur"
+            raise GeometryError(f"geometry.bone.side: {text}; leave side out, or mirror the file")
+        return str(given or found)
 
     def _condyles(self, back: Floats) -> Floats:
         """Direction of the line between the most posterior points of the condyles (3,)."""

@@ -54,15 +54,19 @@ def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneS
         InputError: The image cannot be read.
         GeometryError: The file is damaged, or its triangles are not the surface of one body.
     """
-    corners, told = (_stl(path), []) if label is None else images.surface(path, label)
+    told: list[str] = []
+    if label is None:
+        corners = _other(path) if path.suffix.lower() in (".ply", ".obj") else _stl(path)
+    else:
+        corners, told = images.surface(path, label)
     if not len(corners) or not np.isfinite(corners).all():
         raise GeometryError(f"{path}: has no triangles, or corners that are no numbers")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     fits = [u for u, mm in UNITS.items() if EXTENT[0] <= extent * mm <= EXTENT[1]]
-    if unit not in (None, *fits) or not fits:
+    if unit not in (None, *fits) or not (unit or len(fits) == 1):
         raise GeometryError(
             f"{path}: is {extent:.4g} {unit or 'units'} long, and a femur {EXTENT[0]:g} to"
-            f" {EXTENT[1]:g} mm; which unit is it in?"
+            f" {EXTENT[1]:g} mm; which unit is it in? Expected {' or '.join(fits or UNITS)}"
         )
     if unit is None:
         told.append(f"unit: {fits[0]}, as the surface is {extent:.4g} long")
@@ -91,6 +95,18 @@ def _stl(path: Path) -> Floats:
         return np.array([[float(w) for w in words[k + 1 : k + 4]] for k in at]).reshape(-1, 3, 3)
     except ValueError:
         text = f"{path}: its text ends or is damaged after {len(at):,} corners"
+        raise GeometryError(text) from None
+
+
+def _other(path: Path) -> Floats:
+    """Corners of triangles (m, 3, 3) of a PLY or OBJ file, in its unit."""
+    import meshio
+
+    try:
+        mesh = getattr(meshio, path.suffix[1:].lower()).read(path)
+        return np.asarray(mesh.points, float)[mesh.get_cells_type("triangle")].reshape(-1, 3, 3)
+    except Exception as error:  # damaged files let meshio fail in any way
+        text = f"{path}: is no {path.suffix[1:].upper()} file, or not all of one: {error}"
         raise GeometryError(text) from None
 
 
@@ -131,7 +147,7 @@ def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool
         second = int(np.argsort(sizes)[-2])
         raise GeometryError(
             f"{path}: has {bodies} bodies, of {sizes.max():,} and {sizes[second]:,} triangles, the"
-            f" second about {_place(x[triangles[body == second]])}; expected one: keep the femur"
+            f" second about {place(x[triangles[body == second]])}; expected one: keep the femur"
         )
     lone = first[times % 2 == 1] if thin else first[times != 2]
     edges = x[ends[order[lone]]]
@@ -141,7 +157,7 @@ def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool
     if aside.any():
         most = int(times[times != 2].max())
         what = "is open" if most == 1 else f"has edges of up to {most} triangles"
-        where = f"{_place(edges[aside])} ({int(aside.sum())} edges), not at an end"
+        where = f"{place(edges[aside])} ({int(aside.sum())} edges), not at an end"
         raise GeometryError(f"{path}: {what} at {where}; close it where it was made")
     if len(lone):
         told.append(f"open at an end: {len(lone)} edges")
@@ -171,8 +187,9 @@ def _flipped(graph: csr_array, one: Ints, other: Ints, opposed: Bools) -> Bools:
     return flipped
 
 
-def _place(x: Floats) -> str:
-    return "({:.0f}, {:.0f}, {:.0f}) mm".format(*x.reshape(-1, 3).mean(axis=0))
+def place(x: Floats) -> str:
+    """Mean of points (..., 3) in words."""
+    return "({:.0f}, {:.0f}, {:.0f}) mm of the file".format(*x.reshape(-1, 3).mean(axis=0))
 
 
 def section(x: Floats, height: Floats, triangles: Ints | None = None) -> Floats:

@@ -266,9 +266,8 @@ def upper(geometry: Any, body: Body, mesh: Any, top: float, steep: float) -> Upp
     out = shoulder - slope * float(body.section(shoulder)[0])
     if out < top - SHOULDER:
         raise GeometryError(
-            f"geometry.stem_length: the stem's shoulder, at z = {shoulder:g} mm, is"
-            f" {top - out:.0f} mm below the neck cut; lengthen the stem, move it proximally"
-            " (stem_tip_z) or cut lower (resection_height)"
+            f"geometry: the stem's shoulder is {top - out:.0f} mm below the neck cut, {SHOULDER:g}"
+            " mm at most; lengthen the stem, move it proximally or cut lower"
         )
     base, slope = (out, slope) if out > top + SHOULDER else (top, steep)
     first, last = 0.5 * geometry.neck_diameter, 0.5 * geometry.trunnion_diameter
@@ -281,9 +280,9 @@ def upper(geometry: Any, body: Body, mesh: Any, top: float, steep: float) -> Upp
     needed = (CLEAR + dip - float(normal @ (root_ - [0.0, 0.0, base]))) / (rise * length)
     if rise <= 0 or needed > BLEND[1]:
         raise GeometryError(
-            f"geometry.head_height: the neck, {geometry.neck_diameter:g} mm thick towards a head"
-            f" at z = {geometry.head_height:g} mm, does not clear the neck cut; raise the head"
-            " or cut lower (resection_height)"
+            f"geometry: the neck, {geometry.neck_diameter:g} mm thick towards a head"
+            f" {geometry.head_height - shoulder:g} mm above the shoulder, does not clear the neck"
+            " cut; raise the head or cut lower"
         )
     part = max(BLEND[0], needed)
     ring = root_ + part * length * axis

@@ -153,13 +153,16 @@ class PatientSurfaces(FemurSurfaces):
         if (missed := within & np.isnan(radii).any(axis=1)).any():
             raise GeometryError(
                 "geometry: the stem's axis is outside of the bone at"
-                f" {self._at_axis(zeta[missed].max())}; cut lower or flatter (resection), or move"
-                " the stem (insertion)"
+                f" {self._at_axis(zeta[missed].max())}; cut lower or flatter (resection), move the"
+                " stem (insertion), or repair the surface, if it crosses itself there"
             )
-        if (twice := float((times[within] > 2).mean())) > TWICE:
+        twice = (times > 2) & within[:, None]
+        if (part := twice[within].mean()) > TWICE:
+            where = self._at_axis(zeta[int(np.median(np.nonzero(twice)[0]))])
             raise GeometryError(
-                f"geometry: {100 * twice:.0f} % of rays across the bone meet its surface more than"
-                " once: it crosses itself or has cavities; repair it where it was made"
+                f"geometry.bone: {100 * part:.0f} % of rays across the bone meet its surface more"
+                f" than once, about {where}: it crosses itself or has cavities; repair it where it"
+                " was made"
             )
         self._bone = Radii(zeta, _limited(radii))
         own = self._own_canal(geometry, canal) if canal else self._table(geometry)
@@ -180,8 +183,9 @@ class PatientSurfaces(FemurSurfaces):
         radii, times = self._rays(canal, zeta)
         rows = np.flatnonzero((times > 0).all(axis=1) & (zeta < self._lid(canal)))
         if not len(rows) or zeta[rows[-1]] < 0.6 * geometry.implant.stem_tip_z:
-            text = "does not surround the stem; is it in the axes of the bone?"
-            raise GeometryError(f"geometry.canal.surface: {text}")
+            aside = float(np.hypot(*canal.points.mean(axis=0)[:2]))
+            text = f"does not surround the stem, and its middle is {aside:.0f} mm beside its axis;"
+            raise GeometryError(f"geometry.canal.surface: {text} is it in the axes of the bone?")
         first, last = rows[[0, -1]]
         if zeta[first] > self._plug - CORE_OVER:
             raise GeometryError(

@@ -30,7 +30,7 @@ LATERAL, HEAD, SHAFT, LEVEL = 31.5, 54.0, 14.4, -50.0
 BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # arrays have no one truth: geometries compare their keys
 class Placement:
     """Bone, canal, cut and stem of a patient.
 
@@ -81,7 +81,7 @@ class Placement:
     def slopes(self) -> tuple[float, float]:
         """Slope of the cut along x of the stem, and along y over that along x."""
         x, y, z = self.normal @ self.turn
-        return x / z, y / x
+        return x / z, y / x if x else 0.0
 
     @property
     def size(self) -> float:
@@ -91,7 +91,7 @@ class Placement:
     def where(self, x: Floats) -> str:
         """A point of the model (3,) in words."""
         below = float(self.normal @ (self.foot - x)) / self.normal[2]
-        return "({:.0f}, {:.0f}, {:.0f}) mm, {:.0f} mm below the cut".format(*x, below)
+        return "({:.0f}, {:.0f}, {:.0f}) mm, {} mm below the cut".format(*x, round(below))
 
     @property
     def trochanter_lost(self) -> float:

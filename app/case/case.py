@@ -244,6 +244,8 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     if mesh.curved is None:
         curved = mesh.order == 2 and case.geometry.has_curved_surfaces
         mesh = mesh.model_copy(update={"curved": curved})
+    with file.placing():
+        case.geometry.check_fit(mesh)
     time = (case.time or TimeOptions()) if case.conducts else None
     title = title_with_changes(case.title, file)
     changes = {"title": title, "regions": regions, "interfaces": laws, "mesh": mesh, "time": time}

@@ -52,9 +52,12 @@ def _between(at: float, values: tuple[float, ...]) -> float:
 
 
 def check_stem(stem: Any, *sections: str) -> None:
-    """Refuse a void without room in the plug, and sections, by their keys, without flat sides."""
-    if 0.0 < stem.tip_void < 1.0:  # cells in less are flat
-        fail("is neither 0 nor 1 mm at least", at=("tip_void",))
+    """Refuse what cannot be meshed: neck, ends, and sections, by their keys, without flat sides."""
+    if not NECK_ANGLES[0] <= math.degrees(stem.neck_angle) <= NECK_ANGLES[1]:
+        fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
+    for name in ("tip_rounding", "tip_void"):  # cells in less are flat
+        if 0.0 < getattr(stem, name, 0.0) < 1.0:
+            fail("is neither 0 nor 1 mm at least", at=(name,))
     if stem.tip_void and stem.tip_void > stem.plug_length - 1.0:
         fail(f"leaves less than 1 mm of {stem.plug_length:g} mm of plug", at=("tip_void",))
     for name in sections:
@@ -78,8 +81,7 @@ class _Femur(Shape):
 
     kind: str
     cement_thickness: Thickness = 4.0
-    """Thickness of the mantle where the canal has room for it, 1 to 8 mm: one, or several by height
-    and side."""
+    """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side."""
     canal_widening: Annotated[float, _length("1 mm", at_least=0.0, at_most=5.0)] = 0.0
     """Reaming: distance by which the endosteal surface is moved outwards, 0 to 5 mm."""
     metaphyseal_cortex: Annotated[float, _length("2 mm", at_least=1.5, at_most=4.0)] | None = None
@@ -140,10 +142,6 @@ class _Femur(Shape):
         plug = self.stem_tip_z - self.plug_length
         if self.distal_cut_z >= plug:
             fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
-        if 0.0 < self.tip_rounding < 1.0:  # cells in less are flat
-            fail("is neither 0 nor 1 mm at least", at=("tip_rounding",))
-        if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
-            fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
         if not 0.0 <= self.resection_angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection_angle",))
         if self._cut >= self.head_height:

@@ -38,9 +38,8 @@ class _Generator(GenerateJsonSchema):
 
     def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
         inner: Any = schema["schema"]
-        if inner["type"] == "tagged-union":
-            inner = inner["choices"].get(f"{TAG}uniform", inner)
-        writer = inner.get("serialization", {})
+        choices = inner["choices"] if inner["type"] == "tagged-union" else {}
+        writer = choices.get(f"{TAG}uniform", inner).get("serialization", {})
         default = schema.get("default")
         if default is not None and writer.get("type") == "function-plain":
             schema = {**schema, "default": writer["function"](default)}

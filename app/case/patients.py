@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from app.case.femurs import BONE, MUSCLES, Femur, check_stem
+from app.case.femurs import BONE, INSIDE, MUSCLES, Femur, check_stem
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.errors import GeometryError, InputError
 from app.schema.paths import File
@@ -19,6 +19,7 @@ from app.schema.section import Pair, Section, Triple, fail
 from app.schema.units import Angle, Dimension, Length, Number, Plain, PositiveLength
 
 SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
+SHORTEST = 50.0  # mm of the stem in the bone
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
 
 
@@ -31,7 +32,7 @@ class Outline(Section):
     """A surface, or that of a label in an image."""
 
     surface: File | None = None
-    """STL file of its triangles; relative to the case file."""
+    """STL, PLY or OBJ file of its triangles; relative to the case file."""
     image: File | None = None
     """Labelled image in place of them: NIfTI, or `values` and `affine` (to mm) in an `.npz`."""
     label: Annotated[int, Plain(integer=True)] | None = None
@@ -125,8 +126,7 @@ class Stem(Section):
     plug_length: PositiveLength = _of_femur("plug_length")
     """Length of cement below the tip."""
     tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] = 0.0
-    """Length without cement below the end, which is flat then: 1 mm at least, and 1 mm less than
-    the plug at most; 0: none."""
+    """Length without cement below the end, flat then; from 1 mm to 1 mm less than the plug."""
 
     @model_validator(mode="after")
     def _solid(self) -> Stem:
@@ -211,8 +211,7 @@ class Patient(Shape):
     insertion: Insertion = Field(default_factory=Insertion)
     """Where the stem is put."""
     cement_thickness: Thickness = 4.0
-    """Thickness of the mantle where the canal has room for it, 1 to 8 mm: one, or several by height
-    and side."""
+    """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side."""
     distal_cut_z: Length | None = None
     """Level at which the shaft is cut and held; by default 70 mm below the plug, or where the
     surface ends."""
@@ -222,16 +221,27 @@ class Patient(Shape):
         try:
             placed = self.placement
         except (GeometryError, InputError) as error:
-            key, found, text = str(error).removeprefix("geometry.").partition(": ")
-            fail(text, at=tuple(key.split("."))) if found and " " not in key else fail(str(error))
+            key, _, text = str(error).removeprefix("geometry.").partition(": ")
+            if Path(key).is_absolute():
+                fail(str(error), at=("bone" if key == str(self.bone.path) else "canal",))
+            fail(text, at=tuple(key.split(".")))
         low = float(placed.bone.points[:, 2].min())
         plug = float(placed.to_model([0.0, 0.0, -self.stem.length - self.stem.plug_length])[2])
         level = self.distal_cut_z
         if level is None:
+            if plug < low + 5.0:
+                text = (
+                    f"puts the plug's end at z = {plug:.0f} mm; expected 5 mm above the surface's"
+                )
+                fail(f"{text}, at {low:.0f} mm", at=("stem", "length"))
             level = self.__dict__["distal_cut_z"] = round(max(plug - SHAFT, low + 3.0), 1)
         if not low + 2.0 < level < plug - 2.0:
             text = f"{level:g} mm is not between the end of the surface and that of the plug"
             fail(f"{text}, {low:.0f} and {plug:.0f} mm", at=("distal_cut_z",))
+        least, inside = max(INSIDE * self.stem.length, SHORTEST), self.stem.length + placed.top
+        if inside < least:
+            text = f"leaves {inside:.0f} mm of the stem below the cut; expected {least:.0f} mm"
+            fail(text, at=("insertion", "depth"))
         return self
 
     @property
@@ -254,6 +264,18 @@ class Patient(Shape):
     def placement(self) -> Any:
         """Bone, cut and stem in the model's axes (`meshes.placement.Placement`)."""
         return import_module("meshes.placement").place(self)  # by name: no other case needs scipy
+
+    def grid(self, mesh: MeshOptions) -> dict[str, Any]:
+        """Cells through the layers."""
+        through = mesh.cells_through(self.cement_thickness)
+        return {"cells through cement, cancellous and cortical bone": through}
+
+    def check_fit(self, mesh: MeshOptions) -> None:
+        """Raise InputError, with the place, if the stem does not fit into the bone."""
+        try:
+            import_module("meshes.patient_surfaces").PatientSurfaces(self, mesh, self.placement)
+        except GeometryError as error:
+            raise InputError(str(error)) from error
 
     @property
     def head_centre(self) -> Point3:

@@ -84,8 +84,9 @@ class SolverOptions(Section):
     """Residual relative to the scale of the forces at which a step has converged."""
     max_iterations: units.PositiveInteger = 40
     """Largest number of Newton iterations in a step."""
-    linear: Literal["auto", "direct", "multigrid"] = "auto"
-    """Linear solver; `auto` is direct for small models."""
+    linear: Literal["auto", "direct", "multigrid", "condensed"] = "auto"
+    """Linear solver: factors, multigrid, or at second order the bodies condensed onto the jumps of
+    contact; `auto` takes what is foreseen to be fastest."""
     petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc), MAPPING] = Field(
         default_factory=dict
     )

@@ -29,16 +29,14 @@ GRADING = {"below": (1.0, 1.4, 0.2), "stem": (0.6, 1.0, 0.06)}
 # Keys of a graded thickness: equally far apart from the tip to the neck cut, and around the stem.
 HEIGHTS = ("distal", "middle", "proximal")
 SIDES = ("medial", "anterior", "lateral", "posterior")
-THINNEST, THICKEST = 1.0, 8.0  # mm
-_LENGTH = Dimension("mm", "a length", "4 mm", at_least=THINNEST, at_most=THICKEST)
+_LENGTH = Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
 _Thickness = Annotated[float, _LENGTH]
 
 
 class GradedThickness(Section):
     """Thickness of a mantle by height, by side, or both.
 
-    Between heights it is linear, between sides half a wave of a cosine. With both, heights give the
-    mean around, sides the ratios to it.
+    Linear between heights, half a wave between sides; with both, sides give ratios to the mean.
     """
 
     proximal: _Thickness | None = None
@@ -75,10 +73,9 @@ class GradedThickness(Section):
         for keys, own in zip((HEIGHTS, SIDES), given, strict=True):
             if len(own) == 1 or not any(given):
                 fail(f"is not enough; expected at least two of {', '.join(keys)}", at=tuple(own))
-        least, _, most = spread(self)
-        if least < THINNEST or most > THICKEST:
-            text = f"heights and sides together give {least:.3g} to {most:.3g} mm"
-            fail(f"{text}; expected {THINNEST:g} to {THICKEST:g} mm")
+        least, _, most = (round(t, 9) for t in spread(self))
+        if least < 1.0 or most > 8.0:
+            fail(f"is {least:.3g} to {most:.3g} mm by height and side; expected 1 to 8 mm")
         return self
 
 
@@ -163,6 +160,9 @@ class Shape(Section):
     def told(self) -> dict[str, Any]:
         """What else is known of it, for `mantle check`."""
         return {}
+
+    def check_fit(self, mesh: MeshOptions) -> None:
+        """Raise InputError if a stem does not fit into a measured bone."""
 
     def grid(self, mesh: MeshOptions) -> dict[str, Any]:
         """Lines around, steps along and cells through the layers, where there are layers."""

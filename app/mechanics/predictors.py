@@ -51,7 +51,10 @@ class Predictor(Protocol):
 
 
 class Extrapolation:
-    """Line through the last two states; all states where loads turn, as where a stage begins."""
+    """Line through the last two states.
+
+    Where loads turn, as where a stage begins: all states, or the last cycle once more.
+    """
 
     def __init__(self, solver: Solver, last_turn: Callable[[float], float]) -> None:
         self._solver, self._last_turn = solver, last_turn
@@ -73,6 +76,8 @@ class Extrapolation:
             x.axpby(-s, 1.0 + s, x0)
         else:
             x = mixture(self._solver, x1, [state for _, state in self._trail[:-1]])
+            if len(self._trail) > 2:  # a cycle changes what the one before it changed
+                take_better(self._solver, x0 + x1 - self._trail[-3][1])
         take_better(self._solver, x)
 
     def commit(self, time: float) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -10,15 +12,18 @@ from app.arrays import Ints
 from app.mechanics.coarse_space import free_directions, sliding_motions
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
+from app.numerics.condensed import Condensed, usable
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
 from app.numerics.sparse import block_diagonal, fill
 from app.numerics.system import Measure, System, size
 
 
-def mechanical(problem: Problem) -> BondedSystem | ContactSystem:
-    """The system of a mechanical problem."""
-    return ContactSystem(problem) if problem.contact else BondedSystem(problem)
+def mechanical(
+    problem: Problem, solves: float = 1.0, memory: float = math.inf
+) -> BondedSystem | ContactSystem:
+    """The system of a mechanical problem, for so many solves in so much memory [byte]."""
+    return ContactSystem(problem, solves, memory) if problem.contact else BondedSystem(problem)
 
 
 class BondedSystem(System):
@@ -73,15 +78,20 @@ class ContactSystem(BondedSystem):
         contact: Contact of the interfaces.
         trial: Contact at the state of the last residual or Jacobian.
         rows: Factor of equilibrium in the rows of the jumps, 1 - P' as last set.
+
+    Args:
+        solves: Number of solves foreseen; 0 if it is not to be condensed.
+        memory: Memory of a rank [byte].
     """
 
     contact: ContactInterfaces
     trial: TrialState
     newton: Options = {}  # noqa: RUF012
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, solves: float = 0.0, memory: float = math.inf) -> None:
         super().__init__(problem)
         assert problem.contact is not None
+        self._solves, self._memory = solves, memory
         contact = self.contact = problem.contact
         self._C = contact.coupling.C.copy()
         self._C.zeroRows(problem.stiffness.rows, diag=0.0)
@@ -124,12 +134,23 @@ class ContactSystem(BondedSystem):
             contact.coupling.C.copy(self._C)
             self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
         self.trial = self._problem.trial(*x)
-        times, added = contact.row_factors(self.trial.law)
+        times, added = self._factors = contact.row_factors(self.trial.law)
         fill(self.rows, times)
         fill(self._added, added)
         self.rows.matMult(contact.coupling.Ct, result=self._A_qu)
         self.rows.matMult(contact.coupling.D, result=self._A_qq)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+
+    def exact(self, linear: str) -> Condensed | None:
+        """Condensed onto the jumps, if that is asked for or pays at second order; collective."""
+        problem, K = self._problem, self._problem.stiffness.K
+        asked = linear == "condensed"
+        often = linear == "auto" and problem.scene.order > 1 and problem.setting is None
+        if not (self._solves and (asked or often)) or not usable(K.getSize()[0], K.comm.tompi4py()):
+            return None
+        parts = K, self._C, self.contact.coupling.D
+        found = Condensed(lambda: parts, lambda: self._coupled, lambda: self._factors)
+        return found if asked or found.pays(self._solves, self._memory) else None
 
     def coarse_space(self) -> CoarseSpace:
         """Motions of bodies that slide, lift off or bend away."""

@@ -51,9 +51,10 @@ class Linear:
         matrix: The Jacobian: one matrix, or one of blocks (MATNEST).
         options: PETSc options that the solver needs.
         factored: Whether contact blocks are factorized instead of swept.
+        exact: The inverse of the Jacobian, if condensed.
     """
 
-    def __init__(self, system: System, linear: str, timing: Timing) -> None:
+    def __init__(self, system: System, linear: str, given: Options, timing: Timing) -> None:
         self._system, self._timing = system, timing
         blocks = system.blocks()
         self._names = list(blocks)
@@ -63,10 +64,16 @@ class Linear:
         else:
             self.matrix = PETSc.Mat().createNest(matrices, comm=system.comm)
             self.matrix.assemble()
-        parts = system.options(linear)
+        # Options for parts of a Krylov method ask for one.
+        krylov = any(key.startswith(("ksp_", "pc_", "fieldsplit_")) for key in given)
+        self.exact = None if krylov else system.exact(linear)
+        if self.exact:
+            self.options: Options = {"ksp_type": "preonly"}
+        parts = {} if self.exact else system.options(linear)
         # Options by block, or of all blocks at once.
         self._split = len(blocks) > 1 and set(parts) == set(blocks)
-        self.options = dict(KRYLOV)
+        if not self.exact:
+            self.options = dict(KRYLOV)
         for name, of_block in parts.items():
             prefix = f"fieldsplit_{name}_" if self._split else ""
             self.options |= {f"{prefix}{key}": value for key, value in of_block.items()}
@@ -94,7 +101,10 @@ class Linear:
         given = PETSc.Options(ksp.getOptionsPrefix()).getAll()
         own: list[PETSc.PC] = []
         with self._timing.phase("factorize"):
-            if self._split and pc.getType() == "fieldsplit":
+            if self.exact:
+                pc = PETSc.PC().createPython(self.exact, comm=self._system.comm)
+                parts = {}
+            elif self._split and pc.getType() == "fieldsplit":
                 parts = self._gauss_seidel(pc, given)
                 own = [parts[n] for n in KEPT if n in parts and n not in self._system.inverses]
             elif len(self._names) == 1 and self._system.inverses:
@@ -115,7 +125,7 @@ class Linear:
             part.setReusePreconditioner(True)
         self._own = own
         deflated = "; rigid sliding modes deflated" if coarse is not None else ""
-        log.info("solver: %s%s", self._described(parts), deflated)
+        log.info("solver: %s%s", self.exact or self._described(parts), deflated)
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
         """Blocks in turn, each by its own preconditioner or a shared one."""

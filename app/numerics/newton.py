@@ -6,6 +6,7 @@ Newton is semismooth, with the generalized Jacobian of the system; its linear so
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import math
 import re
@@ -21,7 +22,7 @@ import numpy as np
 from app.arrays import Floats, Ints
 from app.errors import InputError, StoppedError
 from app.numerics.krylov import BLOCKS, Linear
-from app.numerics.preconditioners import USED, Options, options_set
+from app.numerics.preconditioners import PETSC, USED, Options, options_set
 from app.numerics.system import Measure, System
 from app.system.timing import Timing
 
@@ -179,7 +180,7 @@ class Solver:
         self.active = ActiveSet(system.comm)
         self._timing, self._stop = timing, stop
         self._templates = system.blocks()
-        self.linear = Linear(system, linear, timing)
+        self.linear = Linear(system, linear, options, timing)
         defaults = NEWTON | {"snes_max_it": max_iterations} | system.newton
         self.options = defaults | self.linear.options | options
         self._search = self.usual_search
@@ -202,6 +203,9 @@ class Solver:
             with options_set(system.prefix, self.options):
                 snes.setFromOptions()
                 self.linear.attach(snes.getKSP(), self.blocks())
+            if len(self._templates) == 1 and system.inverses:
+                # SNES would set the shared inverse up once more; petsc4py has no such call.
+                PETSC.SNESSetLagPreconditioner(ctypes.c_void_p(snes.handle), -1)
         except PETSc.Error as error:
             if not options or error.ierr == OUT_OF_MEMORY:
                 raise

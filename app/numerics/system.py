@@ -17,6 +17,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats, Ints
+from app.numerics.condensed import Condensed
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import Inverse, Options
 
@@ -109,6 +110,10 @@ class System(Protocol):
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Size of the residual f of a state x, by part; collective."""
+
+    def exact(self, linear: str) -> Condensed | None:
+        """The inverse of the Jacobian, where it is to be used."""
+        return None
 
     def coarse_space(self) -> CoarseSpace | None:
         """Sliding motions that the last Jacobian hardly resists, to be deflated; None without."""

@@ -31,7 +31,7 @@ from app.results.interface_numbers import ContactSamples, Surface
 from app.results.stresses import Stresses, bonds
 from app.scene.scene import Scene, Stage, build_scene
 from app.simulation.thermal_model import ThermalModel
-from app.soundness import cost, well_posedness
+from app.soundness import cost, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_state import HeatState, HeatStep
@@ -114,6 +114,7 @@ class Model:
         reuse: An earlier model with the same options. Its meshes are reused, and its mechanics
             too if loads and laws alone differ; it must not be used afterwards.
         judged: Whether to look for what makes the case unsolvable or doubtful on its mesh.
+        runs: Number of runs that may follow on the same matrices, this one included.
 
     Attributes:
         mesh_hash: Digest of the mesh.
@@ -133,7 +134,9 @@ class Model:
         stop: Callable[[], str],
         reuse: Model | None = None,
         judged: bool = True,
+        runs: int = 1,
     ) -> None:
+        self._runs = runs
         self._case, self._timing = case, timing
         self.options, self.stop = options, stop
         # Shared by all models that follow one another.
@@ -187,7 +190,8 @@ class Model:
                 like = like or m.problem
         factor, timing = case.solver.augmentation_factor, self._timing
         problem = Problem(self.scene, self.tagged, factor, timing, like)
-        solver = self._solver(mechanical(problem))
+        solves = 0 if self.scene.coupled else self._runs * sum(cost.solves(case))
+        solver = self._solver(mechanical(problem, solves, memory.available()))
         return Mechanical(problem, solver, case.geometry, timing)
 
     def _heat(self) -> ThermalModel | None:
@@ -273,7 +277,7 @@ class Model:
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
         """States of earlier models and, for large models, a start from a cheaper one."""
-        if m.problem.contact is None or self.scene.conductors:
+        if m.problem.contact is None or self.scene.conductors or m.solver.linear.exact:
             return (m.neighbours,)
         case = cheaper(self._case, sum(m.solver.block_sizes.values()))
         if case is None:

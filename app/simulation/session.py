@@ -219,7 +219,8 @@ class _CaseRun:
         found = None
         if setup.restart:
             found = checkpoint.find(comm, setup.restart, output, case, setup.force)
-        model = Model(case, comm, setup.options, setup.timing, setup.stop, setup.model)
+        common = setup.options, setup.timing, setup.stop, setup.model
+        model = Model(case, comm, *common, runs=max(1, len(loaded.variations)))
         self._model = setup.model = model
         self._notes = [*preview.warnings(case), *model.notes]
         setup.note(self._notes)

@@ -127,16 +127,22 @@ def _solution(case: Case, size: _Size) -> float:
     """Time of the solver alone [s]."""
     mechanical, thermal = 3 * (size.nodes + size.jumps), size.temperatures + size.steps
     price = PRICE[case.mesh.order] * (mechanical / 1e5) ** GROWTH
+    loads, moments = solves(case)
+    loading = price * (1.0 + LATER * max(0, loads + moments - 1)) if mechanical else 0.0
+    heating = moments * (TIME_STEP + HEAT * thermal)
+    errors = WITH_HEAT_ERRORS if moments else WITH_ERRORS
+    return (loading + heating) * (errors if case.output.error else 1.0)
+
+
+def solves(case: Case) -> tuple[int, int]:
+    """Load steps that are solved, and time steps, estimated."""
     timed = sum(1 for stage in case.stages if stage.duration)
     sets = any(r.thermal is not None and r.thermal.cure is not None for r in case.regions.values())
     moments = HEAT_STEPS * timed + SETTING_STEPS * (sets and timed > 0)
     steps = sum(stage.increments * stage.ways for stage in case.stages if not stage.duration)
     if _proportional(case):
         steps -= case.stages[0].increments - 1  # the first step tells the others
-    loading = price * (1.0 + LATER * max(0, steps + moments - 1)) if mechanical else 0.0
-    heating = moments * (TIME_STEP + HEAT * thermal)
-    errors = WITH_HEAT_ERRORS if timed else WITH_ERRORS
-    return (loading + heating) * (errors if case.output.error else 1.0)
+    return steps, moments
 
 
 def _proportional(case: Case) -> bool:

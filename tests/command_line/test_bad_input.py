@@ -96,7 +96,7 @@ def test_what_only_the_mesher_sees_has_its_place_too(
     text = TABLE["femur"]["case"]
     path.write_text(text.replace("kind: femur}", "kind: femur,\n  stem_length: 136 mm}"))
     assert main(["check", str(path), "--mesh"]) == 3
-    assert f"{path}:2:3: geometry.stem_length: the stem's shoulder" in capsys.readouterr().err
+    assert f"{path}:1:1: geometry: the stem's shoulder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("wrong", ["stem_length: 250 mm", "stem_legth: 147 mm", "neck_angle: 2"])

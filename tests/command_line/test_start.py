@@ -188,8 +188,7 @@ FEMUR = """
 geometry.cement_thickness  (kind femur)
 geometry.cement_thickness  (kind intact_femur)
 geometry.cement_thickness  (kind patient)
-  Thickness of the mantle where the canal has room for it, 1 to 8 mm: one, or several by height
-  and side.
+  Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side.
   value    length, at least 1 and at most 8, e.g. 4 mm or section
   unit     mm
   default  4.0 mm

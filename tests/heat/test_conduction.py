@@ -21,7 +21,6 @@ from app.errors import InputError
 from app.heat.implicit_step import ImplicitStep
 from app.heat.matrices import WORTH, KeptFactors
 from app.heat.operators import HeatOperators
-from app.laws.fibres import Straight
 from app.laws.heat_conditions import FixedTemperature, HeatCondition
 from app.laws.thermal import Thermal
 from app.numerics.integrator import METHODS
@@ -147,26 +146,6 @@ def test_two_bars_with_resistance(h: float) -> None:
         assert q == pytest.approx(1.704821, abs=1e-6)
         assert s.celsius("cement")[1].min() == pytest.approx(57.3795, abs=1e-4)
         assert s.celsius("bone")[1].max() == pytest.approx(51.6967, abs=1e-4)
-
-
-@pytest.mark.parametrize("fibre", [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8), tuple(np.ones(3) / 3**0.5)])
-def test_conduction_along_and_across_a_fibre(fibre: tuple[float, float, float]) -> None:
-    """A linear temperature is exact; its flux is -K g with K = k_t I + (k_l - k_t) m m^T."""
-    g = np.array([3.0, -2.0, 5.0])
-    given = lambda x: 310.0 + x @ g  # noqa: E731
-    sides = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
-    heat: list[HeatCondition] = [laws.temperature(s, given, boundary=s) for s in sides]
-    k_l, k_t = 0.6, 0.35
-    bone = laws.conductor("bone", (k_l, k_t), Straight.model_construct(axis=fibre), 2.5, 310.0)
-    s = Solved(scene([bone], heat), stack(0.8, ("bone", 3.0))).steady()
-    x, T = s.celsius("bone")
-    assert T + ZERO == pytest.approx(310.0 + x @ g, abs=1e-9)
-    K = k_t * np.eye(3) + (k_l - k_t) * np.outer(fibre, fibre)
-    # Heat into the model times position, summed, is the volume times K g.
-    r = s.step.at(s.x).lacking[0]
-    moment = r @ s.operators.forms.space.tabulate_dof_coordinates()[: s.operators.forms.owned]
-    assert moment == pytest.approx(12.0 * K @ g, rel=1e-9)
-    assert sum(s.flows.values()) == pytest.approx(0.0, abs=1e-9 * np.abs(K @ g).max())
 
 
 def test_convection_in_series_with_a_bar() -> None:

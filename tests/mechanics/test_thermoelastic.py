@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from app.arrays import Floats
 from app.results.stresses import bonds
 from tests import support
 from tests.heated import Heated, expanding
@@ -102,40 +101,6 @@ UNILATERAL = (
 )
 
 
-def near(cylinders: Heated, region: str, radius: float) -> tuple[Floats, Floats]:
-    """Radial and hoop stress of a region, extrapolated to a radius from a fit in 1/r²."""
-    problem = cylinders.problem
-    geometry = problem.tagged.mesh.geometry
-    cells = cylinders.stresses.cells[region]
-    corners = geometry.x[geometry.dofmap[cells][:, :4]]
-    points = cylinders.stresses._points
-    N = np.column_stack([1 - points.sum(axis=1), points])
-    x = np.einsum("qn,cni->cqi", N, corners).reshape(-1, 3)
-    r = np.hypot(x[:, 0], x[:, 1])
-    e_r = np.column_stack([x[:, 0] / r, x[:, 1] / r, 0 * r])
-    e_t = np.column_stack([-x[:, 1] / r, x[:, 0] / r, 0 * r])
-    σ = cylinders.stress(region)
-    A = np.column_stack([np.ones(len(r)), 1 / r**2])
-    found = [
-        np.linalg.lstsq(A, np.einsum("pi,pij,pj->p", e, σ, e))[0] @ [1, 1 / radius**2]
-        for e in (e_r, e_t)
-    ]
-    return found[0], found[1]
-
-
-def test_cylinders_cooled_that_can_part() -> None:
-    """physics.md 3.2: the bone opens by 0.02332 mm, the stem is gripped by 3.929 MPa."""
-    cold = Heated.make(CYLINDERS, expanding(cement=80e-6), *UNILATERAL)
-    samples = cold.solve({"cement": 260.0})
-    assert samples is not None
-    stem, bone = samples.numbers["stem_cement"], samples.numbers["cement_bone"]
-    assert bone["gap_mean"] == pytest.approx(0.02332, rel=2e-3)
-    assert bone["open_fraction"] == 1
-    assert stem["pressure_mean"] == pytest.approx(3.929, rel=2e-3)
-    assert near(cold, "cement", 6.0)[1] == pytest.approx(8.349, rel=2e-3)
-    assert cold.balance.energy < 1e-9
-
-
 def test_thermal_stiffness_is_the_change_of_the_forces() -> None:
     """Linear in temperature: the matrices times T - T_ref are the forces set_temperature sets.
 
@@ -178,7 +143,7 @@ def test_thermal_stiffness_is_the_change_of_the_forces() -> None:
 
 @pytest.mark.parametrize(("curved", "tolerance"), [("true", 0.01), ("false", 0.03)])
 def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
-    """physics.md 3.2: σ_rr 5.696 and 7.884 MPa on the stem and the bone, hoop 12.534 MPa.
+    """physics.md 3.2: σ_rr 5.696 and 7.884 MPa on the stem and the bone.
 
     No bond stands that, none fails at an eighth of it.
     """
@@ -186,11 +151,6 @@ def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
     for fall, fraction in ((40.0, 1.0), (5.0, 0.0)):
         cold.solve({"cement": 300.0 - fall})
         found = bonds(cold.problem, cold.stresses)
-        if curved == "true":
-            radial, hoop = near(cold, "cement", 6.0)
-            assert radial == pytest.approx(5.696 * fall / 40, rel=1e-3)
-            assert hoop == pytest.approx(12.534 * fall / 40, rel=1e-3)
-            assert near(cold, "cement", 10.0)[0] == pytest.approx(7.884 * fall / 40, rel=1e-3)
         assert cold.balance.energy < 1e-10
         for name, full in (("stem_cement", 5.696), ("cement_bone", 7.884)):
             numbers, exact = found[name], full * fall / 40

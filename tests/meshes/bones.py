@@ -34,21 +34,24 @@ def own() -> BoneSurface:
     return BoneSurface(data.points[used], triangles.reshape(-1, 3))
 
 
+def tube(rings: Floats) -> BoneSurface:
+    """A surface through rings from below (n, k, 3), with flat ends."""
+    n, k = rings.shape[:2]
+    points = np.concatenate([rings.reshape(-1, 3), rings[[0, -1]].mean(axis=1)])
+    i, j = (v.ravel() for v in np.meshgrid(np.arange(n - 1), np.arange(k), indexing="ij"))
+    a, b = k * i + j, k * i + (j + 1) % k
+    j, after, top = np.arange(k), (np.arange(k) + 1) % k, (n - 1) * k
+    low, high = np.full(k, n * k), np.full(k, n * k + 1)
+    sides = [np.stack([a, b, b + k], 1), np.stack([a, b + k, a + k], 1)]
+    caps = [np.stack([after, j, low], 1), np.stack([top + j, top + after, high], 1)]
+    return BoneSurface(points, np.concatenate(sides + caps))
+
+
 def own_canal() -> BoneSurface:
     """The canal of mantle's femur, between two levels, with flat ends."""
-    theta, z = 2 * np.pi * np.arange(48) / 48, np.linspace(-250.0, -25.0, 80)
-    radius = femur_bone.Tube(femur_bone.CANAL).radius(*np.meshgrid(theta, z))
-    x, y = radius * np.cos(theta), radius * np.sin(theta)
-    rings = np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], axis=2)
-    ends = [[0.0, 0.0, z[0]], [0.0, 0.0, z[-1]]]
-    points = np.concatenate([rings.reshape(-1, 3), ends])
-    i, j = (v.ravel() for v in np.meshgrid(np.arange(79), np.arange(48), indexing="ij"))
-    a, b = 48 * i + j, 48 * i + (j + 1) % 48
-    j, after = np.arange(48), (np.arange(48) + 1) % 48
-    low, high = np.full(48, 3840), np.full(48, 3841)
-    sides = [np.stack([a, b, b + 48], 1), np.stack([a, b + 48, a + 48], 1)]
-    caps = [np.stack([after, j, low], 1), np.stack([3792 + j, 3792 + after, high], 1)]
-    return BoneSurface(points, np.concatenate(sides + caps))
+    theta, z = np.meshgrid(2 * np.pi * np.arange(48) / 48, np.linspace(-250.0, -25.0, 80))
+    radius = femur_bone.Tube(femur_bone.CANAL).radius(theta, z)
+    return tube(np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=2))
 
 
 def moved(surface: BoneSurface, turn: Floats, shift: Floats) -> BoneSurface:

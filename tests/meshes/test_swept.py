@@ -18,7 +18,6 @@ from meshes import (
     femur_bone,
     femur_intact,
     femur_stem,
-    mantle,
     quality,
     reference_body,
     swept,
@@ -27,7 +26,6 @@ from meshes import (
 from meshes.data import (
     EDGES,
     MeshData,
-    cell_volumes,
     facet_areas,
     interface_facets,
     region_volumes,
@@ -148,58 +146,6 @@ def test_cement_is_left_out_below_the_end() -> None:
     for d, bears in ((data, False), (full, True)):
         facets, _, _ = interface_facets(d, "stem_cement")
         assert (d.points[facets[:, :3], 2].max(axis=1) < -118.0 + 1e-6).any() == bears
-
-
-def test_facets_approach_the_normals_of_the_exact_surface() -> None:
-    """Angles of the stem's facets to the exact normals halve with the mesh size."""
-    geometry = hip()
-    body = femur_stem.body(geometry)
-
-    def mean_angle(size: float) -> float:
-        data = built(size)
-        facets, _, _ = interface_facets(data, "stem_cement")
-        corners = data.points[facets]
-        flank = geometry.stem_tip_z + geometry.tip_rounding
-        facets = facets[corners[:, :, 2].max(axis=1) > flank + 1e-6]
-        a, b, c = data.points[facets].transpose(1, 0, 2)
-        normals = np.cross(b - a, c - a)
-        areas = np.linalg.norm(normals, axis=1)
-        normals /= areas[:, None]
-        x = data.points[facets].mean(axis=1)
-        step = 1e-5
-
-        def level(p: Any) -> Any:
-            return np.hypot(p[:, 0], p[:, 1]) - body.radius(np.arctan2(p[:, 1], p[:, 0]), p[:, 2])
-
-        slope = np.stack([level(x + step * e) - level(x - step * e) for e in np.eye(3)], axis=1)
-        slope /= np.linalg.norm(slope, axis=1)[:, None]
-        angle = np.arccos(np.clip(np.abs((slope * normals).sum(axis=1)), -1.0, 1.0))
-        return float(np.average(angle, weights=areas))
-
-    coarse, fine = mean_angle(6.0), mean_angle(3.0)
-    assert np.degrees(fine) < 5.0
-    assert fine < 0.7 * coarse
-
-
-def test_the_volume_of_the_stem_converges_to_its_integral() -> None:
-    """Body between its end and the neck cut, by curved cells of two sizes."""
-    geometry = hip()
-    body = femur_stem.body(geometry)
-    end = geometry.stem_tip_z + geometry.tip_rounding
-    z = np.linspace(end, 0.0, 20001)
-    a, b, r = body.section(z)
-    exact = float(np.trapezoid(4 * a * b - (4 - np.pi) * r**2, z))
-
-    def below(size: float) -> float:
-        data = built(size, curved=True)
-        own = data.cells[data.cell_tags == data.regions["stem"]]
-        # Cells that the levels cut count by the part of their corners' lattice below it.
-        level = data.points[own[:, :4], 2] @ mantle.LATTICE.T
-        part = ((level > end) & (level < 0.0)).mean(axis=1)
-        return float(cell_volumes(data.points, own) @ part)
-
-    assert below(6.0) == pytest.approx(exact, rel=0.01)
-    assert below(3.0) == pytest.approx(exact, rel=0.003)
 
 
 # ------------------------------------------------------------------------------ sizes
@@ -415,8 +361,8 @@ def test_curved_cells_are_positive_everywhere() -> None:
     ("values", "words"),
     [
         ({"stem_half_width": 14.0}, "the canal leaves .* laterally.*canal_widening"),
-        ({"stem_length": 130.0}, "geometry.stem_length: the stem's shoulder.* below the neck cut"),
-        ({"head_height": 0.0}, "geometry.head_height: the neck.*does not clear the neck cut"),
+        ({"stem_length": 130.0}, "the stem's shoulder is .* below the neck cut"),
+        ({"head_height": 0.0}, "the neck.*does not clear the neck cut"),
         ({"neck_fillet": 8.0, "head_height": 36.0}, "geometry.neck_fillet: 8 mm .*at most 6"),
     ],
 )

@@ -49,7 +49,7 @@ TURNS = (
 )
 # A support that gives jumps: it holds stem and cement where they meet, and moves.
 SIDES = "supports.sink={kind: displacement, boundary: bottom, z: -0.002 mm, history: [0.5, 1]}"
-AT_FIRST = ("mesh.order=2", "mesh.size=4 mm", "mesh.far_size=4 mm")
+AT_FIRST = ("mesh.order=2", "solver.linear=multigrid", "mesh.size=4 mm", "mesh.far_size=4 mm")
 ALWAYS = {"LARGE": 1000}
 BLOCKS = """
 geometry: {kind: blocks, blocks: [{name: base, size: [9 mm, 7 mm, 4 mm]},

@@ -115,63 +115,6 @@ def test_compliance_of_a_fibrous_material() -> None:
     np.testing.assert_allclose(bone.stress(ε, (1, 1, 1)), 10 * M, atol=1e-11)
 
 
-@pytest.mark.parametrize("radial", [False, True])
-def test_ring_of_fibres(radial: bool) -> None:
-    """In equilibrium, by the compliance turned to the fibre, and pressed inside alone."""
-    material = exact.Fibrous(12e3, 2e3, 0.4, 0.3, 1e3)
-    ring = exact.FibreRing(5, 10, 10.0, material, radial)
-
-    def σ(x: np.ndarray) -> np.ndarray:
-        ε = strain(ring.displacement, x)
-        r = x * [1, 1, 0]
-        fibres = r if radial else np.cross([0, 0, 1], r)
-        return np.array([material.stress(e, m) for e, m in zip(ε, fibres, strict=True)])
-
-    x = points(20, (3.6, 3.6, 0), (7, 7, 1))
-    assert np.abs(divergence(σ, x)).max() < 1e-5
-    r = np.hypot(x[:, 0], x[:, 1])
-    n = x * [1, 1, 0] / r[:, None]
-    radial_stress, hoop = ring.stress(r)
-    assert np.einsum("ni,nij,nj->n", n, σ(x), n) == pytest.approx(radial_stress, abs=1e-6)
-    t = np.cross([0, 0, 1], n)
-    assert np.einsum("ni,nij,nj->n", t, σ(x), t) == pytest.approx(hoop, abs=1e-6)
-    assert ring.stress(np.array([5.0, 10.0]))[0] == pytest.approx([-10, 0])
-
-
-def test_oval_fit_satisfies_its_equations() -> None:
-    """Equilibrium in both bodies, free outer surface, equal tractions and the jump on r = b."""
-    fit = exact.OvalFit(7, 12, STEM, CEMENT, 0.01, 0.003)
-    θ = np.linspace(0.1, 6, 9)
-    n = np.column_stack([np.cos(θ), np.sin(θ), 0 * θ])
-
-    def core(x: np.ndarray) -> np.ndarray:
-        return fit.displacement(x, in_core=True)
-
-    def ring(x: np.ndarray) -> np.ndarray:
-        return fit.displacement(x, in_core=False)
-
-    for u, material, r in ((core, STEM, 4.0), (ring, CEMENT, 9.0)):
-        assert np.abs(divergence(stress(u, material), r * n)).max() < 1e-6
-    outer = np.einsum("nij,nj->ni", stress(ring, CEMENT)(12 * n), n)
-    assert np.abs(outer).max() < 1e-8
-    p = fit.pressure(7 * n)[:, None]
-    for u, material in ((core, STEM), (ring, CEMENT)):
-        traction = np.einsum("nij,nj->ni", stress(u, material)(7 * n), n)
-        np.testing.assert_allclose(traction, -p * n, atol=1e-8)
-    jump = np.einsum("ni,ni->n", ring(7 * n) - core(7 * n), n)
-    np.testing.assert_allclose(jump, 0.01 + 0.003 * np.cos(2 * θ), atol=1e-14)
-    assert p.min() > 1.3 and p.max() < 1.5
-
-
-def test_body_force_of_the_manufactured_solution() -> None:
-    """What the case prescribes is minus the divergence of the stress."""
-    case = YAML(typ="safe").load(CASES / "sine.yaml")
-    x = points(9, (0, 0, 0), (2, 2, 2))
-    given = np.column_stack([evaluate(b, x) for b in case["loads"]["weight"]["density"]])
-    σ = stress(lambda y: exact.sine(y, 0.01, 2.0), CEMENT)
-    np.testing.assert_allclose(given, -divergence(σ, x), atol=1e-5 * np.abs(given).max())
-
-
 @pytest.mark.parametrize(
     ("u", "case"), [(flamant, "hertz_line.yaml"), (boussinesq, "hertz_ball.yaml")]
 )

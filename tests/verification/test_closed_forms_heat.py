@@ -7,27 +7,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 from scipy.integrate import quad
 
-from app.schema.expressions import evaluate
 from app.verification import closed_forms_coupled as coupled
 from app.verification import closed_forms_heat as exact
-from app.verification.closed_forms import lame, lame_pressure
+from app.verification.closed_forms import lame_pressure
 from tests.verification.test_closed_forms import slope
-
-CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
 
 CEMENT, CORTICAL = (0.2, 1.74), (0.58, 2.331)
 PMMA = exact.ExactKinetics(2.6397e8, 62866.0, 0.98, 1.064)
 RISE = 89.0805
-
-Scalar = Callable[[Any], float]
 
 
 def test_bars_and_rings_with_a_resistance() -> None:
@@ -102,15 +94,6 @@ def test_half_spaces_obey_their_interface(h: float) -> None:
     assert into == pytest.approx(out, rel=2e-3)
     jump = T(0.0, 5.0, True) - T(0.0, 5.0, False)
     assert jump == pytest.approx(0 if math.isinf(h) else into / h, rel=3e-3, abs=1e-9)
-
-
-def test_resistance_fades_with_time_and_conductance() -> None:
-    perfect = exact.HalfSpaces(CEMENT, CORTICAL, (100, 37))
-    for h, t in ((1e6, 1.0), (0.3, 1e9)):
-        spaces = exact.HalfSpaces(CEMENT, CORTICAL, (100, 37), h)
-        assert spaces.temperature(np.zeros(1), t, True)[0] == pytest.approx(
-            perfect.contact, abs=1e-2
-        )
 
 
 def test_frictional_heating() -> None:
@@ -228,89 +211,3 @@ def test_heated_walls_have_one_or_three_states() -> None:
         assert state.flux == pytest.approx(h * (state.first - state.second))
         hot = walls.temperatures[0] - state.flux * walls.lengths[0] / walls.conductivities[0]
         assert state.first == pytest.approx(hot)
-
-
-WAVY = coupled.WavyContact()
-
-
-def wavy(upper: bool) -> tuple[Scalar, Scalar]:
-    """Temperature and vertical displacement at a point (3,) of one block of a wavy contact."""
-
-    def T(x: Any) -> float:
-        return float(WAVY.temperature(np.array([x]), upper)[0])
-
-    def w(x: Any) -> float:
-        return float(WAVY.displacement(np.array([x]), upper)[0, 2])
-
-    return T, w
-
-
-@pytest.mark.parametrize("upper", [False, True])
-@pytest.mark.parametrize("x", [0.0, 0.3, 1.7])
-def test_wavy_contact_balances_at_its_interface(upper: bool, x: float) -> None:
-    """Traction and heat flux at z = H are those of the pressure."""
-    λ, μ = lame(WAVY.materials[upper])
-    T, w = wavy(upper)
-    p = float(WAVY.pressures(np.array([[x, 0, 1]]))[0])
-    strain = slope(lambda z: w([x, 0, z]), 1.0)
-    thermal = (3 * λ + 2 * μ) * WAVY.expansions[upper] * (T([x, 0, 1]) - 37)
-    assert (λ + 2 * μ) * strain - thermal == pytest.approx(-p)
-    down = slope(lambda z: T([x, 0, z]), 1.0)
-    assert -WAVY.conductivities[upper] * down == pytest.approx((0.1 + 0.1 * p) * 10.0)
-    assert np.abs(WAVY.displacement(np.array([[x, 0, 1]]), upper)).max() == 0
-
-
-@pytest.mark.parametrize("upper", [False, True])
-@pytest.mark.parametrize("x", [0.0, 2.0])
-def test_sides_of_a_wavy_contact_slide_without_shear_and_are_insulated(
-    upper: bool, x: float
-) -> None:
-    for f in wavy(upper):
-        assert slope(lambda s, f=f: f([s, 0, 0.4]), x) == pytest.approx(0, abs=1e-8)
-
-
-def second(f: Callable[[np.ndarray], float], x: np.ndarray, d: np.ndarray, e: np.ndarray) -> float:
-    """Second derivative along d and e."""
-    return slope(lambda s: slope(lambda t: f(x + s * d + t * e), 0.0, 1e-2), 0.0, 1e-2)
-
-
-@pytest.mark.parametrize("upper", [False, True])
-def test_what_the_wavy_case_prescribes_is_what_its_fields_need(upper: bool) -> None:
-    """Sources balance the divergences of flux and stress; the ends are those of the fields."""
-    case: dict[str, Any] = YAML(typ="safe").load(CASES / "wavy_contact.yaml")
-    name, end = ("bone", "above") if upper else ("cement", "below")
-    x = np.array([0.7, 0.1, 1.6 if upper else 0.3])
-    λ, μ = lame(WAVY.materials[upper])
-    β = (3 * λ + 2 * μ) * WAVY.expansions[upper]
-
-    T, w = wavy(upper)
-
-    def given(text: str, at: np.ndarray) -> float:
-        return float(evaluate(text, at[None])[0])
-
-    def laplacian(f: Callable[[np.ndarray], float]) -> float:
-        return sum(second(f, x, e, e) for e in np.eye(3))
-
-    source = given(case["heat"]["source"]["density"], x)
-    assert source == pytest.approx(-WAVY.conductivities[upper] * laplacian(T), rel=1e-6)
-    # u = (0, 0, w): div sigma = mu lap u + (lambda + mu) grad div u - beta grad T.
-    ex, _, ez = np.eye(3)
-    along_x = (λ + μ) * second(w, x, ex, ez) - β * slope(lambda s: T(x + s * ex), 0.0)
-    along_z = (λ + μ) * second(w, x, ez, ez) - β * slope(lambda s: T(x + s * ez), 0.0)
-    force = [-along_x, -along_z - μ * laplacian(w)]
-    density = case["loads"][name]["density"]
-    assert [given(density[i], x) for i in (0, 2)] == pytest.approx(force, rel=1e-6)
-    x[2] = 2.0 if upper else 0.0
-    assert given(case["supports"][end]["z"], x) == pytest.approx(w(x), rel=1e-9)
-    assert given(case["heat"][end]["temperature"], x) == pytest.approx(T(x) + 273.15, rel=1e-12)
-
-
-def test_source_of_the_fibre_case() -> None:
-    """Minus the divergence of K grad T, for the tensor of the case."""
-    case: dict[str, Any] = YAML(typ="safe").load(CASES / "fibre_heat.yaml")
-    m = np.array([1, 1, 1]) / math.sqrt(3)
-    K = 0.3 * np.eye(3) + 0.3 * np.outer(m, m)
-    hessian = np.array([[2, 2, 0], [2, 0, 0], [0, 0, 0]])
-    assert case["heat"]["surface"]["temperature"] == "310 + x * x + 2 * x * y"
-    density = case["heat"]["sink"]["density"]
-    assert float(density.split()[0]) == pytest.approx(-(K * hessian).sum())

@@ -52,26 +52,6 @@ def test_even_force_acts_through_the_centroid() -> None:
     assert np.abs(moment).max() < 1e-12 * 900 * 30
 
 
-def test_pressure_and_body_force_have_their_resultants() -> None:
-    """p times the area, b times the volume."""
-    problem = assembled(
-        CYLINDERS,
-        "interfaces={}",
-        "loads={p: {kind: pressure, boundary: top, pressure: 2 MPa}, "
-        "g: {kind: body_force, regions: [bone], density: [0 N/mm^3, 1e-3 N/mm^3, 0 N/mm^3]}}",
-    )
-    pressure, weight = problem.forces.resultants(1.0)
-    tagged = problem.tagged
-    data = tagged.mesh.geometry
-    cells = tagged.cell_tags.find(tagged.regions["bone"])
-    x = data.x[data.dofmap[cells]]
-    volume = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum() / 6
-    np.testing.assert_allclose(weight, [0, 1e-3 * volume, 0], atol=1e-12 * volume)
-    top = 16.0**2 * np.sin(2 * np.pi / 40) * 20  # between the inscribed and the full circle
-    assert pressure[2] == pytest.approx(-2 * top, rel=0.03)
-    assert np.abs(pressure[:2]).max() < 1e-9 * abs(pressure[2])
-
-
 @pytest.mark.parametrize("order", [1, 2])
 def test_varying_body_force_has_its_resultant_and_moment(order: int) -> None:
     """Polynomials of second degree on a box: integrals by hand."""
@@ -163,32 +143,6 @@ def test_impossible_motion_of_a_rigid_region_is_refused() -> None:
         )
     with pytest.raises(InputError, match=r"supports\.up: .*rigid motion"):
         support.solve(*stem, up.replace("0.05 mm", "1e-3 * x**2"))
-
-
-def test_press_fit_by_eigenstrain_equals_press_fit_by_gap() -> None:
-    """A stem that wants to swell evenly by ε is one that interferes by ε r, up to its stiffness.
-
-    Plane strain, straight and frictionless: with a rigid-like stem the eigenstrain (ε, ε, 0) of the
-    radius r and the interference ε r are the same problem.
-    """
-    base = (
-        "geometry.taper=0 deg",
-        "geometry.sector=quarter",
-        "interfaces={stem_cement: {kind: contact, friction_coefficient: 0}}",
-        "loads={}",
-        "regions.stem.youngs_modulus=1e8 MPa",
-        "supports={x: {kind: roller, boundary: symmetry_x, axis: x}, "
-        "y: {kind: roller, boundary: symmetry_y, axis: y}, "
-        "b: {kind: roller, boundary: bottom, axis: z}, t: {kind: roller, boundary: top, axis: z}}",
-    )
-    fit = support.solve(CYLINDERS, *base, "interfaces.stem_cement.gap=-0.007 mm")
-    swell = support.solve(
-        CYLINDERS, *base, "regions.stem.eigenstrains=[{strain: [1e-3, 1e-3, 0, 0, 0, 0]}]"
-    )
-    a, b = fit.interfaces["stem_cement"], swell.interfaces["stem_cement"]
-    # The faceted circle swells by ε r at its nodes; normals of the facets differ from the radius.
-    assert b["pressure_p99"] == pytest.approx(a["pressure_p99"], rel=0.01)
-    assert a["pressure_p99"] > 1.0
 
 
 # A rigid punch above a block, on rollers that hold both where they touch: confined compression.

@@ -214,15 +214,6 @@ def test_full_slip_dissipates_friction_times_way(law: str) -> None:
         assert dissipated == pytest.approx(0.3 * 2 * 48 * way, rel=1e-4)
 
 
-def test_penalty_springs_dissipate_nothing_while_they_hold() -> None:
-    """Pushed sideways within the friction cone and back: tangential springs give all back."""
-    friction = "interfaces.lower_upper.friction_coefficient=5"
-    solved = slid("penalty", [0, 4e-4, -4e-4], [1, 2, 3], friction)
-    moved = float(solved.last.path.max() * solved.last.shear.max()) * 48
-    assert moved > 1e-4
-    assert abs(solved.interfaces["lower_upper"]["dissipation"]) < 1e-12 * moved
-
-
 # A block pressed on another, then tilted to one side and to the other: contact opens and closes.
 TILT = f"""{BLOCKS}
 loads:

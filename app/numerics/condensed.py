@@ -1,0 +1,247 @@
+r"""Static condensation: the displacement is eliminated once, exactly; Newton solves for the jumps.
+
+The Jacobian of contact, with T and B blocks of contact points, is
+
+.. math:: J = \begin{pmatrix} K & C \\ T C^T & T D + B \end{pmatrix}, \qquad S = D - C^T K^{-1} C,
+
+so that a step solves (T S + B) dq = r_q - T C^T K^{-1} r_u and K du = r_u - C dq. The factors of
+
+.. math:: A' = \begin{pmatrix} K & C \\ C^T & D + \tau \end{pmatrix} = L L^T, \qquad \tau = diag(D),
+
+with the jumps last hold both: the last block of L is the factor of S + tau. (S alone is singular: a
+stem slides and turns for nothing.) S stays for all steps, stages and variations of one stiffness.
+One rank factors and solves for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import get_lapack_funcs
+from scipy.sparse import block_array, csc_array, csr_array, diags_array, vstack
+
+from app.arrays import Floats
+from app.numerics.cholesky import Cholesky, library
+
+# Singular values of T, and parts of a row of B across its direction, that count as none.
+NOTHING = 1e-10
+# Residual of the displacement over that of the jumps below which a step leaves it alone.
+SMALL = 1e-3
+# Residual that a step in single precision may leave.
+ROUGH = 1e-2
+# Unknowns of displacement beyond which nothing is analysed, as factors do not pay.
+MANY = 300_000
+# Measured on one core: operations per second of factors, of dense products with S, of LU in single
+# precision; bytes per second of back-substitutions. Iterations from rest, and of a later solve.
+FACTORS, PRODUCTS, SINGLE, BYTES = 36e9, 26e9, 86e9, 10e9
+FROM_REST, ITERATIONS = 12, 5.5
+# Seconds of assembling A' per unknown; of a solve by Krylov's method, and of a later one beside it.
+ASSEMBLY, KRYLOV, LATER = 1.5e-5, 1.3e-4, 0.65
+# Efficiency of ranks of a Krylov method; part of the memory that factors may take.
+SPEEDUP, MEMORY = 0.9, 0.5
+
+
+class Condensed:
+    """Context of a PCPYTHON: the inverse of the Jacobian of contact; made collectively.
+
+    Attributes:
+        cholesky: Factors of A', on rank 0.
+
+    Args:
+        parts: Returns K, C without constrained rows, and D.
+        version: Returns the number of their changes.
+        rows: Returns T and B of own points at the current Jacobian, (n, 3, 3) each.
+    """
+
+    def __init__(
+        self,
+        parts: Callable[[], tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]],
+        version: Callable[[], int],
+        rows: Callable[[], tuple[Floats, Floats]],
+    ) -> None:
+        self._parts, self._version, self._rows = parts, version, rows
+        K, _, D = parts()
+        self._comm = K.comm.tompi4py()
+        self.size, self._jumps = K.getSize()[0], D.getSize()[0]
+        self._matrix: csc_array | None = self._gathered_matrix()
+        self._made = -1
+        if self._matrix is not None:
+            self.cholesky = Cholesky(self._matrix, self._jumps)
+
+    def __str__(self) -> str:
+        """What is eliminated, in words."""
+        size = f"{self.size:,} displacements eliminated, Newton in {self._jumps:,} jumps"
+        if self._comm.rank:
+            return size
+        c = self.cholesky
+        return (
+            f"{size}; factors of {c.entries / 1e6:.0f} million entries, {c.flops / 1e9:.0f} GFlop"
+        )
+
+    def pays(self, solves: float, memory: float) -> bool:
+        """As `pays`, for memory of rank 0 [byte]; collective."""
+        found = False
+        if self._comm.rank == 0:
+            c, ranks = self.cholesky, self._comm.size
+            needed = 1.3 * 8 * c.entries + 20 * self._jumps**2
+            found = needed < MEMORY * memory and pays(
+                self.size, self._jumps, c.flops, c.entries, solves, ranks
+            )
+        return bool(self._comm.bcast(found))
+
+    # Factors
+
+    def _gathered_matrix(self) -> csc_array | None:
+        """A' on rank 0, its upper triangle right, None elsewhere; collective."""
+        K, C, D = self._parts()
+        every = [self._gathered_rows(A) for A in (K, C, D)]
+        if self._comm.rank:
+            return None
+        k, c, d = every
+        self._tau = d.diagonal()
+        lower = block_array([[c.T, d + diags_array(self._tau)]], format="csr")
+        k.resize(self.size, self.size + self._jumps)
+        rows = vstack([k, lower], format="csr")
+        # Rows of the lower triangle are columns of the upper one.
+        return csc_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)
+
+    def _gathered_rows(self, A: PETSc.Mat) -> csr_array:
+        """A matrix on rank 0, own rows elsewhere; collective."""
+        starts, columns, values = A.getValuesCSR()
+        own = csr_array((values, columns, starts), shape=(len(starts) - 1, A.getSize()[1]))
+        every = self._comm.gather(own) if self._comm.size > 1 else [own]
+        return vstack(every, format="csr") if every else own
+
+    def setUp(self, pc: PETSc.PC) -> None:
+        """Set up for the current Jacobian; collective."""
+        if self._made != self._version():
+            A = self._matrix if self._made < 0 else self._gathered_matrix()
+            self._made, self._matrix = self._version(), None
+            if A is not None:
+                self.cholesky.factorize(A)
+                self._S = self.cholesky.schur()
+                self._S[np.diag_indices(self._jumps)] -= self._tau
+                self._single = self._S.astype(np.float32)
+        rows = [self._gathered(v) for v in self._rows()]
+        if self._comm.rank == 0:
+            self._set_rows(*(v.reshape(-1, 3, 3) for v in rows))
+            self._factor(self._single)
+
+    def _gathered(self, own: Floats) -> Floats:
+        """Values of all ranks one after the other, on rank 0; collective."""
+        if self._comm.size == 1:
+            return own
+        every = self._comm.gather(own.ravel())
+        return np.concatenate(every) if every else own
+
+    def _set_rows(self, T: Floats, B: Floats) -> None:
+        """Set the blocks, and the directions in which they tell the jump.
+
+        Where a point sticks, or slides without opening, u^T T = 0 and u^T B is along u.
+        """
+        U, size, _ = np.linalg.svd(T)
+        U = U.transpose(0, 2, 1)
+        forces = U @ B
+        along = np.einsum("pai,pai->pa", forces, U)
+        across = np.linalg.norm(forces - along[..., None] * U, axis=2)
+        known = ((size <= NOTHING) & (across <= NOTHING * np.abs(along)) & (along != 0)).ravel()
+        self._T, self._B, directions = _blocks(T), _blocks(B), _blocks(U)
+        self._known, self._free = directions[known], directions[~known]
+        self._along = along.ravel()[known]
+
+    def _factor(self, S: NDArray[np.floating]) -> None:
+        """Factor T S + B in the other directions, in the precision of S."""
+        free = self._free
+        if not free.shape[0]:
+            return
+        moved = np.ascontiguousarray((free.astype(S.dtype) @ S).T)
+        G = (free @ self._T).astype(S.dtype) @ moved
+        G += (free @ self._B @ free.T).toarray().astype(S.dtype)
+        getrf, self._getrs = get_lapack_funcs(("getrf", "getrs"), (G,))
+        self._lu, self._pivots, _ = getrf(G.T, overwrite_a=True)  # in Fortran's order
+
+    # Solution
+
+    def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        """Solve J z = r; collective."""
+        (ru, rq), solution = r.getNestSubVecs(), z.getNestSubVecs()
+        right = [self._gathered(v.array_r) for v in (ru, rq)]
+        found = self._solved(*right) if self._comm.rank == 0 else (None, None)
+        for own, every in zip(solution, found, strict=True):
+            self._scatter(every, own)
+
+    def _scatter(self, every: Floats | None, own: PETSc.Vec) -> None:
+        """Set a vector to values on rank 0; collective."""
+        if self._comm.size == 1:
+            own.array = every
+            return
+        part = own.array
+        sizes = self._comm.gather(len(part))
+        self._comm.Scatterv([every, sizes] if every is not None else None, part)
+        own.array = part
+
+    def _solved(self, ru: Floats, rq: Floats) -> tuple[Floats, Floats]:
+        rq, zero = rq.copy(), np.zeros(self._jumps)
+        moves = np.linalg.norm(ru) > SMALL * np.linalg.norm(rq)
+        if moves:
+            y = self.cholesky.solve(np.concatenate([ru, zero]))[self.size :]
+            pulled = -(self._S @ y + self._tau * y)  # C^T K^-1 r_u
+            rq -= self._T @ pulled
+        dq = self._step(rq)
+        if np.linalg.norm(rq - self._times(dq)) > ROUGH * np.linalg.norm(rq):
+            self._factor(self._S)
+            dq = self._step(rq)
+        if moves:
+            pulled += self._S @ dq + self._tau * dq
+            return self.cholesky.solve(np.concatenate([ru, pulled]))[: self.size], dq
+        return self.cholesky.extend(dq)[: self.size], dq
+
+    def _times(self, dq: Floats) -> Floats:
+        return np.asarray(self._T @ (self._S @ dq) + self._B @ dq)
+
+    def _step(self, r: Floats) -> Floats:
+        """Solution of (T S + B) dq = r."""
+        dq = self._known.T @ ((self._known @ r) / self._along)
+        if self._free.shape[0]:
+            left = (self._free @ (r - self._times(dq))).astype(self._lu.dtype)
+            found, _ = self._getrs(self._lu, self._pivots, left, trans=1)
+            dq += self._free.T @ found.astype(float)
+        return np.asarray(dq)
+
+
+def pays(
+    size: int, jumps: int, flops: float, entries: float, solves: float, ranks: int = 1
+) -> bool:
+    """Whether condensation takes less time than a Krylov method.
+
+    Args:
+        size: Unknowns of displacement, at second order.
+        jumps: Jumps.
+        flops: Floating-point operations of the factors of A'.
+        entries: Their entries.
+        solves: Number of solves.
+        ranks: Number of ranks, which share the work of a Krylov method alone.
+    """
+    setup = flops / FACTORS + jumps**3 / (3 * PRODUCTS) + ASSEMBLY * size
+    iteration = (2 / 3) * (0.64 * jumps) ** 3 / SINGLE + (32 * jumps**2 + 8 * entries) / BYTES
+    krylov = KRYLOV * size * (1 + LATER * (solves - 1))
+    speedup = SPEEDUP * ranks if ranks > 1 else 1.0
+    iterations = FROM_REST + ITERATIONS * (solves - 1)
+    return setup + iterations * iteration < krylov / speedup
+
+
+def usable(size: int, comm: MPI.Comm) -> bool:
+    """Whether so many unknowns of displacement can be condensed at all; collective."""
+    return size <= MANY and bool(comm.bcast(comm.rank == 0 and library() is not None))
+
+
+def _blocks(values: Floats) -> csr_array:
+    """Block-diagonal matrix of blocks (n, 3, 3)."""
+    n = len(values)
+    columns = (3 * np.arange(n)[:, None, None] + np.arange(3)).repeat(3, axis=1)
+    return csr_array((values.ravel(), columns.ravel(), np.arange(0, 9 * n + 1, 3)))

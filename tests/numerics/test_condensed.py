@@ -1,0 +1,103 @@
+"""Static condensation: S, the Jacobian's inverse, the choice, and what errors in S lead to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.sparse import csc_array, diags_array, eye_array, kron
+
+from app.arrays import Floats
+from app.numerics.cholesky import Cholesky
+from app.numerics.condensed import pays
+from tests import support
+
+CONDENSED = "solver.linear=condensed"
+
+
+def spring_grid(n: int = 6) -> csc_array:
+    """Three unknowns at each node of a grid, positive definite."""
+    line = diags_array([-np.ones(n - 1), 2.1 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
+    one = eye_array(n)
+    grid = kron(kron(line, one), one) + kron(kron(one, line), one) + kron(kron(one, one), line)
+    B = np.random.default_rng(0).normal(size=(3, 3))
+    return csc_array(kron(grid, B @ B.T + 3 * np.eye(3)))
+
+
+def test_last_block_is_the_factor_of_the_schur_complement() -> None:
+    """S = D - C^T K^-1 C by dense matrices, whatever the order of the factors."""
+    A = spring_grid()
+    c = Cholesky(A, 108)
+    c.factorize(A)
+    K, C, D = (
+        A.toarray()[rows]
+        for rows in (np.s_[:-108, :-108], np.s_[:-108, -108:], np.s_[-108:, -108:])
+    )
+    np.testing.assert_allclose(c.schur(), D - C.T @ np.linalg.solve(K, C), atol=1e-12)
+    b = np.random.default_rng(1).normal(size=A.shape[0])
+    np.testing.assert_allclose(A @ c.solve(b), b, atol=1e-12)
+    x = c.extend(b[-108:])
+    np.testing.assert_allclose(x[-108:], b[-108:], atol=1e-12)
+    np.testing.assert_allclose((A @ x)[:-108], 0.0, atol=1e-12)
+
+
+# Unknowns of displacement and jumps, GFlop and million entries of the factors; whether one solve
+# pays, and two: measured on a hip's mesh, beside multigrid.
+MEASURED = [
+    ((20_343, 1_278, 7, 10), True, True),
+    ((91_551, 3_030, 195, 90), True, True),
+    ((110_427, 3_798, 274, 116), True, True),
+    ((151_851, 5_046, 412, 164), False, True),
+    ((97_335, 12_774, 1_350, 213), False, False),
+    ((853_299, 15_078, 17_700, 2_038), False, False),
+]
+
+
+@pytest.mark.parametrize(("size", "one", "two"), MEASURED)
+def test_it_is_chosen_where_it_was_measured_to_pay(
+    size: tuple[float, ...], one: bool, two: bool
+) -> None:
+    unknowns, jumps, gflop, entries = size
+    for solves, expected in ((1, one), (2, two)):
+        assert pays(unknowns, jumps, 1e9 * gflop, 1e6 * entries, solves) is expected
+
+
+LAWS = [
+    "{kind: contact, friction_coefficient: 0.4}",
+    "{kind: contact, friction_coefficient: 0}",
+    "{kind: contact, friction_coefficient: 0.3, gap: 5 um}",
+    "{kind: penalty, friction_coefficient: 0.4, penalty: 500 MPa/mm}",
+]
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("order", [1, 2])
+def test_jumps_are_those_of_the_krylov_method(law: str, order: int) -> None:
+    changes = f"mesh.order={order}", f"interfaces.stem_cement={law}"
+    krylov = support.solve(support.STEM, *changes, "solver.linear=multigrid")
+    condensed = support.solve(support.STEM, *changes, CONDENSED)
+    assert condensed.solver.linear.exact and not krylov.solver.linear.exact
+    expected, found = (s.problem.contact.state.jump for s in (krylov, condensed))
+    assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+def exchanged(S: Floats) -> None:
+    S[:, [0, 40]] = S[:, [40, 0]]
+
+
+def shifted(S: Floats) -> None:
+    S[np.diag_indices(len(S))] *= 2.0
+
+
+@pytest.mark.parametrize("error", [exchanged, shifted])
+def test_an_error_in_s_is_not_believed(error: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton tests the residual of the whole system, which S has no part in."""
+    right = Cholesky.schur
+
+    def wrong(self: Cholesky) -> Floats:
+        S = right(self)
+        error(S)
+        return S
+
+    monkeypatch.setattr(Cholesky, "schur", wrong)
+    with pytest.raises(support.mantle.ConvergenceError):
+        support.solve(support.STEM, CONDENSED)
