@@ -56,15 +56,17 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.savez(folder / "ct.npz", values=numbers.astype(np.int16), affine=affine)
     # Bone is above the middle of its surface; the canal is the rest in it, open at the end.
     labels = (numbers > 500.0) + 2 * (canal & (numbers <= 500.0))
+    labels[0, 0, 0] = 1
     np.savez(folder / "labels.npz", values=labels.astype(np.uint8), affine=affine)
     return folder
 
 
 def test_volumes_are_those_of_the_triangles(scan: Path) -> None:
-    """To 0.3 % each; asked for 1 %."""
+    """To 0.3 % each; a voxel beside the bone is left out."""
     pytest.importorskip("skimage")
-    both = (as_own(scan, bone=bone, canal=canal) for bone, canal in (LABELS, STL))
-    volumes, expected = (region_volumes(made(g)) for g in both)
+    here, there = (as_own(scan, bone=bone, canal=canal) for bone, canal in (LABELS, STL))
+    assert "1 voxels in 1 other pieces left out" in here.told["surface"]
+    volumes, expected = (region_volumes(made(g)) for g in (here, there))
     assert volumes == pytest.approx(expected, rel=0.003)
 
 
@@ -75,9 +77,7 @@ def test_nifti(tmp_path: Path) -> None:
     affine = np.array([[0, -0.5, 0, 9], [0.4, 0, 0, 8], [0, 0, 1, 7], [0, 0, 0, 1.0]])
     path = tmp_path / "ct.nii.gz"
     nibabel.Nifti1Image(values, affine).to_filename(path)
-    image = images.read(path)
-    assert np.array_equal(image.values, values)
-    assert image.at(affine[:3, 3][None] + affine[:3, 2]) == values[0, 0, 1]
+    assert images.read(path).at(affine[:3, 3:].T + affine[:3, 2]) == values[0, 0, 1]
     with pytest.raises(InputError, match="has no label 3000; it has -"):
         images.surface(path, 3000)
     whole = path.read_bytes()
@@ -91,22 +91,6 @@ def test_nifti(tmp_path: Path) -> None:
     path.write_bytes(whole[:200])
     with pytest.raises(InputError, match="no image that can be read"):
         images.read(path)
-
-
-def test_a_ball_is_smooth_and_as_large(tmp_path: Path) -> None:
-    """Beside it a piece that is left out, and in it a hole that is filled."""
-    pytest.importorskip("skimage")
-    x = (np.indices((60, 60, 60)) - 29.5) * 0.5
-    r = np.sqrt((x**2).sum(axis=0))
-    values = 3 * ((r < 12.0) & (r > 5.0))
-    values[0, 0, :2] = 3
-    np.savez(tmp_path / "ball.npz", values=values, affine=np.diag([0.5, 0.5, 0.5, 1.0]))
-    corners, told = images.surface(tmp_path / "ball.npz", 3)
-    assert told == ["2 voxels in 1 other pieces left out"]
-    a, b, c = (corners - 29.5 * 0.5).transpose(1, 0, 2)
-    assert np.linalg.norm(a, axis=1) == pytest.approx(12.0, abs=0.25)
-    volume = abs((a * np.cross(b, c)).sum()) / 6
-    assert volume == pytest.approx(4 / 3 * np.pi * 12.0**3, rel=0.005)
 
 
 def test_moduli_at_points_of_the_cortex(scan: Path) -> None:
@@ -130,17 +114,13 @@ def test_slip_is_that_of_the_triangles_within_its_error(scan: Path) -> None:
     """At both interfaces, with moduli from the CT."""
     pytest.importorskip("skimage")
     E = {"kind": "isotropic", "poisson_ratio": 0.3, "youngs_modulus": DENSITY}
-    case: dict[str, Any] = {
-        "base": "stance",
-        "mesh": {"size": "8 mm"},
-        "regions": {"cortical_bone": E, "cancellous_bone": E},
-        "loads": {"library": "one_leg_stance"},
-        "output": {"error": True},
-    }
+    case: dict[str, Any] = {"base": "stance", "mesh": {"size": "8 mm"}, "output": {"error": True}}
+    case |= {"regions": {"cortical_bone": E, "cancellous_bone": E}}
     found = []
     for bone, canal in (STL, LABELS):
         case["geometry"] = {"kind": "patient", "bone": bone, "canal": canal}
+        case["loads"] = {"library": "one_leg_stance"}
         found.append(support.run(json.dumps(case), scan).summary["interfaces"])
-    for name, numbers in found[0].items():
-        off = found[1][name]["slip_p99"] - numbers["slip_p99"]
-        assert abs(off) < numbers["slip_p99_error"], name
+        (scan / "out").rename(scan / f"out_{len(found)}")
+    for one, two in zip(*map(dict.values, found), strict=True):
+        assert two["slip_p99"] == pytest.approx(one["slip_p99"], abs=one["slip_p99_error"])
