@@ -49,26 +49,17 @@ class Image:
 
     def at(self, x: Floats) -> Floats:
         """Values at points (n, 3) [mm], linear between voxels (n,); none of them may be outside."""
-        matrix, origin = self.affine[:3, :3], self.affine[:3, 3]
-        index = (x - origin) @ np.linalg.inv(matrix).T
-        most = np.array(self.values.shape) - 1
-        outside = ((index < -0.5) | (index > most + 0.5)).any(axis=1)
-        if outside.any():
-            place = "({:.0f}, {:.0f}, {:.0f}) mm".format(*x[outside][0])
-            text = (
-                f"{int(outside.sum()):,} of {len(x):,} points are outside of the image, as {place}"
-            )
+        index = (x - self.affine[:3, 3]) @ np.linalg.inv(self.affine[:3, :3]).T
+        values = ndimage.map_coordinates(self.values, index.T, float, order=1, cval=np.nan)
+        if (lost := ~np.isfinite(values)).any():
+            text = f"{int(lost.sum()):,} of {len(x):,} points are outside of the image, as "
+            text += "({:.0f}, {:.0f}, {:.0f}) mm".format(*x[lost][0])
             raise InputError(f"{text}: is it in other axes? See the key `axes`")
-        values = ndimage.map_coordinates(self.values, index.T, float, order=1, mode="nearest")
         return np.asarray(values)
 
 
 def read(path: Path) -> Image:
-    """Read an image: NIfTI, or ``values`` and ``affine`` in an ``.npz``.
-
-    Raises:
-        InputError: It cannot be read, or does not say where its voxels are.
-    """
+    """Read an image: NIfTI, or ``values`` and ``affine`` in an ``.npz``; or raise InputError."""
     return _read(path, path.stat().st_mtime_ns)
 
 
@@ -76,19 +67,17 @@ def read(path: Path) -> Image:
 def _read(path: Path, _changed: int) -> Image:
     try:
         values, affine = (_npz if path.suffix == ".npz" else _nifti)(path)
+        values, affine = np.squeeze(values), np.asarray(affine, dtype=float).reshape(4, 4)
     except (OSError, EOFError, LookupError, ValueError, BadZipFile, zlib.error) as error:
         raise InputError(f"{path}: is no image that can be read: {error}") from error
-    values, edges = np.squeeze(values), np.linalg.norm(affine[:3, :3], axis=0)
     if values.ndim != 3 or values.dtype.kind not in "iuf":
-        raise InputError(
-            f"{path}: is {values.dtype} in {values.ndim} dimensions; expected 3 of numbers"
-        )
+        raise InputError(f"{path}: is {values.dtype} in {values.ndim} dimensions, not numbers in 3")
+    edges = np.linalg.norm(affine[:3, :3], axis=0)
     if not (np.isfinite(affine).all() and edges.all()):
         raise InputError(f"{path}: has no spacing of its voxels: {edges} mm")
     u = affine[:3, :3] / edges
     if np.abs(u.T @ u - np.eye(3)).max() > TILT:
-        text = "edges of voxels are not at right angles, as of a tilted gantry: resample it"
-        raise InputError(f"{path}: {text}")
+        raise InputError(f"{path}: its axes are not square, of a tilted gantry? Resample it")
     return Image(values, affine)
 
 
