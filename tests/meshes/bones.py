@@ -22,12 +22,12 @@ MEASURED_CANAL = MEASURED.with_name("femur_right_canal_mm.stl")
 
 
 @cache
-def own() -> BoneSurface:
+def own(version: float = VERSION, around: int = LINES) -> BoneSurface:
     """Mantle's intact femur, of 3 mm: a left one in its own axes, closed, without condyles."""
     geometry = IntactFemur.model_validate(
-        {"anteversion": f"{VERSION} deg", "distal_cut_z": "-260 mm"}
+        {"anteversion": f"{version} deg", "distal_cut_z": "-260 mm"}
     )
-    mesh = MeshOptions.model_validate({"size": "3 mm", "order": 1, "around": LINES})
+    mesh = MeshOptions.model_validate({"size": "3 mm", "order": 1, "around": around})
     data = femur_intact.build(geometry, mesh.model_copy(update={"curved": False}))
     facets, _ = exterior_facets(data.cells)
     used, triangles = np.unique(facets, return_inverse=True)

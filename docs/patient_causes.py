@@ -1,0 +1,91 @@
+r"""Print the table of docs/howto/patient.md: from the parametric hip to a patient's by causes.
+
+    ./mantle shell -c 'python3 docs/patient_causes.py femur.stl canal.stl out/causes'
+
+Files in mm. Eight hips of 6 mm: half a minute each on an idle core.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import mantle
+from app.case.case import load
+from meshes import femur_bone, femur_stem
+from tests.meshes.bones import own, write
+
+LENGTH, ANGLE, CUT = 130.0, -10.0, "-173.1 mm"  # of the stem; its version to the neck; distal
+# Landmarks of mantle's own femur.
+MARKS = {"lesser_trochanter": [20, -5, 0], "shaft": [[0, 0, -100], [0, 0, -20]]}
+MARKS["condyles"] = [[20, 0, -250], [-20, 0, -250]]
+
+
+def patient(bone: Path, azimuth: str | None, varus: float = 0.0, **keys: Any) -> dict[str, Any]:
+    """A patient's hip; without an azimuth the cut is along the neck."""
+    cut = {"height": "8 mm", "angle": "38 deg"} | ({"azimuth": azimuth} if azimuth else {})
+    insertion = {"varus": f"{varus} deg", "version": {"angle": f"{ANGLE} deg"}}
+    files = {"kind": "patient", "bone": {"surface": str(bone), "unit": "mm"}, "distal_cut_z": CUT}
+    stem = {"stem": {"length": f"{LENGTH} mm"}}
+    return files | stem | {"resection": cut, "insertion": insertion} | keys
+
+
+def parametric(version: float, tip: float) -> dict[str, Any]:
+    """The parametric hip with the same stem, its tip at a level [mm]."""
+    levels = {"stem_tip_z": tip, "stem_section_z": tip + LENGTH - 14, "distal_cut_z": CUT}
+    levels |= {"head_height": tip + LENGTH + 25, "stem_length": LENGTH, "resection_height": 8.0}
+    turned = {"kind": "femur", "anteversion": f"{version} deg"}
+    return turned | {k: v if isinstance(v, str) else f"{v} mm" for k, v in levels.items()}
+
+
+def main(bone: Path, canal: Path, folder: Path) -> None:
+    """Write, run and print."""
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def case(name: str, geometry: dict[str, Any], loads: Any = None, around: Any = None) -> Path:
+        data = {"base": "stance", "title": name, "geometry": geometry, "mesh": {"size": "6 mm"}}
+        data["mesh"] |= {"around": around} if around else {}
+        path = folder / f"{name.replace(' ', '_')}.yaml"
+        path.write_text(json.dumps(data | {"loads": {"library": "one_leg_stance"} | (loads or {})}))
+        return path
+
+    broached = {"surface": str(canal), "ream": "broach"}
+    real = load(case("the patient", patient(bone, None, 1.0, canal=broached))).config
+    neck = math.degrees(real.geometry.placement.frame.azimuth)
+    version, around = round(neck + ANGLE, 2), 14
+    azimuth = f"{version} deg"
+    upright = case("canal", patient(bone, azimuth, canal=broached), None, around)
+    places = load(upright).config.geometry.points
+    loads = {
+        name: {"at": [f"{x} mm" for x in places["head_centre" if name == "hip" else on.boundary]]}
+        for name, on in load(case("base", {"kind": "femur"})).config.loads.items()
+    }
+    femur = load(case("base", parametric(version, -101.0))).config.geometry
+    normal, level = femur_bone.resection(femur)
+    half = float(femur_stem.body(femur).section(LENGTH - 101.0)[0])
+    tip = round((level + normal[0] * half) / normal[2] - LENGTH, 3)
+    triangles = write(folder / "own.stl", own(round(neck, 2), 32))
+    cases = [
+        case("parametric", parametric(version, tip)),
+        case("spokes", parametric(version, tip), None, around),
+        case("lever arms", parametric(version, tip), loads, around),
+        case("as triangles", patient(triangles, azimuth, landmarks=MARKS), loads, around),
+        case("shape", patient(bone, azimuth), None, around),
+        case("broach", patient(bone, azimuth, canal={"ream": "broach"}), None, around),
+        upright,
+        case("the patient", patient(bone, None, 1.0, canal=broached)),
+    ]
+    for path in cases:
+        found = mantle.run(mantle.load(path), folder / "out" / path.stem).summary
+        sides = [found["interfaces"][name] for name in ("stem_cement", "cement_bone")]
+        numbers = [found["stem"]["subsidence"]]
+        numbers += [side[key] for side in sides for key in ("slip_p99", "gap_p99")]
+        row = " | ".join(f"{1e3 * v:.1f}" for v in numbers)
+        sys.stdout.write(f"| {path.stem} | {row} |\n")
+
+
+if __name__ == "__main__":
+    main(*(Path(name).resolve() for name in sys.argv[1:4]))
