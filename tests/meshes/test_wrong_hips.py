@@ -112,6 +112,8 @@ CANALS = {
 }
 KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "no file": ({"bone": {"surface": "none.stl"}}, "no such file"),
+    "no bone": ({"bone": {"image": "bone.stl"}}, "expected `surface`, or `image` and `label`"),
+    "no image": ({"bone": {"image": "bone.stl", "label": 1}}, "no image that can be read|needs"),
     "metre": ({"bone": {"surface": "bone.stl", "unit": "m"}}, "337 m long, .* Expected mm"),
     "side": ({"bone": {"surface": "bone.stl", "side": "right"}}, "14 mm behind the axis of a left"),
     "no end": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
@@ -142,7 +144,7 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "neck": (change(head_height="1 mm"), "1 mm above the shoulder, does not clear .* raise"),
     "fossa": (
         {"resection": {"angle": "45 deg", "height": "10 mm"}},
-        f"into the cortex laterally at {PLACE}, 0 mm below the cut",
+        f"for cement, of 1 mm at least, laterally at {PLACE}, 0 mm below the cut",
     ),
     "steep": ({"resection": {"angle": "60 deg", "height": "20 mm"}}, f"outside .* at {PLACE}"),
     "high": ({"resection": {"height": "120 mm"}}, "120 mm above .* outside of the bone; cut lower"),
