@@ -70,7 +70,7 @@ class Placement:
         """A point of the model (3,) in words."""
         below = round(float(self.normal @ (self.foot - x)) / self.normal[2])
         side = "above" if below < 0 else "below"
-        return "({:.0f}, {:.0f}, {:.0f}) mm, {} mm {} the cut".format(*x, abs(below), side)
+        return "({:.0f}, {:.0f}, {:.0f}) mm".format(*x) + f", {abs(below)} mm {side} the cut"
 
 
 @dataclass(frozen=True)
