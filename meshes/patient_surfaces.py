@@ -7,7 +7,8 @@ from the stem's axis: there the centre of the rays goes over to the canal's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,28 +18,26 @@ from scipy.ndimage import gaussian_filter
 
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
-from meshes import femur_bone, femur_stem
+from meshes import femur_bone
 from meshes.bone_surface import BoneSurface, centroid, exits, section
-from meshes.femur_bone import CORTEX
-from meshes.femur_surfaces import CORE_OVER, LEAST_MANTLE, FemurSurfaces
-from meshes.placement import Placement
+from meshes.femur_bone import CORTEX, PERIOSTEUM
+from meshes.femur_surfaces import CORE_OVER, REACH, FemurSurfaces, root
+from meshes.layers import Lines
 
 EVERY = 2.0  # mm between sections
 ANGLES = 96  # rays around
 THETA = 2 * np.pi * np.arange(ANGLES) / ANGLES
-BEYOND = 4.0  # mm above the cut up to which radii are taken
 GROOVE = 4.0  # mm: narrower gaps in the bone do not end a ray
 TWICE = 0.02  # of the rays, at most, may meet the bone more than once
-STEEPEST = 1.2  # slope of a surface along and around
+STEEPEST = 3.0  # slope of a surface along and around
 BLUR = 0.7  # samples
 THINNING, THIN = 35.0, 2.0  # mm above the canal's end over which the cortex becomes so thin
 LEAST_CORTEX = 1.5  # mm that reaming leaves where the patient has less than `CORTEX`
 BROACH = 0.3  # mm that a broach is wider than stem and mantle
-CORE = 0.7  # of the canal: the innermost surface below the plug
+CORE = 0.65  # of the canal: the innermost surface below the plug
 LID, NEAR_LID = 0.9, 15.0  # of the normal along the shaft: a canal's flat end; mm from its top
 WIDE, OVER = 12.0, 2.0  # mm of an edge around the metaphysis, and over the size
-SIDES = "medially antero-medially anteriorly antero-laterally laterally postero-laterally".split()
-SIDES += ["posteriorly", "postero-medially"]
+ECCENTRIC = 10.0  # mm that a canal's middle is beside the bone's, at most
 
 
 class Radii:
@@ -55,60 +54,16 @@ class Radii:
         return np.asarray(self._spline.ev(zeta, np.mod(theta, 2 * np.pi)))
 
 
-@dataclass(frozen=True)
-class Leaning:
-    """A stem's body in planes that are not across its medial plane: z = zeta - slope (x + lean y).
-
-    Attributes:
-        body: The body.
-        lean: Slope of the planes along y over that along x.
-    """
-
-    body: Any
-    lean: float
-
-    def section(self, z: Any) -> Any:
-        """Of the body."""
-        return self.body.section(z)
-
-    def radius(self, theta: Floats, z: Floats) -> Floats:
-        """Of the body."""
-        return np.asarray(self.body.radius(theta, z))
-
-    def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
-        """Points of the outline in the planes (n, 3) [mm]."""
-        z = zeta + np.zeros(len(phi))
-        for _ in range(12):  # the body tapers: each time the error is a few percent of what it was
-            x = self.body.point(phi, z, 0.0)
-            z = zeta - slope * (x[:, 0] + self.lean * x[:, 1])
-        return np.column_stack([x[:, :2], z])
-
-
 class PatientSurfaces(FemurSurfaces):
-    """Nested surfaces, in the stem's axes, of a bone that is known by triangles.
+    """Nested surfaces, in the stem's axes, of a bone that is known by triangles."""
 
-    Attributes:
-        told: What was found, in words.
-    """
-
-    def __init__(self, geometry: Any, mesh: Any, placed: Placement) -> None:
-        self.mesh, self._placed, implant = mesh, placed, geometry.implant
-        self._top, (self._steepest, self._lean) = placed.top, placed.slopes
-        body, thickness = femur_stem.body(implant), geometry.cement_thickness
-        self._thickness = femur_stem.thickness(thickness, implant.stem_tip_z, placed.top)
-        self._body: Any = Leaning(body, self._lean)
-        self._mantle = partial(self._within, partial(body.outside, self._thickness))
-        self._plug = implant.stem_tip_z - implant.plug_length
-        distal = (geometry.distal_cut_z - placed.foot[2]) / placed.turn[2, 2]
-        self._divide(implant, placed.top + distal, thickness)
-        self.told: list[str] = []
-        self._measure(geometry)
-        if not mesh.around:
-            edge = max(mesh.size, min(WIDE, OVER * mesh.size))
-            wide = 2 * np.pi * float(self._bone.radii[self._bone.zeta < self._top].mean(1).max())
-            self.around = max(self.around, int(np.ceil(wide / edge)))
-        self._refuse()
-        self._continue(implant)
+    _placed: Any
+    _bone: Any
+    _endosteum: Any
+    key = "geometry.insertion"
+    remedy = (
+        "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and offsets"
+    )
 
     # Measuring
 
@@ -118,6 +73,11 @@ class PatientSurfaces(FemurSurfaces):
 
     def _in_stem(self, surface: BoneSurface) -> BoneSurface:
         return replace(surface, points=self._placed.to_stem(surface.points))
+
+    @staticmethod
+    def _level(surface: BoneSurface, z: float) -> Floats:
+        """Lines of a surface at a level (k, 2, 2) [mm]."""
+        return section(surface.points[:, :2], surface.points[:, 2] - z, surface.triangles)
 
     def _at_axis(self, zeta: float) -> str:
         return self._placed.where(self._placed.to_model([0.0, 0.0, zeta]))
@@ -137,28 +97,30 @@ class PatientSurfaces(FemurSurfaces):
         return radii, times
 
     def _measure(self, geometry: Any) -> None:
-        """Take the radii of periosteum and endosteum."""
+        implant = geometry.implant
+        self._plug = implant.stem_tip_z - implant.plug_length
         bone, canal = self._in_stem(self._placed.bone), None
         if self._placed.canal:
             canal = self._in_stem(self._placed.canal)
         self._centres = np.zeros((len(self._zeta), 2))
         for k, z in enumerate(self._zeta[: self.mantle[0]]):
-            lines = section(bone.points[:, :2], bone.points[:, 2] - z, bone.triangles)
+            middle = centroid(self._level(bone, z))[0]
+            if canal and len(lines := self._level(canal, z)):
+                own = centroid(lines)[0]
+                middle = own if np.hypot(*(own - middle)) < ECCENTRIC else middle
             part = min((self._plug - z) / CORE_OVER, 1.0)
-            self._centres[k] = part * part * (3 - 2 * part) * centroid(lines)[0]
-        low, high = self._zeta[0] - EVERY, self._top + BEYOND
-        zeta = np.linspace(low, high, int((high - low) / EVERY) + 1)
+            self._centres[k] = part * part * (3 - 2 * part) * middle
+        low = self._zeta[0] - EVERY
+        zeta = np.linspace(low, self._top, int((self._top - low) / EVERY) + 1)
         radii, times = self._rays(bone, zeta)
-        within = zeta < self._top
-        if (missed := within & np.isnan(radii).any(axis=1)).any():
+        if (missed := np.isnan(radii).any(axis=1)).any():
             raise GeometryError(
                 "geometry: the stem's axis is outside of the bone at"
                 f" {self._at_axis(zeta[missed].max())}; cut lower or flatter (resection), move the"
                 " stem (insertion), or repair the surface, if it crosses itself there"
             )
-        twice = (times > 2) & within[:, None]
-        if (part := twice[within].mean()) > TWICE:
-            where = self._at_axis(zeta[int(np.median(np.nonzero(twice)[0]))])
+        if (part := (times > 2).mean()) > TWICE:
+            where = self._at_axis(zeta[int(np.median(np.nonzero(times > 2)[0]))])
             raise GeometryError(
                 f"geometry.bone: {100 * part:.0f} % of rays across the bone meet its surface more"
                 f" than once, about {where}: it crosses itself or has cavities; repair it where it"
@@ -167,6 +129,10 @@ class PatientSurfaces(FemurSurfaces):
         self._bone = Radii(zeta, _limited(radii))
         own = self._own_canal(geometry, canal) if canal else self._table(geometry)
         self._endosteum = Radii(zeta, self._reamed(geometry, own))
+        if not (mesh := self.mesh).around:
+            edge = max(mesh.size, min(WIDE, OVER * mesh.size))
+            wide = 2 * np.pi * float(self._bone.radii.mean(axis=1).max())
+            self.around = max(self.around, int(np.ceil(wide / edge)))
 
     def _table(self, geometry: Any) -> Floats:
         """Radii of the endosteum by its ratio to the periosteum in the parametric femur [mm]."""
@@ -182,7 +148,7 @@ class PatientSurfaces(FemurSurfaces):
         zeta, bone = self._bone.zeta, self._bone.radii
         radii, times = self._rays(canal, zeta)
         rows = np.flatnonzero((times > 0).all(axis=1) & (zeta < self._lid(canal)))
-        if not len(rows) or zeta[rows[-1]] < 0.6 * geometry.implant.stem_tip_z:
+        if not len(rows) or zeta[rows[-1]] < geometry.implant.stem_tip_z:
             aside = float(np.hypot(*canal.points.mean(axis=0)[:2]))
             text = f"does not surround the stem, and its middle is {aside:.0f} mm beside its axis;"
             raise GeometryError(f"geometry.canal.surface: {text} is it in the axes of the bone?")
@@ -225,14 +191,7 @@ class PatientSurfaces(FemurSurfaces):
         bone, zeta, ream = self._bone.radii, self._bone.zeta, geometry.canal.ream
         wanted = own + (geometry.canal.ream_by if ream == "by" else 0.0)
         if ream == "broach":
-            body = femur_stem.body(geometry.implant)
-            theta = np.broadcast_to(THETA, own.shape)
-            slope = self._slope(zeta)[:, None] * (np.cos(THETA) + self._lean * np.sin(THETA))
-            r = np.zeros_like(own)
-            for _ in range(12):
-                z = zeta[:, None] - slope * r
-                r = body.offset(self._thickness(theta, z) + BROACH).radius(theta, z)
-            wanted = np.maximum(own, r)
+            wanted = np.maximum(own, self._broached())
         most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - own))
         made = np.minimum(wanted, most)
         # Below the plug the reamed canal goes over to the patient's own.
@@ -240,13 +199,23 @@ class PatientSurfaces(FemurSurfaces):
         at = int(np.searchsorted(zeta, self._plug))
         loft = own + (made[at] - own[at]) * (1 - depth * depth * (3 - 2 * depth))
         made = np.where(depth > 0, np.minimum(loft, most), made)
-        within = ((zeta > self._plug) & (zeta < self._top))[:, None]
+        within = (zeta > self._plug)[:, None]
         for what, size in ("taken within by reaming, at most", made - own), ("left", made - bone):
             size = np.where(within, size, -np.inf)
             i, j = np.unravel_index(size.argmax(), size.shape)
             where = self._placed.where(self._places(made)[i, j])
             self.told.append(f"bone {what}: {abs(size[i, j]):.1f} mm at {where}")
         return made
+
+    def _broached(self) -> Floats:
+        """Radii that a broach for stem and mantle leaves (n, `ANGLES`) [mm]."""
+        theta, zeta = (v.ravel() for v in np.meshgrid(THETA, self._bone.zeta))
+        slope = self._slope(zeta)
+        start, end = self._outline(theta / (2 * np.pi), zeta, slope), self._ends(theta, zeta, slope)
+        part = self._meets(lambda x, _: self._mantle(x) + BROACH, zeta, start, end)
+        x, y, _ = (start + part[:, None] * (end - start)).T.reshape(3, -1, ANGLES)
+        rows = zip(np.arctan2(y, x), np.hypot(x, y), strict=True)
+        return np.array([np.interp(THETA, turn, r, period=2 * np.pi) for turn, r in rows])
 
     def _on(self, theta: Floats, zeta: Floats, radii: Floats) -> Floats:
         """Points of sections, about their centres (..., 3) [mm]."""
@@ -270,33 +239,21 @@ class PatientSurfaces(FemurSurfaces):
         return np.asarray(self._endosteum(np.arctan2(dy, dx), zeta) - np.hypot(dx, dy))
 
     def _sink(self, start: Floats, theta: Floats, zeta: Floats, depth: Floats) -> Floats:
-        """The innermost surface below the plug: a part of the canal that goes over to `CORE`."""
+        """The innermost surface below the plug: a part of the canal that goes over to `CORE`.
+
+        Its lines go over to radial ones: the canal is narrow and not round.
+        """
         x, below = start.copy(), depth > 0
         turn, level = np.arctan2(*start[below, 1::-1].T), zeta[below]
         ratio = np.hypot(*start[below, :2].T) / self._endosteum(turn, level + depth[below])
-        ratio += (CORE - ratio) * np.minimum(depth[below] / CORE_OVER, 1.0)
+        part = np.minimum(depth[below] / CORE_OVER, 1.0)
+        ratio += (CORE - ratio) * part
+        turn += part * (np.mod(theta[below] - turn + np.pi, 2 * np.pi) - np.pi)
         x[below] = self._on(turn, level, ratio * self._endosteum(turn, level))
         return x
 
-    def _refuse(self) -> None:
-        along, around = np.linspace(self.tip, self.cut, 90), np.arange(72) / 72
-        phi, s = (v.ravel() for v in np.meshgrid(around, along))
-        lines, zeta = self._across(phi, s), self.plane(s)[0]
-        inside = self._inside(lines.start, zeta)
-        room = np.where(inside > 0, lines.endosteum * lines.length, inside)
-        worst = int(room.argmin())
-        if room[worst] >= LEAST_MANTLE:
-            return
-        x = self._placed.to_model(lines.start[worst])
-        out = x - self._placed.to_model([0.0, 0.0, zeta[worst]])
-        side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
-        text = f"cuts {-room[worst]:.1f} mm into the cortex"
-        if room[worst] >= 0:
-            text = f"leaves {room[worst]:.1f} mm for cement, of {LEAST_MANTLE:g} mm at least,"
-        raise GeometryError(
-            f"geometry.insertion: the stem {text} {side} at {self._placed.where(x)}; ream"
-            " (canal.ream: broach), take a smaller or shorter stem, or change varus and offsets"
-        )
+    def _check(self, lines: Lines) -> None:
+        """Nothing: `_measure` counts how often rays meet bone."""
 
 
 def _limited(radii: Floats) -> Floats:
@@ -311,3 +268,32 @@ def _limited(radii: Floats) -> Floats:
         if (radii <= least).all():
             return radii
         radii = np.minimum(radii, least)
+
+
+class InsertedSurfaces(PatientSurfaces):
+    """The same of the parametric femur, by its functions at places of its own axes."""
+
+    remedy = "change insertion, widen the canal (canal_widening), or take a smaller or shorter stem"
+    _check, _inside = FemurSurfaces._check, FemurSurfaces._inside
+
+    def _measure(self, geometry: Any) -> None:
+        implant, placed = geometry.implant, self._placed
+        plug = implant.stem_tip_z - implant.plug_length
+        low, way = placed.to_stem(np.zeros(3)), placed.turn[2]  # the shaft's axis
+        part = np.clip((plug - self._zeta) / CORE_OVER, 0.0, 1.0)
+        shaft = low[:2] + np.outer((self._zeta - low[2]) / way[2], way[:2])
+        self._centres = (part * part * (3 - 2 * part))[:, None] * shaft
+        self._periosteum = PERIOSTEUM
+        self._canal = femur_bone.endosteum(geometry.model_copy(update={"anteversion": 0.0}))
+        self._bone = partial(self._met, PERIOSTEUM.radius)
+        self._endosteum = partial(self._met, self._canal)
+
+    def _met(self, radius: Callable[..., Floats], theta: Floats, zeta: Floats) -> Floats:
+        """Radii of a surface in sections (n,) [mm]."""
+        return root(
+            lambda r, k: self._within(radius, self._on(theta[k], zeta[k], r)),
+            np.full(len(theta), REACH),
+        )
+
+    def _within(self, radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
+        return super()._within(radius, self._placed.to_model(points))

@@ -9,14 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, MeshOptions, Patient
 from app.errors import GeometryError
-from meshes import _make, femur_bone
-from meshes.data import MeshData, region_volumes
+from meshes import _make, bone_surface, femur_bone, femur_stem
+from meshes.bone_surface import BoneSurface
+from meshes.data import MeshData, interface_facets, region_volumes
+from meshes.femur_bone import CORTEX
+from meshes.femur_surfaces import LEAST_MANTLE
 from meshes.gruen import Zones
 from meshes.patient_surfaces import PatientSurfaces
+from tests.meshes import cad_stems
 from tests.meshes.bones import (
     LINES,
     MEASURED,
@@ -107,12 +112,53 @@ def test_axes_of_the_scan_do_not_matter(folder: Path) -> None:
     canal = {"surface": "canal_moved.stl", "ream": "broach"}
     still = patient(folder, canal=canal | {"surface": "canal.stl"})
     turned = patient(folder, bone={"surface": "bone_moved.stl"}, canal=canal)
-    one, other = (PatientSurfaces(g, options(), g.placement) for g in (still, turned))
+    one, other = (PatientSurfaces(g, options()) for g in (still, turned))
     s = np.linspace(0, one.cut, 200)
     phi = np.random.default_rng(1).uniform(size=200)
     a, b = one.lines(phi, s), other.lines(phi, s)
     assert a.end == pytest.approx(b.end, abs=0.1)
     assert a.endosteum == pytest.approx(b.endosteum, abs=0.02)
+
+
+# Mantle's own stem below the cut, placed where its shoulder is out of the bone.
+NECK = (135.919, 130.0, 4.9, 5.5, 56.133)
+PUT = {"depth": "-1 mm", "varus": "1 deg", "version": {"angle": "-8 deg"}}
+IN = {"canal": {"ream": "broach"}, "insertion": PUT}
+
+
+def test_a_stem_from_a_file_is_as_mantles_own(folder: Path) -> None:
+    """Circles of 6 mm are met to 0.008 mm, and its axis is found to 0.005 mm; its end is flat."""
+    file = {"step": cad_stems.write("own", folder, neck=NECK)}
+    given, here = patient(folder, **IN), patient(folder, stem=file, **IN)
+    (there, expected), (data, volumes) = ((d, region_volumes(d)) for d in map(made, (given, here)))
+    assert here.head_centre == pytest.approx(given.head_centre, abs=0.02)
+    assert here.told["end of the neck in own.step"] == "[43.0, 0.0, 172.0] mm"
+    x = here.placement.to_stem(data.points[np.unique(interface_facets(data, "stem_cement")[0])])
+    x, y, z = x[x[:, 2] > -146.9].T
+    body = femur_stem.body(given.implant)
+    assert len(z) > 200 and z.max() < 0
+    assert np.hypot(x, y) == pytest.approx(body.radius(np.arctan2(y, x), z), abs=0.013)
+    for name in ("cement", "cortical_bone", "cancellous_bone"):
+        assert volumes[name] == pytest.approx(expected[name], rel=0.006), name
+    nominal = [d.notes["mantle"]["thickness"]["median"] for d in (data, there)]
+    assert nominal[0] == pytest.approx(nominal[1], abs=0.02)
+
+
+def test_a_stem_of_the_right_side_is_mirrored_with_the_bone(folder: Path) -> None:
+    """One that is not symmetric: its medial direction is that to a head beside its plane."""
+    file, mirror = cad_stems.write("own", folder, neck=NECK), np.diag([-1.0, 1.0, 1.0])
+    write(folder / "right.stl", moved(own(), mirror, np.zeros(3)))
+    found = []
+    for name, y in (("bone", -8), ("right", 8)):
+        stem = {"step": file, "head_centre": ["42 mm", f"{y} mm", "172 mm"]}
+        geometry = patient(folder, bone={"surface": f"{name}.stl"}, stem=stem, **IN)
+        surfaces = PatientSurfaces(geometry, options())
+        outlines = [surfaces._body._section(z, 0.1)[0] for z in (-140.0, -80.0, -20.0)]
+        found.append((np.stack(outlines), geometry.head_centre))
+    (one, head), (other, centre) = found
+    assert head == pytest.approx(centre, abs=0.001)
+    assert one == pytest.approx(other, abs=0.02)
+    assert np.abs(one[:, 1:-1] - one[:, -2:0:-1] * [1, -1, 1]).max() > 0.5
 
 
 def test_muscles_are_on_the_bone_and_below_the_cut(folder: Path) -> None:
@@ -126,68 +172,82 @@ def test_muscles_are_on_the_bone_and_below_the_cut(folder: Path) -> None:
 
 
 def test_the_stem_goes_where_it_is_put(folder: Path) -> None:
-    """Depth, varus, version and offsets, against the untouched position."""
+    """Version and offsets by the patient's neck; `test_insertion` moves a stem by hand."""
     at = patient(folder).placement
-    deep = patient(folder, insertion={"depth": "3 mm"}).placement
-    assert deep.to_model([0, 0, -50.0])[2] == pytest.approx(at.to_model([0, 0, -53.0])[2], abs=1e-9)
-    varus = patient(folder, insertion={"varus": "2 deg"}).placement
-    tip, moved_tip = (p.to_model([0.0, 0.0, -147.0]) for p in (at, varus))
-    arm = 147.0 + varus.top
-    assert moved_tip[0] - tip[0] == pytest.approx(-arm * math.sin(math.radians(2)), abs=0.05)
-    turned = patient(folder, insertion={"version": {"angle": "10 deg"}}).placement
-    x, y, _ = turned.turn[:, 0]
+    aside = {"medial_offset": "2 mm", "anterior_offset": "1 mm"}
+    put = patient(folder, insertion=aside | {"version": {"angle": "10 deg"}}).placement
+    x, y, _ = put.turn[:, 0]
     assert math.degrees(math.atan2(y, x)) == pytest.approx(10.0, abs=0.1)
-    aside = patient(folder, insertion={"medial_offset": "2 mm", "anterior_offset": "1 mm"})
-    assert aside.placement.foot[:2] - at.foot[:2] == pytest.approx([2.0, 1.0], abs=0.02)
+    assert put.foot[:2] - at.foot[:2] == pytest.approx([2.0, 1.0], abs=0.02)
 
 
-def random_patient(folder: Path, seed: int) -> Patient:
-    """Stem, mantle, position and canal at random, on mantle's own femur or the measured one."""
+def random_patient(folder: Path, seed: int, bone: BoneSurface, canal: BoneSurface) -> Patient:
+    """A bone stretched and sheared, left or right; stem, mantle, cut, position, canal at random."""
     rng = np.random.default_rng(seed)
+    shear = np.triu(math.tan(math.radians(3)) * rng.uniform(-1, 1, (3, 3)), 1)
+    change = np.diag(rng.uniform(0.94, 1.06, 3) * [(-1) ** seed, 1, 1]) @ (np.eye(3) + shear)
+    for name, surface in ((f"{seed}", bone), (f"{seed}_canal", canal)):
+        write(folder / f"{name}.stl", moved(surface, change, np.zeros(3)))
     shift = {k: f"{rng.uniform(-2, 2)} mm" for k in ("medial_offset", "anterior_offset", "depth")}
     turn = {"varus": f"{rng.uniform(0, 3)} deg", "version": {"angle": f"{rng.uniform(-15, 5)} deg"}}
-    canal: dict[str, Any] = {"ream": "broach"}
-    if rng.uniform() < 0.8:
-        canal["surface"] = "canal.stl"
-    cement = f"{rng.uniform(2, 5)} mm"
+    own = {"surface": f"{seed}_canal.stl"} if rng.uniform() < 0.8 else {}
+    cement, distal = (f"{t} mm" for t in rng.uniform(3, 6, 2))
     return patient(
         folder,
-        canal=canal,
+        bone={"surface": f"{seed}.stl", "unit": "mm"},
+        canal={"ream": "broach"} | own,
         insertion=shift | turn,
-        cement_thickness={"proximal": cement, "distal": "2 mm"} if seed % 2 else cement,
-        stem={"length": f"{rng.uniform(110, 147)} mm", "tip_void": f"{5 * (seed % 3 == 2)} mm"},
+        cement_thickness={"proximal": cement, "distal": distal} if seed % 2 else cement,
+        stem={"length": f"{rng.uniform(100, 147)} mm"},
+        tip_void=f"{5 * (seed % 3 == 2)} mm",
         resection={"angle": f"{rng.uniform(34, 44)} deg"},
     )
 
 
+def distance(geometry: Patient) -> float:
+    """Least distance of the stem below the cut from the bone's triangles [mm].
+
+    Points of both: no sections, no rays. It is near 0 where a stem leaves the bone.
+    """
+    placed, corners = geometry.placement, geometry.placement.bone.corners
+    z, phi = np.meshgrid(np.arange(-geometry.stem.length, 20.0), np.arange(48) / 48)
+    stem = femur_stem.body(geometry.implant).point(phi.ravel(), z.ravel(), 0.0)
+    x = placed.to_model(stem)
+    x = x[(x - placed.foot) @ placed.normal < 0]
+    parts = [(i / 4, j / 4, 1 - (i + j) / 4) for i in range(5) for j in range(5 - i)]
+    y = (parts @ corners[corners[:, 0, 2] > x[:, 2].min() - 10]).reshape(-1, 3)
+    return float(cKDTree(y[(y - placed.foot) @ placed.normal < 0]).query(x)[0].min())
+
+
 def check(geometry: Patient, seed: int) -> bool:
-    """Meshed at the first attempt, or refused by anatomy with the place; whether it was meshed."""
+    """Meshed at the first attempt, or rightly refused with the place; whether it was meshed."""
     mesh = options(size=f"{6 + seed % 3} mm", order=1 + seed % 2, around=None)
     try:
         data = _make(geometry, mesh)
     except GeometryError as error:
-        assert "mm below the cut" in str(error) or "below the neck cut" in str(error), seed
+        assert "mm below the cut" in str(error), seed
+        assert distance(geometry) < LEAST_MANTLE + CORTEX, seed
         return False
-    assert data.notes["quality"]["sicn_min"] > 0.02
+    assert data.notes["quality"]["sicn_min"] > 0.03, seed
     assert data.notes["mantle"]["thickness"]["min"] > 0.8
     return True
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_random_patients(folder: Path, seed: int) -> None:
-    check(random_patient(folder, seed), seed)
+def test_random_patients(tmp_path: Path, seed: int) -> None:
+    check(random_patient(tmp_path, seed, own(), own_canal()), seed)
 
 
 @measured
 @pytest.mark.slow
 def test_a_hundred_patients(tmp_path: Path) -> None:
-    """On the measured femur, larger by a fifth; at least two thirds have room for the stem."""
-    from meshes.bone_surface import read
-
-    for name, path in (("bone", MEASURED), ("canal", MEASURED_CANAL)):
-        write(tmp_path / f"{name}.stl", read(path, "mm"), 1.2)
-    meshed = sum(check(random_patient(tmp_path, seed), seed) for seed in range(100))
-    assert meshed > 66
+    """On the measured femur, larger by a fifth; at least four fifths have room for the stem."""
+    surfaces = [
+        moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
+        for path in (MEASURED, MEASURED_CANAL)
+    ]
+    meshed = sum(check(random_patient(tmp_path, seed, *surfaces), seed) for seed in range(100))
+    assert meshed >= 80
 
 
 def test_places_in_an_image_are_those_of_the_file_and_in_the_bone(folder: Path) -> None:

@@ -112,6 +112,8 @@ CANALS = {
 }
 KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "no file": ({"bone": {"surface": "none.stl"}}, "no such file"),
+    "no bone": ({"bone": {"image": "bone.stl"}}, "expected `surface`, or `image` and `label`"),
+    "no image": ({"bone": {"image": "bone.stl", "label": 1}}, "no image that can be read|needs"),
     "metre": ({"bone": {"surface": "bone.stl", "unit": "m"}}, "337 m long, .* Expected mm"),
     "side": ({"bone": {"surface": "bone.stl", "side": "right"}}, "14 mm behind the axis of a left"),
     "no end": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
@@ -129,7 +131,7 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
         f"1.8 mm into the cortex medially at {PLACE}, 48 mm below the cut; ream",
     ),
     "corner": ({"stem": {"corner_radius": "6 mm"}}, "half-depth, 5 mm"),
-    "void": ({"stem": {"tip_void": "9.5 mm"}}, "less than 1 mm of 10 mm of plug"),
+    "void": ({"tip_void": "9.5 mm"}, "less than 1 mm of 10 mm of plug"),
     "valgus neck": ({"stem": {"neck_angle": "150 deg"}}, "between 100 and 145 deg"),
     "too thick": ({"cement_thickness": "12 mm"}, "at most 8 mm"),
     "no room": ({"stem": {"tip_half_width": "6 mm"}}, f"the cortex laterally at {PLACE}"),
@@ -142,7 +144,7 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "neck": (change(head_height="1 mm"), "1 mm above the shoulder, does not clear .* raise"),
     "fossa": (
         {"resection": {"angle": "45 deg", "height": "10 mm"}},
-        f"into the cortex laterally at {PLACE}, 0 mm below the cut",
+        f"for cement, of 1 mm at least, laterally at {PLACE}, 0 mm below the cut",
     ),
     "steep": ({"resection": {"angle": "60 deg", "height": "20 mm"}}, f"outside .* at {PLACE}"),
     "high": ({"resection": {"height": "120 mm"}}, "120 mm above .* outside of the bone; cut lower"),
