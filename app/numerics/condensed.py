@@ -48,7 +48,7 @@ ASSEMBLY, KRYLOV, LATER = 1.5e-5, 1.3e-4, 0.65
 SPEEDUP, MEMORY = 0.9, 0.5
 
 
-class Contact(Protocol):
+class Condensable(Protocol):
     """Interface between condensation and contact; arrays are those of own points."""
 
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
@@ -74,7 +74,7 @@ class Condensed:
         cholesky: Factors of A', on rank 0.
     """
 
-    def __init__(self, contact: Contact) -> None:
+    def __init__(self, contact: Condensable) -> None:
         self._contact = contact
         K, _, D = contact.parts()
         self._comm = K.comm.tompi4py()
