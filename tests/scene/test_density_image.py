@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,9 @@ def test_published_laws(even: Path, law: str, expected: list[float]) -> None:
     """
     E = ImageModulus.model_validate(modulus(even, law))
     assert E.modulus(np.array([0.3, 0.6, 1.0])) == pytest.approx(expected, abs=0.5)
-    assert ", ".join(f"{e:,}" for e in expected[2:]) in next(iter(E.told.values()))
+    assert ", ".join(f"{e:,}" for e in expected[2:]) in next(
+        iter(E.told(SimpleNamespace(skin=())).values())
+    )
     below, above = (E.modulus(np.array([0.27, 0.60]) + step) for step in (0, 1e-9))
     assert below == pytest.approx(above, rel=1.5e-3)
     ash = 0.877 * 1.124 + 0.0789
