@@ -102,7 +102,8 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
         with case.file.placing():
             notes += well_posedness.judge(case.config, well_posedness.look(case.config, data))
         size = cost.exact_size(case.config, data)
-    return preview.CheckedCase(preview.describe(case.config, case.file.data), size, tuple(notes))
+    text = preview.describe(case.config, case.file.data)
+    return preview.CheckedCase(text, size, tuple(n for n in notes if n not in text))
 
 
 def mesh(case: LoadedCase) -> MeshData:

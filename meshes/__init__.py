@@ -40,7 +40,8 @@ __all__ = ["MeshData", "build", "write_msh"]
 
 # A mantle that fills the canal divides the cancellous bone; each piece is held by the cortex.
 DIVISIBLE = frozenset({"cancellous_bone"})
-MESHERS = {"intact_femur": "femur_intact", "file": "imported"}  # the others as their geometry
+# The others are named as their geometry.
+MESHERS = {"intact_femur": "femur_intact", "patient": "femur", "file": "imported"}
 
 
 def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:

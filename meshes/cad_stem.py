@@ -15,15 +15,15 @@ import numpy as np
 from app.arrays import Floats
 from app.errors import GeometryError
 from meshes.bone_surface import met, section
-from meshes.femur_stem import CORNERS
+from meshes.femur_stem import CORNERS, unit
 from meshes.mantle import distance
+from meshes.placement import Placement
 
 ROUND = 720  # rays around
 THETA = 2 * np.pi * np.arange(ROUND) / ROUND
 HIDDEN = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
 TIP = 3.0  # mm above the tip from which the mantle goes on below it
 NECK = 0.38  # of the neck's length: what the points between axis and neck head for
-Y = (0.0, 1.0, 0.0)
 INSIDE = 1e-3  # mm that the last section is within the neck
 
 
@@ -58,20 +58,23 @@ class CadStem:
         ends: Steps above the neck cut.
     """
 
-    def __init__(
-        self, found: dict[str, Floats], low: float, cut: tuple[float, float], mesh: Any
-    ) -> None:
-        """The tip is at a level [mm]; the cut has a height on the axis [mm] and a slope."""
-        self._low, shift = low, np.array([0.0, 0.0, low])
-        self._x, self._coarse = found["x"] + shift, found["coarse"] + shift
+    def __init__(self, found: dict[str, Floats], low: float, placed: Placement, mesh: Any) -> None:
+        """The tip is at a level of the stem's axes [mm]."""
+        self._low, self._placed = low, placed
+        way, shift = [1.0, -1.0 if placed.mirrored else 1.0, 1.0], np.array([0.0, 0.0, low])
+        self._x, self._coarse = found["x"] * way + shift, found["coarse"] * way + shift
         self._kept = lru_cache(maxsize=4096)(self._section)
-        end, up = found["end"] + shift, found["neck"]
+        end, up = found["end"] * way + shift, found["neck"] * way
         bend = end - (1 - NECK) * end[0] / up[0] * up
-        self._path = np.array([[0.0, 0.0, cut[0]], bend, end - INSIDE * up])
-        medial = np.array([1.0, 0.0, 0.0]) - up[0] * up
-        medial /= np.linalg.norm(medial)
-        self._planes = np.array([[[1.0, 0.0, -cut[1]], Y], [medial, np.cross(up, medial)]])
+        self._path = np.array([[0.0, 0.0, placed.top], bend, end - INSIDE * up])
+        medial = unit(np.array([1.0, 0.0, 0.0]) - up[0] * up)
+        steepest, self._lean = placed.slopes
+        self._planes = np.stack([self._plane(steepest), [medial, np.cross(up, medial)]])
         self.ends = (mesh.steps(np.linalg.norm(np.diff(self._path, axis=0), axis=1).sum()),)
+
+    def _plane(self, slope: float) -> Floats:
+        """Directions in a section, over x and over y (2, 3)."""
+        return np.array([[1.0, 0.0, -slope], [0.0, 1.0, -slope * self._lean]])
 
     def _section(self, height: float, slope: float, part: float = 0.0) -> tuple[Floats, Floats]:
         """Outline (`ROUND` + 1, 3) [mm], and its length and bend up to there in turns.
@@ -82,16 +85,16 @@ class CadStem:
         origin = np.array([t * t, 2 * t * part, part * part]) @ self._path
         plane = t * t * self._planes[0] + (1 - t * t) * self._planes[1]
         if part <= 0:
-            origin, plane = np.array([0.0, 0.0, height]), np.array([[1.0, 0.0, -slope], Y])
+            origin, plane = np.array([0.0, 0.0, height]), self._plane(slope)
         try:
             x = outline(self._x, origin, plane)
         except ValueError:
-            a, b, c = origin
+            where = self._placed.where(self._placed.to_model(origin))
             raise GeometryError(
-                f"geometry.stem: around ({a:.0f}, {b:.0f}, {c:.0f}) mm the section of the stem is"
-                " met more than once from there: a collar, or a neck that leaves the body below the"
-                " neck cut? Move it proximally (stem_tip_z), cut lower (resection_height), or leave"
-                " the collar out"
+                f"geometry.stem: around {where}, the section of the stem is met more than once from"
+                " there: a collar, or a neck that leaves the body below the neck cut? Move it"
+                " proximally (stem_tip_z, insertion.depth), cut lower (resection_height,"
+                " resection.height), or leave the collar out"
             ) from None
         edges = np.roll(x, -1, axis=0) - x
         length = np.sqrt((edges**2).sum(axis=1))

@@ -7,7 +7,6 @@ surface elsewhere. Both surfaces, and those of stem and bone, are functions on o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +17,7 @@ from meshes import swept
 from meshes.data import MeshData, assemble, facet_areas, number
 from meshes.femur_bone import turned
 from meshes.femur_surfaces import FemurSurfaces
+from meshes.patient_surfaces import InsertedSurfaces, PatientSurfaces
 
 PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
@@ -31,23 +31,17 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     """Mesh the femur: four regions, two interfaces.
 
     Boundaries are distal_cut, bone_surface, stem_trunnion, resection and six muscle patches;
-    notes have the head centre and layers. ``mesh`` are options of a case.
+    notes have the head centre, layers and what was found. ``mesh`` are options of a case.
 
     Raises:
         GeometryError: The stem does not fit the canal (with the place), or its neck or shoulder
             does not go with the neck cut.
     """
-    return operated(geometry, FemurSurfaces(geometry, mesh))
-
-
-def operated(
-    geometry: Any,
-    surfaces: FemurSurfaces,
-    placed: Callable[[Floats], Floats] | None = None,
-    told: Sequence[str] = (),
-) -> MeshData:
-    """The mesh of surfaces with a stem, placed in the axes of the model."""
-    made = swept.mesh(surfaces, surfaces.mesh.curved)
+    kind = FemurSurfaces
+    if geometry.insertion:
+        kind = PatientSurfaces if geometry.kind == "patient" else InsertedSurfaces
+    surfaces = kind(geometry, mesh)
+    made = swept.mesh(surfaces, mesh.curved)
     facets, owner = made.facets
     bone = np.array([name.endswith("bone") for name in made.names])[made.region[owner]]
     masks = {
@@ -56,9 +50,13 @@ def operated(
         "stem_trunnion": made.on(facets, s=surfaces.cut + surfaces.segments[-1].steps),
         "resection": bone & made.on(facets, s=surfaces.cut),
     }
-    x = placed(made.nodes.x) if placed else turned(made.nodes.x, geometry.anteversion)
+    if geometry.insertion:
+        x = geometry.placement.to_model(made.nodes.x)
+    else:
+        x = turned(made.nodes.x, geometry.anteversion)
     data = assembled(geometry, made, x, REGIONS, INTERFACES, masks)
-    return replace(data, notes={**data.notes, "told": list(told)}) if told else data
+    told = [*(f"{k}: {v}" for k, v in geometry.told.items()), *surfaces.told]
+    return replace(data, notes={**data.notes, "told": told}) if told else data
 
 
 def assembled(

@@ -53,10 +53,12 @@ class Body:
     Attributes:
         half: Values at z = 0 of half-width (x), half-depth (y) and corner radius [mm].
         slope: Their slopes [-].
+        lean: Slope of the planes of `point` along y over that along x.
     """
 
     half: tuple[float, float, float]
     slope: tuple[float, float, float]
+    lean: float = 0.0
 
     def section(self, z: Any) -> tuple[Any, Any, Any]:
         """Half-width, half-depth and corner radius at z [mm]."""
@@ -77,7 +79,7 @@ class Body:
         return np.where(rounded, corner, flat)
 
     def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
-        """Points of the outline in the planes z = zeta - slope x (n, 3) [mm].
+        """Points of the outline in the planes z = zeta - slope (x + lean y) (n, 3) [mm].
 
         Corners take more of the turn than their length: they bend most.
 
@@ -105,7 +107,13 @@ class Body:
         x = (x0 + x1 * zeta) / (1 + slope * x1)
         z = zeta - slope * x
         y = beside * (b0 - r0 + (b1 - r1) * z) + s * (r0 + r1 * z)
-        return np.stack([x, np.where(quarter < 2, y, -y), z], axis=1)
+        y = np.where(quarter < 2, y, -y)
+        if self.lean:  # the body tapers: each time the error is a few percent of what it was
+            level = replace(self, lean=0.0)
+            for _ in range(12):
+                z = zeta - slope * (x + self.lean * y)
+                x, y, _ = level.point(phi, z, 0.0).T
+        return np.stack([x, y, z], axis=1)
 
     def offset(self, thickness: Any) -> Body:
         """The surface at a distance: exact on the flats, within t (1/cos - 1) at the corners."""
@@ -117,6 +125,11 @@ class Body:
         """As `radius`, of the surface whose points have the thickness of their place."""
         return self.offset(thickness(theta, z)).radius(theta, z)
 
+    def depth(self, thickness: Callable[..., Any], x: Floats) -> Floats:
+        """Depth of points (n, 3) within that surface, across the z axis (n,) [mm]."""
+        r = self.outside(thickness, np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
+        return np.asarray(r - np.hypot(x[:, 0], x[:, 1]))
+
 
 def body(geometry: Any) -> Body:
     """The stem's body from its sections at the tip and at ``stem_section_z``."""
@@ -127,6 +140,13 @@ def body(geometry: Any) -> Body:
         slopes.append((top - tip) / (high - low))
         values.append(tip - slopes[-1] * low)
     return Body((values[0], values[1], values[2]), (slopes[0], slopes[1], slopes[2]))
+
+
+def lateral(implant: Any) -> float:
+    """How far the shoulder reaches lateral of the axis [mm]."""
+    if implant.stem:
+        return float(implant.stem.found["lateral"])
+    return float(body(implant).section(implant.stem_tip_z + implant.stem_length)[0])
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,8 @@ SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the 
 VOID = "void"  # where no cells are
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
 REACH = 90.0  # mm: farther from the axis there is no bone
+SIDES = "medially antero-medially anteriorly antero-laterally laterally postero-laterally".split()
+SIDES += ["posteriorly", "postero-medially"]
 WAYS = np.linspace(0.0, 1.2, 25)  # of a line, where it is asked how often it meets bone
 EXACT = 1e-11  # of roots, absolute and relative
 
@@ -76,22 +78,36 @@ class FemurSurfaces:
             in one continue below and above.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
         tip: Station of the stem's last section.
+        told: What was found, in words.
+        key: Key that says where the stem is.
+        remedy: What to change where it has no room.
     """
 
     mirrored = range(0)
-    _lean = 0.0  # slope of the sections along y over that along x
+    key = "geometry"
+    remedy = "widen the canal (canal_widening), narrow the stem or move it proximally (stem_tip_z)"
 
     def __init__(self, geometry: Any, mesh: Any) -> None:
-        self.mesh, thickness = mesh, geometry.cement_thickness
-        # In axes that turn with the stem.
+        implant, thickness = geometry.implant, geometry.cement_thickness
+        self.mesh, self._placed, self.told = mesh, geometry.placement, list[str]()
+        placed = self._placed
+        self._top, (self._steepest, self._lean) = placed.top, placed.slopes
+        if stem := getattr(implant, "stem", None):
+            self._body: Any = CadStem(stem.found, implant.stem_tip_z, placed, mesh)
+        else:
+            self._body = replace(femur_stem.body(implant), lean=self._lean)
+        self._thickness = femur_stem.thickness(thickness, implant.stem_tip_z, placed.top)
+        self._mantle = partial(self._body.depth, self._thickness)
+        distal = placed.top + (geometry.distal_cut_z - placed.foot[2]) / placed.turn[2, 2]
+        self._divide(implant, distal, thickness)
+        self._measure(geometry)
+        self._refuse()
+        self._continue(implant)
+
+    def _measure(self, geometry: Any) -> None:
+        """Take the radii of periosteum and endosteum, in axes that turn with the stem."""
         self._canal = femur_bone.endosteum(geometry)
         self._periosteum = replace(PERIOSTEUM, turn=geometry.anteversion)
-        normal, level = femur_bone.resection(geometry)
-        self._top, self._steepest = level / normal[2], normal[0] / normal[2]
-        self._shape(geometry)
-        self._divide(geometry, geometry.distal_cut_z, thickness)
-        self._refuse()
-        self._continue(geometry)
 
     def _divide(self, implant: Any, distal: float, thickness: Any) -> None:
         """Divide the bone from a distal level [mm] to the cut: stations, lines, cells."""
@@ -120,24 +136,12 @@ class FemurSurfaces:
         """Station of the neck cut."""
         return self.mantle[1]
 
-    def _shape(self, geometry: Any) -> None:
-        """Make the stem's body, and the function that is the depth within its mantle."""
-        low = geometry.stem_tip_z
-        thickness = femur_stem.thickness(geometry.cement_thickness, low, self._top)
-        if stem := getattr(geometry, "stem", None):
-            cut = self._top, self._steepest
-            self._body: Any = CadStem(stem.found, low, cut, self.mesh)
-            self._mantle = partial(self._body.depth, thickness)
-        else:
-            self._body = femur_stem.body(geometry)
-            self._mantle = partial(self._within, partial(self._body.outside, thickness))
-
-    def _continue(self, geometry: Any) -> None:
+    def _continue(self, implant: Any) -> None:
         """Divide the stem above the cut."""
         self._upper = self._body
         if not isinstance(self._body, CadStem):
             cut = self._top, self._steepest
-            self._upper = femur_stem.upper(geometry, self._body, self.mesh, *cut)
+            self._upper = femur_stem.upper(implant, self._body, self.mesh, *cut)
         bone = ("cancellous_bone", "cortical_bone")
         segments = (
             Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
@@ -205,8 +209,7 @@ class FemurSurfaces:
         below = s < self.mantle[0]
         at = np.where(below, float(self.mantle[0]), s)
         z, tilt = self.plane(at)
-        start = self._body.point(phi, z, tilt) * [[1.0, 1.0, 0.0]] * self._tip.width(z)[:, None]
-        start[:, 2] = z - tilt * (start[:, 0] + self._lean * start[:, 1])
+        start = self._outline(phi, z, tilt)
         depth = np.where(below, self._zeta[self.mantle[0]] - zeta, 0.0)
         start = self._sink(start, theta, zeta, depth)
         endosteum = self._meets(self._inside, zeta, start, end)
@@ -220,6 +223,12 @@ class FemurSurfaces:
             ratio += (SPREAD - ratio) * np.minimum(1.0, depth[below] / (4 * self.mesh.size))
             mantle[below] = ratio * endosteum[below]
         return Lines(start, end, mantle, endosteum)
+
+    def _outline(self, phi: Floats, zeta: Floats, slope: Floats) -> Floats:
+        """Points of the stem's outline in sections (n, 3) [mm]."""
+        x = self._body.point(phi, zeta, slope) * [[1.0, 1.0, 0.0]] * self._tip.width(zeta)[:, None]
+        x[:, 2] = zeta - slope * (x[:, 0] + self._lean * x[:, 1])
+        return np.asarray(x)
 
     def _sink(self, start: Floats, theta: Floats, zeta: Floats, depth: Floats) -> Floats:
         """Points of the innermost surface below the plug, scaled to a part of the canal."""
@@ -259,42 +268,43 @@ class FemurSurfaces:
 
         return root(within, np.ones(len(start)))
 
-    @staticmethod
-    def _within(radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
+    def _within(self, radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
         """Depth of points inside a surface r(theta, z), across the z axis (n,) [mm]."""
         x, y, z = points.T
         return radius(np.arctan2(y, x), z) - np.hypot(x, y)
 
     def _refuse(self) -> None:
-        """Raise GeometryError where lines meet bone twice, or the stem has no room for cement."""
-        along, around = np.linspace(self.tip, self.cut, 60), np.arange(72) / 72
+        """Raise GeometryError where the stem has no room for cement."""
+        along, around = np.linspace(self.tip, self.cut, 90), np.arange(72) / 72
         phi, s = (v.ravel() for v in np.meshgrid(around, along))
-        lines = self._across(phi, s)
+        lines, zeta = self._across(phi, s), self.plane(s)[0]
+        inside = self._inside(lines.start, zeta)
+        room = np.where(inside > 0, lines.endosteum * lines.length, inside)
+        worst = int(np.nanargmin(room))  # no number where the axis is outside of the bone
+        if (least := room[worst]) >= LEAST_MANTLE:
+            self._check(lines)
+            return
+        x = self._placed.to_model(lines.start[worst])
+        out = x - self._placed.to_model([0.0, 0.0, zeta[worst]])
+        side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
+        text = f"leaves {least:.1f} mm for cement, of {LEAST_MANTLE:g} mm at least,"
+        if least < 0:
+            text = f"cuts {-least:.1f} mm into the cortex"
+        where = f"{side} at {self._placed.where(x)}"
+        raise GeometryError(f"{self.key}: the stem {text} {where}; {self.remedy}")
+
+    def _check(self, lines: Lines) -> None:
+        """Refuse lines that meet bone twice."""
         start, end = lines.start, lines.end
         for name, radius in (("periosteum", self._periosteum.radius), ("endosteum", self._canal)):
             inside = np.array([self._within(radius, start + part * (end - start)) for part in WAYS])
             twice = np.flatnonzero(((inside[1:] > 0) != (inside[:-1] > 0)).sum(axis=0) > 1)
             if len(twice):
-                x, y, z = start[twice[0]]
+                x = self._placed.where(self._placed.to_model(start[twice[0]]))
                 raise GeometryError(
-                    f"geometry: a line across the bone from ({x:.0f}, {y:.0f}, {z:.0f}) mm meets"
-                    f" the {name} more than once; sections must be star-shaped about the stem"
+                    f"geometry: a line across the bone from {x} meets the {name} more than once;"
+                    " sections must be star-shaped about the stem"
                 )
-        room = lines.endosteum * lines.length
-        outside = np.hypot(*start.T[:2]) - self._canal(np.arctan2(*start.T[1::-1]), start[:, 2])
-        room = np.where(outside > 0, -outside, room)
-        worst = int(room.argmin())
-        if room[worst] >= LEAST_MANTLE:
-            return
-        toward = math.cos(2 * math.pi * phi[worst])
-        side = "antero-posteriorly"
-        if abs(toward) > 0.7:
-            side = "medially" if toward > 0 else "laterally"
-        raise GeometryError(
-            f"geometry: the canal leaves {room[worst]:.2f} mm beside the stem at"
-            f" z = {start[worst, 2]:.0f} mm, {side}; the mantle needs {LEAST_MANTLE:.1f} mm: widen"
-            " the canal (canal_widening), narrow the stem or move it proximally (stem_tip_z)"
-        )
 
 
 def _distances(mesh: Any, length: float, part: str) -> Floats:

@@ -40,24 +40,14 @@ class Zones:
     regions = ("cortical_bone", "cancellous_bone")
 
     def __init__(self, geometry: Any) -> None:
-        self._geometry, self._placed = geometry, getattr(geometry, "placement", None)
-        self._implant = geometry.implant if self._placed else geometry
-        if self._placed:
-            self._normal = self._placed.normal @ self._placed.turn
-            self._level = self._normal[2] * self._placed.top
-        else:
-            self._normal, self._level = femur_bone.resection(geometry)
-        self.tip = self._implant.stem_tip_z
-        self._end = self.tip + self._implant.tip_height
-        cut = self._level / self._normal[2]
-        self.top = min(cut, self.tip + self._implant.stem_length)
-        self._thickness = femur_stem.thickness(geometry.cement_thickness, self.tip, cut)
-
-    def _local(self, x: Floats) -> Floats:
-        """Points (n, 3) in the stem's axes [mm]."""
-        if self._placed:
-            return np.asarray(self._placed.to_stem(x))
-        return femur_bone.turned(x, -self._geometry.anteversion)
+        self._geometry, self._local = geometry, geometry.placement.to_stem
+        placed, implant = geometry.placement, geometry.implant
+        self._normal = placed.normal @ placed.turn
+        self._level = self._normal[2] * placed.top
+        self.tip = implant.stem_tip_z
+        self._end = self.tip + implant.tip_height
+        self.top = min(placed.top, self.tip + implant.stem_length)
+        self._thickness = femur_stem.thickness(geometry.cement_thickness, self.tip, placed.top)
 
     def at(self, x: Floats) -> Ints:
         """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""

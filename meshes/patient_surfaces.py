@@ -7,7 +7,8 @@ from the stem's axis: there the centre of the rays goes over to the canal's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,11 +18,11 @@ from scipy.ndimage import gaussian_filter
 
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
-from meshes import femur_bone, femur_stem
+from meshes import femur_bone
 from meshes.bone_surface import BoneSurface, centroid, exits, section
-from meshes.femur_bone import CORTEX
-from meshes.femur_surfaces import CORE_OVER, LEAST_MANTLE, FemurSurfaces
-from meshes.placement import Placement
+from meshes.femur_bone import CORTEX, PERIOSTEUM
+from meshes.femur_surfaces import CORE_OVER, REACH, FemurSurfaces, root
+from meshes.layers import Lines
 
 EVERY = 2.0  # mm between sections
 ANGLES = 96  # rays around
@@ -37,8 +38,6 @@ BROACH = 0.3  # mm that a broach is wider than stem and mantle
 CORE = 0.7  # of the canal: the innermost surface below the plug
 LID, NEAR_LID = 0.9, 15.0  # of the normal along the shaft: a canal's flat end; mm from its top
 WIDE, OVER = 12.0, 2.0  # mm of an edge around the metaphysis, and over the size
-SIDES = "medially antero-medially anteriorly antero-laterally laterally postero-laterally".split()
-SIDES += ["posteriorly", "postero-medially"]
 
 
 class Radii:
@@ -55,60 +54,16 @@ class Radii:
         return np.asarray(self._spline.ev(zeta, np.mod(theta, 2 * np.pi)))
 
 
-@dataclass(frozen=True)
-class Leaning:
-    """A stem's body in planes that are not across its medial plane: z = zeta - slope (x + lean y).
-
-    Attributes:
-        body: The body.
-        lean: Slope of the planes along y over that along x.
-    """
-
-    body: Any
-    lean: float
-
-    def section(self, z: Any) -> Any:
-        """Of the body."""
-        return self.body.section(z)
-
-    def radius(self, theta: Floats, z: Floats) -> Floats:
-        """Of the body."""
-        return np.asarray(self.body.radius(theta, z))
-
-    def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
-        """Points of the outline in the planes (n, 3) [mm]."""
-        z = zeta + np.zeros(len(phi))
-        for _ in range(12):  # the body tapers: each time the error is a few percent of what it was
-            x = self.body.point(phi, z, 0.0)
-            z = zeta - slope * (x[:, 0] + self.lean * x[:, 1])
-        return np.column_stack([x[:, :2], z])
-
-
 class PatientSurfaces(FemurSurfaces):
-    """Nested surfaces, in the stem's axes, of a bone that is known by triangles.
+    """Nested surfaces, in the stem's axes, of a bone that is known by triangles."""
 
-    Attributes:
-        told: What was found, in words.
-    """
-
-    def __init__(self, geometry: Any, mesh: Any, placed: Placement) -> None:
-        self.mesh, self._placed, implant = mesh, placed, geometry.implant
-        self._top, (self._steepest, self._lean) = placed.top, placed.slopes
-        body, thickness = femur_stem.body(implant), geometry.cement_thickness
-        self._thickness = femur_stem.thickness(thickness, implant.stem_tip_z, placed.top)
-        self._body: Any = Leaning(body, self._lean)
-        self._mantle = partial(self._within, partial(body.outside, self._thickness))
-        self._plug = implant.stem_tip_z - implant.plug_length
-        distal = (geometry.distal_cut_z - placed.foot[2]) / placed.turn[2, 2]
-        self._divide(implant, placed.top + distal, thickness)
-        self.told: list[str] = []
-        self._measure(geometry)
-        if not mesh.around:
-            edge = max(mesh.size, min(WIDE, OVER * mesh.size))
-            wide = 2 * np.pi * float(self._bone.radii[self._bone.zeta < self._top].mean(1).max())
-            self.around = max(self.around, int(np.ceil(wide / edge)))
-        self._refuse()
-        self._continue(implant)
+    _placed: Any
+    _bone: Any
+    _endosteum: Any
+    key = "geometry.insertion"
+    remedy = (
+        "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and offsets"
+    )
 
     # Measuring
 
@@ -137,7 +92,8 @@ class PatientSurfaces(FemurSurfaces):
         return radii, times
 
     def _measure(self, geometry: Any) -> None:
-        """Take the radii of periosteum and endosteum."""
+        implant = geometry.implant
+        self._plug = implant.stem_tip_z - implant.plug_length
         bone, canal = self._in_stem(self._placed.bone), None
         if self._placed.canal:
             canal = self._in_stem(self._placed.canal)
@@ -167,6 +123,10 @@ class PatientSurfaces(FemurSurfaces):
         self._bone = Radii(zeta, _limited(radii))
         own = self._own_canal(geometry, canal) if canal else self._table(geometry)
         self._endosteum = Radii(zeta, self._reamed(geometry, own))
+        if not (mesh := self.mesh).around:
+            edge = max(mesh.size, min(WIDE, OVER * mesh.size))
+            wide = 2 * np.pi * float(self._bone.radii[within].mean(axis=1).max())
+            self.around = max(self.around, int(np.ceil(wide / edge)))
 
     def _table(self, geometry: Any) -> Floats:
         """Radii of the endosteum by its ratio to the periosteum in the parametric femur [mm]."""
@@ -225,14 +185,7 @@ class PatientSurfaces(FemurSurfaces):
         bone, zeta, ream = self._bone.radii, self._bone.zeta, geometry.canal.ream
         wanted = own + (geometry.canal.ream_by if ream == "by" else 0.0)
         if ream == "broach":
-            body = femur_stem.body(geometry.implant)
-            theta = np.broadcast_to(THETA, own.shape)
-            slope = self._slope(zeta)[:, None] * (np.cos(THETA) + self._lean * np.sin(THETA))
-            r = np.zeros_like(own)
-            for _ in range(12):
-                z = zeta[:, None] - slope * r
-                r = body.offset(self._thickness(theta, z) + BROACH).radius(theta, z)
-            wanted = np.maximum(own, r)
+            wanted = np.maximum(own, self._broached())
         most = bone - np.maximum(LEAST_CORTEX, np.minimum(CORTEX, bone - own))
         made = np.minimum(wanted, most)
         # Below the plug the reamed canal goes over to the patient's own.
@@ -247,6 +200,18 @@ class PatientSurfaces(FemurSurfaces):
             where = self._placed.where(self._places(made)[i, j])
             self.told.append(f"bone {what}: {abs(size[i, j]):.1f} mm at {where}")
         return made
+
+    def _broached(self) -> Floats:
+        """Radii that a broach for stem and mantle leaves, up to the cut (n, `ANGLES`) [mm]."""
+        theta, zeta = (
+            v.ravel() for v in np.meshgrid(THETA, np.minimum(self._bone.zeta, self._top))
+        )
+        slope = self._slope(zeta)
+        start, end = self._outline(theta / (2 * np.pi), zeta, slope), self._ends(theta, zeta, slope)
+        part = self._meets(lambda x, _: self._mantle(x) + BROACH, zeta, start, end)
+        x, y, _ = (start + part[:, None] * (end - start)).T.reshape(3, -1, ANGLES)
+        rows = zip(np.arctan2(y, x), np.hypot(x, y), strict=True)
+        return np.array([np.interp(THETA, turn, r, period=2 * np.pi) for turn, r in rows])
 
     def _on(self, theta: Floats, zeta: Floats, radii: Floats) -> Floats:
         """Points of sections, about their centres (..., 3) [mm]."""
@@ -278,25 +243,8 @@ class PatientSurfaces(FemurSurfaces):
         x[below] = self._on(turn, level, ratio * self._endosteum(turn, level))
         return x
 
-    def _refuse(self) -> None:
-        along, around = np.linspace(self.tip, self.cut, 90), np.arange(72) / 72
-        phi, s = (v.ravel() for v in np.meshgrid(around, along))
-        lines, zeta = self._across(phi, s), self.plane(s)[0]
-        inside = self._inside(lines.start, zeta)
-        room = np.where(inside > 0, lines.endosteum * lines.length, inside)
-        worst = int(room.argmin())
-        if room[worst] >= LEAST_MANTLE:
-            return
-        x = self._placed.to_model(lines.start[worst])
-        out = x - self._placed.to_model([0.0, 0.0, zeta[worst]])
-        side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
-        text = f"cuts {-room[worst]:.1f} mm into the cortex"
-        if room[worst] >= 0:
-            text = f"leaves {room[worst]:.1f} mm for cement, of {LEAST_MANTLE:g} mm at least,"
-        raise GeometryError(
-            f"geometry.insertion: the stem {text} {side} at {self._placed.where(x)}; ream"
-            " (canal.ream: broach), take a smaller or shorter stem, or change varus and offsets"
-        )
+    def _check(self, lines: Lines) -> None:
+        """Nothing: `_measure` counts how often rays meet bone."""
 
 
 def _limited(radii: Floats) -> Floats:
@@ -311,3 +259,32 @@ def _limited(radii: Floats) -> Floats:
         if (radii <= least).all():
             return radii
         radii = np.minimum(radii, least)
+
+
+class InsertedSurfaces(PatientSurfaces):
+    """The same of the parametric femur, by its functions at places of its own axes."""
+
+    remedy = "change insertion, widen the canal (canal_widening), or take a smaller or shorter stem"
+    _check, _inside = FemurSurfaces._check, FemurSurfaces._inside
+
+    def _measure(self, geometry: Any) -> None:
+        implant, placed = geometry.implant, self._placed
+        plug = implant.stem_tip_z - implant.plug_length
+        low, way = placed.to_stem(np.zeros(3)), placed.turn[2]  # the shaft's axis
+        part = np.clip((plug - self._zeta) / CORE_OVER, 0.0, 1.0)
+        shaft = low[:2] + np.outer((self._zeta - low[2]) / way[2], way[:2])
+        self._centres = (part * part * (3 - 2 * part))[:, None] * shaft
+        self._periosteum = PERIOSTEUM
+        self._canal = femur_bone.endosteum(geometry.model_copy(update={"anteversion": 0.0}))
+        self._bone = partial(self._met, PERIOSTEUM.radius)
+        self._endosteum = partial(self._met, self._canal)
+
+    def _met(self, radius: Callable[..., Floats], theta: Floats, zeta: Floats) -> Floats:
+        """Radii of a surface in sections (n,) [mm]."""
+        return root(
+            lambda r, k: self._within(radius, self._on(theta[k], zeta[k], r)),
+            np.full(len(theta), REACH),
+        )
+
+    def _within(self, radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
+        return super()._within(radius, self._placed.to_model(points))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,33 +20,28 @@ from scipy.spatial import cKDTree
 
 from app.arrays import Floats
 from app.errors import GeometryError
-from meshes import bone_frame, bone_surface, femur_stem
+from meshes import bone_frame, bone_surface, femur_bone, femur_stem
 from meshes.bone_frame import Frame
 from meshes.bone_surface import BoneSurface, centroid, exits, section
 
 # Of the parametric femur [mm]: from the axis to the greater trochanter, height of the head, radius
 # of the shaft and its level.
 LATERAL, HEAD, SHAFT, LEVEL = 31.5, 54.0, 14.4, -50.0
+EXACT = 1e-12  # of a cut's normal: rounded off
 BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no one truth: geometries compare their keys
 class Placement:
-    """Bone, canal, cut and stem of a patient.
+    """The neck cut and the stem, in the model's axes.
 
     Attributes:
-        frame: Landmarks found on the bone.
-        bone: Its surface, in the model's axes as all below.
-        canal: BoneSurface of its canal, or None.
         normal: Unit normal of the neck cut (3,): what is below is kept.
         turn: Axes of the stem as columns (3, 3).
         foot: Where its axis meets the cut (3,) [mm].
-        top: The same on its axis: height above the shoulder [mm].
+        top: The same on its axis: height in the stem's axes [mm].
     """
 
-    frame: Frame
-    bone: BoneSurface
-    canal: BoneSurface | None
     normal: Floats
     turn: Floats
     foot: Floats
@@ -59,6 +54,47 @@ class Placement:
     def to_model(self, x: Any) -> Floats:
         """Points in the stem's axes (..., 3) in those of the model [mm]."""
         return np.asarray(np.subtract(x, [0.0, 0.0, self.top]) @ self.turn.T + self.foot)
+
+    @property
+    def slopes(self) -> tuple[float, float]:
+        """Slope of the cut along x of the stem, and along y over that along x."""
+        x, y, z = self.normal @ self.turn
+        return x / z, y / x if abs(y) > EXACT else 0.0
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the model is the mirror image of what is operated on."""
+        return False
+
+    def where(self, x: Floats) -> str:
+        """A point of the model (3,) in words."""
+        below = float(self.normal @ (self.foot - x)) / self.normal[2]
+        return "({:.0f}, {:.0f}, {:.0f}) mm, {} mm below the cut".format(*x, round(below))
+
+
+@dataclass(frozen=True)
+class PatientPlacement(Placement):
+    """The same on a patient's bone.
+
+    Attributes:
+        frame: Landmarks found on the bone.
+        bone: Its surface, in the model's axes.
+        canal: Surface of its canal, or None.
+    """
+
+    frame: Frame
+    bone: BoneSurface
+    canal: BoneSurface | None
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the model is the mirror image of what is operated on: a right femur."""
+        return self.frame.side == "right"
+
+    @property
+    def size(self) -> float:
+        """Height of the patient's head over that of the parametric femur."""
+        return float(self.frame.to_model(self.frame.head)[2]) / HEAD
 
     @cached_property
     def _skin(self) -> tuple[Any, Floats]:
@@ -79,22 +115,6 @@ class Placement:
         below = ((self.bone.points[near] - x) * n).sum(axis=1)
         moved = x - np.maximum(depth - below, 0.0)[:, None] * n
         return np.asarray(moved @ self.frame.axes + self.frame.origin)
-
-    @property
-    def slopes(self) -> tuple[float, float]:
-        """Slope of the cut along x of the stem, and along y over that along x."""
-        x, y, z = self.normal @ self.turn
-        return x / z, y / x if x else 0.0
-
-    @property
-    def size(self) -> float:
-        """Height of the patient's head over that of the parametric femur."""
-        return float(self.frame.to_model(self.frame.head)[2]) / HEAD
-
-    def where(self, x: Floats) -> str:
-        """A point of the model (3,) in words."""
-        below = float(self.normal @ (self.foot - x)) / self.normal[2]
-        return "({:.0f}, {:.0f}, {:.0f}) mm, {} mm below the cut".format(*x, round(below))
 
     @property
     def trochanter_lost(self) -> float:
@@ -131,7 +151,39 @@ def _found(
     return frame, frame.surface(surface)
 
 
-def place(geometry: Any) -> Placement:
+def of_femur(geometry: Any) -> Placement:
+    """The placement in the parametric femur: by default its stem is turned by its anteversion."""
+    (x, _, z), level = femur_bone.resection(geometry)
+    angle, given = geometry.anteversion, getattr(geometry, "insertion", None)
+    way = np.array([math.cos(angle), math.sin(angle)])
+    if given:
+        angle = given.version.angle + (angle if given.version.relative_to == "neck" else 0.0)
+    placed = Placement(*_put(given, angle, way, np.r_[x * way, z], level), level / z)
+    return _deep(placed, geometry) if given and given.depth is not None else placed
+
+
+def _put(
+    insertion: Any, version: float, way: Floats, normal: Floats, level: float
+) -> tuple[Floats, Floats, Floats]:
+    """Normal of a cut, its level and azimuth (2,) given, axes of a stem, and where it meets it."""
+    varus, aside = 0.0, np.zeros(2)
+    if insertion:
+        varus = insertion.varus
+        medial, anterior = insertion.medial_offset, insertion.anterior_offset
+        aside = medial * way + anterior * np.array([-way[1], way[0]])
+    c, s, cv, sv = (f(v) for v in (version, varus) for f in (math.cos, math.sin))
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ [[cv, 0, sv], [0, 1, 0], [-sv, 0, cv]]
+    return normal, turn, np.r_[aside, (level - float(normal[:2] @ aside)) / normal[2]]
+
+
+def _deep(placed: Any, geometry: Any) -> Any:
+    """The same with the lateral edge of the stem's shoulder at its depth below the cut."""
+    implant, slope = geometry.implant, placed.slopes[0]
+    edge = implant.stem_tip_z + implant.stem_length - slope * femur_stem.lateral(implant)
+    return replace(placed, top=edge + (geometry.insertion.depth or 0.0))
+
+
+def place(geometry: Any) -> PatientPlacement:
     """Read the bone, find its landmarks, cut the neck and place the stem.
 
     Raises:
@@ -158,10 +210,6 @@ def place(geometry: Any) -> Placement:
     elif frame.version is None:
         text = "is against the condyles, which this surface does not have"
         raise GeometryError(f"geometry.insertion.version: {text}; give relative_to: neck")
-    c, s, cv, sv = (f(v) for v in (version, insertion.varus) for f in (math.cos, math.sin))
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ [[cv, 0, sv], [0, 1, 0], [-sv, 0, cv]]
-    aside = insertion.medial_offset * way + insertion.anterior_offset * np.array([-way[1], way[0]])
-    level = float(normal @ [*(edge * way), cut.height]) - float(normal[:2] @ aside)
-    nx, _, nz = normal @ turn
-    top = insertion.depth - nx / nz * float(femur_stem.body(geometry.implant).section(0.0)[0])
-    return Placement(frame, bone, canal, normal, turn, np.r_[aside, level / normal[2]], top)
+    level = float(normal @ [*(edge * way), cut.height])
+    put = _put(insertion, version, way, normal, level)
+    return _deep(PatientPlacement(*put, 0.0, frame, bone, canal), geometry)

@@ -29,6 +29,7 @@ FLAT = 1e-3  # mm that nodes of a planar face may be off its plane
 LONG = (60.0, 400.0)  # mm that a stem may be long
 STRAIGHT = (0.05, 0.5)  # of its length: where sections show the axis
 WHOLE = (0.05, 0.75)  # of the height of its shoulder: where the axis is within the metal
+TOP = 0.9  # of the height of its shoulder: where the shoulder is
 BLUNT, WIDE = 6.0, 0.4  # mm of a rounded tip; outline of the first section over that there
 TAPER, ASIDE = (25.0, 80.0), 10.0  # deg between axis and neck; mm of its end from the axis
 
@@ -43,7 +44,8 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
     Returns:
         ``x``: triangles (m, 3, 3), ``coarse``: fewer [mm]; ``head``: the head's centre (3,) [mm];
         ``neck``: unit vector along the neck (3,); ``end``: centre of its end (3,), ``radius`` of a
-        circle as large, ``shoulder``: height of the highest point lateral to the axis [mm];
+        circle as large, ``shoulder``: height of the highest point lateral to the axis, ``lateral``:
+        how far it reaches lateral there [mm];
         ``around``: length of a section at 3/4 of that [mm]; ``in_file``: in the file, two
         points of the axis, the centres of head and neck's end [mm], the way to medial (5, 3).
 
@@ -82,6 +84,7 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
         "neck": turn @ normal,
         "radius": radius,
         "shoulder": shoulder,
+        "lateral": -x[x[..., 2] > TOP * shoulder][:, 0].min(),
         "around": around(_whole(path, x, shoulder)),
         "in_file": np.stack([*ends, head, end, medial]),
     }

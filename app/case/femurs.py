@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from importlib import import_module
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.case.stems import StemFile
-from app.schema.section import fail
+from app.schema.section import Section, fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 
 BONE = ("cortical_bone", "cancellous_bone")
@@ -34,6 +35,7 @@ FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
 WIDTHS = (5.6, 5.2)
 # Least fraction of the stem in the bone; range of the angle between neck and shaft (deg).
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
+HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
 
 # Keys that a stem from a file replaces.
 OF_STEM: tuple[str, ...] = (
@@ -51,15 +53,19 @@ def _between(at: float, values: tuple[float, ...]) -> float:
     return values[low] + (at - low) * (values[low + 1] - values[low])
 
 
+def check_end(geometry: Any) -> None:
+    """Refuse ends of a stem that cannot be meshed."""
+    for name in ("tip_rounding", "tip_void"):  # cells in less are flat
+        if 0.0 < getattr(geometry, name, 0.0) < 1.0:
+            fail("is neither 0 nor 1 mm at least", at=(name,))
+    if geometry.tip_void and geometry.tip_void > geometry.plug_length - 1.0:
+        fail(f"leaves less than 1 mm of {geometry.plug_length:g} mm of plug", at=("tip_void",))
+
+
 def check_stem(stem: Any, *sections: str) -> None:
-    """Refuse what cannot be meshed: neck, ends, and sections, by their keys, without flat sides."""
+    """Refuse a neck, and sections, by their keys, that cannot be meshed."""
     if not NECK_ANGLES[0] <= math.degrees(stem.neck_angle) <= NECK_ANGLES[1]:
         fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
-    for name in ("tip_rounding", "tip_void"):  # cells in less are flat
-        if 0.0 < getattr(stem, name, 0.0) < 1.0:
-            fail("is neither 0 nor 1 mm at least", at=(name,))
-    if stem.tip_void and stem.tip_void > stem.plug_length - 1.0:
-        fail(f"leaves less than 1 mm of {stem.plug_length:g} mm of plug", at=("tip_void",))
     for name in sections:
         half = min(getattr(stem, f"{name}half_width"), getattr(stem, f"{name}half_depth"))
         if getattr(stem, f"{name}corner_radius") >= half:
@@ -67,7 +73,50 @@ def check_stem(stem: Any, *sections: str) -> None:
             fail(text, at=(f"{name}corner_radius",))
 
 
+def point(x: Any) -> Point3:
+    """Numbers of a vector."""
+    return float(x[0]), float(x[1]), float(x[2])
+
+
+def placed_head(geometry: Any) -> Point3:
+    """Centre of the head of a stem that is placed, in the model's axes (mm)."""
+    implant = geometry.implant
+    return point(geometry.placement.to_model([implant.head_offset, 0.0, implant.head_height]))
+
+
+def flanks_end(geometry: Any) -> float:
+    """Level above which there are only flanks of a stem that is placed (mm)."""
+    end = [0.0, 0.0, geometry.implant.stem_tip_z + geometry.implant.tip_height]
+    tilt = math.tan(abs(geometry.insertion.varus))
+    return float(geometry.placement.to_model(end)[2]) + HALF_TIP * tilt
+
+
 _length = partial(Dimension, "mm", "a length")
+
+
+class Version(Section):
+    """Turn of the stem about the shaft's axis."""
+
+    relative_to: Literal["neck", "condyles"] = "neck"
+    """What it is measured against: the neck, or the line of the posterior condyles."""
+    angle: Angle = 0.0
+    """The turn, the head to anterior (rad)."""
+
+
+class Insertion(Section):
+    """Where the stem is put in the femur."""
+
+    depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=4.5)] | None = None
+    """How deep the lateral edge of the shoulder is below the cut, at most 4.5 mm: the body of the
+    stem is meshed up to the cut. By default 0, and in mantle's own femur as `stem_tip_z` says."""
+    varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
+    """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
+    version: Version = Field(default_factory=Version)
+    """Turn of the stem about the shaft's axis."""
+    medial_offset: Length = 0.0
+    """How far the stem's axis is medial of the shaft's, along the cut's azimuth."""
+    anterior_offset: Length = 0.0
+    """How far it is anterior of it."""
 
 
 class _Femur(Shape):
@@ -142,6 +191,7 @@ class _Femur(Shape):
         plug = self.stem_tip_z - self.plug_length
         if self.distal_cut_z >= plug:
             fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
+        check_end(self)
         if not 0.0 <= self.resection_angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection_angle",))
         if self._cut >= self.head_height:
@@ -191,6 +241,16 @@ class _Femur(Shape):
                 least = "positive" if size <= 0.0 else f"above the corner radius, {radius:.3g} mm,"
                 fail(f"{text}; expected sections that stay {least} there", at=(f"stem_{name}",))
         return sizes["half_width"]
+
+    @property
+    def implant(self) -> _Femur:
+        """What has the keys of the stem: itself."""
+        return self
+
+    @property
+    def placement(self) -> Any:
+        """Cut and stem in the model's axes (`meshes.placement.Placement`)."""
+        return import_module("meshes.placement").of_femur(self)  # by name: it needs scipy
 
     @property
     def tip_height(self) -> float:
@@ -285,6 +345,13 @@ class Femur(_Femur):
     stem: StemFile | None = None
     """A stem from a file of CAD, placed by `stem_tip_z`. The other keys of stem, neck, trunnion and
     head are left out then."""
+    insertion: Insertion | None = None
+    """Where the stem is put, other than along the shaft's axis, turned by `anteversion`."""
+
+    @property
+    def head_centre(self) -> Point3:
+        """Centre of the femoral head in the model's axes (mm)."""
+        return placed_head(self) if self.insertion else super().head_centre
 
     @property
     def found(self) -> dict[str, Any]:
@@ -300,12 +367,12 @@ class Femur(_Femur):
         if not self.stem:
             super()._check_stem()
             return
-        check_stem(self)
         for key in OF_STEM:
             value = self.found.get(key)
             if key in self.model_fields_set and getattr(self, key) != value:
                 fail("is the file's, where `stem` is one; expected no such key", at=(key,))
             self.__dict__[key] = value
+        check_stem(self)
 
     def _section(self) -> tuple[float, float, float]:
         if not self.stem:
@@ -316,7 +383,8 @@ class Femur(_Femur):
     @property
     def mantles(self) -> tuple[Mantle, ...]:
         """The mantle around the stem, with a plug around its end."""
-        return (Mantle(spread(self.cement_thickness)[1], self.stem_tip_z + self.tip_height),)
+        tip = flanks_end(self) if self.insertion else self.stem_tip_z + self.tip_height
+        return (Mantle(spread(self.cement_thickness)[1], tip),)
 
     @property
     def interface_area(self) -> float:

@@ -11,11 +11,13 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from app.case.femurs import BONE, INSIDE, MUSCLES, Femur, check_stem
+from app.case import femurs
+from app.case.femurs import BONE, INSIDE, MUSCLES, Femur, Insertion
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
+from app.case.stems import StemFile
 from app.errors import GeometryError, InputError
 from app.schema.paths import File
-from app.schema.section import Pair, Section, Triple, fail
+from app.schema.section import Kinds, Pair, Section, Triple, fail
 from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
 
 SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
@@ -101,23 +103,20 @@ class Stem(Section):
     """Height of the head's centre above the shoulder."""
     neck_angle: Angle = _of_femur("neck_angle")
     """Angle between neck and stem (rad)."""
-    plug_length: PositiveLength = _of_femur("plug_length")
-    """Length of cement below the tip."""
-    tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] = 0.0
-    """Length without cement below the end, flat then; from 1 mm to 1 mm less than the plug."""
 
     @model_validator(mode="after")
     def _solid(self) -> Stem:
         if not self.section_depth < self.length:
             fail("is not above the tip", at=("section_depth",))
-        check_stem(self, "", "tip_")
+        femurs.check_stem(self, "", "tip_")
         return self
 
-    def as_femur(self, cement: Thickness) -> Femur:
-        """The same in the parametric femur's keys, with the shoulder at z = 0."""
+    @property
+    def femur_keys(self) -> dict[str, Any]:
+        """The same in the parametric femur's keys, with its shoulder at z = 0."""
         known = {k if k in Femur.model_fields else f"stem_{k}": v for k, v in self}
         levels = {"stem_tip_z": -self.length, "stem_section_z": -known.pop("stem_section_depth")}
-        return Femur.model_construct(cement_thickness=cement, **known, **levels)
+        return known | levels
 
 
 class Resection(Section):
@@ -132,31 +131,6 @@ class Resection(Section):
     azimuth: Angle | None = None
     """Direction of its normal about the shaft, from medial to anterior (rad); by default the
     neck's."""
-
-
-class Version(Section):
-    """Turn of the stem about the shaft's axis."""
-
-    relative_to: Literal["neck", "condyles"] = "neck"
-    """What it is measured against: the patient's neck, or the line of the posterior condyles."""
-    angle: Angle = 0.0
-    """The turn, the head to anterior (rad)."""
-
-
-class Insertion(Section):
-    """Where the stem is put."""
-
-    depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=4.5)] = 0.0
-    """How deep the lateral edge of the shoulder is below the cut, at most 4.5 mm: the body of the
-    stem is meshed up to the cut."""
-    varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
-    """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
-    version: Version = Field(default_factory=Version)
-    """Turn of the stem about the shaft's axis."""
-    medial_offset: Length = 0.0
-    """How far the stem's axis is medial of the shaft's, along the cut's azimuth."""
-    anterior_offset: Length = 0.0
-    """How far it is anterior of it."""
 
 
 class Patient(Shape):
@@ -182,20 +156,25 @@ class Patient(Shape):
     """Its medullary canal, and how it is reamed."""
     landmarks: Landmarks = Field(default_factory=Landmarks)
     """Landmarks that are given and not found."""
-    stem: Stem = Field(default_factory=Stem)
-    """The implant."""
+    stem: Annotated[Stem | StemFile, Kinds(".")] = Field(default_factory=Stem)
+    """The implant: mantle's own by its numbers, or one from a file of CAD."""
     resection: Resection = Field(default_factory=Resection)
     """The cut across the neck."""
     insertion: Insertion = Field(default_factory=Insertion)
     """Where the stem is put."""
     cement_thickness: Thickness = 4.0
     """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side."""
+    plug_length: PositiveLength = _of_femur("plug_length")
+    """Length of cement below the tip."""
+    tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] = 0.0
+    """Length without cement below the end, flat then; from 1 mm to 1 mm less than the plug."""
     distal_cut_z: Length | None = None
     """Level at which the shaft is cut and held; by default 70 mm below the plug, or where the
     surface ends."""
 
     @model_validator(mode="after")
     def _placed(self) -> Patient:
+        femurs.check_end(self)
         try:
             placed = self.placement
         except GeometryError as error:
@@ -204,7 +183,8 @@ class Patient(Shape):
                 fail(str(error), at=("canal" if key == str(self.canal.surface) else "bone",))
             fail(text, at=tuple(key.split(".")))
         low = float(placed.bone.points[:, 2].min())
-        plug = float(placed.to_model([0.0, 0.0, -self.stem.length - self.stem.plug_length])[2])
+        plug = self.implant.stem_tip_z - self.plug_length
+        plug = float(placed.to_model([0.0, 0.0, plug])[2])
         level = self.distal_cut_z
         if level is None:
             if plug < low + 5.0:
@@ -216,7 +196,8 @@ class Patient(Shape):
         if not low + 2.0 < level < plug - 2.0:
             text = f"{level:g} mm is not between the end of the surface and that of the plug"
             fail(f"{text}, {low:.0f} and {plug:.0f} mm", at=("distal_cut_z",))
-        least, inside = max(INSIDE * self.stem.length, SHORTEST), self.stem.length + placed.top
+        length = self.implant.stem_length
+        least, inside = max(INSIDE * length, SHORTEST), length + placed.top
         if inside < least:
             text = f"leaves {inside:.0f} mm of the stem below the cut; expected {least:.0f} mm"
             fail(text, at=("insertion", "depth"))
@@ -225,7 +206,8 @@ class Patient(Shape):
     @property
     def implant(self) -> Femur:
         """The stem in the parametric femur's keys, in axes of its own."""
-        return self.stem.as_femur(self.cement_thickness)
+        own = {k: getattr(self, k) for k in ("cement_thickness", "plug_length", "tip_void")}
+        return Femur.model_construct(**own | self.stem.femur_keys)
 
     @cached_property
     def content(self) -> str:
@@ -251,20 +233,20 @@ class Patient(Shape):
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError, with the place, if the stem does not fit into the bone."""
         try:
-            import_module("meshes.patient_surfaces").PatientSurfaces(self, mesh, self.placement)
+            import_module("meshes.patient_surfaces").PatientSurfaces(self, mesh)
         except GeometryError as error:
             raise InputError(str(error)) from error
 
     @property
     def head_centre(self) -> Point3:
         """Centre of the implant's head (mm)."""
-        return _point(self.placement.to_model([self.stem.head_offset, 0.0, self.stem.head_height]))
+        return femurs.placed_head(self)
 
     @cached_property
     def points(self) -> dict[str, Point3]:
         """Centre of the implant's head and muscles' insertions on this bone (mm)."""
         found, _ = self.placement.projected(MUSCLES)
-        return {"head_centre": self.head_centre} | {k: _point(x) for k, x in found.items()}
+        return {"head_centre": self.head_centre} | {k: femurs.point(x) for k, x in found.items()}
 
     def in_image(self, x: Any, depth: float) -> Any:
         """Points (n, 3) in the axes of the bone's file, at a depth below its surface at least."""
@@ -279,16 +261,14 @@ class Patient(Shape):
             found["surface"] = ", ".join(placed.bone.told)
         if (lost := placed.trochanter_lost) > 0.5:
             found["left out"] = f"the greater trochanter's tip, {lost:.0f} mm above the cut"
+        if isinstance(self.stem, StemFile):
+            found |= self.stem.told
         return found | {"muscles moved (mm)": ", ".join(placed.projected(MUSCLES)[1])}
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:
         """The mantle around the stem, with a plug below its tip."""
-        half = max(self.stem.tip_half_width, self.stem.tip_half_depth)
-        end = self.implant.tip_height - self.stem.length
-        tip = float(self.placement.to_model([0.0, 0.0, end])[2])
-        mean = spread(self.cement_thickness)[1]
-        return (Mantle(mean, tip + half * math.tan(abs(self.insertion.varus))),)
+        return (Mantle(spread(self.cement_thickness)[1], femurs.flanks_end(self)),)
 
     @property
     def interface_area(self) -> float:
@@ -298,9 +278,6 @@ class Patient(Shape):
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, of the parametric femur with this stem."""
         least = {"around": mesh.around or 14} if mesh.size <= 10.0 else {}
-        levels = {"stem_tip_z": SHOULDER - self.stem.length, "stem_section_z": SHOULDER - 14.0}
-        return self.implant.model_copy(update=levels).estimate_cells(mesh.model_copy(update=least))
-
-
-def _point(x: Any) -> Point3:
-    return float(x[0]), float(x[1]), float(x[2])
+        implant = self.implant
+        levels = {"stem_tip_z": SHOULDER - implant.stem_length, "stem_section_z": SHOULDER - 14.0}
+        return implant.model_copy(update=levels).estimate_cells(mesh.model_copy(update=least))

@@ -79,6 +79,12 @@ class StemFile(Section):
             f"end of the neck in {name}": f"{end} mm",
         }
 
+    @property
+    def femur_keys(self) -> dict[str, Any]:
+        """Keys of a femur in which it is, with its shoulder at z = 0."""
+        tip = -round(float(self.found["shoulder"]), 2)
+        return self.values(tip) | {"stem_tip_z": tip, "stem": self}
+
     def values(self, tip: float) -> dict[str, float]:
         """Keys of a femur that the file answers, with its tip at a level (mm)."""
         found = self.found

@@ -332,7 +332,7 @@ class Kinds:
             if "kind" in (fields := model.model_fields):
                 tags[model] = TAG + get_args(fields["kind"].annotation)[0]
             else:
-                key = next(key for key, field in fields.items() if field.is_required())
+                key = next((key for key, field in fields.items() if field.is_required()), "")
                 tags[model] = keys[key] = f"{TAG}.{key}"
 
         def tag(value: object) -> str:

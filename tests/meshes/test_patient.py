@@ -13,10 +13,11 @@ import pytest
 from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, MeshOptions, Patient
 from app.errors import GeometryError
-from meshes import _make, femur_bone
-from meshes.data import MeshData, region_volumes
+from meshes import _make, femur_bone, femur_stem
+from meshes.data import MeshData, interface_facets, region_volumes
 from meshes.gruen import Zones
 from meshes.patient_surfaces import PatientSurfaces
+from tests.meshes import cad_stems
 from tests.meshes.bones import (
     LINES,
     MEASURED,
@@ -107,12 +108,53 @@ def test_axes_of_the_scan_do_not_matter(folder: Path) -> None:
     canal = {"surface": "canal_moved.stl", "ream": "broach"}
     still = patient(folder, canal=canal | {"surface": "canal.stl"})
     turned = patient(folder, bone={"surface": "bone_moved.stl"}, canal=canal)
-    one, other = (PatientSurfaces(g, options(), g.placement) for g in (still, turned))
+    one, other = (PatientSurfaces(g, options()) for g in (still, turned))
     s = np.linspace(0, one.cut, 200)
     phi = np.random.default_rng(1).uniform(size=200)
     a, b = one.lines(phi, s), other.lines(phi, s)
     assert a.end == pytest.approx(b.end, abs=0.1)
     assert a.endosteum == pytest.approx(b.endosteum, abs=0.02)
+
+
+# Mantle's own stem below the cut, placed where its shoulder is out of the bone.
+NECK = (135.919, 130.0, 4.9, 5.5, 56.133)
+PUT = {"depth": "-1 mm", "varus": "1 deg", "version": {"angle": "-8 deg"}}
+IN = {"canal": {"ream": "broach"}, "insertion": PUT}
+
+
+def test_a_stem_from_a_file_is_as_mantles_own(folder: Path) -> None:
+    """Circles of 6 mm are met to 0.008 mm, and its axis is found to 0.005 mm; its end is flat."""
+    file = {"step": cad_stems.write("own", folder, neck=NECK)}
+    given, here = patient(folder, **IN), patient(folder, stem=file, **IN)
+    (there, expected), (data, volumes) = ((d, region_volumes(d)) for d in map(made, (given, here)))
+    assert here.head_centre == pytest.approx(given.head_centre, abs=0.02)
+    assert here.told["end of the neck in own.step"] == "[43.0, 0.0, 172.0] mm"
+    x = here.placement.to_stem(data.points[np.unique(interface_facets(data, "stem_cement")[0])])
+    x, y, z = x[x[:, 2] > -146.9].T
+    body = femur_stem.body(given.implant)
+    assert len(z) > 200 and z.max() < 0
+    assert np.hypot(x, y) == pytest.approx(body.radius(np.arctan2(y, x), z), abs=0.013)
+    for name in ("cement", "cortical_bone", "cancellous_bone"):
+        assert volumes[name] == pytest.approx(expected[name], rel=0.006), name
+    nominal = [d.notes["mantle"]["thickness"]["median"] for d in (data, there)]
+    assert nominal[0] == pytest.approx(nominal[1], abs=0.02)
+
+
+def test_a_stem_of_the_right_side_is_mirrored_with_the_bone(folder: Path) -> None:
+    """One that is not symmetric: its medial direction is that to a head beside its plane."""
+    file, mirror = cad_stems.write("own", folder, neck=NECK), np.diag([-1.0, 1.0, 1.0])
+    write(folder / "right.stl", moved(own(), mirror, np.zeros(3)))
+    found = []
+    for name, y in (("bone", -8), ("right", 8)):
+        stem = {"step": file, "head_centre": ["42 mm", f"{y} mm", "172 mm"]}
+        geometry = patient(folder, bone={"surface": f"{name}.stl"}, stem=stem, **IN)
+        surfaces = PatientSurfaces(geometry, options())
+        outlines = [surfaces._body._section(z, 0.1)[0] for z in (-140.0, -80.0, -20.0)]
+        found.append((np.stack(outlines), geometry.head_centre))
+    (one, head), (other, centre) = found
+    assert head == pytest.approx(centre, abs=0.001)
+    assert one == pytest.approx(other, abs=0.02)
+    assert np.abs(one[:, 1:-1] - one[:, -2:0:-1] * [1, -1, 1]).max() > 0.5
 
 
 def test_muscles_are_on_the_bone_and_below_the_cut(folder: Path) -> None:
@@ -126,19 +168,13 @@ def test_muscles_are_on_the_bone_and_below_the_cut(folder: Path) -> None:
 
 
 def test_the_stem_goes_where_it_is_put(folder: Path) -> None:
-    """Depth, varus, version and offsets, against the untouched position."""
+    """Version and offsets by the patient's neck; `test_insertion` moves a stem by hand."""
     at = patient(folder).placement
-    deep = patient(folder, insertion={"depth": "3 mm"}).placement
-    assert deep.to_model([0, 0, -50.0])[2] == pytest.approx(at.to_model([0, 0, -53.0])[2], abs=1e-9)
-    varus = patient(folder, insertion={"varus": "2 deg"}).placement
-    tip, moved_tip = (p.to_model([0.0, 0.0, -147.0]) for p in (at, varus))
-    arm = 147.0 + varus.top
-    assert moved_tip[0] - tip[0] == pytest.approx(-arm * math.sin(math.radians(2)), abs=0.05)
-    turned = patient(folder, insertion={"version": {"angle": "10 deg"}}).placement
-    x, y, _ = turned.turn[:, 0]
+    aside = {"medial_offset": "2 mm", "anterior_offset": "1 mm"}
+    put = patient(folder, insertion=aside | {"version": {"angle": "10 deg"}}).placement
+    x, y, _ = put.turn[:, 0]
     assert math.degrees(math.atan2(y, x)) == pytest.approx(10.0, abs=0.1)
-    aside = patient(folder, insertion={"medial_offset": "2 mm", "anterior_offset": "1 mm"})
-    assert aside.placement.foot[:2] - at.foot[:2] == pytest.approx([2.0, 1.0], abs=0.02)
+    assert put.foot[:2] - at.foot[:2] == pytest.approx([2.0, 1.0], abs=0.02)
 
 
 def random_patient(folder: Path, seed: int) -> Patient:
@@ -155,7 +191,8 @@ def random_patient(folder: Path, seed: int) -> Patient:
         canal=canal,
         insertion=shift | turn,
         cement_thickness={"proximal": cement, "distal": "2 mm"} if seed % 2 else cement,
-        stem={"length": f"{rng.uniform(110, 147)} mm", "tip_void": f"{5 * (seed % 3 == 2)} mm"},
+        stem={"length": f"{rng.uniform(110, 147)} mm"},
+        tip_void=f"{5 * (seed % 3 == 2)} mm",
         resection={"angle": f"{rng.uniform(34, 44)} deg"},
     )
 
