@@ -44,6 +44,7 @@ case
 geometry
 patient
 your_hip
+ct
 loads
 heat
 error
