@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, uniform_filter
 from scipy.optimize import least_squares, minimize
 from scipy.signal import find_peaks
 from scipy.spatial import cKDTree
@@ -36,7 +36,7 @@ SECTORS = 12  # of the head, one left out at a time
 SURE = 1.65  # standard deviations that hold 90 %
 # In radii of the head:
 SHAFT = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
-TROCHANTER = (1.5, 3.4)  # below the head's centre, where the lesser trochanter is
+TROCHANTER = (1.3, 3.4)  # below the head's centre, where the lesser trochanter is
 CONDYLES = 3.0  # above the distal end
 APART = 2.1  # between the condyles
 WIDER = 1.8  # of the shaft's section: that of condyles, at least
@@ -241,17 +241,20 @@ class _Finder:
             flat = (ways @ np.column_stack(_across(up))).T
             rows = [(self._section(top - d * up).reshape(-1, 2) @ flat).max(0) for d in depths]
             reach = gaussian_filter1d(np.array(rows), 1.5 / STEP, axis=0)
-            best = (0.0, 0.0, medial)
-            for way, profile in zip(ways, reach.T, strict=True):
+            peaks = np.zeros(reach.T.shape)
+            for own, profile in zip(peaks, reach.T, strict=True):
                 at, found = find_peaks(profile, prominence=0.5)
-                for depth, height in zip(depths[at], found["prominences"], strict=True):
-                    if TROCHANTER[0] * radius < depth < TROCHANTER[1] * radius:
-                        best = max(best, (height, depth, way), key=lambda b: b[0])
-            height, depth, way = best
-            if not height:
+                own[at] = found["prominences"]
+            low, high = (part * radius for part in TROCHANTER)
+            peaks[:, (depths < low) | (depths > high)] = 0.0
+            if not peaks.any():
                 text = "no lesser trochanter stands out of the shaft below the head at {}; expected"
                 text += " a femur's proximal part, or landmarks.lesser_trochanter"
                 raise GeometryError(f"geometry.bone: {text.format(place(self.head))}")
+            # It stands out in several directions, a false peak beside the neck in one.
+            shared = np.where(peaks > 0, uniform_filter(peaks, 5, mode="constant"), 0.0)
+            best, at = np.unravel_index(shared.argmax(), peaks.shape)
+            way, depth = ways[best], depths[at]
             for _ in range(3):
                 near = np.abs((self.centre - top) @ up + depth) < 0.4 * radius
                 self.trochanter = self._outermost(way, near)

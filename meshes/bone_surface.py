@@ -249,6 +249,6 @@ def exits(lines: Floats, angles: Floats, bridged: float = 0.0) -> tuple[Floats, 
     found = np.full(len(angles), np.nan)
     for at, own in enumerate(np.split(r[order], np.cumsum(times)[:-1])):
         if len(own):
-            wide = own[2::2] - own[1:-1:2] > bridged
+            wide = own[1:-1:2] - own[:-2:2] > bridged
             found[at] = own[2 * int(np.argmax([*wide, True]))]
     return found, times

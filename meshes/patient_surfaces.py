@@ -27,17 +27,17 @@ from meshes.layers import Lines
 EVERY = 2.0  # mm between sections
 ANGLES = 96  # rays around
 THETA = 2 * np.pi * np.arange(ANGLES) / ANGLES
-BEYOND = 4.0  # mm above the cut up to which radii are taken
 GROOVE = 4.0  # mm: narrower gaps in the bone do not end a ray
 TWICE = 0.02  # of the rays, at most, may meet the bone more than once
-STEEPEST = 1.2  # slope of a surface along and around
+STEEPEST = 3.0  # slope of a surface along and around
 BLUR = 0.7  # samples
 THINNING, THIN = 35.0, 2.0  # mm above the canal's end over which the cortex becomes so thin
 LEAST_CORTEX = 1.5  # mm that reaming leaves where the patient has less than `CORTEX`
 BROACH = 0.3  # mm that a broach is wider than stem and mantle
-CORE = 0.7  # of the canal: the innermost surface below the plug
+CORE = 0.65  # of the canal: the innermost surface below the plug
 LID, NEAR_LID = 0.9, 15.0  # of the normal along the shaft: a canal's flat end; mm from its top
 WIDE, OVER = 12.0, 2.0  # mm of an edge around the metaphysis, and over the size
+ECCENTRIC = 10.0  # mm that a canal's middle is beside the bone's, at most
 
 
 class Radii:
@@ -74,6 +74,11 @@ class PatientSurfaces(FemurSurfaces):
     def _in_stem(self, surface: BoneSurface) -> BoneSurface:
         return replace(surface, points=self._placed.to_stem(surface.points))
 
+    @staticmethod
+    def _level(surface: BoneSurface, z: float) -> Floats:
+        """Lines of a surface at a level (k, 2, 2) [mm]."""
+        return section(surface.points[:, :2], surface.points[:, 2] - z, surface.triangles)
+
     def _at_axis(self, zeta: float) -> str:
         return self._placed.where(self._placed.to_model([0.0, 0.0, zeta]))
 
@@ -99,22 +104,23 @@ class PatientSurfaces(FemurSurfaces):
             canal = self._in_stem(self._placed.canal)
         self._centres = np.zeros((len(self._zeta), 2))
         for k, z in enumerate(self._zeta[: self.mantle[0]]):
-            lines = section(bone.points[:, :2], bone.points[:, 2] - z, bone.triangles)
+            middle = centroid(self._level(bone, z))[0]
+            if canal and len(lines := self._level(canal, z)):
+                own = centroid(lines)[0]
+                middle = own if np.hypot(*(own - middle)) < ECCENTRIC else middle
             part = min((self._plug - z) / CORE_OVER, 1.0)
-            self._centres[k] = part * part * (3 - 2 * part) * centroid(lines)[0]
-        low, high = self._zeta[0] - EVERY, self._top + BEYOND
-        zeta = np.linspace(low, high, int((high - low) / EVERY) + 1)
+            self._centres[k] = part * part * (3 - 2 * part) * middle
+        low = self._zeta[0] - EVERY
+        zeta = np.linspace(low, self._top, int((self._top - low) / EVERY) + 1)
         radii, times = self._rays(bone, zeta)
-        within = zeta < self._top
-        if (missed := within & np.isnan(radii).any(axis=1)).any():
+        if (missed := np.isnan(radii).any(axis=1)).any():
             raise GeometryError(
                 "geometry: the stem's axis is outside of the bone at"
                 f" {self._at_axis(zeta[missed].max())}; cut lower or flatter (resection), move the"
                 " stem (insertion), or repair the surface, if it crosses itself there"
             )
-        twice = (times > 2) & within[:, None]
-        if (part := twice[within].mean()) > TWICE:
-            where = self._at_axis(zeta[int(np.median(np.nonzero(twice)[0]))])
+        if (part := (times > 2).mean()) > TWICE:
+            where = self._at_axis(zeta[int(np.median(np.nonzero(times > 2)[0]))])
             raise GeometryError(
                 f"geometry.bone: {100 * part:.0f} % of rays across the bone meet its surface more"
                 f" than once, about {where}: it crosses itself or has cavities; repair it where it"
@@ -125,7 +131,7 @@ class PatientSurfaces(FemurSurfaces):
         self._endosteum = Radii(zeta, self._reamed(geometry, own))
         if not (mesh := self.mesh).around:
             edge = max(mesh.size, min(WIDE, OVER * mesh.size))
-            wide = 2 * np.pi * float(self._bone.radii[within].mean(axis=1).max())
+            wide = 2 * np.pi * float(self._bone.radii.mean(axis=1).max())
             self.around = max(self.around, int(np.ceil(wide / edge)))
 
     def _table(self, geometry: Any) -> Floats:
@@ -142,7 +148,7 @@ class PatientSurfaces(FemurSurfaces):
         zeta, bone = self._bone.zeta, self._bone.radii
         radii, times = self._rays(canal, zeta)
         rows = np.flatnonzero((times > 0).all(axis=1) & (zeta < self._lid(canal)))
-        if not len(rows) or zeta[rows[-1]] < 0.6 * geometry.implant.stem_tip_z:
+        if not len(rows) or zeta[rows[-1]] < geometry.implant.stem_tip_z:
             aside = float(np.hypot(*canal.points.mean(axis=0)[:2]))
             text = f"does not surround the stem, and its middle is {aside:.0f} mm beside its axis;"
             raise GeometryError(f"geometry.canal.surface: {text} is it in the axes of the bone?")
@@ -193,7 +199,7 @@ class PatientSurfaces(FemurSurfaces):
         at = int(np.searchsorted(zeta, self._plug))
         loft = own + (made[at] - own[at]) * (1 - depth * depth * (3 - 2 * depth))
         made = np.where(depth > 0, np.minimum(loft, most), made)
-        within = ((zeta > self._plug) & (zeta < self._top))[:, None]
+        within = (zeta > self._plug)[:, None]
         for what, size in ("taken within by reaming, at most", made - own), ("left", made - bone):
             size = np.where(within, size, -np.inf)
             i, j = np.unravel_index(size.argmax(), size.shape)
@@ -202,10 +208,8 @@ class PatientSurfaces(FemurSurfaces):
         return made
 
     def _broached(self) -> Floats:
-        """Radii that a broach for stem and mantle leaves, up to the cut (n, `ANGLES`) [mm]."""
-        theta, zeta = (
-            v.ravel() for v in np.meshgrid(THETA, np.minimum(self._bone.zeta, self._top))
-        )
+        """Radii that a broach for stem and mantle leaves (n, `ANGLES`) [mm]."""
+        theta, zeta = (v.ravel() for v in np.meshgrid(THETA, self._bone.zeta))
         slope = self._slope(zeta)
         start, end = self._outline(theta / (2 * np.pi), zeta, slope), self._ends(theta, zeta, slope)
         part = self._meets(lambda x, _: self._mantle(x) + BROACH, zeta, start, end)
@@ -235,11 +239,16 @@ class PatientSurfaces(FemurSurfaces):
         return np.asarray(self._endosteum(np.arctan2(dy, dx), zeta) - np.hypot(dx, dy))
 
     def _sink(self, start: Floats, theta: Floats, zeta: Floats, depth: Floats) -> Floats:
-        """The innermost surface below the plug: a part of the canal that goes over to `CORE`."""
+        """The innermost surface below the plug: a part of the canal that goes over to `CORE`.
+
+        Its lines go over to radial ones: the canal is narrow and not round.
+        """
         x, below = start.copy(), depth > 0
         turn, level = np.arctan2(*start[below, 1::-1].T), zeta[below]
         ratio = np.hypot(*start[below, :2].T) / self._endosteum(turn, level + depth[below])
-        ratio += (CORE - ratio) * np.minimum(depth[below] / CORE_OVER, 1.0)
+        part = np.minimum(depth[below] / CORE_OVER, 1.0)
+        ratio += (CORE - ratio) * part
+        turn += part * (np.mod(theta[below] - turn + np.pi, 2 * np.pi) - np.pi)
         x[below] = self._on(turn, level, ratio * self._endosteum(turn, level))
         return x
 

@@ -38,6 +38,14 @@ def test_landmarks_of_mantles_own_femur() -> None:
     assert "unknown without condyles" in found.told["version"]
 
 
+def test_a_ray_goes_on_over_a_gap_that_is_bridged() -> None:
+    """Walls at 3, 5, 20 mm, as of a pit of 2 mm; at 3, 8, 10, 12, 20 mm, with a bay of 5 mm."""
+    for walls, expected in (((3.0, 5.0, 20.0), 20.0), ((3.0, 8.0, 10.0, 12.0, 20.0), 3.0)):
+        lines = np.array([[(x, -1.0), (x, 1.0)] for x in walls])
+        radii, times = bone_surface.exits(lines, np.array([0.0]), 4.0)
+        assert (radii[0], times[0]) == (expected, len(walls))
+
+
 def test_landmarks_that_are_given_are_taken() -> None:
     given = {"head_centre": (40.0, 10.0, 50.0), "lesser_trochanter": (19.0, 7.0, 0.0)}
     found = bone_frame.find(own(), given | {"shaft": ((0, 0, -99), (0, 0, -9)), "side": "right"})
