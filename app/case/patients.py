@@ -252,10 +252,15 @@ class Patient(Shape):
         through = mesh.cells_through(self.cement_thickness)
         return {"cells through cement, cancellous and cortical bone": through}
 
+    def surfaces(self, mesh: MeshOptions) -> Any:
+        """The nested surfaces that are checked and meshed, kept by the content of its files."""
+        files = self.content, getattr(self.stem, "content", "")
+        return import_module("meshes.patient_surfaces").kept(self, mesh, files)
+
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError, with the place, if the stem does not fit into the bone."""
         try:
-            import_module("meshes.patient_surfaces").PatientSurfaces(self, mesh)
+            self.surfaces(mesh)
         except GeometryError as error:
             raise InputError(str(error)) from error
 
@@ -269,6 +274,12 @@ class Patient(Shape):
         """Centre of the implant's head and muscles' insertions on this bone (mm)."""
         found, _ = self.placement.projected(MUSCLES)
         return {"head_centre": self.head_centre} | {k: femurs.point(x) for k, x in found.items()}
+
+    @property
+    def skin(self) -> Any:
+        """Points of the bone's surface between the cuts (n, 3) (mm)."""
+        x, placed = self.placement.bone.points, self.placement
+        return x[((x - placed.foot) @ placed.normal < 0) & (x[:, 2] > self.distal_cut_z)]
 
     def in_image(self, x: Any, depth: float) -> Any:
         """Points (n, 3) in the axes of the bone's file, at a depth below its surface at least."""
