@@ -43,6 +43,7 @@ install
 case
 geometry
 patient
+ct
 loads
 heat
 error

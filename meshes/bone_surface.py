@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import GeometryError
+from meshes import images
 
 UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
 EXTENT = (100.0, 600.0)  # mm that a femur, or a proximal part of one, is long
@@ -44,13 +45,20 @@ class BoneSurface:
         return self.points[self.triangles]
 
 
-def read(path: Path, unit: str | None = None) -> BoneSurface:
+def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneSurface:
     """Read a surface; without a unit it is the one that makes a femur of it, and this is told.
 
+    With a label it is that of the label in an image.
+
     Raises:
+        InputError: The image cannot be read.
         GeometryError: The file is damaged, or its triangles are not the surface of one body.
     """
-    corners, told = _other(path) if path.suffix.lower() in (".ply", ".obj") else _stl(path), []
+    told: list[str] = []
+    if label is None:
+        corners = _other(path) if path.suffix.lower() in (".ply", ".obj") else _stl(path)
+    else:
+        corners, told = images.surface(path, label)
     if not len(corners) or not np.isfinite(corners).all():
         raise GeometryError(f"{path}: has no triangles, or corners that are no numbers")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())

@@ -105,10 +105,7 @@ class PatientPlacement(Placement):
         return cKDTree(self.bone.points), normals / np.linalg.norm(normals, axis=1)[:, None]
 
     def in_file(self, x: Floats, depth: float) -> Floats:
-        """Points of the model (n, 3) in the axes of the bone's file [mm].
-
-        Those less deep below its surface are moved inwards, along the normal of the next corner.
-        """
+        """Points of the model (n, 3) in the file's axes, at a depth in the bone at least [mm]."""
         tree, normals = self._skin
         _, near = tree.query(x)
         n = normals[near]
@@ -143,10 +140,14 @@ class PatientPlacement(Placement):
 
 @lru_cache(maxsize=8)
 def _found(
-    path: Path, content: str, unit: str | None, landmarks: tuple[tuple[str, Any], ...]
+    path: Path,
+    content: str,
+    unit: str | None,
+    label: int | None,
+    landmarks: tuple[tuple[str, Any], ...],
 ) -> tuple[Frame, BoneSurface]:
     """Frame and surface of the bone in a file, whose content is a part of the key."""
-    surface = bone_surface.read(path, unit)
+    surface = bone_surface.read(path, unit, label)
     frame = bone_frame.find(surface, dict(landmarks))
     return frame, frame.surface(surface)
 
@@ -190,10 +191,10 @@ def place(geometry: Any) -> PatientPlacement:
         GeometryError: A file is damaged or is no femur, or the cut is beside the bone.
     """
     given, canal = geometry.bone, None
-    frame, bone = _found(given.surface, geometry.content, given.unit, geometry.known)
-    if geometry.canal.surface:
+    frame, bone = _found(given.path, geometry.content, given.unit, given.label, geometry.known)
+    if path := geometry.canal.path:
         unit = geometry.canal.unit or given.unit
-        canal = frame.surface(bone_surface.read(geometry.canal.surface, unit))
+        canal = frame.surface(bone_surface.read(path, unit, geometry.canal.label))
     cut, insertion = geometry.resection, geometry.insertion
     azimuth = frame.azimuth if cut.azimuth is None else cut.azimuth
     way = np.array([math.cos(azimuth), math.sin(azimuth)])

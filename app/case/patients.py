@@ -7,7 +7,7 @@ import math
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -18,7 +18,7 @@ from app.case.stems import StemFile
 from app.errors import GeometryError, InputError
 from app.schema.paths import File
 from app.schema.section import Kinds, Pair, Section, Triple, fail
-from app.schema.units import Angle, Dimension, Length, Number, PositiveLength
+from app.schema.units import Angle, Dimension, Length, Number, Plain, PositiveLength
 
 SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
 SHORTEST = 50.0  # mm of the stem in the bone
@@ -30,23 +30,45 @@ Place = Annotated[tuple[Number, Number, Number], Triple("[4.1, -28.4, -39.1]")]
 Places = Annotated[tuple[Place, Place], Pair("[[31, -8, -98], [29, -17, -37]]")]
 
 
-class Bone(Section):
+class Outline(Section):
+    """A surface, or that of a label in an image."""
+
+    surface: File | None = None
+    """STL, PLY or OBJ file of its triangles; relative to the case file."""
+    image: File | None = None
+    """Labelled image in place of them: NIfTI, or `values` and `affine` (to mm) in an `.npz`."""
+    label: Annotated[int, Plain(integer=True)] | None = None
+    """Number of its voxels in the image."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        files = (self.surface is not None) + (self.image is not None)
+        if (
+            files > 1
+            or files < isinstance(self, Bone)
+            or bool(self.image) != (self.label is not None)
+        ):
+            fail("expected `surface`, or `image` and `label`")
+        return self
+
+    @property
+    def path(self) -> Path | None:
+        """Its file, if there is one."""
+        return self.surface or self.image
+
+
+class Bone(Outline):
     """The outer surface of a femur, of all of it or of its proximal part."""
 
-    surface: File
-    """STL, PLY or OBJ file of its triangles; relative to the case file."""
     unit: Unit | None = None
     """Unit of the file; by default the one that makes a femur of it, which is told."""
     side: Literal["left", "right"] | None = None
     """Side of the body; found by default. A right femur is mirrored: x is medial, y anterior."""
 
 
-class Canal(Section):
-    """The medullary canal."""
+class Canal(Outline):
+    """The medullary canal; without a file as wide a part of the bone as in mantle's own femur."""
 
-    surface: File | None = None
-    """STL, PLY or OBJ file of its surface, in the axes of the bone's; without it the canal has the
-    part of the bone's radius that it has in mantle's own femur."""
     unit: Unit | None = None
     """Unit of the file; by default as of the bone."""
     ream: Literal["none", "by", "broach"] = "none"
@@ -177,10 +199,10 @@ class Patient(Shape):
         femurs.check_end(self)
         try:
             placed = self.placement
-        except GeometryError as error:
+        except (GeometryError, InputError) as error:
             key, _, text = str(error).removeprefix("geometry.").partition(": ")
             if Path(key).is_absolute():
-                fail(str(error), at=("canal" if key == str(self.canal.surface) else "bone",))
+                fail(str(error), at=("bone" if key == str(self.bone.path) else "canal",))
             fail(text, at=tuple(key.split(".")))
         low = float(placed.bone.points[:, 2].min())
         plug = self.implant.stem_tip_z - self.plug_length
@@ -212,7 +234,7 @@ class Patient(Shape):
     @cached_property
     def content(self) -> str:
         """Hash of its files at the first access."""
-        paths = [path for path in (self.bone.surface, self.canal.surface) if path]
+        paths = [path for path in (self.bone.path, self.canal.path) if path]
         return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
 
     @property

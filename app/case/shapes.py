@@ -184,10 +184,7 @@ class Shape(Section):
         return {}
 
     def in_image(self, x: Any, depth: float) -> Any:
-        """Points (n, 3) in the axes of an image of it, moved to a depth in bone where less (mm).
-
-        Images of a bone in air have densities of both at its surface.
-        """
+        """Points (n, 3) in the axes of an image of it, at a depth in the bone at least (mm)."""
         return x
 
     @property

@@ -26,7 +26,6 @@ from app.numerics.pointwise import Pointwise
 from app.scene.bodies import Bodies
 from app.scene.scene import Scene
 from forms import cure as forms
-from forms.tables import piecewise_linear
 
 # A reaction ends this far below its limit. The rest would take ever longer and warm by less than
 # any tolerance, but stages of a long step would overshoot the limit.
@@ -102,7 +101,7 @@ class AutocatalyticKinetics:
             a, T = variable(x["a"]), variable(x["T"])
             limit = as_ufl(1.0)
             if pairs:
-                limit = piecewise_linear(T, [x[k] for k in knots], [x[k] for k in levels])
+                limit = forms.piecewise_linear(T, [x[k] for k in knots], [x[k] for k in levels])
             rate = forms.autocatalytic_rate(a, T, limit, *(x[k] for k in orders))
             found = [rate, diff(rate, a), diff(rate, T)]
             found += [limit, diff(limit, T)] if pairs else []

@@ -10,15 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Discriminator,
-    Field,
-    PrivateAttr,
-    Tag,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from app.laws.densities import ImageModulus
 from app.laws.fibres import Fibre, FibreDirection
@@ -55,9 +47,8 @@ def _sloped(table: Table) -> Table:
 
 def _form(E: object) -> str:
     """Form of a modulus: a value, pairs, or a section."""
-    if isinstance(E, dict | ImageModulus):
-        return TAG + "image"
-    return TAG + ("graded" if isinstance(E, list | tuple) else "constant")
+    pairs = "graded" if isinstance(E, list | tuple) else "constant"
+    return TAG + ("image" if isinstance(E, dict | ImageModulus) else pairs)
 
 
 # A modulus, pairs of height and modulus, or the density in an image.
@@ -102,6 +93,8 @@ class Material(Named):
 
     @model_validator(mode="after")
     def _deforms(self) -> Self:
+        if getattr(self, "image", None) and self.thermal and self.thermal.cure:
+            fail("a modulus that sets is a value", at=("youngs_modulus",))
         for key in self.refused:
             if getattr(self.thermal, key, None) is not None:
                 fail("nothing deforms; expected an elastic region", at=("thermal", key))
@@ -117,8 +110,9 @@ class Elastic(Material):
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
-    # Places in an image of points of the model, at a depth in the bone at least [mm].
-    _places: Any = PrivateAttr(None)
+    # The image that gives the stiffness, if one does; where points of the model are in it.
+    image: ClassVar[ImageModulus | None] = None
+    _places: Any = None
 
     @property
     def moduli(self) -> tuple[float, ...]:
@@ -138,22 +132,9 @@ class Elastic(Material):
         """Whether the stiffness depends on the place."""
         return False
 
-    @property
-    def image(self) -> ImageModulus | None:
-        """The image that gives the stiffness, if one does."""
-        return None
-
-    def in_image(self, places: Any) -> Self:
-        """A copy that knows the places in an image of points of the model."""
-        copy = self.model_copy()
-        copy._places = places
-        return copy
-
     def relative_stiffness(self, x: Floats) -> Floats:
-        """Stiffness at points (n, 3) [mm] over that of `coefficients` (n,)."""
-        import numpy as np
-
-        return np.ones(len(x))
+        """Stiffness at points (n, 3) [mm] over that of `coefficients` (n,), where it varies."""
+        raise NotImplementedError
 
     def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
         """Strain energy density ψ(ε) [MPa]; coefficients are UFL constants or expressions."""
@@ -197,7 +178,7 @@ class Isotropic(Elastic):
         return (E.largest if isinstance(E, ImageModulus) else E,)
 
     @property
-    def image(self) -> ImageModulus | None:
+    def image(self) -> ImageModulus | None:  # type: ignore[override]
         """The image that gives Young's modulus, if one does."""
         return E if isinstance(E := self.youngs_modulus, ImageModulus) else None
 
@@ -210,11 +191,10 @@ class Isotropic(Elastic):
         """E(x) over the largest E."""
         import numpy as np
 
-        E = self.youngs_modulus
-        if isinstance(E, ImageModulus):
-            return np.asarray(E.at(x, self._places) / E.largest)
-        values = np.interp(x[:, 2], *np.transpose(E)) if isinstance(E, tuple) else E
-        return np.asarray(values / self.moduli[0])
+        if self.image:
+            return np.asarray(self.image.at(x, self._places) / self.moduli[0])
+        heights, moduli = np.transpose(np.asarray(self.youngs_modulus))
+        return np.asarray(np.interp(x[:, 2], heights, moduli) / self.moduli[0])
 
 
 class TransverselyIsotropic(Elastic):

@@ -42,8 +42,8 @@ Domains = list[tuple[int, NDArray[np.int32]]]
 
 # Degree of quadrature of moments on curved facets; the second is exact on flat ones.
 MOMENT_DEGREE = 8
-# The same of means of moduli: 11 points of a cell.
-MEAN_DEGREE = 4
+# The same of moduli from images, whose 14 weights are positive; of degree 3 one is negative.
+IMAGE_DEGREE = 4
 
 
 class OnBody:
@@ -183,10 +183,7 @@ class BodyForms:
         return coefficients, e.fibre.direction(self.mesh, self.constant) if e.fibre else None
 
     def places(self, region: str, points: Floats, weights: Floats) -> tuple[Floats, Floats]:
-        """Positions (cells, points, 3) [mm] of points of a region's own cells, and their volumes.
-
-        Points and weights are of the reference cell (points, 3), (points,).
-        """
+        """Positions (cells, points, 3) [mm] and volumes of points of a region's own cells."""
         element = self.mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
         N, *dN = element.tabulate(1, points)
         x = self.mesh.geometry.x[self.mesh.geometry.dofmap[self.region_cells(region)]]
@@ -199,7 +196,7 @@ class BodyForms:
         At the first order, where strains are constant in a cell, it is the mean over the cell.
         """
         mean = self.scene.order == 1 or (e.image and e.image.per_cell)
-        rule = basix.make_quadrature(basix.CellType.tetrahedron, MEAN_DEGREE)
+        rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
         at, weights = (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
         x, volumes = self.places(e.region, at, weights)
         values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
@@ -211,9 +208,9 @@ class BodyForms:
 
     def _relative_stiffness(self, e: Elastic) -> fem.Function:
         """Stiffness over its largest at the points of the quadrature."""
-        element = basix.ufl.quadrature_element("tetrahedron", degree=self.varying_degree)
+        element = basix.ufl.quadrature_element("tetrahedron", degree=self._degree(e))
         g = fem.Function(fem.functionspace(self.mesh, element))
-        points, _ = basix.make_quadrature(basix.CellType.tetrahedron, self.varying_degree)
+        points, _ = basix.make_quadrature(basix.CellType.tetrahedron, self._degree(e))
         rows = g.function_space.dofmap.list[self.region_cells(e.region)]
         g.x.array[rows] = self.relative_stiffness(e, np.asarray(points))
         return g
@@ -237,7 +234,10 @@ class BodyForms:
         """
         own = dx(self.tagged.regions[e.region] if tag is None else tag)
         varies = e.varies or (e.fibre and e.fibre.turns)
-        return own(degree=self.varying_degree) if varies else own
+        return own(degree=self._degree(e)) if varies else own
+
+    def _degree(self, e: Elastic) -> int:
+        return IMAGE_DEGREE if e.image and self.scene.order > 1 else self.varying_degree
 
     def elastic_strain(self, e: Elastic, v: Any) -> Any:
         """Strain of a displacement minus the region's eigenstrains and its swelling."""

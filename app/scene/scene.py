@@ -111,10 +111,9 @@ class Scene:
 def build_scene(case: Case) -> Scene:
     """Build the scene of a case."""
     regions: Mapping[str, Any] = case.regions
-    places = case.geometry.in_image
-    elastic = tuple(
-        r.named(n).in_image(places) for n, r in regions.items() if isinstance(r, Elastic)
-    )
+    elastic = tuple(r.named(n) for n, r in regions.items() if isinstance(r, Elastic))
+    for e in elastic:
+        e._places = case.geometry.in_image
     moduli = {e.region: max(e.moduli) for e in elastic}
     thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
     interfaces = [

@@ -260,7 +260,7 @@ class Triple:
         Raises:
             PydanticCustomError: Not a list, or not of this number of entries.
         """
-        words = {2: "two", 3: "three"}[self.number]
+        words = {2: "two", 3: "three", 4: "four"}[self.number]
         value = spread_unit(value) if self.number == 3 else value
         if self.scalar and value is not None and not isinstance(value, list | tuple | dict):
             return (value, value, value)
@@ -281,12 +281,12 @@ class Triple:
     ) -> dict[str, Any]:
         """A list, or text where the entries of three are text."""
         result = handler(schema)
-        if self.number == 2 or result.get("prefixItems", [{}])[0].get("type") != "string":
+        if self.number != 3 or result.get("prefixItems", [{}])[0].get("type") != "string":
             return result
         return {"anyOf": [result, {"type": "string", "examples": [self.example], "x-value": ""}]}
 
 
-Pair = partial(Triple, number=2)
+Pair, Four = partial(Triple, number=2), partial(Triple, number=4)
 
 
 # Called when a kind is added, to rebuild the schema (`case.case`).

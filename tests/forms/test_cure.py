@@ -40,7 +40,6 @@ from app.numerics.integrator import (
 )
 from app.numerics.pointwise import Pointwise
 from forms import cure as forms
-from forms.tables import piecewise_linear
 from tests.laws import BALIGA, altered, cure
 
 R = 8.314462618
@@ -99,7 +98,7 @@ def test_limit_is_linear_between_its_pairs() -> None:
     T = np.linspace(250, 400, 31)
     for pairs in (LIMITED.limit, LIMITED.limit[:1]):
         table = np.array(pairs).T
-        found = evaluate(lambda x, t=table: piecewise_linear(x, *t), T=T)  # type: ignore[misc]
+        found = evaluate(lambda x, t=table: forms.piecewise_linear(x, *t), T=T)  # type: ignore[misc]
         assert found == pytest.approx(np.interp(T, *table), abs=1e-14)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app.arrays import Floats
+from app.arrays import Bools, Floats
 from app.case.femurs import IntactFemur
 from app.case.shapes import MeshOptions
 from meshes import femur_bone, femur_intact
@@ -74,3 +74,21 @@ def write(path: Path, surface: BoneSurface, scale: float = 1.0) -> Path:
     rows["v"] = scale * surface.corners
     path.write_bytes(b"\0" * 80 + np.uint32(len(rows)).tobytes() + rows.tobytes())
     return path
+
+
+def inside(surface: BoneSurface, x: Floats, y: Floats, z: Floats) -> Bools:
+    """Whether places of a lattice are inside of a surface (x, y, z): along rows of x, by parity."""
+    times = np.zeros((len(x) + 1, len(y), len(z)), dtype=np.int8)
+    for a, b, c in surface.corners:
+        low, high = np.minimum(a, np.minimum(b, c)), np.maximum(a, np.maximum(b, c))
+        j, k = (np.arange(*np.searchsorted(g, (low[i], high[i]))) for i, g in ((1, y), (2, z)))
+        u, v = np.meshgrid(y[j] - a[1], z[k] - a[2], indexing="ij")
+        (p, q), (r, s) = (b - a)[1:], (c - a)[1:]
+        if not u.size or not (area := p * s - q * r):
+            continue
+        one, two = (u * s - v * r) / area, (v * p - u * q) / area
+        met = (one >= 0) & (two >= 0) & (one + two <= 1)
+        at = a[0] + one * (b - a)[0] + two * (c - a)[0]
+        row, column = np.nonzero(met)
+        times[np.searchsorted(x, at[met]), j[row], k[column]] ^= 1
+    return np.asarray(np.bitwise_xor.accumulate(times, axis=0)[:-1], dtype=bool)

@@ -112,6 +112,8 @@ CANALS = {
 }
 KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "no file": ({"bone": {"surface": "none.stl"}}, "no such file"),
+    "no bone": ({"bone": {"image": "bone.stl"}}, "expected `surface`, or `image` and `label`"),
+    "no image": ({"bone": {"image": "bone.stl", "label": 1}}, "no image that can be read|needs"),
     "metre": ({"bone": {"surface": "bone.stl", "unit": "m"}}, "337 m long, .* Expected mm"),
     "side": ({"bone": {"surface": "bone.stl", "side": "right"}}, "14 mm behind the axis of a left"),
     "no end": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
