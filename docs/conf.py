@@ -43,6 +43,7 @@ install
 case
 geometry
 patient
+your_hip
 ct
 loads
 heat

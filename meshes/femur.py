@@ -17,7 +17,7 @@ from meshes import swept
 from meshes.data import MeshData, assemble, facet_areas, number
 from meshes.femur_bone import turned
 from meshes.femur_surfaces import FemurSurfaces
-from meshes.patient_surfaces import InsertedSurfaces, PatientSurfaces
+from meshes.patient_surfaces import InsertedSurfaces
 
 PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
@@ -37,10 +37,10 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         GeometryError: The stem does not fit the canal (with the place), or its neck or shoulder
             does not go with the neck cut.
     """
-    kind = FemurSurfaces
-    if geometry.insertion:
-        kind = PatientSurfaces if geometry.kind == "patient" else InsertedSurfaces
-    surfaces = kind(geometry, mesh)
+    if geometry.kind == "patient":
+        surfaces: FemurSurfaces = geometry.surfaces(mesh)
+    else:
+        surfaces = (InsertedSurfaces if geometry.insertion else FemurSurfaces)(geometry, mesh)
     made = swept.mesh(surfaces, mesh.curved)
     facets, owner = made.facets
     bone = np.array([name.endswith("bone") for name in made.names])[made.region[owner]]

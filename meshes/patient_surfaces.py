@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -270,6 +270,12 @@ class PatientSurfaces(FemurSurfaces):
 
     def _check(self, lines: Lines) -> None:
         """Nothing: `_measure` counts how often rays meet bone."""
+
+
+@lru_cache(maxsize=2)
+def kept(geometry: Any, mesh: Any, files: tuple[str, str]) -> PatientSurfaces:
+    """The surfaces of a patient; with a stem from CAD they take some seconds."""
+    return PatientSurfaces(geometry, mesh)
 
 
 def _limited(radii: Floats) -> Floats:

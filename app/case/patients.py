@@ -252,10 +252,15 @@ class Patient(Shape):
         through = mesh.cells_through(self.cement_thickness)
         return {"cells through cement, cancellous and cortical bone": through}
 
+    def surfaces(self, mesh: MeshOptions) -> Any:
+        """The nested surfaces that are checked and meshed, kept by the content of its files."""
+        files = self.content, getattr(self.stem, "content", "")
+        return import_module("meshes.patient_surfaces").kept(self, mesh, files)
+
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError, with the place, if the stem does not fit into the bone."""
         try:
-            import_module("meshes.patient_surfaces").PatientSurfaces(self, mesh)
+            self.surfaces(mesh)
         except GeometryError as error:
             raise InputError(str(error)) from error
 

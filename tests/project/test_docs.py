@@ -140,6 +140,8 @@ def test_yaml_blocks_are_cases_or_parts_of_them(page: Path, text: str, tmp_path:
     elif "base" in data and data.keys() & CASE_KEYS:
         (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
         new_case.write(tmp_path / "hip", "femur")
+        if page.stem == "your_hip":
+            script("own_hip").write(tmp_path)
         assert load(tmp_path / "case.yaml").config.loads
     elif "base" in data:
         assert (StudyFile if "study" in data else Sweep).model_validate(data)
