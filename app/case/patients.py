@@ -275,6 +275,12 @@ class Patient(Shape):
         found, _ = self.placement.projected(MUSCLES)
         return {"head_centre": self.head_centre} | {k: femurs.point(x) for k, x in found.items()}
 
+    @property
+    def skin(self) -> Any:
+        """Points of the bone's surface between the cuts (n, 3) (mm)."""
+        x, placed = self.placement.bone.points, self.placement
+        return x[((x - placed.foot) @ placed.normal < 0) & (x[:, 2] > self.distal_cut_z)]
+
     def in_image(self, x: Any, depth: float) -> Any:
         """Points (n, 3) in the axes of the bone's file, at a depth below its surface at least."""
         return self.placement.in_file(x, depth)

@@ -183,6 +183,11 @@ class Shape(Section):
         """Named points (mm) for loads; none by default."""
         return {}
 
+    @property
+    def skin(self) -> Any:
+        """Points of a bone's surface (n, 3), where it is known (mm)."""
+        return ()
+
     def in_image(self, x: Any, depth: float) -> Any:
         """Points (n, 3) in the axes of an image of it, at a depth in the bone at least (mm)."""
         return x

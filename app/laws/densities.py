@@ -142,16 +142,22 @@ class ImageModulus(Section):
         x = places(x, INSIDE)
         return self.modulus_of(self.image.at(x * [-1, -1, 1] if self.axes == "LPS" else x))
 
-    @property
-    def told(self) -> dict[str, str]:
-        """Moduli at three densities, and at the densest voxels."""
+    def told(self, geometry: Any) -> dict[str, str]:
+        """Moduli at three densities, at the densest voxels, and below the surface of a patient."""
+        import numpy as np
+
         dense, kind = self.image.dense, self._law[0]
         at, moduli = (
             ", ".join(f"{v:{f}}" for v in values)
             for values, f in ((SHOWN, "g"), (self.modulus(list(SHOWN)), ",.0f"))
         )
         found = ", ".join(f"{rho:.2f} {of}" for of, rho in self.densities(dense).items())
-        return {
+        told = {
             f"E at {at} g/cm3 ({kind} density)": f"{moduli} MPa",
             "densest voxels": f"CT number {dense:g}, {found}, E {self.largest / 1e3:.1f} GPa",
         }
+        if len(x := geometry.skin):
+            E = np.percentile(self.at(x, geometry.in_image), [5, 50, 95]) / 1e3
+            words = f"E {INSIDE:g} mm below the bone's surface (5, 50, 95 %)"
+            told[words] = "{:.1f}, {:.1f}, {:.1f} GPa".format(*E)
+        return told

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Ints
+from app.arrays import Floats, Ints
 from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
@@ -221,14 +220,19 @@ class Problem:
         Forces that would move the constrained unknowns of a model at rest do not count: on a fine
         mesh they exceed all others by far.
         """
-        scale, reactions = self.load_size, self.stiffness.reactions * u
-        if self.contact:
-            by_jumps = self.contact.coupling.C * q
-            reactions.array[:] += by_jumps.array_r[self.stiffness.constraints.constrained]
-            e = self.contact.coupling.equilibrium(u, q, self.f_q)
-            for forces in (self.contact.own.project_free(e), self.f_q):
-                scale += float(np.sqrt(self.comm.allreduce(float(np.sum(forces**2)), MPI.SUM)))
-        return scale + float(reactions.norm())
+        reactions = self.stiffness.reactions * u
+        if self.contact is None:
+            return self.load_size + float(reactions.norm())
+        by_jumps = self.contact.coupling.C * q
+        reactions.array[:] += by_jumps.array_r[self.stiffness.constraints.constrained]
+        e = self.contact.coupling.equilibrium(u, q, self.f_q)
+        return self.interface_scale(e) + float(reactions.norm())
+
+    def interface_scale(self, e: Floats) -> float:
+        """Size of loads and interface forces, from equilibrium e (n, 3) [N]; collective."""
+        assert self.contact is not None
+        parts = [float(np.sum(v**2)) for v in (self.contact.own.project_free(e), self.f_q)]
+        return self.load_size + float(np.sqrt(self.comm.allreduce(np.array(parts))).sum())
 
     def rounding(self, u: PETSc.Vec, q: PETSc.Vec | None = None) -> float:
         """Residual by rounding alone, large for a stiff body that moves [N]."""

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Ints
+from app.arrays import Floats, Ints
 from app.mechanics.coarse_space import free_directions, sliding_motions
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
@@ -77,7 +77,6 @@ class ContactSystem(BondedSystem):
     Attributes:
         contact: Contact of the interfaces.
         trial: Contact at the state of the last residual or Jacobian.
-        rows: Factor of equilibrium in the rows of the jumps, 1 - P' as last set.
 
     Args:
         solves: Number of solves foreseen; 0 if it is not to be condensed.
@@ -96,9 +95,9 @@ class ContactSystem(BondedSystem):
         self._C = contact.coupling.C.copy()
         self._C.zeroRows(problem.stiffness.rows, diag=0.0)
         self._coupled = problem.stiffness.version
-        self.rows = block_diagonal(contact.comm, len(contact.own))
-        self._A_qu = self.rows.matMult(contact.coupling.Ct)
-        self._A_qq = self.rows.matMult(contact.coupling.D)
+        self.times = block_diagonal(contact.comm, len(contact.own))
+        self._A_qu = self.times.matMult(contact.coupling.Ct)
+        self._A_qq = self.times.matMult(contact.coupling.D)
         self._added = block_diagonal(contact.comm, len(contact.own))
         self._coarse_version = -1
 
@@ -129,16 +128,13 @@ class ContactSystem(BondedSystem):
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
         contact = self.contact
-        if self._coupled != self._problem.stiffness.version:
-            self._coupled = self._problem.stiffness.version
-            contact.coupling.C.copy(self._C)
-            self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
+        self.parts()
         self.trial = self._problem.trial(*x)
         times, added = self._factors = contact.row_factors(self.trial.law)
-        fill(self.rows, times)
+        fill(self.times, times)
         fill(self._added, added)
-        self.rows.matMult(contact.coupling.Ct, result=self._A_qu)
-        self.rows.matMult(contact.coupling.D, result=self._A_qq)
+        self.times.matMult(contact.coupling.Ct, result=self._A_qu)
+        self.times.matMult(contact.coupling.D, result=self._A_qq)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def exact(self, linear: str) -> Condensed | None:
@@ -148,9 +144,38 @@ class ContactSystem(BondedSystem):
         often = linear == "auto" and problem.scene.order > 1 and problem.setting is None
         if not (self._solves and (asked or often)) or not usable(K.getSize()[0], K.comm.tompi4py()):
             return None
-        parts = K, self._C, self.contact.coupling.D
-        found = Condensed(lambda: parts, lambda: self._coupled, lambda: self._factors)
+        found = Condensed(self)
         return found if asked or found.pays(self._solves, self._memory) else None
+
+    def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
+        """Stiffness, coupling without constrained rows, stiffness of the jumps."""
+        if self._coupled != self._problem.stiffness.version:
+            self._coupled = self._problem.stiffness.version
+            self.contact.coupling.C.copy(self._C)
+            self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
+        return self._problem.stiffness.K, self._C, self.contact.coupling.D
+
+    def changes(self) -> int:
+        """Number of changes of the stiffness."""
+        return self._problem.stiffness.version
+
+    def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats]:
+        """Residual of displacement and jumps in equilibrium, without the law [N]."""
+        out = x[0].duplicate()
+        self._problem.residual_u(x[0], x[1], out)
+        e = self.contact.coupling.equilibrium(x[0], x[1], self._problem.f_q)
+        return out.array, e.ravel()
+
+    def law(self, e: Floats, q: Floats) -> tuple[Floats, float]:
+        """Residual of the law at equilibrium e and jumps q, and size of the forces [N]."""
+        contact, e, q = self.contact, e.reshape(-1, 3), q.reshape(-1, 3)
+        law = contact.evaluate(e, q)
+        self._factors = contact.row_factors(law)
+        return contact.residual(e, q, law).ravel(), self._problem.interface_scale(e)
+
+    def rows(self) -> tuple[Floats, Floats]:
+        """Factors in the rows of the jumps as last set."""
+        return self._factors
 
     def coarse_space(self) -> CoarseSpace:
         """Motions of bodies that slide, lift off or bend away."""

@@ -17,7 +17,7 @@ from typing import Any
 import cffi
 import numpy as np
 from dolfinx import jit
-from scipy.linalg import blas, lapack
+from scipy.linalg import lapack
 from scipy.sparse import csc_array
 
 from app.arrays import Floats, Ints
@@ -46,7 +46,6 @@ int cholmod_l_free_factor(cholmod_factor **, cholmod_common *);
 #define CHOLMOD_PATTERN ...
 #define CHOLMOD_LONG ...
 #define CHOLMOD_A ...
-#define CHOLMOD_Lt ...
 """
 SOURCE = "#include <suitesparse/cholmod.h>"
 NAME = "mantle_cholmod_1"  # another number when the calls change
@@ -183,26 +182,12 @@ class Cholesky:
 
     def solve(self, b: Floats) -> Floats:
         """Solution of A x = b (n,)."""
-        return self._solved(self._lib.CHOLMOD_A, b)
-
-    def extend(self, last: Floats) -> Floats:
-        """Solution for which the first equations have no right side, from its last unknowns."""
-        y, triangle = np.zeros(self._n), self._triangle()
-        end = np.zeros(len(triangle))
-        end[-self._last :] = last[self._tail]
-        y[-self._last :] = blas.dtrmv(triangle, end, lower=1, trans=1)[-self._last :]
-        x = np.empty(self._n)
-        x[self._perm] = self._solved(self._lib.CHOLMOD_Lt, y)
-        return x
-
-    def _solved(self, system: int, b: Floats) -> Floats:
         ffi, lib = self._ffi, self._lib
-        right = ffi.new("cholmod_dense *")
-        b = np.ascontiguousarray(b)
+        right, b = ffi.new("cholmod_dense *"), np.ascontiguousarray(b)
         right.nrow = right.nzmax = right.d = self._n
         right.ncol, right.xtype = 1, lib.CHOLMOD_REAL
         right.x = ffi.cast("void *", b.ctypes.data)
-        found = lib.cholmod_l_solve(system, self._L, right, self._common)
+        found = lib.cholmod_l_solve(lib.CHOLMOD_A, self._L, right, self._common)
         x = self._array("double", found.x, self._n).copy()
         lib.cholmod_l_free_dense(ffi.new("cholmod_dense **", found), self._common)
         return np.asarray(x)

@@ -15,7 +15,9 @@ One rank factors and solves for all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from typing import Protocol
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -30,8 +32,8 @@ from app.numerics.cholesky import Cholesky, library
 
 # Singular values of T, and parts of a row of B across its direction, that count as none.
 NOTHING = 1e-10
-# Residual of the displacement over that of the jumps below which a step leaves it alone.
-SMALL = 1e-3
+# Newton steps at most; parts of one that are tried.
+MOST, PARTS = 40, 2.0 ** -np.arange(8)
 # Residual that a step in single precision may leave.
 ROUGH = 1e-2
 # Unknowns of displacement beyond which nothing is analysed, as factors do not pay.
@@ -46,26 +48,35 @@ ASSEMBLY, KRYLOV, LATER = 1.5e-5, 1.3e-4, 0.65
 SPEEDUP, MEMORY = 0.9, 0.5
 
 
+class Condensable(Protocol):
+    """Interface between condensation and contact; arrays are those of own points."""
+
+    def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
+        """K, C without constrained rows, and D."""
+
+    def changes(self) -> int:
+        """Number of changes of these."""
+
+    def rows(self) -> tuple[Floats, Floats]:
+        """T and B at the last state, (n, 3, 3) each."""
+
+    def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats]:
+        """Residual of displacement and jumps in equilibrium, without the law, at a state [N]."""
+
+    def law(self, e: Floats, q: Floats) -> tuple[Floats, float]:
+        """Residual of the law at equilibrium e [N] and jumps q, and the forces' size."""
+
+
 class Condensed:
     """Context of a PCPYTHON: the inverse of the Jacobian of contact; made collectively.
 
     Attributes:
         cholesky: Factors of A', on rank 0.
-
-    Args:
-        parts: Returns K, C without constrained rows, and D.
-        version: Returns the number of their changes.
-        rows: Returns T and B of own points at the current Jacobian, (n, 3, 3) each.
     """
 
-    def __init__(
-        self,
-        parts: Callable[[], tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]],
-        version: Callable[[], int],
-        rows: Callable[[], tuple[Floats, Floats]],
-    ) -> None:
-        self._parts, self._version, self._rows = parts, version, rows
-        K, _, D = parts()
+    def __init__(self, contact: Condensable) -> None:
+        self._contact = contact
+        K, _, D = contact.parts()
         self._comm = K.comm.tompi4py()
         self.size, self._jumps = K.getSize()[0], D.getSize()[0]
         self._matrix: csc_array | None = self._gathered_matrix()
@@ -98,7 +109,7 @@ class Condensed:
 
     def _gathered_matrix(self) -> csc_array | None:
         """A' on rank 0, its upper triangle right, None elsewhere; collective."""
-        K, C, D = self._parts()
+        K, C, D = self._contact.parts()
         every = [self._gathered_rows(A) for A in (K, C, D)]
         if self._comm.rank:
             return None
@@ -119,15 +130,15 @@ class Condensed:
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Set up for the current Jacobian; collective."""
-        if self._made != self._version():
+        if self._made != (now := self._contact.changes()):
             A = self._matrix if self._made < 0 else self._gathered_matrix()
-            self._made, self._matrix = self._version(), None
+            self._made, self._matrix = now, None
             if A is not None:
                 self.cholesky.factorize(A)
                 self._S = self.cholesky.schur()
                 self._S[np.diag_indices(self._jumps)] -= self._tau
                 self._single = self._S.astype(np.float32)
-        rows = [self._gathered(v) for v in self._rows()]
+        rows = [self._gathered(v) for v in self._contact.rows()]
         if self._comm.rank == 0:
             self._set_rows(*(v.reshape(-1, 3, 3) for v in rows))
             self._factor(self._single)
@@ -169,43 +180,79 @@ class Condensed:
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Solve J z = r; collective."""
-        (ru, rq), solution = r.getNestSubVecs(), z.getNestSubVecs()
-        right = [self._gathered(v.array_r) for v in (ru, rq)]
-        found = self._solved(*right) if self._comm.rank == 0 else (None, None)
-        for own, every in zip(solution, found, strict=True):
-            self._scatter(every, own)
+        (ru, rq), (u, q) = (v.getNestSubVecs() for v in (r, z))
+        pulled = self._on_root(self._pulled, q, ru.array_r)
+        dq = self._on_root(lambda a, b: self._step(a - self._T @ b), q, rq.array_r, pulled)
+        u.array = self._on_root(self._moved, u, ru.array_r, pulled, dq)
+        q.array = dq
 
-    def _scatter(self, every: Floats | None, own: PETSc.Vec) -> None:
-        """Set a vector to values on rank 0; collective."""
+    def iterate(self, x: list[PETSc.Vec], tolerance: float) -> int:
+        """Newton in the jumps alone, from a state to a better one; collective.
+
+        Stops below a tolerance of the residual over the forces, or where no step lowers it.
+
+        Returns:
+            The number of iterations.
+        """
+        (u, q_vector), (ru, e) = x, self._contact.forces(x)
+        q, number = q_vector.array.copy(), 0
+        pulled = self._on_root(self._pulled, q_vector, ru)
+        e = e - pulled
+        r, scale = self._contact.law(e, q)
+        norm, moving = self._norm(r), True
+        while norm > tolerance * scale and moving and number < MOST:
+            self.setUp(None)
+            dq = self._on_root(self._step, q_vector, r)
+            de = self._on_root(lambda v: self._S @ v, q_vector, dq)
+            for part in PARTS:
+                there = e - part * de, q - part * dq
+                r, scale = self._contact.law(*there)
+                if moving := self._norm(r) < norm:
+                    (e, q), norm = there, self._norm(r)
+                    break
+            number += 1
+        u.array[:] -= self._on_root(self._moved, u, ru, pulled, q_vector.array_r - q)
+        q_vector.array[:] = q
+        return number
+
+    def _norm(self, own: Floats) -> float:
+        return math.sqrt(self._comm.allreduce(float(own @ own)))
+
+    def _on_root(self, function: Callable[..., Floats], like: PETSc.Vec, *own: Floats) -> Floats:
+        """Own part, as of a vector, of a function of values of all ranks; collective."""
+        every = [self._gathered(v) for v in own]
         if self._comm.size == 1:
-            own.array = every
-            return
-        part = own.array
+            return function(*every)
+        found = function(*every) if self._comm.rank == 0 else None
+        part = np.empty(like.getLocalSize())
         sizes = self._comm.gather(len(part))
-        self._comm.Scatterv([every, sizes] if every is not None else None, part)
-        own.array = part
+        self._comm.Scatterv([found, sizes] if found is not None else None, part)
+        return part
 
-    def _solved(self, ru: Floats, rq: Floats) -> tuple[Floats, Floats]:
-        rq, zero = rq.copy(), np.zeros(self._jumps)
-        moves = np.linalg.norm(ru) > SMALL * np.linalg.norm(rq)
-        if moves:
-            y = self.cholesky.solve(np.concatenate([ru, zero]))[self.size :]
-            pulled = -(self._S @ y + self._tau * y)  # C^T K^-1 r_u
-            rq -= self._T @ pulled
-        dq = self._step(rq)
-        if np.linalg.norm(rq - self._times(dq)) > ROUGH * np.linalg.norm(rq):
+    # On rank 0
+
+    def _pulled(self, ru: Floats) -> Floats:
+        """Forces on jumps of the displacement that other forces cause, C^T K^-1 r_u."""
+        y = self.cholesky.solve(np.concatenate([ru, np.zeros(self._jumps)]))[self.size :]
+        return np.asarray(-(self._S @ y + self._tau * y))
+
+    def _moved(self, ru: Floats, pulled: Floats, dq: Floats) -> Floats:
+        """The displacement K^-1 (r_u - C dq)."""
+        right = pulled + self._S @ dq + self._tau * dq
+        return self.cholesky.solve(np.concatenate([ru, right]))[: self.size]
+
+    def _step(self, r: Floats) -> Floats:
+        """Solution of (T S + B) dq = r."""
+        dq = self._by_factors(r)
+        if np.linalg.norm(r - self._times(dq)) > ROUGH * np.linalg.norm(r):
             self._factor(self._S)
-            dq = self._step(rq)
-        if moves:
-            pulled += self._S @ dq + self._tau * dq
-            return self.cholesky.solve(np.concatenate([ru, pulled]))[: self.size], dq
-        return self.cholesky.extend(dq)[: self.size], dq
+            dq = self._by_factors(r)
+        return dq
 
     def _times(self, dq: Floats) -> Floats:
         return np.asarray(self._T @ (self._S @ dq) + self._B @ dq)
 
-    def _step(self, r: Floats) -> Floats:
-        """Solution of (T S + B) dq = r."""
+    def _by_factors(self, r: Floats) -> Floats:
         dq = self._known.T @ ((self._known @ r) / self._along)
         if self._free.shape[0]:
             left = (self._free @ (r - self._times(dq))).astype(self._lu.dtype)

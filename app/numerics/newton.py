@@ -279,7 +279,10 @@ class Solver:
         """Iterate from the current state; return Newton and Krylov iterations."""
         self.active.forget()
         self.converged = False
+        reduced = 0
         with self._timing.phase("solve"):
+            if self.linear.exact:
+                reduced = self.linear.exact.iterate(self.blocks(), self.tolerance)
             try:
                 self.snes.solve(None, self.x)
             except PETSc.Error as error:
@@ -289,7 +292,7 @@ class Solver:
             # PETSc calls neither monitor nor test if the residual is not finite.
             self.residuals.append(math.nan)
             self.changes.append(0)
-        return self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
+        return reduced + self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
 
     def start_linear(self, forces: Floats) -> None:
         """Begin the next solve with one linear step at forces of own points (n, 3) [MPa]."""

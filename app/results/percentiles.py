@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from app.arrays import Floats
@@ -53,12 +55,20 @@ class SurfaceField:
         """Smallest level not exceeded on this fraction of the area; 0 without triangles."""
         if not len(self._area):
             return 0.0
-        low, high = float(self._corners.min()), float(self._corners.max())
+        ends = [float(self._corners.min()), float(self._corners.max())]
         above = (1.0 - fraction) * self.whole
-        for _ in range(50):  # to the last digits
-            middle = (low + high) / 2
-            if self.area_above(middle) > above:
-                low = middle
-            else:
-                high = middle
-        return high
+        excess = [self.whole - above, -above]
+        kept = -1
+        while ends[0] < (level := _between(ends, excess)) < ends[1]:
+            value = self.area_above(level) - above
+            side = int(value <= 0)
+            ends[side], excess[side] = level, value
+            if side == kept:  # the other end would stay where it is for long
+                excess[1 - side] /= 2
+            kept = side
+        return level
+
+
+def _between(ends: Sequence[float], values: Sequence[float]) -> float:
+    """Zero of the line through two points."""
+    return ends[0] + (ends[1] - ends[0]) * values[0] / ((values[0] - values[1]) or 1.0)

@@ -64,6 +64,7 @@ class Stresses:
             self.shares[region] = history.weights / history.weights.sum()
         # Stiffness over its largest at the points, where it varies.
         self._relative: dict[str, Floats] = {}
+        self._compliance: dict[str, Floats] = {}
         laws: dict[str, Law] = {}
         self._own: dict[str, fem.Expression] = {}
         self._shared: dict[str, Callable[[], fem.Expression]] = {}
@@ -155,8 +156,9 @@ class Stresses:
         a = np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
         # Each of the last three stands for two entries of the tensors.
         twice = np.diag([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
-        S = twice @ np.linalg.inv(_stiffness(e))
-        density = np.asarray(np.einsum("cqi,ij,cqj->cq", a, S, a)) / 2
+        if region not in self._compliance:  # variations share it; UFL takes 0.1 s
+            self._compliance[region] = twice @ np.linalg.inv(_stiffness(e))
+        density = np.asarray(np.einsum("cqi,ij,cqj->cq", a, self._compliance[region], a)) / 2
         return np.asarray(density / self._relative.get(region, 1.0))
 
     def region(self, region: str) -> dict[str, Any]:

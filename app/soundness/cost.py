@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 NODES_PER_CELL = 0.19
 EDGES_PER_CELL = 1.22
 # Cost of a run on one core (measured). Mechanics: seconds at 1e5 unknowns by order, exponent of
-# growth, a later load step beside the first.
-PRICE, GROWTH, LATER = {1: 20.0, 2: 25.0}, 1.2, 0.35
+# growth, a later load step beside the first (the bodies condensed at second order, or not).
+PRICE, GROWTH, LATER = {1: 20.0, 2: 25.0}, 1.2, {1: 0.35, 2: 0.06}
 # Heat: seconds of a time step, and per temperature; time steps of a stage, and of cement that sets.
 TIME_STEP, HEAT, HEAT_STEPS, SETTING_STEPS = 0.05, 3e-5, 35, 95
 # Factors of runs with errors, of the mechanics and with heat, and of a run that shares matrices;
@@ -128,7 +128,8 @@ def _solution(case: Case, size: _Size) -> float:
     mechanical, thermal = 3 * (size.nodes + size.jumps), size.temperatures + size.steps
     price = PRICE[case.mesh.order] * (mechanical / 1e5) ** GROWTH
     loads, moments = solves(case)
-    loading = price * (1.0 + LATER * max(0, loads + moments - 1)) if mechanical else 0.0
+    later = LATER[1 if moments else case.mesh.order] * max(0, loads + moments - 1)
+    loading = price * (1.0 + later) if mechanical else 0.0
     heating = moments * (TIME_STEP + HEAT * thermal)
     errors = WITH_HEAT_ERRORS if moments else WITH_ERRORS
     return (loading + heating) * (errors if case.output.error else 1.0)

@@ -52,7 +52,7 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
         kind = "rigid" if isinstance(region, Rigid) else region.kind
         lines += [f"  {name}: {kind}", *_entries(region, given["regions"][name], 4)]
         if image := getattr(region, "image", None):
-            lines += [f"      {k}: {plain(v)}" for k, v in image.told.items()]
+            lines += [f"      {k}: {plain(v)}" for k, v in image.told(case.geometry).items()]
     lines += ["interfaces", *([] if case.interfaces else ["  none"])]
     for name, law in case.interfaces.items():
         a, b = (" + ".join(side) for side in case.geometry.interface_sides[name])

@@ -175,7 +175,7 @@ class CoupledSystem(ContactSystem):
         if self._thermal is None:
             return []
         by_u, by_q = self._thermal
-        return [by_u, [self.rows.matMult(A) for A in by_q]]
+        return [by_u, [self.times.matMult(A) for A in by_q]]
 
     def _entries(self) -> list[PETSc.Mat]:
         """Minus the heat by friction power, in the rows of temperature and of jumps."""

@@ -48,6 +48,8 @@ CONDUCTION = (
     "regions.cement.thermal.cure=",
     *(f"interfaces.{name}.conductance=perfect" for name in INTERFACES),
 )
+# The same at second order, where the bodies are condensed.
+CONDENSED = {"20k": ("8 mm", 0.6), "100k": ("4 mm", 1.0)}
 # Second order: the timed case, and the reference of both orders.
 SECOND, REFERENCE = "5 mm", "3 mm"
 # Phases of a run outside set-up and solution.
@@ -79,6 +81,7 @@ def benchmarks() -> list[Check]:
         _goal("ranks_2_over_1", "wall time over one rank", (two, largest), _ratio(wall), 1 / 1.7),
         _goal("variations_12", "CPU time over that of one", (middle, *twelve), _variations, 2.5),
         _goal("later_load_steps", "the longest over the first", steps, later_steps, 0.3),
+        *_condensed(),
         _goal(
             "order_2_over_1",
             "CPU time of second order over first at equal error of slip",
@@ -111,6 +114,20 @@ def _over_bonded() -> Iterator[Check]:
             _ratio(cpu),
             1.2,
         )
+
+
+def _condensed() -> Iterator[Check]:
+    """First solve, later step and variations at second order."""
+    for rung, (size, most) in CONDENSED.items():
+        first, krylov = (
+            CheckRun("stance.yaml", (f"mesh.size={size}", *STANCE, *o), times=TIMES)
+            for o in ((), ("solver.linear=multigrid",))
+        )
+        steps = (CheckRun("stance.yaml", (*first.overrides, *STEPS)),)
+        twelve = tuple(CheckRun("stance.yaml", (*first.overrides, *o), share=True) for o in TWELVE)
+        yield _goal(f"condensed_{rung}", "over multigrid", (first, krylov), _ratio(cpu), most)
+        yield _goal(f"later_2_{rung}", "the longest over the first", steps, later_steps, 0.1)
+        yield _goal(f"variations_2_{rung}", "over one", (first, *twelve), _variations, 2.5)
 
 
 def stance(kind: str, rung: str) -> CheckRun:

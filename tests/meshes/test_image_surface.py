@@ -105,6 +105,7 @@ def test_moduli_at_points_of_the_cortex(scan: Path) -> None:
     off = E.at(geometry.placement.frame.to_model(x), geometry.in_image) / expected - 1.0
     assert np.percentile(np.abs(off), 95) < 0.03
     assert abs(off.mean()) < 0.003
+    assert list(E.told(geometry))[-1].startswith("E 1.5 mm below")
     raw = E.at(x, lambda x, depth: x) / expected - 1.0
     assert np.percentile(np.abs(raw), 95) > 0.1
 
