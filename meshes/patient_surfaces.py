@@ -34,7 +34,10 @@ BLUR = 0.7  # samples
 THINNING, THIN = 35.0, 2.0  # mm above the canal's end over which the cortex becomes so thin
 LEAST_CORTEX = 1.5  # mm that reaming leaves where the patient has less than `CORTEX`
 BROACH = 0.3  # mm that a broach is wider than stem and mantle
-CORE = 0.65  # of the canal: the innermost surface below the plug
+# The innermost surface below the plug: of the canal's mean radius, and of any radius at most.
+CORE, NARROW = 0.6, 0.65
+ROUGH = 1.5  # samples over which a canal is smoothed
+OBLIQUE = 2.0  # at most, of a way through the cortex over its thickness
 LID, NEAR_LID = 0.9, 15.0  # of the normal along the shaft: a canal's flat end; mm from its top
 WIDE, OVER = 12.0, 2.0  # mm of an edge around the metaphysis, and over the size
 ECCENTRIC = 10.0  # mm that a canal's middle is beside the bone's, at most
@@ -158,7 +161,7 @@ class PatientSurfaces(FemurSurfaces):
                 f"geometry.canal.surface: ends at {self._at_axis(zeta[first])}, beside the stem or"
                 " its plug; shorten the stem or give a longer canal"
             )
-        own = _limited(radii[first : last + 1])
+        own = gaussian_filter(_limited(radii[first : last + 1]), ROUGH, mode=("nearest", "wrap"))
         wall = bone[first : last + 1] - own
         if wall.min() < 0:
             i, j = np.unravel_index(wall.argmin(), wall.shape)
@@ -169,10 +172,19 @@ class PatientSurfaces(FemurSurfaces):
             )
         below = bone[:first] * (own[0] / bone[first])
         part = np.clip((zeta[last + 1 :, None] - zeta[last]) / THINNING, 0.0, 1.0)
-        above = bone[last + 1 :] - (wall[-1] + part * (THIN - wall[-1]))
+        thin = THIN * self._oblique()[last + 1 :]
+        above = bone[last + 1 :] - (wall[-1] + part * (thin - wall[-1]))
         top = self._placed.to_model([0.0, 0.0, zeta[last]])[2]
         self.told.append(f"canal: measured up to z = {top:.0f} mm; above, cortex thins to {THIN:g}")
         return np.concatenate([below, own, above])
+
+    def _oblique(self) -> Floats:
+        """Ways of rays out of the bone over distances from its surface (n, `ANGLES`)."""
+        theta, zeta = np.meshgrid(THETA, self._bone.zeta)
+        x, out = (self._on(theta, zeta, self._bone.radii + r) for r in (0.0, 1.0))
+        normal = np.cross(np.roll(x, -1, axis=1) - np.roll(x, 1, axis=1), np.gradient(x, axis=0))
+        across = ((out - x) * normal).sum(axis=-1) / np.linalg.norm(normal, axis=-1)
+        return np.asarray(np.clip(1 / np.abs(across), 1.0, OBLIQUE))
 
     def _lid(self, canal: BoneSurface) -> float:
         """Height of the lowest section that meets the flat proximal end of a canal [mm]."""
@@ -239,17 +251,21 @@ class PatientSurfaces(FemurSurfaces):
         return np.asarray(self._endosteum(np.arctan2(dy, dx), zeta) - np.hypot(dx, dy))
 
     def _sink(self, start: Floats, theta: Floats, zeta: Floats, depth: Floats) -> Floats:
-        """The innermost surface below the plug: a part of the canal that goes over to `CORE`.
+        """The innermost surface below the plug, which goes over to a round one of radial lines.
 
-        Its lines go over to radial ones: the canal is narrow and not round.
+        The canal is narrow and rough there.
         """
         x, below = start.copy(), depth > 0
         turn, level = np.arctan2(*start[below, 1::-1].T), zeta[below]
         ratio = np.hypot(*start[below, :2].T) / self._endosteum(turn, level + depth[below])
         part = np.minimum(depth[below] / CORE_OVER, 1.0)
-        ratio += (CORE - ratio) * part
         turn += part * (np.mod(theta[below] - turn + np.pi, 2 * np.pi) - np.pi)
-        x[below] = self._on(turn, level, ratio * self._endosteum(turn, level))
+        levels, own = np.unique(level, return_inverse=True)
+        around = (v.ravel() for v in np.meshgrid(THETA[::6], levels))
+        mean = self._endosteum(*around).reshape(-1, ANGLES // 6).mean(axis=1)[own]
+        canal = self._endosteum(turn, level)
+        core = np.minimum(CORE * mean, NARROW * canal)
+        x[below] = self._on(turn, level, ratio * canal + part * (core - ratio * canal))
         return x
 
     def _check(self, lines: Lines) -> None:
