@@ -67,8 +67,9 @@ class Placement:
 
     def where(self, x: Floats) -> str:
         """A point of the model (3,) in words."""
-        below = float(self.normal @ (self.foot - x)) / self.normal[2]
-        return "({:.0f}, {:.0f}, {:.0f}) mm, {} mm below the cut".format(*x, round(below))
+        below = round(float(self.normal @ (self.foot - x)) / self.normal[2])
+        side = "above" if below < 0 else "below"
+        return "({:.0f}, {:.0f}, {:.0f}) mm".format(*x) + f", {abs(below)} mm {side} the cut"
 
 
 @dataclass(frozen=True)
