@@ -182,7 +182,7 @@ def _taper(
     found = []
     for face in faces:
         x = points[np.unique(face)]
-        normal = np.linalg.svd(x - x.mean(axis=0))[2][2]
+        normal = np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2][2]
         if np.abs((x - x.mean(axis=0)) @ normal).max() > FLAT:
             continue
         normal *= 1.0 if normal @ axis > 0 else -1.0
