@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, MeshOptions, Patient
@@ -97,17 +98,6 @@ def test_zones_are_those_of_the_parametric_femur(folder: Path) -> None:
     assert here.depth(x) == pytest.approx(there.depth(y), abs=0.4)
 
 
-def test_a_right_femur_is_the_mirrored_left_one(folder: Path) -> None:
-    """All numbers are in medial, anterior, proximal of the body's own side."""
-    mirrored = moved(own(), np.diag([-1.0, 1.0, 1.0]), np.zeros(3))
-    write(folder / "right.stl", mirrored)
-    left, right = (patient(folder, bone={"surface": f"{n}.stl"}) for n in ("bone", "right"))
-    assert left.told["side"] == "left"
-    assert right.told["side"] == "right, mirrored"
-    for name, place in left.points.items():
-        assert right.points[name] == pytest.approx(place, abs=0.05), name
-
-
 def test_axes_of_the_scan_do_not_matter(folder: Path) -> None:
     canal = {"surface": "canal_moved.stl", "ream": "broach"}
     still = patient(folder, canal=canal | {"surface": "canal.stl"})
@@ -144,19 +134,20 @@ def test_a_stem_from_a_file_is_as_mantles_own(folder: Path) -> None:
     assert nominal[0] == pytest.approx(nominal[1], abs=0.02)
 
 
-def test_a_stem_of_the_right_side_is_mirrored_with_the_bone(folder: Path) -> None:
-    """One that is not symmetric: its medial direction is that to a head beside its plane."""
+def test_a_right_femur_is_the_mirrored_left_one_with_its_stem(folder: Path) -> None:
+    """A stem that is not symmetric: its medial direction is that to a head beside its plane."""
     file, mirror = cad_stems.write("own", folder, neck=NECK), np.diag([-1.0, 1.0, 1.0])
     write(folder / "right.stl", moved(own(), mirror, np.zeros(3)))
     found = []
-    for name, y in (("bone", -8), ("right", 8)):
+    for name, y, side in (("bone", -8, "left"), ("right", 8, "right, mirrored")):
         stem = {"step": file, "head_centre": ["42 mm", f"{y} mm", "172 mm"]}
         geometry = patient(folder, bone={"surface": f"{name}.stl"}, stem=stem, **IN)
-        surfaces = PatientSurfaces(geometry, options())
-        outlines = [surfaces._body._section(z, 0.1)[0] for z in (-140.0, -80.0, -20.0)]
-        found.append((np.stack(outlines), geometry.head_centre))
-    (one, head), (other, centre) = found
-    assert head == pytest.approx(centre, abs=0.001)
+        assert geometry.told["side"] == side
+        body = PatientSurfaces(geometry, options())._body
+        found.append(np.stack([body._section(z, 0.1)[0] for z in (-140.0, -80.0, -20.0)]))
+        found.append(np.array(list(geometry.points.values())))
+    one, points, other, mirrored = found
+    assert points == pytest.approx(mirrored, abs=0.05)
     assert one == pytest.approx(other, abs=0.02)
     assert np.abs(one[:, 1:-1] - one[:, -2:0:-1] * [1, -1, 1]).max() > 0.5
 
@@ -172,13 +163,64 @@ def test_muscles_are_on_the_bone_and_below_the_cut(folder: Path) -> None:
 
 
 def test_the_stem_goes_where_it_is_put(folder: Path) -> None:
-    """Version and offsets by the patient's neck; `test_insertion` moves a stem by hand."""
+    """Version and offsets by the patient's neck."""
     at = patient(folder).placement
     aside = {"medial_offset": "2 mm", "anterior_offset": "1 mm"}
     put = patient(folder, insertion=aside | {"version": {"angle": "10 deg"}}).placement
     x, y, _ = put.turn[:, 0]
     assert math.degrees(math.atan2(y, x)) == pytest.approx(10.0, abs=0.1)
     assert put.foot[:2] - at.foot[:2] == pytest.approx([2.0, 1.0], abs=0.02)
+
+
+# The parametric femur, whose stem is moved by hand.
+WIDE = {"canal_widening": "5 mm", "cement_thickness": "3 mm", "anteversion": "5 deg"}
+MOVED = {"varus": "2 deg", "version": {"angle": "8 deg"}, "medial_offset": "1 mm"}
+MOVED |= {"anterior_offset": "-1 mm"}
+
+
+def femur(**changes: Any) -> Femur:
+    return Femur.model_validate(WIDE | changes)
+
+
+@pytest.mark.parametrize("kind", ["own", "file"])
+def test_the_stem_is_moved_and_the_bone_is_not(kind: str, tmp_path: Path) -> None:
+    """Nodes on the body turned by hand, and on the periosteum's own function."""
+    file = {"stem": {"step": cad_stems.write("own", tmp_path, neck=NECK)}} if kind == "file" else {}
+    geometry = femur(insertion=MOVED, **file)
+    data = _make(geometry, options(size="6 mm", around=None))
+    normal, level = femur_bone.resection(geometry)
+    medial, anterior = (Rotation.from_euler("z", 5 + a, degrees=True) for a in (0, 90))
+    shift = medial.apply([1.0, 0.0, 0.0]) - anterior.apply([1.0, 0.0, 0.0])
+    shift[2] = -normal[0] / normal[2]  # along the cut
+    turn = Rotation.from_euler("yz", [2, 5 + 8], degrees=True)
+    pivot = np.array([0.0, 0.0, level / normal[2]])
+    x = data.points[np.unique(interface_facets(data, "stem_cement")[0])]
+    x, y, z = (turn.inv().apply(x - pivot - shift) + pivot).T
+    flank = (z > -116 + 1e-6) & (z < 28.99)  # the file ends at its shoulder
+    x, y, z = x[flank], y[flank], z[flank]
+    radius = femur_stem.body(femur()).radius(np.arctan2(y, x), z)
+    assert len(z) > 200
+    assert np.hypot(x, y) == pytest.approx(radius, abs=1e-5 if kind == "own" else 0.013)
+    x, y, z = data.points[data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]].T
+    periosteum = femur_bone.PERIOSTEUM.radius(np.arctan2(y, x), z)
+    assert np.hypot(x, y) == pytest.approx(periosteum, abs=1e-5)
+    head = turn.apply(np.array([43.0, 0.0, 54.0]) - pivot) + pivot + shift
+    assert geometry.head_centre == pytest.approx(head, abs=1e-9 if kind == "own" else 0.02)
+    assert data.notes["quality"]["sicn_min"] > 0.1
+
+
+def test_depth_is_that_of_the_shoulder_below_the_cut() -> None:
+    normal, level = femur_bone.resection(femur())
+    on, deep = (femur(insertion={"depth": f"{d} mm"}).placement for d in (0, 3))
+    edge = np.array([[-9.0789, 0.0, 29.0]])
+    x, _, z = femur_bone.turned(on.to_model(edge), -math.radians(5))[0]
+    assert normal @ [x, 0.0, z] == pytest.approx(level, abs=1e-4)
+    assert on.to_model(edge) - deep.to_model(edge) == pytest.approx(np.array([[0, 0, 3.0]]))
+
+
+def test_a_stem_that_leaves_the_canal_is_refused_with_the_place() -> None:
+    with pytest.raises(GeometryError, match=r"cuts .* mm into the cortex .*laterally at .* insert"):
+        made(femur(insertion={"varus": "6 deg"}))
 
 
 def random_patient(folder: Path, seed: int, bone: BoneSurface, canal: BoneSurface) -> Patient:
