@@ -287,8 +287,6 @@ class _Finder:
             for _ in range(2):
                 y = (x - centre) @ np.vstack([plane, axis]).T
                 r, _ = exits(section(y[:, :2], y[:, 2], triangles), angles)
-                if np.isnan(r).any():
-                    return 1e4, centre
                 centre = centre + (r**3 / (1.5 * (r**2).sum())) @ rays @ plane
             return math.pi * float((r**2).mean()), centre
 

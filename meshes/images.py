@@ -90,8 +90,7 @@ def _module(name: str, path: Path) -> Any:
 
 
 def _npz(path: Path) -> tuple[Any, Any]:
-    with path.open("rb") as file:
-        arrays = np.load(file, allow_pickle=False)
+    with np.load(path) as arrays:
         return arrays["values"], arrays["affine"]
 
 

@@ -60,7 +60,6 @@ class Radii:
 class PatientSurfaces(FemurSurfaces):
     """Nested surfaces, in the stem's axes, of a bone that is known by triangles."""
 
-    _placed: Any
     _bone: Any
     _endosteum: Any
     key = "geometry.insertion"
