@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from app.arrays import Bools, Floats
 from app.errors import GeometryError
 from meshes.bone_surface import BoneSurface, centroid, exits, place, section
+from meshes.femur_stem import unit
 
 RADII = (14.0, 36.0)  # mm: of heads
 END = 90.0  # mm from an end of the bone within which its head is
@@ -140,7 +141,7 @@ class _Finder:
     def frame(self) -> Frame:
         """The landmarks."""
         neck, spread = self._neck()
-        up, medial = self.up, _unit(neck - (neck @ self.up) * self.up)
+        up, medial = self.up, unit(neck - (neck @ self.up) * self.up)
         side = self._side(np.asarray(np.cross(up, medial)))
         way = 1.0 if side == "left" else -1.0  # of up x medial, if that is anterior
         version, turn = None, 0.0
@@ -186,7 +187,7 @@ class _Finder:
             out = x - centre
             far = _far(out)
             on = (np.abs(far - radius) < 2 * NEAR) & (_dot(out, normal) > ALONG * far)
-            pole = _unit(area[on] @ (out[on] / far[on, None]))
+            pole = unit(area[on] @ (out[on] / far[on, None]))
             out = self.centre - centre
             cap = np.flatnonzero((out @ pole > 0) & (np.abs(_far(out) - radius) < 0.25 * radius))
             points, size = self.centre[cap], self.area[cap]
@@ -205,7 +206,7 @@ class _Finder:
         """A point of the shaft's axis and its direction, from an estimate."""
         if "shaft" in self.given:
             low, self.point = map(np.array, self.given["shaft"])
-            self.up = _unit(self.point - low)
+            self.up = unit(self.point - low)
             return
         end = float(((self.x - self.origin) @ self.up).min())
         depths = self.radius * np.linspace(*SHAFT, 33)
@@ -233,7 +234,7 @@ class _Finder:
             self.trochanter = np.array(self.given["lesser_trochanter"])
         else:
             top = self.point + ((self.head - self.point) @ up) * up
-            medial = _unit(self.head - top)
+            medial = unit(self.head - top)
             turns = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 22)[:, None]
             ways = np.cos(turns) * medial + np.sin(turns) * np.cross(up, medial)
             depths = np.arange(0.3 * radius, 4.2 * radius, STEP)
@@ -259,7 +260,7 @@ class _Finder:
                 near = np.abs((self.centre - top) @ up + depth) < 0.4 * radius
                 self.trochanter = self._outermost(way, near)
                 out = self.trochanter - self.point
-                way = _unit(out - (out @ up) * up)
+                way = unit(out - (out @ up) * up)
         self.origin = self.point + ((self.trochanter - self.point) @ up) * up
 
     def _outermost(self, way: Floats, within: Bools) -> Floats:
@@ -276,18 +277,16 @@ class _Finder:
         x, triangles = self.x[used], triangles.reshape(-1, 3)
         angles = 2 * np.pi * np.arange(72) / 72
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        toward = _unit(head - (self.origin + 0.6 * radius * up))
+        toward = unit(head - (self.origin + 0.6 * radius * up))
         one, other = _across(toward, up)
 
         def cut(p: Floats, beside: float) -> tuple[float, Floats]:
             """Area and centroid of a section."""
-            axis = _unit(toward + p[0] * one + p[1] * other)
+            axis = unit(toward + p[0] * one + p[1] * other)
             centre, plane = head - (p[2] * radius + beside) * axis, np.stack(_across(axis, up))
             for _ in range(2):
                 y = (x - centre) @ np.vstack([plane, axis]).T
                 r, _ = exits(section(y[:, :2], y[:, 2], triangles), angles)
-                if np.isnan(r).any():
-                    return 1e4, centre
                 centre = centre + (r**3 / (1.5 * (r**2).sum())) @ rays @ plane
             return math.pi * float((r**2).mean()), centre
 
@@ -302,7 +301,7 @@ class _Finder:
         ).x
         out = head - np.mean([cut(least, beside)[1] for beside in BESIDE], axis=0)
         spread = math.hypot(self.spread, 0.75 * self.rms) / float(np.linalg.norm(out))
-        return _unit(out), spread
+        return unit(out), spread
 
     def _side(self, left: Floats) -> str:
         """The side; ``left`` is anterior of a left femur (3,).
@@ -334,7 +333,7 @@ class _Finder:
             middle = 0.5 * (at[distal].min() + at[distal].max())
             ends = [self._outermost(back, distal & (s * (at - middle) > 0)) for s in (1, -1)]
             line = np.subtract(*self.given.get("condyles", ends))
-            line = _unit(line - (line @ up) * up)
+            line = unit(line - (line @ up) * up)
             back = np.cross(up, line) * np.sign(np.cross(up, line) @ back)
         return line
 
@@ -345,17 +344,14 @@ def _sphere(x: Floats, normal: Floats, area: Floats) -> tuple[float, Floats, flo
     apart, turned = (v[pairs[0]] - v[pairs[1]] for v in (x, normal))
     radii = _dot(apart, turned) / np.maximum(_dot(turned, turned), 1e-12)
     good = (_dot(turned, turned) > 0.05) & (radii > RADII[0]) & (radii < RADII[1])
-    best = (0.0, x[0], 1.0)
+    found = [(0.0, x[0], 1.0)]
     for k, r in zip(pairs[0][good], radii[good], strict=True):
-        out = x - (x[k] - r * normal[k])
+        centre = x[k] - r * normal[k]
+        out = x - centre
         near = np.flatnonzero(np.abs(_dot(out, out) - r * r) < 2 * r * NEAR)
         on = near[_dot(out[near], normal[near]) > ALONG * r]
-        best = max(best, (area[on].sum() / (4 * math.pi * r * r), x[k] - r * normal[k], r), key=_at)
-    return best
-
-
-def _at(found: tuple[float, Floats, float]) -> float:
-    return found[0]
+        found.append((area[on].sum() / (4 * math.pi * r * r), centre, r))
+    return max(found, key=lambda f: f[0])
 
 
 def _fit(x: Floats, area: Floats, centre: Floats, radius: float) -> tuple[Floats, float]:
@@ -376,7 +372,7 @@ def _fit(x: Floats, area: Floats, centre: Floats, radius: float) -> tuple[Floats
 
 def _across(axis: Floats, hint: Floats | None = None) -> tuple[Floats, Floats]:
     """Two unit vectors that are right-handed with an axis (3,), the first across a hint."""
-    one = _unit(np.cross(np.eye(3)[np.abs(axis).argmin()] if hint is None else hint, axis))
+    one = unit(np.cross(np.eye(3)[np.abs(axis).argmin()] if hint is None else hint, axis))
     return one, np.asarray(np.cross(axis, one))
 
 
@@ -386,7 +382,3 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 def _far(x: Floats) -> Floats:
     return np.sqrt(_dot(x, x))
-
-
-def _unit(x: Floats) -> Floats:
-    return np.asarray(x / np.linalg.norm(x))

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from app.arrays import Bools, Floats, Ints
+from app.arrays import Floats, Ints
 from app.errors import GeometryError
 from meshes import images
+from meshes.data import connected
 
 UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
 EXTENT = (100.0, 600.0)  # mm that a femur, or a proximal part of one, is long
@@ -43,6 +42,10 @@ class BoneSurface:
     def corners(self) -> Floats:
         """Corners of each triangle (m, 3, 3) [mm]."""
         return self.points[self.triangles]
+
+    def level(self, z: float) -> Floats:
+        """Lines (k, 2, 2) in which it meets a level [mm]."""
+        return section(self.points[:, :2], self.points[:, 2] - z, self.triangles)
 
 
 def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneSurface:
@@ -139,15 +142,15 @@ def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool
     order = np.argsort(key, kind="stable")
     first = np.flatnonzero(np.diff(key[order], prepend=-1))
     times = np.diff(first, append=3 * m)
-    one, other = order[first[times == 2]], order[first[times == 2] + 1]
-    graph = coo_array((np.ones(len(one)), (one // 3, other // 3)), (m, m)).tocsr()
-    bodies, body = connected_components(graph, directed=False)
-    if bodies > 1 and not thin:
-        sizes = np.bincount(body)
+    pairs = np.stack([order[first[times == 2]], order[first[times == 2] + 1]])
+    one, other = pairs // 3
+    body = connected(m, one, other)
+    sizes = np.bincount(body)
+    if len(sizes) > 1 and not thin:
         second = int(np.argsort(sizes)[-2])
         raise GeometryError(
-            f"{path}: has {bodies} bodies, of {sizes.max():,} and {sizes[second]:,} triangles, the"
-            f" second about {place(x[triangles[body == second]])}; expected one: keep the femur"
+            f"{path}: has {len(sizes)} bodies, of {sizes.max():,} and {sizes[second]:,} triangles,"
+            f" the second about {place(x[triangles[body == second]])}; expected one: keep the femur"
         )
     lone = first[times % 2 == 1] if thin else first[times != 2]
     edges = x[ends[order[lone]]]
@@ -162,29 +165,18 @@ def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool
     if len(lone):
         told.append(f"open at an end: {len(lone)} edges")
     if not thin:
-        way = ends[:, 0] < ends[:, 1]
-        flipped = _flipped(graph, one // 3, other // 3, way[one] == way[other])
+        # Two sheets, one of each triangle turned over: neighbours that disagree cross from one to
+        # the other.
+        over = m * (np.diff((ends[:, 0] < ends[:, 1])[pairs], axis=0)[0] == 0)
+        near = np.r_[one, one + m], np.r_[other + over, other + m - over]
+        sheet = connected(2 * m, *near)
+        flipped = sheet[:m] != sheet[0]
         if less := min(int(flipped.sum()), m - int(flipped.sum())):
             told.append(f"{less} triangles turned over")
         triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
     a, b, c = (x[triangles[:, k]] - x.mean(axis=0) for k in range(3))
     outward = float((np.cross(a, b) * c).sum()) > 0
     return BoneSurface(x, triangles if outward else triangles[:, ::-1], tuple(told))
-
-
-def _flipped(graph: csr_array, one: Ints, other: Ints, opposed: Bools) -> Bools:
-    """Triangles (m,) that face the other way than the first, by pairs with a common edge."""
-    m = graph.shape[0]
-    keys = np.minimum(one, other) * m + np.maximum(one, other)
-    rank = np.argsort(keys)
-    order, before = breadth_first_order(graph, 0, directed=False)
-    after = order[1:]
-    step = np.sort(np.stack([after, before[after]], axis=1), axis=1) @ [m, 1]
-    turns = opposed[rank[np.searchsorted(keys[rank], step)]]
-    flipped = np.zeros(m, dtype=bool)
-    for t, p, turn in zip(after, before[after], turns, strict=True):
-        flipped[t] = flipped[p] ^ turn
-    return flipped
 
 
 def place(x: Floats) -> str:

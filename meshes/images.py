@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import zlib
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from scipy import ndimage
@@ -68,7 +66,9 @@ def _read(path: Path, _changed: int) -> Image:
     try:
         values, affine = (_npz if path.suffix == ".npz" else _nifti)(path)
         values, affine = np.squeeze(values), np.asarray(affine, dtype=float).reshape(4, 4)
-    except (OSError, EOFError, LookupError, ValueError, BadZipFile, zlib.error) as error:
+    except InputError:
+        raise
+    except Exception as error:  # damaged files let readers fail in any way
         raise InputError(f"{path}: is no image that can be read: {error}") from error
     if values.ndim != 3 or values.dtype.kind not in "iuf":
         raise InputError(f"{path}: is {values.dtype} in {values.ndim} dimensions, not numbers in 3")
@@ -90,18 +90,13 @@ def _module(name: str, path: Path) -> Any:
 
 
 def _npz(path: Path) -> tuple[Any, Any]:
-    with path.open("rb") as file:
-        arrays = np.load(file, allow_pickle=False)
+    with np.load(path) as arrays:
         return arrays["values"], arrays["affine"]
 
 
 def _nifti(path: Path) -> tuple[Any, Any]:
-    nibabel = _module("nibabel", path)
-    try:
-        image = nibabel.load(path)
-        values, header = np.asanyarray(image.dataobj), image.header
-    except (nibabel.filebasedimages.ImageFileError, nibabel.spatialimages.HeaderDataError) as error:
-        raise ValueError(error) from error
+    image = _module("nibabel", path).load(path)
+    values, header = np.asanyarray(image.dataobj), image.header
     if not (header["sform_code"] or header["qform_code"]):
         raise ValueError("its header has neither qform nor sform: no spacing, no axes")
     if (unit := header.get_xyzt_units()[0]) not in ("mm", "unknown"):

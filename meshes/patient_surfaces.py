@@ -60,7 +60,6 @@ class Radii:
 class PatientSurfaces(FemurSurfaces):
     """Nested surfaces, in the stem's axes, of a bone that is known by triangles."""
 
-    _placed: Any
     _bone: Any
     _endosteum: Any
     key = "geometry.insertion"
@@ -76,11 +75,6 @@ class PatientSurfaces(FemurSurfaces):
 
     def _in_stem(self, surface: BoneSurface) -> BoneSurface:
         return replace(surface, points=self._placed.to_stem(surface.points))
-
-    @staticmethod
-    def _level(surface: BoneSurface, z: float) -> Floats:
-        """Lines of a surface at a level (k, 2, 2) [mm]."""
-        return section(surface.points[:, :2], surface.points[:, 2] - z, surface.triangles)
 
     def _at_axis(self, zeta: float) -> str:
         return self._placed.where(self._placed.to_model([0.0, 0.0, zeta]))
@@ -107,8 +101,8 @@ class PatientSurfaces(FemurSurfaces):
             canal = self._in_stem(self._placed.canal)
         self._centres = np.zeros((len(self._zeta), 2))
         for k, z in enumerate(self._zeta[: self.mantle[0]]):
-            middle = centroid(self._level(bone, z))[0]
-            if canal and len(lines := self._level(canal, z)):
+            middle = centroid(bone.level(z))[0]
+            if canal and len(lines := canal.level(z)):
                 own = centroid(lines)[0]
                 middle = own if np.hypot(*(own - middle)) < ECCENTRIC else middle
             part = min((self._plug - z) / CORE_OVER, 1.0)

@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from app.arrays import Floats
 from app.errors import GeometryError
 from meshes import bone_frame, bone_surface, femur_bone, femur_stem
 from meshes.bone_frame import Frame
-from meshes.bone_surface import BoneSurface, centroid, exits, section
+from meshes.bone_surface import BoneSurface, centroid, exits
 
 # Of the parametric femur [mm]: from the axis to the greater trochanter, height of the head, radius
 # of the shaft and its level.
@@ -126,8 +125,7 @@ class PatientPlacement(Placement):
         They are scaled to its head's height and its shaft, beside the greater trochanter to that.
         """
         x, up = self.bone.points, self.size
-        lines = section(x[:, :2], x[:, 2] - LEVEL * up, self.bone.triangles)
-        wide = math.sqrt(centroid(lines)[1] / math.pi) / SHAFT
+        wide = math.sqrt(centroid(self.bone.level(LEVEL * up))[1] / math.pi) / SHAFT
         beside = -float(x[(x[:, 2] > 0) & (x[:, 2] < 40 * up), 0].min()) / LATERAL
         kept = self.bone.corners.mean(axis=1)
         kept = kept[(kept - self.foot) @ self.normal < -BELOW_CUT]
@@ -140,16 +138,10 @@ class PatientPlacement(Placement):
 
 
 @lru_cache(maxsize=8)
-def _found(
-    path: Path,
-    content: str,
-    unit: str | None,
-    label: int | None,
-    landmarks: tuple[tuple[str, Any], ...],
-) -> tuple[Frame, BoneSurface]:
+def _found(bone: Any, content: str, known: Any) -> tuple[Frame, BoneSurface]:
     """Frame and surface of the bone in a file, whose content is a part of the key."""
-    surface = bone_surface.read(path, unit, label)
-    frame = bone_frame.find(surface, dict(landmarks))
+    surface = bone_surface.read(bone.path, bone.unit, bone.label)
+    frame = bone_frame.find(surface, dict(known))
     return frame, frame.surface(surface)
 
 
@@ -192,7 +184,7 @@ def place(geometry: Any) -> PatientPlacement:
         GeometryError: A file is damaged or is no femur, or the cut is beside the bone.
     """
     given, canal = geometry.bone, None
-    frame, bone = _found(given.path, geometry.content, given.unit, given.label, geometry.known)
+    frame, bone = _found(given, geometry.content, geometry.known)
     if path := geometry.canal.path:
         unit = geometry.canal.unit or given.unit
         canal = frame.surface(bone_surface.read(path, unit, geometry.canal.label))
@@ -200,9 +192,7 @@ def place(geometry: Any) -> PatientPlacement:
     azimuth = frame.azimuth if cut.azimuth is None else cut.azimuth
     way = np.array([math.cos(azimuth), math.sin(azimuth)])
     normal = np.r_[math.sin(cut.angle) * way, math.cos(cut.angle)]
-    x = bone.points
-    lines = section(x[:, :2], x[:, 2] - cut.height, bone.triangles)
-    edge = float(exits(lines, np.array([azimuth]))[0][0])
+    edge = float(exits(bone.level(cut.height), np.array([azimuth]))[0][0])
     if not edge > 0:
         text = f"{cut.height:g} mm above the trochanter the shaft's axis is outside of the bone"
         raise GeometryError(f"geometry.resection.height: {text}; cut lower")

@@ -17,6 +17,7 @@ from app.arrays import Floats
 from app.errors import GeometryError
 from meshes.bone_surface import section
 from meshes.cad_stem import INSIDE, around, outline
+from meshes.data import facet_areas
 from meshes.femur_stem import unit
 from meshes.gmsh_child import MILLIMETRES, elements, nodes, session
 from meshes.mantle import triangles
@@ -181,14 +182,12 @@ def _taper(
     found = []
     for face in faces:
         x = points[np.unique(face)]
-        normal = np.linalg.svd(x - x.mean(axis=0))[2][2]
+        normal = np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2][2]
         if np.abs((x - x.mean(axis=0)) @ normal).max() > FLAT:
             continue
         normal *= 1.0 if normal @ axis > 0 else -1.0
         fine = triangles(points, face, PARTS)
-        area = 0.5 * np.linalg.norm(
-            np.cross(*(fine[:, 1:] - fine[:, :1]).transpose(1, 0, 2)), axis=1
-        )
+        area = facet_areas(fine.reshape(-1, 3), np.arange(3 * len(fine)).reshape(-1, 3))
         centre = area @ fine.mean(axis=1) / area.sum()
         high = (centre - origin) @ axis
         aside = np.linalg.norm(centre - origin - high * axis)

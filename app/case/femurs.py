@@ -37,13 +37,8 @@ WIDTHS = (5.6, 5.2)
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
 HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
 
-# Keys that a stem from a file replaces.
-OF_STEM: tuple[str, ...] = (
-    *("stem_length", "stem_tip_half_width", "stem_tip_half_depth", "stem_tip_corner_radius"),
-    *("stem_section_z", "stem_half_width", "stem_half_depth", "stem_corner_radius"),
-    *("tip_rounding", "neck_diameter", "neck_fillet", "trunnion_diameter"),
-    *("head_offset", "head_height", "neck_angle"),
-)
+# Beginnings of keys that a stem from a file replaces, all but `stem_tip_z`.
+OF_STEM = ("stem_", "tip_rounding", "neck_", "trunnion_", "head_")
 
 
 def _between(at: float, values: tuple[float, ...]) -> float:
@@ -367,7 +362,7 @@ class Femur(_Femur):
         if not self.stem:
             super()._check_stem()
             return
-        for key in OF_STEM:
+        for key in (k for k in Femur.model_fields if k.startswith(OF_STEM) and k != "stem_tip_z"):
             value = self.found.get(key)
             if key in self.model_fields_set and getattr(self, key) != value:
                 fail("is the file's, where `stem` is one; expected no such key", at=(key,))

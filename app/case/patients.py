@@ -39,6 +39,9 @@ class Outline(Section):
     """Labelled image in place of them: NIfTI, or `values` and `affine` (to mm) in an `.npz`."""
     label: Annotated[int, Plain(integer=True)] | None = None
     """Number of its voxels in the image."""
+    unit: Unit | None = None
+    """Unit of the file; by default the one that makes a femur of the bone, which is told, and for
+    a canal that of the bone."""
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -60,8 +63,6 @@ class Outline(Section):
 class Bone(Outline):
     """The outer surface of a femur, of all of it or of its proximal part."""
 
-    unit: Unit | None = None
-    """Unit of the file; by default the one that makes a femur of it, which is told."""
     side: Literal["left", "right"] | None = None
     """Side of the body; found by default. A right femur is mirrored: x is medial, y anterior."""
 
@@ -69,8 +70,6 @@ class Bone(Outline):
 class Canal(Outline):
     """The medullary canal; without a file as wide a part of the bone as in mantle's own femur."""
 
-    unit: Unit | None = None
-    """Unit of the file; by default as of the bone."""
     ream: Literal["none", "by", "broach"] = "none"
     """What the surgeon widens it by: nothing, the same everywhere (`ream_by`), or to what stem and
     mantle need. At least 1.5 mm of cortex are left."""

@@ -193,7 +193,7 @@ class BodyForms:
     def relative_stiffness(self, e: Elastic, points: Floats) -> Floats:
         """Stiffness over its largest at points of a region's own cells (cells, points); collective.
 
-        At the first order, where strains are constant in a cell, it is the mean over the cell.
+        At the first order, where strains are constant in a cell, its mean over the cell (cells, 1).
         """
         mean = self.scene.order == 1 or (e.image and e.image.per_cell)
         rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
@@ -201,10 +201,7 @@ class BodyForms:
         x, volumes = self.places(e.region, at, weights)
         values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
         values = values.reshape(volumes.shape)
-        if not mean:
-            return values
-        means = (values * volumes).sum(axis=1) / volumes.sum(axis=1)
-        return np.repeat(means[:, None], len(points), axis=1)
+        return np.average(values, axis=1, weights=volumes, keepdims=True) if mean else values
 
     def _relative_stiffness(self, e: Elastic) -> fem.Function:
         """Stiffness over its largest at the points of the quadrature."""

@@ -53,7 +53,7 @@ class Predictor(Protocol):
 class Extrapolation:
     """Line through the last two states.
 
-    Where loads turn, as where a stage begins: the last cycle once more, else all states.
+    Where loads turn, as where a stage begins: all states, or the last cycle once more.
     """
 
     def __init__(self, solver: Solver, last_turn: Callable[[float], float]) -> None:
@@ -75,9 +75,8 @@ class Extrapolation:
             x = x1.copy()
             x.axpby(-s, 1.0 + s, x0)
         else:
-            # A cycle changes what the one before it changed.
-            if len(self._trail) > 2 and take_better(self._solver, x0 + x1 - self._trail[-3][1]):
-                return
+            if len(self._trail) > 2:  # a cycle changes what the one before it changed
+                take_better(self._solver, x0 + x1 - self._trail[-3][1])
             x = mixture(self._solver, x1, [state for _, state in self._trail[:-1]])
         take_better(self._solver, x)
 

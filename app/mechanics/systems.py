@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
 
@@ -12,11 +13,13 @@ from app.arrays import Floats, Ints
 from app.mechanics.coarse_space import free_directions, sliding_motions
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
-from app.numerics.condensed import Condensed, usable
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
 from app.numerics.sparse import block_diagonal, fill
 from app.numerics.system import Measure, System, size
+
+if TYPE_CHECKING:
+    from app.numerics.condensed import Condensed
 
 
 def mechanical(
@@ -142,7 +145,11 @@ class ContactSystem(BondedSystem):
         problem, K = self._problem, self._problem.stiffness.K
         asked = linear == "condensed"
         often = linear == "auto" and problem.scene.order > 1 and problem.setting is None
-        if not (self._solves and (asked or often)) or not usable(K.getSize()[0], K.comm.tompi4py()):
+        if not (self._solves and (asked or often)):
+            return None
+        from app.numerics.condensed import Condensed, usable  # with scipy, which others do without
+
+        if not usable(K.getSize()[0], K.comm.tompi4py()):
             return None
         found = Condensed(self)
         return found if asked or found.pays(self._solves, self._memory) else None

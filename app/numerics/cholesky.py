@@ -6,6 +6,7 @@ use, in the cache of compiled forms.
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import tempfile
@@ -33,6 +34,7 @@ typedef struct { size_t nrow, ncol, nzmax; void *p, *i, *x; int stype, itype, xt
 typedef struct { size_t nrow, ncol, nzmax, d; void *x; int xtype, dtype; ...; } cholmod_dense;
 typedef struct { size_t n, nsuper; void *Perm, *super, *pi, *px, *x; ...; } cholmod_factor;
 int cholmod_l_start(cholmod_common *);
+int cholmod_l_finish(cholmod_common *);
 int cholmod_l_metis(cholmod_sparse *, int64_t *, size_t, int, int64_t *, cholmod_common *);
 cholmod_factor *cholmod_l_analyze_p(cholmod_sparse *, int64_t *, int64_t *, size_t,
                                     cholmod_common *);
@@ -47,24 +49,25 @@ int cholmod_l_free_factor(cholmod_factor **, cholmod_common *);
 #define CHOLMOD_LONG ...
 #define CHOLMOD_A ...
 """
-SOURCE = "#include <suitesparse/cholmod.h>"
-NAME = "mantle_cholmod_1"  # another number when the calls change
+HEADER = "suitesparse/cholmod.h"
 
 
 @cache
 def library() -> Any:
     """CHOLMOD; None where it cannot be compiled against."""
     folder = Path(jit.get_options()["cache_dir"])
-    path = folder / (NAME + EXTENSION_SUFFIXES[0])
     try:
+        header = (Path("/usr/include") / HEADER).read_text()
+        name = f"mantle_cholmod_{hashlib.sha256((CALLS + header).encode()).hexdigest()[:12]}"
+        path = folder / (name + EXTENSION_SUFFIXES[0])
         if not path.exists():
             folder.mkdir(parents=True, exist_ok=True)
             ffi = cffi.FFI()
             ffi.cdef(CALLS)
-            ffi.set_source(NAME, SOURCE, libraries=["cholmod"])
+            ffi.set_source(name, f"#include <{HEADER}>", libraries=["cholmod"])
             with tempfile.TemporaryDirectory(dir=folder) as own, captured("cffi"):
                 os.replace(ffi.compile(tmpdir=own), path)
-        spec = importlib.util.spec_from_file_location(NAME, path)
+        spec = importlib.util.spec_from_file_location(name, path)
         assert spec and spec.loader
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
@@ -104,6 +107,7 @@ class Cholesky:
 
     def _free(self, L: Any) -> None:
         self._lib.cholmod_l_free_factor(self._ffi.new("cholmod_factor **", L), self._common)
+        self._lib.cholmod_l_finish(self._common)
 
     def _ints(self, values: Ints) -> Any:
         return self._ffi.cast("int64_t *", values.ctypes.data)

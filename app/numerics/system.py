@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -17,9 +17,11 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.numerics.condensed import Condensed
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import Inverse, Options
+
+if TYPE_CHECKING:
+    from app.numerics.condensed import Condensed
 
 
 @dataclass(frozen=True)
