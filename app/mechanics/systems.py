@@ -80,6 +80,7 @@ class ContactSystem(BondedSystem):
     Attributes:
         contact: Contact of the interfaces.
         trial: Contact at the state of the last residual or Jacobian.
+        factors: Blocks in the rows of the jumps as last set, times equilibrium and added to it.
 
     Args:
         solves: Number of solves foreseen; 0 if it is not to be condensed.
@@ -88,6 +89,7 @@ class ContactSystem(BondedSystem):
 
     contact: ContactInterfaces
     trial: TrialState
+    factors: tuple[Floats, Floats]
     newton: Options = {}  # noqa: RUF012
 
     def __init__(self, problem: Problem, solves: float = 0.0, memory: float = math.inf) -> None:
@@ -133,7 +135,7 @@ class ContactSystem(BondedSystem):
         contact = self.contact
         self.parts()
         self.trial = self._problem.trial(*x)
-        times, added = self._factors = contact.row_factors(self.trial.law)
+        times, added = self.factors = contact.row_factors(self.trial.law)
         fill(self.times, times)
         fill(self._added, added)
         self.times.matMult(contact.coupling.Ct, result=self._A_qu)
@@ -162,10 +164,6 @@ class ContactSystem(BondedSystem):
             self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
         return self._problem.stiffness.K, self._C, self.contact.coupling.D
 
-    def changes(self) -> int:
-        """Number of changes of the stiffness."""
-        return self._problem.stiffness.version
-
     def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats]:
         """Residual of displacement and jumps in equilibrium, without the law [N]."""
         out = x[0].duplicate()
@@ -177,12 +175,8 @@ class ContactSystem(BondedSystem):
         """Residual of the law at equilibrium e and jumps q, and size of the forces [N]."""
         contact, e, q = self.contact, e.reshape(-1, 3), q.reshape(-1, 3)
         law = contact.evaluate(e, q)
-        self._factors = contact.row_factors(law)
+        self.factors = contact.row_factors(law)
         return contact.residual(e, q, law).ravel(), self._problem.interface_scale(e)
-
-    def rows(self) -> tuple[Floats, Floats]:
-        """Factors in the rows of the jumps as last set."""
-        return self._factors
 
     def coarse_space(self) -> CoarseSpace:
         """Motions of bodies that slide, lift off or bend away."""

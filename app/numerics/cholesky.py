@@ -32,7 +32,7 @@ typedef struct { int supernodal, nmethods, status; double fl, lnz;
 typedef struct { size_t nrow, ncol, nzmax; void *p, *i, *x; int stype, itype, xtype, dtype, sorted,
                  packed; ...; } cholmod_sparse;
 typedef struct { size_t nrow, ncol, nzmax, d; void *x; int xtype, dtype; ...; } cholmod_dense;
-typedef struct { size_t n, nsuper; void *Perm, *super, *pi, *px, *x; ...; } cholmod_factor;
+typedef struct { size_t nsuper; void *Perm, *super, *pi, *px, *x; ...; } cholmod_factor;
 int cholmod_l_start(cholmod_common *);
 int cholmod_l_finish(cholmod_common *);
 int cholmod_l_metis(cholmod_sparse *, int64_t *, size_t, int, int64_t *, cholmod_common *);
@@ -150,11 +150,10 @@ class Cholesky:
         del kept
         if self._common.status:
             raise ArithmeticError(f"CHOLMOD: status {self._common.status}")
-        self._perm = self._array("int64_t", self._L.Perm, self._n).copy()
-        tail = self._perm[self._n - self._last :] - (self._n - self._last)
-        if tail.min() < 0:
+        order = self._array("int64_t", self._L.Perm, self._n)
+        self._tail = order[self._n - self._last :] - (self._n - self._last)
+        if self._tail.min() < 0:
             raise ArithmeticError("CHOLMOD: the last unknowns were moved")
-        self._tail = tail
 
     def _array(self, kind: str, pointer: Any, size: int) -> Any:
         dtype = np.int64 if kind == "int64_t" else np.float64

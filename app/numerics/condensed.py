@@ -25,9 +25,10 @@ from petsc4py import PETSc
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
-from scipy.sparse import block_array, csc_array, csr_array, diags_array, vstack
+from scipy.sparse import block_array, bsr_array, csc_array, csr_array, diags_array, vstack
 
 from app.arrays import Floats
+from app.errors import on_root
 from app.numerics.cholesky import Cholesky, library
 
 # Singular values of T, and parts of a row of B across its direction, that count as none.
@@ -49,16 +50,20 @@ SPEEDUP, MEMORY = 0.9, 0.5
 
 
 class Condensable(Protocol):
-    """Interface between condensation and contact; arrays are those of own points."""
+    """Interface between condensation and contact; arrays are those of own points.
+
+    Attributes:
+        factors: T and B at the last state, (n, 3, 3) each.
+    """
+
+    factors: tuple[Floats, Floats]
+
+    @property
+    def version(self) -> int:
+        """Number of changes of the matrices."""
 
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         """K, C without constrained rows, and D."""
-
-    def changes(self) -> int:
-        """Number of changes of these."""
-
-    def rows(self) -> tuple[Floats, Floats]:
-        """T and B at the last state, (n, 3, 3) each."""
 
     def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats]:
         """Residual of displacement and jumps in equilibrium, without the law, at a state [N]."""
@@ -96,14 +101,14 @@ class Condensed:
 
     def pays(self, solves: float, memory: float) -> bool:
         """As `pays`, for memory of rank 0 [byte]; collective."""
-        found = False
-        if self._comm.rank == 0:
-            c, ranks = self.cholesky, self._comm.size
+
+        def judged() -> bool:
+            c = self.cholesky
             needed = 1.3 * 8 * c.entries + 20 * self._jumps**2
-            found = needed < MEMORY * memory and pays(
-                self.size, self._jumps, c.flops, c.entries, solves, ranks
-            )
-        return bool(self._comm.bcast(found))
+            sizes = self.size, self._jumps, c.flops, c.entries
+            return needed < MEMORY * memory and pays(*sizes, solves, self._comm.size)
+
+        return bool(on_root(self._comm, judged))
 
     # Factors
 
@@ -128,17 +133,22 @@ class Condensed:
         every = self._comm.gather(own) if self._comm.size > 1 else [own]
         return vstack(every, format="csr") if every else own
 
-    def setUp(self, pc: PETSc.PC) -> None:
+    def _renew(self) -> None:
+        """Factor the bodies if their stiffness has changed; collective."""
+        if self._made == (now := self._contact.version):
+            return
+        A = self._matrix if self._made < 0 else self._gathered_matrix()
+        self._made, self._matrix = now, None
+        if A is not None:
+            self.cholesky.factorize(A)
+            self._S = self.cholesky.schur()
+            self._S[np.diag_indices(self._jumps)] -= self._tau
+            self._single = self._S.astype(np.float32)
+
+    def setUp(self, pc: PETSc.PC | None = None) -> None:
         """Set up for the current Jacobian; collective."""
-        if self._made != (now := self._contact.changes()):
-            A = self._matrix if self._made < 0 else self._gathered_matrix()
-            self._made, self._matrix = now, None
-            if A is not None:
-                self.cholesky.factorize(A)
-                self._S = self.cholesky.schur()
-                self._S[np.diag_indices(self._jumps)] -= self._tau
-                self._single = self._S.astype(np.float32)
-        rows = [self._gathered(v) for v in self._contact.rows()]
+        self._renew()
+        rows = [self._gathered(v) for v in self._contact.factors]
         if self._comm.rank == 0:
             self._set_rows(*(v.reshape(-1, 3, 3) for v in rows))
             self._factor(self._single)
@@ -194,6 +204,7 @@ class Condensed:
         Returns:
             The number of iterations.
         """
+        self._renew()
         (u, q_vector), (ru, e) = x, self._contact.forces(x)
         q, number = q_vector.array.copy(), 0
         pulled = self._on_root(self._pulled, q_vector, ru)
@@ -201,14 +212,14 @@ class Condensed:
         r, scale = self._contact.law(e, q)
         norm, moving = self._norm(r), True
         while norm > tolerance * scale and moving and number < MOST:
-            self.setUp(None)
+            self.setUp()
             dq = self._on_root(self._step, q_vector, r)
-            de = self._on_root(lambda v: self._S @ v, q_vector, dq)
+            de = self._on_root(lambda: self._pushed, q_vector)
             for part in PARTS:
                 there = e - part * de, q - part * dq
                 r, scale = self._contact.law(*there)
-                if moving := self._norm(r) < norm:
-                    (e, q), norm = there, self._norm(r)
+                if moving := (new := self._norm(r)) < norm:
+                    (e, q), norm = there, new
                     break
             number += 1
         u.array[:] -= self._on_root(self._moved, u, ru, pulled, q_vector.array_r - q)
@@ -242,15 +253,17 @@ class Condensed:
         return self.cholesky.solve(np.concatenate([ru, right]))[: self.size]
 
     def _step(self, r: Floats) -> Floats:
-        """Solution of (T S + B) dq = r."""
+        """Solution of (T S + B) dq = r; its forces S dq are kept."""
         dq = self._by_factors(r)
         if np.linalg.norm(r - self._times(dq)) > ROUGH * np.linalg.norm(r):
             self._factor(self._S)
             dq = self._by_factors(r)
+            self._times(dq)
         return dq
 
     def _times(self, dq: Floats) -> Floats:
-        return np.asarray(self._T @ (self._S @ dq) + self._B @ dq)
+        self._pushed = self._S @ dq
+        return np.asarray(self._T @ self._pushed + self._B @ dq)
 
     def _by_factors(self, r: Floats) -> Floats:
         dq = self._known.T @ ((self._known @ r) / self._along)
@@ -284,11 +297,10 @@ def pays(
 
 def usable(size: int, comm: MPI.Comm) -> bool:
     """Whether so many unknowns of displacement can be condensed at all; collective."""
-    return size <= MANY and bool(comm.bcast(comm.rank == 0 and library() is not None))
+    return size <= MANY and bool(on_root(comm, lambda: library() is not None))
 
 
 def _blocks(values: Floats) -> csr_array:
     """Block-diagonal matrix of blocks (n, 3, 3)."""
     n = len(values)
-    columns = (3 * np.arange(n)[:, None, None] + np.arange(3)).repeat(3, axis=1)
-    return csr_array((values.ravel(), columns.ravel(), np.arange(0, 9 * n + 1, 3)))
+    return bsr_array((values, np.arange(n), np.arange(n + 1))).tocsr()

@@ -98,3 +98,13 @@ def test_an_error_in_s_is_not_believed(error: object, monkeypatch: pytest.Monkey
     monkeypatch.setattr(Cholesky, "schur", wrong)
     with pytest.raises(support.mantle.ConvergenceError):
         support.solve(support.STEM, CONDENSED)
+
+
+def test_bodies_are_factored_anew_where_a_support_lets_go() -> None:
+    """Newton in the jumps then needs no help of the whole system."""
+    held = "supports.held={kind: roller, boundary: stem_top, axis: x, stages: [first]}"
+    stages = "stages=[{name: first}, {name: second}]"
+    history = "loads.hip.history=[1, 1.2]"
+    solved = support.solve(support.STEM, CONDENSED, held, stages, history)
+    assert [step.outcome.linear_iterations for step in solved.steps] == [0, 0]
+    assert solved.steps[1].outcome.iterations > 1
