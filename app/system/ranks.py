@@ -40,7 +40,7 @@ _BANNER = re.compile(rb"-{74}\s+(prterun|mpirun|MPI_ABORT) ")
 # Banners that repeat the application's message, and messages of a job manager that closes down.
 _REPEATED = re.compile(
     rb"exited with non-zero status|MPI_ABORT was invoked|calling\s\"abort\""
-    rb"|PMIX ERROR: PMIX_ERR_UNREACH|^Abort is in progress"
+    rb"|PMIX ERROR: PMIX_ERR_UNREACH|^Abort is in progress|^\[warn\] Epoll "
 )
 _ENDED = re.compile(rb"exited on\ssignal")
 _PR_SET_PDEATHSIG = 1

@@ -97,8 +97,9 @@ ABORT = (
         (TABLE, (), TABLE),
         (RULE, (), RULE),
         ("mantle: internal error\n" + ABORT, (), "mantle: internal error\n"),
+        ("[warn] Epoll MOD(4) on fd 22 failed. Old events were 6\n", (), ""),
     ],
-    ids=["exit code", "crash", "crash after a signal", "table", "rule", "abort"],
+    ids=["exit code", "crash", "crash after a signal", "table", "rule", "abort", "closed pipe"],
 )
 def test_banners_that_are_no_news_are_left_out(
     said: str, received: tuple[int, ...], left: str
