@@ -135,7 +135,8 @@ def _dicom(path: Path) -> tuple[Any, Any]:
     lines = zip(np.array(line, "f4"), slices, strict=True)
     affine = np.eye(4)
     affine[:3] = np.stack([across * spacing[1], down * spacing[0], step, at[0]], axis=1)
-    return np.stack([a * s.pixel_array + b for (a, b), s in lines]).T, np.diag([-1, -1, 1, 1]) @ affine
+    affine[:2] *= -1
+    return np.stack([a * s.pixel_array + b for (a, b), s in lines]).T, affine
 
 
 def surface(path: Path, label: int) -> tuple[Floats, list[str]]:
