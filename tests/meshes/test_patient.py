@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, MeshOptions, Patient
+from app.case.stems import StemFile
 from app.errors import GeometryError
 from meshes import _make, bone_surface, femur_bone, femur_stem
 from meshes.bone_surface import BoneSurface
@@ -224,7 +225,10 @@ def test_a_stem_that_leaves_the_canal_is_refused_with_the_place() -> None:
 
 
 def random_patient(folder: Path, seed: int, bone: BoneSurface, canal: BoneSurface) -> Patient:
-    """A bone stretched and sheared, left or right; stem, mantle, cut, position, canal at random."""
+    """A bone stretched and sheared, left or right; stem, mantle, cut, position, canal at random.
+
+    Every fifth has a stem from CAD.
+    """
     rng = np.random.default_rng(seed)
     shear = np.triu(math.tan(math.radians(3)) * rng.uniform(-1, 1, (3, 3)), 1)
     change = np.diag(rng.uniform(0.94, 1.06, 3) * [(-1) ** seed, 1, 1]) @ (np.eye(3) + shear)
@@ -234,13 +238,17 @@ def random_patient(folder: Path, seed: int, bone: BoneSurface, canal: BoneSurfac
     turn = {"varus": f"{rng.uniform(0, 3)} deg", "version": {"angle": f"{rng.uniform(-15, 5)} deg"}}
     own = {"surface": f"{seed}_canal.stl"} if rng.uniform() < 0.8 else {}
     cement, distal = (f"{t} mm" for t in rng.uniform(3, 6, 2))
+    stem: dict[str, Any] = {"length": f"{rng.uniform(100, 147)} mm"}
+    if seed % 5 == 4:
+        kind = ("exeter", "short", "charnley", "anatomic")[seed // 5 % 4]
+        stem = {"step": cad_stems.write(kind, folder)}
     return patient(
         folder,
         bone={"surface": f"{seed}.stl", "unit": "mm"},
         canal={"ream": "broach"} | own,
         insertion=shift | turn,
         cement_thickness={"proximal": cement, "distal": distal} if seed % 2 else cement,
-        stem={"length": f"{rng.uniform(100, 147)} mm"},
+        stem=stem,
         tip_void=f"{5 * (seed % 3 == 2)} mm",
         resection={"angle": f"{rng.uniform(34, 44)} deg"},
     )
@@ -252,8 +260,12 @@ def distance(geometry: Patient) -> float:
     Points of both: no sections, no rays. It is near 0 where a stem leaves the bone.
     """
     placed, corners = geometry.placement, geometry.placement.bone.corners
-    z, phi = np.meshgrid(np.arange(-geometry.stem.length, 20.0), np.arange(48) / 48)
-    stem = femur_stem.body(geometry.implant).point(phi.ravel(), z.ravel(), 0.0)
+    if isinstance(geometry.stem, StemFile):
+        tip = [0.0, 0.0, geometry.implant.stem_tip_z]
+        stem = np.add(cad_stems.surface_points(geometry.stem), tip)
+    else:
+        z, phi = np.meshgrid(np.arange(-geometry.stem.length, 20.0), np.arange(48) / 48)
+        stem = femur_stem.body(geometry.implant).point(phi.ravel(), z.ravel(), 0.0)
     x = placed.to_model(stem)
     x = x[(x - placed.foot) @ placed.normal < 0]
     parts = [(i / 4, j / 4, 1 - (i + j) / 4) for i in range(5) for j in range(5 - i)]
