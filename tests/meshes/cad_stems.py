@@ -9,10 +9,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from app.arrays import Floats
-from app.case.stems import StemFile
 from meshes.gmsh_child import session
 
 # Half-width, half-depth, corner radius, medial shift and level of sections from the tip up; level
@@ -77,24 +73,6 @@ def write(name: str, folder: Path, **changes: Any) -> Path:
     if "unit" in stem:
         _rename(path, stem["unit"])
     return path
-
-
-def axes(stem: StemFile) -> tuple[Floats, Floats]:
-    """Tip (3,) [mm] and axes (3, 3), as rows, of a stem in its file."""
-    low, high, *_, medial = stem.found["in_file"]
-    axis = (high - low) / np.linalg.norm(high - low)
-    return low, np.stack([medial, np.cross(axis, medial), axis])
-
-
-def surface_points(stem: StemFile) -> Floats:
-    """Corners of triangles of 1.5 mm on a file's faces, in the stem's axes from its tip [mm]."""
-    low, turn = axes(stem)
-    with session("triangles") as gmsh:
-        gmsh.model.occ.importShapes(str(stem.step))
-        gmsh.model.occ.synchronize()
-        gmsh.option.setNumber("Mesh.MeshSizeMax", 1.5)
-        gmsh.model.mesh.generate(2)
-        return np.asarray((gmsh.model.mesh.getNodes()[1].reshape(-1, 3) - low) @ turn.T)
 
 
 def _rename(path: Path, unit: str) -> None:

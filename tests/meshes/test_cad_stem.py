@@ -52,7 +52,9 @@ def check(file: Path, mesh: str, least: float) -> None:
     assert quality.sicn(data.points, data.cells).min() > least
     facets, owner = exterior_facets(data.cells)
     neck = facets[data.cell_tags[owner] == data.regions["stem"]]
-    low, turn = cad_stems.axes(known.geometry.stem)
+    low, high, *_, medial = known.geometry.stem.found["in_file"]
+    axis = (high - low) / np.linalg.norm(high - low)
+    turn = np.stack([medial, np.cross(axis, medial), axis])
     # At the tip, corners within the first section are in its plane.
     body = interface_facets(data, "stem_cement")[0]
     for on, p95, most in ((body, 0.005, 0.12), (neck, 0.02, 0.1)):

@@ -262,7 +262,7 @@ def distance(geometry: Patient) -> float:
     placed, corners = geometry.placement, geometry.placement.bone.corners
     if isinstance(geometry.stem, StemFile):
         tip = [0.0, 0.0, geometry.implant.stem_tip_z]
-        stem = np.add(cad_stems.surface_points(geometry.stem), tip)
+        stem = np.add(geometry.stem.found["x"].mean(axis=1), tip)
     else:
         z, phi = np.meshgrid(np.arange(-geometry.stem.length, 20.0), np.arange(48) / 48)
         stem = femur_stem.body(geometry.implant).point(phi.ravel(), z.ravel(), 0.0)
