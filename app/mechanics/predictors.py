@@ -162,8 +162,10 @@ class WarmStart:
         if not scaled:
             return
         scaled.sort(key=lambda state: self._distance(state[1], here, sizes))
-        nearest, *others = (x for x, _ in scaled[:MIXED])
-        for x in (nearest, mixture(self._solver, nearest, others) if others else nearest):
+        # What a mixture costs, it saves only where an iteration takes longer.
+        mixed = 1 if self._solver.linear.exact else MIXED
+        nearest, *others = (x for x, _ in scaled[:mixed])
+        for x in (nearest, *([mixture(self._solver, nearest, others)] if others else [])):
             if take_better(self._solver, x):
                 self._start = x.copy()
 

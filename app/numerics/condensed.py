@@ -207,6 +207,9 @@ class Condensed:
         self._renew()
         (u, q_vector), (ru, e) = x, self._contact.forces(x)
         q, number = q_vector.array.copy(), 0
+        r, scale = self._contact.law(e, q)
+        if self._norm(np.concatenate([ru, r])) <= tolerance * scale:
+            return number
         pulled = self._on_root(self._pulled, q_vector, ru)
         e = e - pulled
         r, scale = self._contact.law(e, q)
