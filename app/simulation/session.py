@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -107,9 +106,6 @@ def run(
             "another MPI; use the one of this installation, or mantle run -n"
         )
     blas_check.check(comm)
-    here = os.environ.get("OMPI_COMM_WORLD_LOCAL_SIZE", "")
-    if crowd := blas_check.crowd(int(here) if here.isdigit() else comm.size):
-        log.warning("note: %s", crowd)
     signalled = stopping.signals() if signals else str
     if signals:  # the process is ours: a host's functions and options are left as they are
         form_cache.guard()
