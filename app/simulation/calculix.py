@@ -153,7 +153,8 @@ class _Deck:
     def _varying(self, e: Elastic, rows: Ints) -> Iterator[str]:
         """Sets of a region's cells (n,) whose mean of Young's modulus is alike, and its values."""
         assert isinstance(e, Isotropic)
-        points, weights = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
+        rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
+        points, weights = (np.asarray(a) for a in rule)
         parts = self.forms.relative_stiffness(e, points)
         E = e.moduli[0] * (parts @ weights / weights.sum() if parts.shape[1] > 1 else parts[:, 0])
         step = np.round(np.log(E) / ALIKE).astype(int)
