@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from app.arrays import Floats
 from app.errors import GeometryError
@@ -63,10 +64,9 @@ class CadStem:
         self, found: dict[str, Any], ends: tuple[float, float], placed: Placement, mesh: Any
     ) -> None:
         """Ends are the level of the tip and the height of the shoulder, or of the cut [mm]."""
-        (low, high), self._placed = ends, placed
-        self._low, self._edge = low, high
-        self._high = low + found["shoulder"] - TIP if high < placed.top else np.inf
-        way, shift = [1.0, -1.0 if placed.mirrored else 1.0, 1.0], np.array([0.0, 0.0, low])
+        (self._low, high), self._placed = ends, placed
+        self._high = self._low + found["shoulder"] - TIP if high < placed.top else np.inf
+        way, shift = [1.0, -1.0 if placed.mirrored else 1.0, 1.0], np.array([0.0, 0.0, self._low])
         self._x, self._coarse = found["x"] * way + shift, found["coarse"] * way + shift
         self._kept = lru_cache(maxsize=4096)(self._section)
         end, up = found["end"] * way + shift, found["neck"] * way
@@ -84,9 +84,10 @@ class CadStem:
         return np.array([[1.0, 0.0, -slope], [0.0, 1.0, -slope * self._lean]])
 
     def _along(self, height: float, slope: float) -> float:
-        """Where the path meets a section, of its length."""
+        """Where the path meets a section, of its length; 0 if it begins above."""
         p, q, r = self._path @ [slope, slope * self._lean, 1.0]
-        rise = max(height - p, 0.0)
+        if (rise := height - p) <= 0:
+            return 0.0
         return float(rise / (q - p + np.sqrt((q - p) ** 2 + (p - 2 * q + r) * rise)))
 
     def _section(self, height: float, slope: float, part: float = 0.0) -> tuple[Floats, Floats]:
@@ -99,7 +100,7 @@ class CadStem:
         if part <= 0:
             at, plane = self._along(height, slope), self._plane(slope)
         origin = np.array([(1 - at) ** 2, 2 * (1 - at) * at, at * at]) @ self._path
-        if part <= 0 and height <= self._edge:
+        if at <= 0:
             origin = np.array([0.0, 0.0, height])
         try:
             x = outline(self._x, origin, plane)
@@ -153,11 +154,9 @@ class CadStem:
         wanted = thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
         away = distance(x, self._coarse)
         if (over := x[:, 2] > self._high).any():
-            x = np.stack([*x[over, :2].T, np.full(over.sum(), self._high)], axis=1)
-            r = np.hypot(*self._kept(self._high, 0.0)[0][:-1, :2].T)
-            inside = np.hypot(x[:, 0], x[:, 1]) < np.interp(
-                np.arctan2(x[:, 1], x[:, 0]), THETA, r, period=2 * np.pi
-            )
-            beside = np.where(inside, 0.0, distance(x, self._coarse))
+            edge, at = self._kept(self._high, 0.0)[0][:-1, :2], x[over, :2]
+            turn = np.arctan2(at[:, 1], at[:, 0])
+            out = np.hypot(*at.T) - np.interp(turn, THETA, np.hypot(*edge.T), period=2 * np.pi)
+            beside = np.where(out > 0, cKDTree(edge).query(at)[0], 0.0)
             away[over] = np.minimum(away[over], beside)
         return np.asarray(wanted - away)

@@ -283,9 +283,7 @@ def unit(x: Floats) -> Floats:
     return np.asarray(x / np.sqrt((x**2).sum(axis=-1, keepdims=True)))
 
 
-def upper(
-    geometry: Any, body: Body, mesh: Any, low: float, top: float, steep: float
-) -> Upper:
+def upper(geometry: Any, body: Body, mesh: Any, low: float, top: float, steep: float) -> Upper:
     """The stem above the neck cut, which meets the axis at the height `top` with the slope `steep`.
 
     Below it, the shoulder's lateral edge is in a parallel plane at the height `low` <= `top`.

@@ -36,7 +36,7 @@ CORE = 0.5  # of the canal: where the innermost surface goes below the plug
 CORE_OVER = 30.0  # mm that it takes to get there
 SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the plug
 VOID = "void"  # where no cells are
-DEEP = 3.0  # mm that a shoulder is below the cut at least, or else it is taken to be at it
+DEEP = 2.5  # mm that a shoulder is below the cut at least, or else it is taken to be at it
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
 REACH = 90.0  # mm: farther from the axis there is no bone
 SIDES = "medially antero-medially anteriorly antero-laterally laterally postero-laterally".split()
@@ -226,7 +226,7 @@ class FemurSurfaces:
         start = self._sink(start, theta, zeta, depth)
         endosteum = self._meets(self._inside, zeta, start, end)
         mantle = np.empty(len(s))
-        mantle[~below] = self._covered(*(v[~below] for v in (zeta, start, end)))
+        mantle[~below] = self._covered(zeta[~below], start[~below], end[~below])
         if below.any():
             # The mantle's outer side goes on below the plug from where it is at its end.
             first = self._across(phi[below], at[below])
