@@ -92,9 +92,9 @@ def test_a_thin_block_is_named() -> None:
 def test_what_only_the_mesher_sees_has_its_place_too(
     path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A neck against the calcar: where bone is, is known to the mesher."""
+    """A stem that is too wide: where bone is, is known to the mesher."""
     text = TABLE["femur"]["case"]
-    path.write_text(text.replace("kind: femur}", "kind: femur,\n  stem_length: 130 mm}"))
+    path.write_text(text.replace("kind: femur}", "kind: femur,\n  stem_half_width: 14 mm}"))
     assert main(["check", str(path), "--mesh"]) == 3
     assert f"{path}:1:1: geometry: the stem cuts" in capsys.readouterr().err
 
