@@ -61,7 +61,6 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         record = {
             "title": name,
             "file": str(path),
-            "compare_with": sweep.compare_with or "",
             "overrides": list(overrides),
             "program": identity.program(),
             "cores": options.cores,

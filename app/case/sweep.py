@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -29,8 +29,6 @@ class Sweep(SweepPart):
     """A line for people."""
     parts: Annotated[dict[Name, SweepPart], MAPPING] = Field(default_factory=dict)
     """Parts with axes of their own, and with a base of their own where it differs."""
-    compare_with: Literal["paper"] | None = None
-    """A publication whose numbers, figures and trends get a page beside the report."""
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Sweep:

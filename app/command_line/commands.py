@@ -11,7 +11,6 @@ import logging
 import os
 import shlex
 import sys
-import textwrap
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -231,12 +230,7 @@ def _report(options: argparse.Namespace) -> int:
         for path in run_report.write(folder, spread=options.spread):
             print(path)
         return 0
-    files, trends, cases = sweep_report.run(folder)
-    wide = max((len(t.name) for t in trends), default=0)
-    for t in trends:
-        by_maxima = f" (by maxima {t.peaks})" if t.peaks else ""
-        claim = textwrap.shorten(t.claim, 90, placeholder=" ...")
-        print(f"{t.name:<{wide}}  {t.verdict + by_maxima:<32}  {claim}")
+    files, cases = sweep_report.run(folder)
     print(f"{sum(c.done for c in cases)} of {len(cases)} cases have results")
     print(f"{files[0]}, and {len(files) - 1} files in {folder / sweep_report.PICTURES}")
     return 0

@@ -13,11 +13,11 @@ import meshes
 from app.case.case import load
 from app.errors import InputError
 from app.heat.heat_forms import HeatForms
-from app.report.paper import bone_peak
 from app.report.sweep_results import SweptCase
 from app.results.hip import StemMotion
 from app.results.thermal_record import ThermalRecord
 from app.system.timing import Timing
+from docs.paper.cases import bone_peak
 from tests import support
 from tests.results.test_thermal_quantities import BODIES, SIDES, Play, constant, two_blocks
 
