@@ -14,12 +14,7 @@ SCHEMA = f"# yaml-language-server: $schema={configs.FOLDER / 'schema.json'}\n"
 
 
 def write(path: Path, kind: str, stem: str = "") -> Path:
-    """Write a new case that runs as it is; return its file.
-
-    Args:
-        path: The file; ``.yaml`` is added if missing.
-        kind: Kind of the geometry.
-        stem: Material of the stem, a key of `STEMS`.
+    """Write a new case that runs as it is, its stem of one of `STEMS`; return its file.
 
     Raises:
         InputError: The file exists or cannot be written; the kind has no stem.
