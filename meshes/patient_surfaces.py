@@ -113,8 +113,9 @@ class PatientSurfaces(FemurSurfaces):
         if (missed := np.isnan(radii).any(axis=1)).any():
             raise GeometryError(
                 "geometry: the stem's axis is outside of the bone at"
-                f" {self._at_axis(zeta[missed].max())}; cut lower or flatter (resection), move the"
-                " stem (insertion), or repair the surface, if it crosses itself there"
+                f" {self._at_axis(zeta[missed].max())}; move or turn the stem (insertion: offsets,"
+                " varus), cut lower or flatter (resection), or repair the surface, if it crosses"
+                " itself there"
             )
         if (part := (times > 2).mean()) > TWICE:
             where = self._at_axis(zeta[int(np.median(np.nonzero(times > 2)[0]))])
