@@ -32,13 +32,9 @@ PARTS = (1.0, 0.4, 0.2)  # of the target whose cost is told
 
 
 def run(path: Path, overrides: Sequence[str], options: Options) -> None:
-    """Run all points of a study and report them.
+    """Run all points of a study one at a time, so that times can be compared, and report them.
 
-    Args:
-        path: The study file.
-        overrides: ``--set`` options for every point; keys that vary are refused.
-        options: Folder, cores, lines, whether to plan only. Runs go one at a time, so that times
-            can be compared.
+    ``--set`` options hold for every point; keys that vary are refused.
 
     Raises:
         InputError: Every error of the file and its points, before anything runs.

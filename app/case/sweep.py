@@ -64,13 +64,7 @@ class Sweep(SweepPart):
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedRun(Point):
-    """A checked case of a sweep or a study; its changes include ``--set`` options.
-
-    Attributes:
-        file: The case file.
-        overrides: Changes of it, as after ``--set``.
-        case: The case with the overrides.
-    """
+    """A checked case of a sweep or a study; its changes and overrides include ``--set`` options."""
 
     file: Path
     overrides: tuple[str, ...]
@@ -79,11 +73,7 @@ class PlannedRun(Point):
 
 
 def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[PlannedRun]]:
-    """Read a sweep and check every case of it.
-
-    Args:
-        path: The sweep file.
-        overrides: ``--set`` options for every case; they replace values under ``set``.
+    """Read a sweep, with ``--set`` options that replace values under ``set``; check every case.
 
     Raises:
         InputError: Every error of the file and its cases, at its place.
@@ -116,11 +106,7 @@ def plan(
 ) -> tuple[list[PlannedRun], list[Fault]]:
     """Check the case of each point; return the cases and the faults.
 
-    Args:
-        file: The file of the points.
-        folder: The folder of relative bases.
-        every: The points.
-        overrides: ``--set`` options for every point; they replace values under ``set``.
+    Bases are relative to a folder. ``--set`` options replace values under ``set``.
     """
     problems = points.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
     keys = [o.partition("=")[0].strip() for o in overrides]

@@ -50,12 +50,7 @@ History = Mapping[str, Floats]
 
 @dataclass(frozen=True)
 class Line:
-    """A curve.
-
-    Attributes:
-        style: Number of its colour and marker.
-        numbers: With errors, over x.
-    """
+    """A curve of numbers with errors over x, in a numbered style."""
 
     label: str
     style: int

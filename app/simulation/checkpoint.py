@@ -121,12 +121,8 @@ def read(path: Path) -> Checkpoint:
 def find(comm: MPI.Comm, wanted: str, folder: Path, case: Case, force: bool) -> Checkpoint | None:
     """Checkpoint to restart from, or None; collective.
 
-    Args:
-        comm: Communicator.
-        wanted: A file, or ``auto``: the newest readable one in the run directory.
-        folder: The run directory.
-        case: The configuration.
-        force: Whether to accept a checkpoint of another configuration.
+    ``wanted`` is a file, or ``auto``: the newest readable one in the run directory. ``force``
+    accepts one of another configuration.
 
     Raises:
         InputError: It is of another configuration, or the file cannot be read.

@@ -64,10 +64,7 @@ OnAccepted = Callable[[AcceptedStep], None]
 class Recorder:
     """Write converged steps as log lines, table rows, fields and summary; made on all ranks.
 
-    Args:
-        model: The model, at rest.
-        begin: Start of the run, by `time.perf_counter`.
-        progress: Called after each step.
+    ``begin`` is the start of the run, by `time.perf_counter`.
 
     Attributes:
         samples: Contact points after the last step, if there are any.

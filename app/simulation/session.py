@@ -275,7 +275,6 @@ class _CaseRun:
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
         summary["notes"] = [*self._notes, *well_posedness.doubts(case, summary["regions"])]
-        summary["notes"] += model.thermal.heating.notes if model.thermal else []
         if text.reasons_not_to_use(summary):
             summary["status"] = text.UNUSABLE
         setup.note(summary["notes"])
