@@ -18,7 +18,7 @@ from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, MeshOptions, Patient
 from app.case.stems import StemFile
 from app.errors import GeometryError
-from meshes import _make, bone_surface, femur_bone, femur_stem
+from meshes import _make, bone_surface, femur_bone, femur_stem, quality
 from meshes.bone_surface import BoneSurface
 from meshes.data import MeshData, interface_facets, region_volumes
 from meshes.femur_bone import CORTEX
@@ -358,6 +358,20 @@ def test_a_hundred_patients(tmp_path: Path) -> None:
     ]
     meshed = sum(check(random_patient(tmp_path, seed, *surfaces), seed) for seed in range(100))
     assert meshed >= 80
+
+
+@measured
+def test_cells_beside_the_calcar_and_below_the_plug_are_sound(tmp_path: Path) -> None:
+    """One of the worst of a hundred: layers are oblique at the neck, sections long in the shaft."""
+    surfaces = [
+        moved(bone_surface.read(path, "mm"), 1.2 * np.eye(3), np.zeros(3))
+        for path in (MEASURED, MEASURED_CANAL)
+    ]
+    geometry = random_patient(tmp_path, 8, *surfaces)
+    for order, least, percent in ((1, 0.1, 0.15), (2, 0.08, 0.15)):
+        data = _make(geometry, options(size="4 mm", order=order, around=None))
+        found = quality.sicn(data.points, data.cells)
+        assert found.min() > least and np.quantile(found, 0.01) > percent
 
 
 def test_places_in_an_image_are_those_of_the_file_and_in_the_bone(folder: Path) -> None:
