@@ -131,13 +131,12 @@ def _dicom(path: Path) -> tuple[Any, Any]:
         text = f"{path}: its slices are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
         after = Path(slices[gaps.argmax()].filename).name
         raise InputError(f"{text}; is one missing after {after}? Resample them evenly")
-    line = [
-        np.array([s.get("RescaleSlope", 1), s.get("RescaleIntercept", 0)], "f4") for s in slices
-    ]
-    numbers = [a * s.pixel_array + b for (a, b), s in zip(line, slices, strict=True)]
+    line = [(s.get("RescaleSlope", 1), s.get("RescaleIntercept", 0)) for s in slices]
+    lines = zip(np.array(line, "f4"), slices, strict=True)
     affine = np.eye(4)
     affine[:3] = np.stack([across * spacing[1], down * spacing[0], step, at[0]], axis=1)
-    return np.stack(numbers).T, np.diag([-1, -1, 1, 1]) @ affine
+    affine[:2] *= -1
+    return np.stack([a * s.pixel_array + b for (a, b), s in lines]).T, affine
 
 
 def surface(path: Path, label: int) -> tuple[Floats, list[str]]:

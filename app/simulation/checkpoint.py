@@ -34,7 +34,7 @@ from app.version import __version__
 log = logging.getLogger("mantle")
 
 # Version of the file layout.
-FORMAT = 5
+FORMAT = 6
 # Stands for rows in the header, which is an array of its name.
 ROWS = "@rows"
 # Number of checkpoints kept.
