@@ -81,6 +81,12 @@ class Results:
         rows = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
         return {row["name"]: Results(self.folder / row["name"]) for row in rows}
 
+    @property
+    def log(self) -> str:
+        """Log of the run, if it was kept beside the directory; else empty."""
+        path = self.folder.with_name(f"{self.folder.name}.log")
+        return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+
 
 class Run(Results):
     """A run directory with fields.
