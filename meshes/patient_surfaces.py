@@ -114,8 +114,9 @@ class PatientSurfaces(FemurSurfaces):
         if (missed := np.isnan(radii).any(axis=1)).any():
             raise GeometryError(
                 "geometry: the stem's axis is outside of the bone at"
-                f" {self._at_axis(zeta[missed].max())}; cut lower or flatter (resection), move the"
-                " stem (insertion), or repair the surface, if it crosses itself there"
+                f" {self._at_axis(zeta[missed].max())}; move or turn the stem (insertion: offsets,"
+                " varus), cut lower or flatter (resection), or repair the surface, if it crosses"
+                " itself there"
             )
         if (part := (times > 2).mean()) > TWICE:
             where = self._at_axis(zeta[int(np.median(np.nonzero(times > 2)[0]))])
@@ -219,7 +220,7 @@ class PatientSurfaces(FemurSurfaces):
         theta, zeta = (v.ravel() for v in np.meshgrid(THETA, self._bone.zeta))
         slope = self._slope(zeta)
         start, end = self._outline(theta / (2 * np.pi), zeta, slope), self._ends(theta, zeta, slope)
-        part = self._meets(lambda x, _: self._mantle(x) + BROACH, zeta, start, end)
+        part = self._covered(zeta, start, end, BROACH)
         x, y, _ = (start + part[:, None] * (end - start)).T.reshape(3, -1, ANGLES)
         rows = zip(np.arctan2(y, x), np.hypot(x, y), strict=True)
         return np.array([np.interp(THETA, turn, r, period=2 * np.pi) for turn, r in rows])

@@ -122,7 +122,8 @@ def _mended(
     quad[ring] = np.where(own == (pair + 1) % n, pair, own) * r + least[ring]
     turned = body.columns.copy()
     turned[ring, third] += np.where(place[ring, third] == least[ring], 1, -1)
-    flat = np.column_stack([np.tile(body.at, (len(nodes) // len(body.at), 1)), nodes.s])
+    at = np.tile(body.at, (len(nodes) // len(body.at), 1))
+    flat = np.asarray(np.column_stack([at, nodes.s]), dtype=np.float64)
 
     def split(columns: Ints) -> tuple[tuple[Ints, Ints], Floats]:
         cells, parent = made = _split(surfaces, replace(body, columns=columns), number)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 from app.arrays import Floats
 from app.cli import main
 from meshes.bone_surface import BoneSurface
-from tests.meshes.bones import moved, opened, own, own_canal, tube, write
+from tests.meshes.bones import moved, opened, own, own_canal, slices, tube, write
 
 EYE, ZERO = np.eye(3), np.zeros(3)
 PLACE = r"\(-?\d+, -?\d+, -?\d+\) mm"
@@ -114,6 +115,7 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "no file": ({"bone": {"surface": "none.stl"}}, "no such file"),
     "no bone": ({"bone": {"image": "bone.stl"}}, "expected `surface`, or `image` and `label`"),
     "no image": ({"bone": {"image": "bone.stl", "label": 1}}, "no image that can be read|needs"),
+    "gantry": ({"bone": {"image": "tilted", "label": 1}}, "tilted: .* of a tilted gantry|needs"),
     "metre": ({"bone": {"surface": "bone.stl", "unit": "m"}}, "337 m long, .* Expected mm"),
     "side": ({"bone": {"surface": "bone.stl", "side": "right"}}, "14 mm behind the axis of a left"),
     "no end": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
@@ -135,11 +137,11 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "valgus neck": ({"stem": {"neck_angle": "150 deg"}}, "between 100 and 145 deg"),
     "too thick": ({"cement_thickness": "12 mm"}, "at most 8 mm"),
     "no room": ({"stem": {"tip_half_width": "6 mm"}}, f"the cortex laterally at {PLACE}"),
-    "deep": ({"insertion": {"depth": "15 mm"}}, "at most 4.5 mm"),
+    "deep": ({"insertion": {"depth": "15 mm"}}, "at most 14 mm"),
     "proud": ({"insertion": {"depth": "-60 mm"}}, "leaves 80 mm of the stem .* 98 mm"),
     "shoulder": (
-        change() | {"insertion": {"depth": "4 mm"}},
-        "shoulder is 10 mm below .* cut lower",
+        change() | {"insertion": {"depth": "8 mm"}},
+        f"into the cortex medially at {PLACE}, 0 mm below the cut",
     ),
     "neck": (change(head_height="1 mm"), "1 mm above the shoulder, does not clear .* raise"),
     "fossa": (
@@ -167,6 +169,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, (surface, _) in {"bone": (own(), ""), **BONES, **CANALS}.items():
         file = path / f"{name}.stl"
         file.write_bytes(surface) if isinstance(surface, bytes) else write(file, surface)
+    with suppress(ModuleNotFoundError):
+        slices(path / "tilted", np.ones((4, 4, 4)), np.eye(4) + 0.2 * np.eye(4, k=1))
     return path
 
 

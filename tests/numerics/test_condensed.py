@@ -34,7 +34,12 @@ def test_last_block_is_the_factor_of_the_schur_complement() -> None:
     )
     np.testing.assert_allclose(c.schur(), D - C.T @ np.linalg.solve(K, C), atol=1e-12)
     b = np.random.default_rng(1).normal(size=A.shape[0])
-    np.testing.assert_allclose(A @ c.solve(b), b, atol=1e-12)
+    np.testing.assert_allclose(A @ c.up(y := c.down(b)), b, atol=1e-12)
+    pulled = C.T @ np.linalg.solve(K, b[:-108])
+    np.testing.assert_allclose(c.last(y[-108:]), b[-108:] - pulled, atol=1e-12)
+    there = np.concatenate([y[:-108], c.last(b[-108:], transposed=True)])
+    moved = np.linalg.solve(K, b[:-108] - C @ b[-108:])
+    np.testing.assert_allclose(c.up(there), np.concatenate([moved, b[-108:]]), atol=1e-12)
 
 
 # Unknowns of displacement and jumps, GFlop and million entries of the factors; whether one solve
@@ -108,3 +113,11 @@ def test_bodies_are_factored_anew_where_a_support_lets_go() -> None:
     solved = support.solve(support.STEM, CONDENSED, held, stages, history)
     assert [step.outcome.linear_iterations for step in solved.steps] == [0, 0]
     assert solved.steps[1].outcome.iterations > 1
+
+
+def test_cycles_begin_where_the_ones_before_lead() -> None:
+    """The line through two of them leaves a tenth of what repeating the last one would."""
+    walk = "stages=[{name: walk, cycles: 8, valley: 0.1}]"
+    solved = support.solve(support.STEM, "mesh.order=2", walk, CONDENSED)
+    first, *_, last = (step.outcome.iterations for step in solved.steps[2:])
+    assert last <= 2 < first
