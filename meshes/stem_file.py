@@ -130,7 +130,7 @@ def _level(x: Floats, z: float) -> Floats:
 def _tip(x: Floats, part: float) -> float:
     """Level of the lowest section that has a part of the full outline [mm]."""
     low = float(x[..., 2].min())
-    for z in low + np.linspace(INSIDE, BLUNT, 60):
+    for z in low + np.linspace(INSIDE, BLUNT, 120):
         with suppress(ValueError):
             if around(_level(x, z)) > part * around(_level(x, low + BLUNT)):
                 return float(z)
