@@ -29,7 +29,7 @@ from meshes import femur_bone, femur_stem
 from meshes.cad_stem import CadStem
 from meshes.femur_bone import PERIOSTEUM
 from meshes.layers import DIGITS, Lines, Nodes
-from meshes.reference_body import ReferenceBody, Segment
+from meshes.reference_body import COARSER, ReferenceBody, Segment
 
 TURN = 60.0  # mm below the neck cut over which sections turn to it
 CORE = 0.5  # of the canal: where the innermost surface goes below the plug
@@ -77,6 +77,7 @@ class FemurSurfaces:
         segments: Segments of the reference body, from below.
         mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
             in one continue below and above.
+        coarser: Size of the reference body inside the stem over that at its surface.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
         tip: Station of the stem's last section.
         told: What was found, in words.
@@ -84,6 +85,7 @@ class FemurSurfaces:
         remedy: What to change where it has no room.
     """
 
+    coarser = COARSER
     mirrored = range(0)
     key = "geometry"
     remedy = "widen the canal (canal_widening), narrow the stem or move it proximally (stem_tip_z)"
@@ -125,21 +127,23 @@ class FemurSurfaces:
     def _divide(self, implant: Any, distal: float, thickness: Any) -> None:
         """Divide the bone from a distal level [mm] to the cut: stations, lines, cells."""
         mesh, plug = self.mesh, implant.stem_tip_z - implant.plug_length
-        self._tip = femur_stem.Tip(implant.stem_tip_z, implant.tip_height, plug)
+        cad, height = isinstance(self._body, CadStem), implant.tip_height
+        self._tip = femur_stem.Tip(implant.stem_tip_z, 0.0 if cad else height, plug)
         below = _distances(mesh, plug - distal, "below")
-        flank = self._tip.low + self._tip.height
+        flank = self._tip.low + height
         above = _distances(mesh, self._top - flank, "stem")
         if (depth := self._top - self._shoulder) > 0:  # there is a station
             near = above[max(1, int(np.abs(above - depth).argmin()))]
             above = np.interp(above, [0.0, near, above[-1]], [0.0, depth, above[-1]])
         void, start = implant.tip_void, len(below) - 1
         floor, rim = self._tip.rim - void, self._tip.rim
-        lengths = floor - plug, void, self._tip.height
+        lengths = (2 if cad else 1) * (floor - plug), void, height  # an end of CAD may be narrow
         counts = [mesh.steps(length) if length else 0 for length in lengths]
         levels = pairwise((plug, floor, rim))
         inside = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(levels, counts, strict=False)]
-        turn = math.asin(femur_stem.ZONE) * (1 - np.arange(1, counts[2] + 1) / max(counts[2], 1))
-        inside.append(flank - self._tip.axis * np.sin(turn))
+        off = 1 - np.arange(1, counts[2] + 1) / max(counts[2], 1)
+        round_ = self._tip.axis * np.sin(math.asin(femur_stem.ZONE) * off)
+        inside.append(flank - (height * off if cad else round_))
         self._zeta = np.concatenate([(plug - below)[::-1], *inside, (self._top - above)[-2::-1]])
         self._floor, self.tip = start + counts[0], start + counts[0] + counts[1]
         self.mantle = (start, len(self._zeta) - 1)
