@@ -322,7 +322,7 @@ def distance(geometry: Patient) -> float:
     return float(below.query(x, distance_upper_bound=10.0)[0].min())
 
 
-# The layers around their stems of CAD fold, near the shoulder: a limit of the mesher.
+# The layers around their stems of CAD fold: a limit of the mesher.
 FOLDED = 49, 54
 
 
