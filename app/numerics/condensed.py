@@ -37,16 +37,6 @@ NOTHING = 1e-10
 MOST, PARTS = 40, 2.0 ** -np.arange(8)
 # Residual that a step in single precision may leave.
 ROUGH = 1e-2
-# Unknowns of displacement beyond which nothing is analysed, as factors do not pay.
-MANY = 300_000
-# Measured on one core: operations per second of factors, of dense products with S, of LU in single
-# precision; bytes per second of back-substitutions. Iterations from rest, and of a later solve.
-FACTORS, PRODUCTS, SINGLE, BYTES = 36e9, 26e9, 86e9, 10e9
-FROM_REST, ITERATIONS = 12, 5.5
-# Seconds of assembling A' per unknown; of a solve by Krylov's method, and of a later one beside it.
-ASSEMBLY, KRYLOV, LATER = 1.5e-5, 1.3e-4, 0.65
-# Efficiency of ranks of a Krylov method; part of the memory that factors may take.
-SPEEDUP, MEMORY = 0.9, 0.5
 
 
 class Condensable(Protocol):
@@ -91,24 +81,15 @@ class Condensed:
 
     def __str__(self) -> str:
         """What is eliminated, in words."""
-        size = f"{self.size:,} displacements eliminated, Newton in {self._jumps:,} jumps"
-        if self._comm.rank:
-            return size
-        c = self.cholesky
-        return (
-            f"{size}; factors of {c.entries / 1e6:.0f} million entries, {c.flops / 1e9:.0f} GFlop"
+        return f"{self.size:,} displacements eliminated, Newton in {self._jumps:,} jumps"
+
+    @property
+    def work(self) -> tuple[float, float]:
+        """Operations and entries of the factors; collective."""
+        return on_root(self._comm, lambda: (self.cholesky.flops, self.cholesky.entries)) or (
+            0.0,
+            0.0,
         )
-
-    def pays(self, solves: float, memory: float) -> bool:
-        """As `pays`, for memory of rank 0 [byte]; collective."""
-
-        def judged() -> bool:
-            c = self.cholesky
-            needed = 1.3 * 8 * c.entries + 20 * self._jumps**2
-            sizes = self.size, self._jumps, c.flops, c.entries
-            return needed < MEMORY * memory and pays(*sizes, solves, self._comm.size)
-
-        return bool(on_root(self._comm, judged))
 
     # Factors
 
@@ -274,30 +255,9 @@ class Condensed:
         return np.asarray(dq)
 
 
-def pays(
-    size: int, jumps: int, flops: float, entries: float, solves: float, ranks: int = 1
-) -> bool:
-    """Whether condensation takes less time than a Krylov method.
-
-    Args:
-        size: Unknowns of displacement, at second order.
-        jumps: Jumps.
-        flops: Floating-point operations of the factors of A'.
-        entries: Their entries.
-        solves: Number of solves.
-        ranks: Number of ranks, which share the work of a Krylov method alone.
-    """
-    setup = flops / FACTORS + jumps**3 / (3 * PRODUCTS) + ASSEMBLY * size
-    iteration = (2 / 3) * (0.64 * jumps) ** 3 / SINGLE + (32 * jumps**2 + 8 * entries) / BYTES
-    krylov = KRYLOV * size * (1 + LATER * (solves - 1))
-    speedup = SPEEDUP * ranks if ranks > 1 else 1.0
-    iterations = FROM_REST + ITERATIONS * (solves - 1)
-    return setup + iterations * iteration < krylov / speedup
-
-
-def usable(size: int, comm: MPI.Comm) -> bool:
-    """Whether so many unknowns of displacement can be condensed at all; collective."""
-    return size <= MANY and bool(on_root(comm, lambda: library() is not None))
+def available(comm: MPI.Comm) -> bool:
+    """Whether CHOLMOD can be compiled against; collective."""
+    return bool(on_root(comm, lambda: library() is not None))
 
 
 def _blocks(values: Floats) -> csr_array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from app.case.case import Case
 from app.laws.materials import Conductor, TransverselyIsotropic
+from app.numerics.choice import Choice
+from app.scene.scene import build_scene
 from app.system.layout import count, duration, plain
 
 if TYPE_CHECKING:
@@ -29,6 +32,8 @@ WITH_ERRORS, WITH_HEAT_ERRORS, SHARED, START, MESHING = 1.25, 2.5, 0.6, 2.6, 1e-
 MECHANICAL_FORMS, FIBRE_FORMS, HEAT_FORMS = 5.0, 10.0, 2.0
 # Seconds of a phase per unknown, the first time; `phases`.
 ASSEMBLE, FACTORIZE, OUTPUT = 3.5e-5, 5e-5, 4e-5
+# Memory of a run in GB, without factors, and per unknown: condensed, and by a Krylov method.
+BASE, CONDENSED, MULTIGRID = 0.4, 2e-6, 5e-6
 # Assumed size where it is not known.
 UNKNOWN_SIZE = 3e4
 # Area of an interface per node on it, in units of the squared edge length.
@@ -73,12 +78,12 @@ def _estimated(case: Case) -> _Size:
     return _size(case, count, nodes, corners, each)
 
 
-def estimated_size(case: Case) -> str:
-    """Cells, unknowns and memory, from the parameters alone."""
+def estimated_size(case: Case, available: float = math.inf) -> str:
+    """Cells, unknowns, solver and memory of what is available [byte], from the parameters alone."""
     size = _estimated(case)
     if not size.cells:
         return "size\n  not known before it is meshed: --mesh counts"
-    return _told("size (estimated; --mesh counts)", case, size)
+    return _told("size (estimated; --mesh counts)", case, size, available)
 
 
 def unknowns(case: Case) -> float:
@@ -146,6 +151,11 @@ def solves(case: Case) -> tuple[int, int]:
     return steps, moments
 
 
+def contact_solves(case: Case) -> int:
+    """Solves of contact, estimated; 0 where heat is solved together with it."""
+    return 0 if build_scene(case).coupled else sum(solves(case))
+
+
 def _proportional(case: Case) -> bool:
     """Whether the solution of the first stage is proportional to the loads, as without gaps."""
     histories = [load.history for load in case.loads.values()]
@@ -158,8 +168,8 @@ def solid(case: Case) -> bool:
     return any(not isinstance(region, Conductor) for region in case.regions.values())
 
 
-def exact_size(case: Case, data: MeshData) -> str:
-    """Cells, unknowns and memory of a mesh, and notes of the mesher."""
+def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
+    """Cells, unknowns, solver and memory of a mesh, and notes of the mesher."""
     import numpy as np
 
     from meshes.data import EDGES, interface_facets
@@ -169,7 +179,8 @@ def exact_size(case: Case, data: MeshData) -> str:
     if case.mesh.order == 2:
         nodes += len(np.unique(np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0))
     each = {n: len(np.unique(interface_facets(data, n)[0][:, :3])) for n in case.interfaces}
-    lines = [_told("size", case, _size(case, len(data.cells), nodes, corners, each))]
+    size = _size(case, len(data.cells), nodes, corners, each)
+    lines = [_told("size", case, size, available)]
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {count(np.count_nonzero(data.cell_tags == tag))} cells")
     for name, note in sorted(data.notes.items(), key=lambda item: item[0] != "mantle"):
@@ -191,7 +202,15 @@ def _mantle(note: Mapping[str, Any]) -> str:
     )
 
 
-def _told(title: str, case: Case, size: _Size) -> str:
+def _choice(case: Case, size: _Size, available: float) -> Choice | None:
+    """The choice of the linear solver of contact; None without contact apart from heat."""
+    if not (size.jumps and (number := contact_solves(case))):
+        return None
+    foreseen = number * max(1, len(case.variations)), bool(build_scene(case).cures), available
+    return Choice(case.mesh.order, 3 * size.nodes, 3 * size.jumps, *foreseen)
+
+
+def _told(title: str, case: Case, size: _Size, available: float) -> str:
     """Lines on cells, unknowns, memory and time."""
     parts = [f"{count(size.cells)} cells"]
     if size.nodes:
@@ -200,14 +219,18 @@ def _told(title: str, case: Case, size: _Size) -> str:
     if size.temperatures:
         parts.append(f"{count(size.temperatures)} temperatures")
         parts.append(f"{count(size.steps)} temperature jumps")
-    # Factors of a direct solver grow as n^(4/3) in three dimensions; the rest is proportional.
-    memory = 0.4 + 2e-6 * size.unknowns + 25 * 8e-9 * size.unknowns ** (4 / 3)
+    choice, solver, memory = _choice(case, size, available), "", BASE + MULTIGRID * size.unknowns
+    if choice:
+        condensed = choice.condenses(case.solver.linear)
+        solver = f"\n  contact: {choice.words(condensed)}"
+        if condensed:
+            memory = BASE + CONDENSED * size.unknowns + choice.needed / 1e9
     first, others = _duration(case, size), _duration(case, size, alone=False)
     more = len(case.variations) - 1
     every = f", {duration(first + more * others)} for all variations" if more > 0 else ""
     return (
         f"{title}\n  {', '.join(parts)}\n"
-        f"  {count(size.unknowns)} unknowns, about {memory:.1f} GB with a direct solver\n"
+        f"  {count(size.unknowns)} unknowns, about {memory:.1f} GB{solver}\n"
         f"  about {duration(first)} on one core{every}; {compiling(case):.0f} s more where forms "
         "are compiled first"
     )
