@@ -11,8 +11,8 @@ from app.system.layout import duration
 # precision; bytes per second of back-substitutions. Iterations from rest, and of a later solve.
 FACTORS, PRODUCTS, SINGLE, BYTES = 36e9, 26e9, 86e9, 10e9
 FROM_REST, ITERATIONS = 12, 5.5
-# Seconds of imports, and of assembling A' per unknown; of a solve by Krylov's method per unknown, by
-# order, and of a later one beside it.
+# Seconds of imports; per unknown of assembling A', and of a solve by a Krylov method by order; a
+# later one beside it.
 IMPORTS, ASSEMBLY = 0.1, 1.5e-5
 KRYLOV, LATER = {1: 1e-4, 2: 1.3e-4}, {1: 0.4, 2: 0.5}
 # Efficiency of ranks of a Krylov method; part of the memory that factors may take.

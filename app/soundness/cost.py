@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 # Measured on unstructured tetrahedral meshes: nodes and edges per cell.
 NODES_PER_CELL = 0.19
 EDGES_PER_CELL = 1.22
-# Cost of a run on one core (measured). Mechanics: seconds at 1e5 unknowns by order, exponent of
-# growth, a later load step beside the first (the bodies condensed at second order, or not).
-PRICE, GROWTH, LATER = {1: 20.0, 2: 25.0}, 1.2, {1: 0.35, 2: 0.06}
+# Cost of a run on one core (measured). Mechanics: seconds per unknown beside the solver, and of a
+# later load step beside the first.
+PRICE, LATER = 1.3e-4, 0.05
 # Heat: seconds of a time step, and per temperature; time steps of a stage, and of cement that sets.
 TIME_STEP, HEAT, HEAT_STEPS, SETTING_STEPS = 0.05, 3e-5, 35, 95
-# Factors of runs with errors, of the mechanics and with heat, and of a run that shares matrices;
+# Factors of runs with errors, of the mechanics and with heat;
 # seconds of start and page; of meshing, per cell.
-WITH_ERRORS, WITH_HEAT_ERRORS, SHARED, START, MESHING = 1.25, 2.5, 0.6, 2.6, 1e-4
+WITH_ERRORS, WITH_HEAT_ERRORS, START, MESHING = 1.25, 2.5, 2.6, 1e-4
 # Seconds of compiling forms, which are cached: of the mechanics, in addition with fibres, of heat.
 MECHANICAL_FORMS, FIBRE_FORMS, HEAT_FORMS = 5.0, 10.0, 2.0
 # Seconds of a phase per unknown, the first time; `phases`.
@@ -97,7 +97,8 @@ def seconds(case: Case, alone: bool = True) -> float:
 
     A run that is not ``alone`` shares mesh, forms and matrices with an earlier one.
     """
-    return _duration(case, _estimated(case), alone)
+    size = _estimated(case)
+    return _duration(case, size) if alone else _solution(case, size, 2) - _solution(case, size)
 
 
 def phases(case: Case) -> dict[str, float]:
@@ -115,10 +116,9 @@ def phases(case: Case) -> dict[str, float]:
     }
 
 
-def _duration(case: Case, size: _Size, alone: bool = True) -> float:
-    """Time of a run of known size on one core [s]."""
-    solution = _solution(case, size)
-    return START + MESHING * size.cells + solution if alone else SHARED * solution
+def _duration(case: Case, size: _Size, runs: int = 1) -> float:
+    """Time of runs of known size on one core, one after the other [s]."""
+    return START + MESHING * size.cells + _solution(case, size, runs)
 
 
 def compiling(case: Case) -> float:
@@ -128,16 +128,25 @@ def compiling(case: Case) -> float:
     return mechanical + HEAT_FORMS * case.conducts
 
 
-def _solution(case: Case, size: _Size) -> float:
-    """Time of the solver alone [s]."""
-    mechanical, thermal = 3 * (size.nodes + size.jumps), size.temperatures + size.steps
-    price = PRICE[case.mesh.order] * (mechanical / 1e5) ** GROWTH
-    loads, moments = solves(case)
-    later = LATER[1 if moments else case.mesh.order] * max(0, loads + moments - 1)
-    loading = price * (1.0 + later) if mechanical else 0.0
-    heating = moments * (TIME_STEP + HEAT * thermal)
+def _solution(case: Case, size: _Size, runs: int = 1) -> float:
+    """Time of the solver alone in runs that share matrices [s]."""
+    loads, moments = (runs * number for number in solves(case))
+    choice, condensed = _choice(case, size, runs)
+    mechanical = PRICE * 3 * (size.nodes + size.jumps)
+    loading = mechanical * (1.0 + LATER * max(0, loads + moments - 1))
+    loading += choice.condensed if condensed else choice.krylov
+    heating = moments * (TIME_STEP + HEAT * (size.temperatures + size.steps))
     errors = WITH_HEAT_ERRORS if moments else WITH_ERRORS
     return (loading + heating) * (errors if case.output.error else 1.0)
+
+
+def _choice(case: Case, size: _Size, runs: int, available: float = math.inf) -> tuple[Choice, bool]:
+    """The choice of the linear solver of mechanics, and whether bodies are condensed."""
+    number, sets = runs * max(1, sum(solves(case))), bool(build_scene(case).cures)
+    sizes = case.mesh.order, 3 * size.nodes, 3 * size.jumps
+    choice = Choice(*sizes, number, sets, available)
+    may = bool(size.jumps and contact_solves(case))
+    return choice, may and choice.condenses(case.solver.linear)
 
 
 def solves(case: Case) -> tuple[int, int]:
@@ -202,14 +211,6 @@ def _mantle(note: Mapping[str, Any]) -> str:
     )
 
 
-def _choice(case: Case, size: _Size, available: float) -> Choice | None:
-    """The choice of the linear solver of contact; None without contact apart from heat."""
-    if not (size.jumps and (number := contact_solves(case))):
-        return None
-    foreseen = number * max(1, len(case.variations)), bool(build_scene(case).cures), available
-    return Choice(case.mesh.order, 3 * size.nodes, 3 * size.jumps, *foreseen)
-
-
 def _told(title: str, case: Case, size: _Size, available: float) -> str:
     """Lines on cells, unknowns, memory and time."""
     parts = [f"{count(size.cells)} cells"]
@@ -219,18 +220,16 @@ def _told(title: str, case: Case, size: _Size, available: float) -> str:
     if size.temperatures:
         parts.append(f"{count(size.temperatures)} temperatures")
         parts.append(f"{count(size.steps)} temperature jumps")
-    choice, solver, memory = _choice(case, size, available), "", BASE + MULTIGRID * size.unknowns
-    if choice:
-        condensed = choice.condenses(case.solver.linear)
-        solver = f"\n  contact: {choice.words(condensed)}"
-        if condensed:
-            memory = BASE + CONDENSED * size.unknowns + choice.needed / 1e9
-    first, others = _duration(case, size), _duration(case, size, alone=False)
-    more = len(case.variations) - 1
-    every = f", {duration(first + more * others)} for all variations" if more > 0 else ""
+    runs = max(1, len(case.variations))
+    choice, condensed = _choice(case, size, runs, available)
+    memory = BASE + (CONDENSED if condensed else MULTIGRID) * size.unknowns
+    memory += choice.needed / 1e9 * condensed
+    contact = size.jumps and contact_solves(case)
+    solver = f"\n  contact: {choice.words(condensed)}" if contact else ""
+    every = f", {duration(_duration(case, size, runs))} for all variations" if runs > 1 else ""
     return (
         f"{title}\n  {', '.join(parts)}\n"
         f"  {count(size.unknowns)} unknowns, about {memory:.1f} GB{solver}\n"
-        f"  about {duration(first)} on one core{every}; {compiling(case):.0f} s more where forms "
-        "are compiled first"
+        f"  about {duration(_duration(case, size))} on one core{every}; "
+        f"{compiling(case):.0f} s more where forms are compiled first"
     )
