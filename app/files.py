@@ -36,6 +36,11 @@ def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
             os.close(folder)
 
 
+def parts(path: Path) -> list[Path]:
+    """A file, or those in a folder, by name."""
+    return sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]
+
+
 def clear(folder: Path, name: str = "*") -> None:
     """Remove temporary files left by killed processes, unless another process writes them."""
     for path in folder.glob(f"{name}.*{PARTIAL}"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib import import_module
@@ -15,8 +16,10 @@ from scipy.sparse import coo_array, diags_array
 
 from app.arrays import Floats, Ints
 from app.errors import InputError
+from app.files import parts
 
 TILT = 0.01  # cosine of the angle between edges of voxels, at most
+UNEVEN = 0.1  # of the step between slices: how far one may be from its place, at most
 # Steps of Taubin's smoothing, and how often both: it leaves what is wider than a dozen of voxels.
 SHRINK, GROW, SMOOTHINGS = 0.5, -0.53, 10
 
@@ -57,14 +60,15 @@ class Image:
 
 
 def read(path: Path) -> Image:
-    """Read an image: NIfTI, or ``values`` and ``affine`` in an ``.npz``; or raise InputError."""
-    return _read(path, path.stat().st_mtime_ns)
+    """Read NIfTI, a folder of DICOM, or ``values`` and ``affine`` in an ``.npz``; or InputError."""
+    return _read(path, max(file.stat().st_mtime_ns for file in (path, *parts(path))))
 
 
 @lru_cache(maxsize=2)
 def _read(path: Path, _changed: int) -> Image:
     try:
-        values, affine = (_npz if path.suffix == ".npz" else _nifti)(path)
+        reader = _dicom if path.is_dir() else _npz if path.suffix == ".npz" else _nifti
+        values, affine = reader(path)
         values, affine = np.squeeze(values), np.asarray(affine, dtype=float).reshape(4, 4)
     except InputError:
         raise
@@ -102,6 +106,37 @@ def _nifti(path: Path) -> tuple[Any, Any]:
     if (unit := header.get_xyzt_units()[0]) not in ("mm", "unknown"):
         raise ValueError(f"it is in {unit}; expected mm")
     return values, image.affine
+
+
+def _dicom(path: Path) -> tuple[Any, Any]:
+    """Of a series of slices; its axes, to left and posterior, are turned to right and anterior."""
+    dicom = _module("pydicom", path)
+    slices = [dicom.dcmread(f) for f in parts(path) if dicom.misc.is_dicom(f)]
+    kinds = Counter(
+        (s.SeriesInstanceUID, *np.round([*s.ImageOrientationPatient, *s.PixelSpacing], 4))
+        for s in slices
+    )
+    if len(kinds) != 1 or len(slices) < 2:
+        counts = ", ".join(str(n) for n in kinds.values()) or "no"
+        raise InputError(f"{path}: has {counts} slices; expected those of one series, in one plane")
+    ((_, *given),) = kinds
+    across, down, spacing = np.split(np.array(given), [3, 6])
+    normal = np.cross(across, down)
+    slices.sort(key=lambda s: float(normal @ s.ImagePositionPatient))
+    at = np.array([s.ImagePositionPatient for s in slices], dtype=float)
+    step = (at[-1] - at[0]) / (len(at) - 1)
+    gaps = np.linalg.norm(np.diff(at, axis=0), axis=1)
+    off = np.linalg.norm(at - at[0] - np.outer(range(len(at)), step), axis=1)
+    if not off.max() < UNEVEN * np.linalg.norm(step):
+        text = f"{path}: its slices are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
+        after = Path(slices[gaps.argmax()].filename).name
+        raise InputError(f"{text}; is one missing after {after}? Resample them evenly")
+    line = [(s.get("RescaleSlope", 1), s.get("RescaleIntercept", 0)) for s in slices]
+    lines = zip(np.array(line, "f4"), slices, strict=True)
+    affine = np.eye(4)
+    affine[:3] = np.stack([across * spacing[1], down * spacing[0], step, at[0]], axis=1)
+    affine[:2] *= -1
+    return np.stack([a * s.pixel_array + b for (a, b), s in lines]).T, affine
 
 
 def surface(path: Path, label: int) -> tuple[Floats, list[str]]:

@@ -16,7 +16,8 @@ from app.case.femurs import BONE, INSIDE, MUSCLES, Femur, Insertion
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.case.stems import StemFile
 from app.errors import GeometryError, InputError
-from app.schema.paths import File
+from app.files import parts
+from app.schema.paths import File, ImageFile
 from app.schema.section import Kinds, Pair, Section, Triple, fail
 from app.schema.units import Angle, Dimension, Length, Number, Plain, PositiveLength
 
@@ -35,8 +36,9 @@ class Outline(Section):
 
     surface: File | None = None
     """STL, PLY or OBJ file of its triangles; relative to the case file."""
-    image: File | None = None
-    """Labelled image in place of them: NIfTI, or `values` and `affine` (to mm) in an `.npz`."""
+    image: ImageFile | None = None
+    """Labelled image in place of them: NIfTI, a folder of DICOM slices, or `values` and `affine`
+    (to mm) in an `.npz`."""
     label: Annotated[int, Plain(integer=True)] | None = None
     """Number of its voxels in the image."""
     unit: Unit | None = None
@@ -233,7 +235,8 @@ class Patient(Shape):
     @cached_property
     def content(self) -> str:
         """Hash of its files at the first access."""
-        paths = [path for path in (self.bone.path, self.canal.path) if path]
+        given = [path for path in (self.bone.path, self.canal.path) if path]
+        paths = [file for path in given for file in parts(path)]
         return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
 
     @property

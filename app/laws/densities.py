@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Discriminator, Tag, model_validator
 
 from app.errors import InputError
-from app.schema.paths import File
+from app.schema.paths import ImageFile
 from app.schema.section import ITEMS, TAG, Four, Section, Text, Truth, fail
 from app.schema.units import Dimension, Modulus, Number, Stress
 
@@ -63,8 +63,9 @@ class ImageModulus(Section):
 
     found: ClassVar[tuple[str, ...]] = ("sha256",)
 
-    density: File
-    """Image of CT numbers: NIfTI, or `values` and `affine` in an `.npz` of numpy."""
+    density: ImageFile
+    """Image of CT numbers: NIfTI, a folder of DICOM slices, or `values` and `affine` in an `.npz`
+    of numpy."""
     calibration: Calibration
     """What makes densities of CT numbers: the line of a phantom."""
     law: Annotated[

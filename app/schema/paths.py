@@ -11,15 +11,20 @@ from pydantic import BeforeValidator, ValidationInfo
 from app.schema.section import fail, not_one_of, show
 
 
-def file(*suffixes: str, check: Callable[[Path], None] | None = None) -> BeforeValidator:
-    """A file that exists, relative to the case's folder; `check` raises ValueError or OSError."""
+def file(
+    *suffixes: str, check: Callable[[Path], None] | None = None, folder: bool = False
+) -> BeforeValidator:
+    """A file that exists, relative to the case's folder; `check` raises ValueError or OSError.
+
+    With `folder` it may be a folder.
+    """
 
     def find(value: object, info: ValidationInfo) -> Path:
         if not isinstance(value, str | Path):
             fail("is not a path; expected text")
         try:
             path: Path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
-            if (found := path.is_file()) and check:
+            if (found := path.is_file() or (folder and path.is_dir())) and check:
                 check(path)
         except OSError as error:
             fail(f"{show(str(value))} cannot be read: {error.strerror}")
@@ -35,3 +40,4 @@ def file(*suffixes: str, check: Callable[[Path], None] | None = None) -> BeforeV
 
 
 File = Annotated[Path, file()]
+ImageFile = Annotated[Path, file(folder=True)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,6 +75,39 @@ def write(path: Path, surface: BoneSurface, scale: float = 1.0) -> Path:
     rows["v"] = scale * surface.corners
     path.write_bytes(b"\0" * 80 + np.uint32(len(rows)).tobytes() + rows.tobytes())
     return path
+
+
+def slices(folder: Path, values: Any, affine: Floats, series: str = "1.2") -> Path:
+    """Write numbers of voxels as a DICOM series: by its standard, C.7.6.2, in no order of names.
+
+    Args:
+        folder: A new folder.
+        values: Multiples of 1/2 from -1000 on (i, j, k); slices are of (i, j).
+        affine: To their middles, right, anterior, superior positive, as in NIfTI [mm].
+        series: Its identifier.
+    """
+    folder.mkdir(exist_ok=True)
+    import pydicom
+
+    lps, n = np.diag([-1.0, -1.0, 1.0]) @ affine[:3], values.shape[2]
+    edge = np.linalg.norm(lps[:, :2], axis=0)
+    for k in range(n):
+        s = pydicom.Dataset()
+        s.file_meta = pydicom.dataset.FileMetaDataset()
+        s.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
+        s.is_little_endian, s.is_implicit_VR = True, False
+        s.SOPClassUID, s.SOPInstanceUID = "1.2.840.10008.5.1.4.1.1.2", f"{series}.{k}"
+        s.SeriesInstanceUID, s.PhotometricInterpretation = series, "MONOCHROME2"
+        s.SamplesPerPixel, s.PixelRepresentation = 1, 0
+        s.BitsAllocated, s.BitsStored, s.HighBit = 16, 16, 15
+        s.Columns, s.Rows = values.shape[:2]
+        s.PixelSpacing = np.round(edge[::-1], 6).tolist()
+        s.ImageOrientationPatient = np.round(lps[:, :2] / edge, 6).T.ravel().tolist()
+        s.ImagePositionPatient = np.round(lps @ [0, 0, k, 1], 6).tolist()
+        s.RescaleSlope, s.RescaleIntercept = 0.5, -1000
+        s.PixelData = (2 * values[:, :, k].T + 2000).astype("<u2").tobytes()
+        s.save_as(folder / f"{series}.{7 * k % n}", write_like_original=False)
+    return folder
 
 
 def inside(surface: BoneSurface, x: Floats, y: Floats, z: Floats) -> Bools:

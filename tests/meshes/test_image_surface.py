@@ -15,7 +15,7 @@ from app.laws.densities import ImageModulus
 from meshes import femur_bone, images
 from meshes.data import region_volumes
 from tests import support
-from tests.meshes.bones import inside, own, own_canal, write
+from tests.meshes.bones import inside, own, own_canal, slices, write
 from tests.meshes.test_patient import as_own, made
 
 VOXEL, LOW = 0.5, -205.0  # mm; the scan ends in the shaft
@@ -91,6 +91,37 @@ def test_nifti(tmp_path: Path) -> None:
     path.write_bytes(whole[:200])
     with pytest.raises(InputError, match="no image that can be read"):
         images.read(path)
+
+
+def test_slices_are_as_their_nifti(tmp_path: Path) -> None:
+    """Triangles and moduli of an oblique series; what is no even series of one is refused."""
+    nibabel, _, _ = map(pytest.importorskip, ("nibabel", "skimage", "pydicom"))
+    rng = np.random.default_rng(0)
+    bone = gaussian_filter(rng.normal(size=(24, 20, 18)), 3) > 0.0
+    values = np.where(bone, 1200, 0) + rng.integers(0, 200, bone.shape) / 2
+    affine = np.eye(4)
+    affine[:3] = np.array([[0.6, -0.48, 0.64, 9], [0.8, 0.36, -0.48, 8], [0, 0.8, 0.6, -7]])
+    affine[:3, :3] *= [0.5, 0.75, 1.25]
+    x = (affine @ np.r_[rng.uniform(0, 17, (3, 50)), np.ones((1, 50))])[:3].T
+    found = []
+    for name in ("labels", "ct"):
+        numbers = bone.astype(float) if name == "labels" else values
+        nibabel.Nifti1Image(numbers, affine).to_filename(tmp_path / f"{name}.nii")
+        slices(tmp_path / name, numbers, affine)
+    (tmp_path / "ct" / "notes.txt").write_text("no slice")
+    for end in (".nii", ""):
+        given = DENSITY | {"density": f"ct{end}"}
+        E = ImageModulus.model_validate(given, context={"folder": tmp_path})
+        found.append((images.surface(tmp_path / f"labels{end}", 1)[0], E.at(x, lambda x, depth: x)))
+    assert found[1][0] == pytest.approx(found[0][0], abs=1e-6)
+    assert found[1][1] == pytest.approx(found[0][1], rel=1e-5)
+    folder = tmp_path / "ct"
+    (folder / "1.2.3").rename(tmp_path / "1.2.3")
+    with pytest.raises(InputError, match=r"1\.25 to 2\.5 mm apart; is one missing after 1\.2\.14"):
+        images.read(folder)
+    slices(folder, values[:, :, :3], affine, "1.3")
+    with pytest.raises(InputError, match="has 17, 3 slices; expected those of one series"):
+        images.read(folder)
 
 
 def test_moduli_at_points_of_the_cortex(scan: Path) -> None:

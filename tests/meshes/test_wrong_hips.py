@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 from app.arrays import Floats
 from app.cli import main
 from meshes.bone_surface import BoneSurface
-from tests.meshes.bones import moved, opened, own, own_canal, tube, write
+from tests.meshes.bones import moved, opened, own, own_canal, slices, tube, write
 
 EYE, ZERO = np.eye(3), np.zeros(3)
 PLACE = r"\(-?\d+, -?\d+, -?\d+\) mm"
@@ -114,6 +115,7 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "no file": ({"bone": {"surface": "none.stl"}}, "no such file"),
     "no bone": ({"bone": {"image": "bone.stl"}}, "expected `surface`, or `image` and `label`"),
     "no image": ({"bone": {"image": "bone.stl", "label": 1}}, "no image that can be read|needs"),
+    "gantry": ({"bone": {"image": "tilted", "label": 1}}, "tilted: .* of a tilted gantry|needs"),
     "metre": ({"bone": {"surface": "bone.stl", "unit": "m"}}, "337 m long, .* Expected mm"),
     "side": ({"bone": {"surface": "bone.stl", "side": "right"}}, "14 mm behind the axis of a left"),
     "no end": ({"distal_cut_z": "-400 mm"}, "between the end of the surface"),
@@ -167,6 +169,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, (surface, _) in {"bone": (own(), ""), **BONES, **CANALS}.items():
         file = path / f"{name}.stl"
         file.write_bytes(surface) if isinstance(surface, bytes) else write(file, surface)
+    with suppress(ModuleNotFoundError):
+        slices(path / "tilted", np.ones((4, 4, 4)), np.eye(4) + 0.2 * np.eye(4, k=1))
     return path
 
 
