@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mantle")
 
+# Estimated time over that of a Krylov method from which no factors are analysed.
+HOPELESS = 2.0
+
 
 def mechanical(
     problem: Problem, solves: float = 1.0, memory: float = math.inf
@@ -156,14 +159,14 @@ class ContactSystem(BondedSystem):
         foreseen = self._solves, problem.setting is not None, self._memory, comm.size
         choice = Choice(problem.scene.order, *sizes, *foreseen)
         found: Condensed | None = None
-        if linear == "condensed" or choice.open:
+        if linear == "condensed" or choice.condensed < HOPELESS * choice.krylov:
             from app.numerics.condensed import Condensed, available  # scipy: few need it
 
             if available(comm):
                 found = Condensed(self)
                 choice = replace(choice, factors=found.work)
         chosen = found if choice.condenses(linear) else None
-        log.info("contact: %s", choice.words(chosen is not None))
+        log.info("solver: %s", choice.words(chosen is not None))
         return chosen
 
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:

@@ -17,8 +17,6 @@ IMPORTS, ASSEMBLY = 0.1, 1.5e-5
 KRYLOV, LATER = {1: 1e-4, 2: 1.3e-4}, {1: 0.4, 2: 0.5}
 # Efficiency of ranks of a Krylov method; part of the memory that factors may take.
 SPEEDUP, MEMORY = 0.9, 0.5
-# Estimated time over that of a Krylov method from which nothing is analysed.
-HOPELESS = 2.0
 
 
 @dataclass(frozen=True)
@@ -80,11 +78,6 @@ class Choice:
     def fits(self) -> bool:
         """Whether there is the memory for condensation."""
         return self.needed < MEMORY * self.memory
-
-    @property
-    def open(self) -> bool:
-        """Whether an analysis of the factors may find that condensation takes less."""
-        return self.condensed < HOPELESS * self.krylov
 
     def condenses(self, linear: str) -> bool:
         """Whether it is condensed; ``linear`` is auto, condensed or another method."""

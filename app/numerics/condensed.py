@@ -79,10 +79,6 @@ class Condensed:
         if self._matrix is not None:
             self.cholesky = Cholesky(self._matrix, self._jumps)
 
-    def __str__(self) -> str:
-        """What is eliminated, in words."""
-        return f"{self.size:,} displacements eliminated, Newton in {self._jumps:,} jumps"
-
     @property
     def work(self) -> tuple[float, float]:
         """Operations and entries of the factors; collective."""
