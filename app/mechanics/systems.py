@@ -65,7 +65,8 @@ class BondedSystem(System):
         """Direct or multigrid."""
         K, order = self._problem.stiffness.K, self._problem.scene.order
         lower = self._problem.stiffness.inverse.lower
-        return {"displacement": stiffness_options(linear, K, order, lower)}
+        bonded = self._problem.contact is None
+        return {"displacement": stiffness_options(linear, K, order, lower, bonded)}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put prescribed displacements into a state."""
