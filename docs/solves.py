@@ -64,7 +64,7 @@ def main() -> None:
         return
     lines = []
     meshes = [list(rows) for _, rows in groupby(known, lambda r: (r["order"], r["size"]))]
-    figure, every = panels(len(meshes), 3, 3.6, 2.9)
+    figure, every = panels(len(meshes), 4, 3.1, 2.7)
     for axes, ways in zip(every, meshes, strict=True):
         row = ways[0]  # condensed
         unknowns = f"{row['displacement'] + row['jump']:,}"
@@ -80,7 +80,7 @@ def main() -> None:
             told = [f"{a:.3g} ({b:.3g})" for a, b in zip(took, foreseen, strict=True)]
             over = f"{took[chosen] / min(took):.2f}"
             lines.append((row["order"], row["size"], unknowns, n, *told, ways[chosen]["way"], over))
-        axes.set_title(f"order {row['order']}, {row['size']}: {unknowns} unknowns", fontsize=9)
+        axes.set_title(f"order {row['order']}, {row['size']}: {unknowns} unknowns", fontsize=8)
         axes.xaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_major_formatter("{x:g}")
         grid(axes)
