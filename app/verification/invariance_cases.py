@@ -31,8 +31,7 @@ def condensed(rows: Iterable[Check]) -> Iterator[Check]:
         if c.judge and within(c.tier, "default") and "Cook" not in c.name:
             own, ways = c.runs[0].overrides, ("condensed", "multigrid")
             runs = [replace(c.runs[0], overrides=(*own, f"solver.linear={way}")) for way in ways]
-            name, answer = f"condensed/{c.name}", (judges.condensed, 1e-7, c.refusal)
-            yield row(name, tuple(runs), *answer, tier="long")
+            yield row(f"condensed/{c.name}", tuple(runs), judges.same, 1e-7, c.refusal, "long")
 
 
 def _pushed(force: float) -> tuple[str, ...]:

@@ -6,7 +6,6 @@ Each takes the runs of a case, the one in question first, and returns its error.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,13 +99,6 @@ def augmented(runs: Sequence[Run], factor: float) -> Sample:
     newton, by_default = (r.summary["solver"]["newton_iterations"] for r in (run, other))
     note = f"asked for {factor:g} r, used {multiple} r, {newton} Newton iterations "
     return Sample(judged.error, note=f"{note}({by_default} by default); {judged.note}")
-
-
-def condensed(runs: Sequence[Run]) -> Sample:
-    """As `same`, of two linear solvers; notes their Newton and Krylov iterations."""
-    used = (r.summary["solver"] for r in runs)
-    told = " and ".join(f"{s['newton_iterations']}/{s['linear_iterations']}" for s in used)
-    return replace(sample := same(runs), note=f"iterations {told}; {sample.note}")
 
 
 def lawful(runs: Sequence[Run]) -> Sample:
