@@ -130,12 +130,7 @@ def runs_of(jobs: Sequence[Job], folder: Path, cores: int | None) -> list[BatchR
     """The run of each job, the same for jobs of equal content.
 
     Runs that share a stiffness are split over several processes, each with the same matrices, so
-    that all cores are busy.
-
-    Args:
-        jobs: The jobs.
-        folder: Folder of the batch.
-        cores: Cores of this machine; None on a cluster.
+    that all ``cores`` of this machine are busy; None on a cluster.
 
     Raises:
         InputError: The case of a job that was not read before is wrong.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from app.campaigns import batch, study_picture, study_report
 from app.campaigns import work_precision as wp
@@ -18,7 +19,7 @@ from app.case.case import Case
 from app.case.study import Study
 from app.case.sweep import PlannedRun
 from app.errors import InputError, gravest
-from app.simulation.variations import value_at
+from app.schema.yaml_file import key_parts
 from app.system import folders
 from app.system.layout import duration, percent
 from app.version import __version__
@@ -31,13 +32,9 @@ PARTS = (1.0, 0.4, 0.2)  # of the target whose cost is told
 
 
 def run(path: Path, overrides: Sequence[str], options: Options) -> None:
-    """Run all points of a study and report them.
+    """Run all points of a study one at a time, so that times can be compared, and report them.
 
-    Args:
-        path: The study file.
-        overrides: ``--set`` options for every point; keys that vary are refused.
-        options: Folder, cores, lines, whether to plan only. Runs go one at a time, so that times
-            can be compared.
+    ``--set`` options hold for every point; keys that vary are refused.
 
     Raises:
         InputError: Every error of the file and its points, before anything runs.
@@ -114,7 +111,12 @@ def _study_run(planned: PlannedRun, result: Result) -> StudyRun:
 
 def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
     """Value of a key and its internal unit; None if it is no positive number."""
-    value = ranks if key == "ranks" else value_at(case.model_dump(mode="json"), key)
+    value: Any = {**case.model_dump(mode="json"), "ranks": ranks}
+    for item in key_parts(key):
+        if isinstance(value, list | tuple):
+            value = {str(k): entry for k, entry in enumerate(value)}
+        found = value if isinstance(value, Mapping) else {}
+        value = next(iter(found.values()), None) if item == "*" else found.get(item)
     number, _, unit = str(value).partition(" ")
     try:
         x = float(number)

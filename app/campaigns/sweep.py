@@ -37,10 +37,7 @@ NOT_CONVERGED = "no convergence"
 def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     """Run the cases of a sweep that are not done yet, and write their table.
 
-    Args:
-        path: The sweep file.
-        overrides: ``--set`` options for every case; keys that vary are refused.
-        options: Folder, cores, Slurm, whether to plan only.
+    ``--set`` options hold for every case; keys that vary are refused.
 
     Raises:
         InputError: Every error of the file and its cases, before anything runs.
@@ -61,7 +58,6 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         record = {
             "title": name,
             "file": str(path),
-            "compare_with": sweep.compare_with or "",
             "overrides": list(overrides),
             "program": identity.program(),
             "cores": options.cores,

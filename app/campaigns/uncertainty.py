@@ -21,11 +21,7 @@ NOTHING = 1e-9
 def of_parts(
     rows: Sequence[Mapping[str, Any]], inputs: Mapping[str, Sequence[str]]
 ) -> dict[str, dict[str, Any]]:
-    """Spread of each number over the converged samples of each part.
-
-    Args:
-        rows: Cases of ``sweep.json``.
-        inputs: Uncertain inputs of each part.
+    """Spread of each number over the converged samples of each part, of rows of ``sweep.json``.
 
     Returns:
         By part: ``samples``, and ``numbers`` by name: mean, deviation (standard, of a sample), p5,

@@ -124,14 +124,7 @@ class Case(Section):
 
 @dataclass(frozen=True)
 class Varied:
-    """A variation of a case.
-
-    Attributes:
-        name: Its name, and that of its folder.
-        overrides: Changes of the case, as after ``--set``.
-        changes: The same, as values.
-        case: The case with the changes.
-    """
+    """A variation of a case, in a folder of its name; changes as after ``--set``, and as values."""
 
     name: str
     overrides: tuple[str, ...]
@@ -223,11 +216,7 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
 
 
 def resolve(file: CaseFile, folder: Path) -> Case:
-    """Check a case without its variations, and fill in defaults.
-
-    Args:
-        file: Its content.
-        folder: The folder of its relative paths.
+    """Check a case without its variations, and fill in defaults; paths are relative to a folder.
 
     Raises:
         InputError: As `load`.
@@ -253,12 +242,7 @@ def resolve(file: CaseFile, folder: Path) -> Case:
 
 
 def valid_parts(data: dict[str, Any], folder: Path) -> tuple[Case, list[Fault]]:
-    """A case whose missing or invalid parts are None, and their faults.
-
-    Args:
-        data: The content of a case file.
-        folder: The folder of its relative paths.
-    """
+    """A case whose missing or invalid parts are None, and their faults."""
     faults: list[Fault] = []
     parts: dict[str, Any] = dict.fromkeys(("geometry", "mesh", "regions"))
     notes = {"folder": folder, "points": None, "parts": parts, "faults": faults}

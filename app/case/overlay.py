@@ -40,12 +40,9 @@ AXES = frozenset({"grid", "lists", "table", "latin_hypercube", "parts"})
 
 
 def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") -> CaseFile:
-    """Merge a case file with its bases and apply overrides; the content is not checked.
+    """Merge a case file with its bases and apply overrides ``a.b.c=value``, unchecked.
 
-    Args:
-        path: The file.
-        overrides: ``a.b.c=value`` each, the value in YAML.
-        option: What stands before their keys in messages.
+    ``option`` is what stands before their keys in messages.
 
     Raises:
         InputError: The file, a base or a library cannot be read or used.
@@ -133,14 +130,7 @@ def _named_file(file: CaseFile, key: str) -> FilePath:
 
 
 def _over(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
-    """Merge one value over another; faults become complaints of the case.
-
-    Args:
-        case: The case that gets the values; it has the libraries.
-        lower: Value of the bases; None if there is none.
-        upper: Value over it.
-        path: Path of both.
-    """
+    """Merge one value over another; faults become complaints of the case."""
     match path:
         case ("loads", _, "force"):
             return _force(case, lower, upper, path)
@@ -256,11 +246,7 @@ def _named_entry(
 def _entry(case: CaseFile, kind: str, name: str, path: Path) -> dict[str, Any]:
     """Entry of the newest library that has it; empty, with a complaint, if none has.
 
-    Args:
-        case: The case; it gets the places of the values.
-        kind: ``materials`` or ``loads``.
-        name: Its name.
-        path: Path of the name in the case.
+    ``path`` is that of its name in the case, which gets the places of the values.
 
     Raises:
         InputError: Too many values were taken.
@@ -298,10 +284,7 @@ def _material(
 ) -> dict[str, Any]:
     """Give a region the constants of a material, those of heat only where there is heat.
 
-    Args:
-        region: The region below.
-        entry: The material.
-        rest: Other keys of the region above.
+    ``rest`` are the other keys of the region above.
     """
     new = {k: v for k, v in region.items() if k in OF_REGION}
     new |= {k: v for k, v in entry.items() if k in library.ORIGIN}

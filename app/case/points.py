@@ -205,13 +205,7 @@ class SweepPart(Section):
 
 
 def along(runs: Mapping[str, Any], path: Path, short: Mapping[str, str]) -> list[Point]:
-    """One axis: lists that vary together, and single values.
-
-    Args:
-        runs: Values or lists of them by override key.
-        path: Their path in the file.
-        short: Short name of each key.
-    """
+    """One axis: lists that vary together, and single values, by override key with short names."""
     lists = {key: _labels(runs[key]) for key in varying(runs)}
     return [
         Point(
@@ -239,11 +233,7 @@ def combine(
 ) -> Iterator[Point]:
     """Every combination of one value of each axis; the last axis changes fastest.
 
-    Args:
-        path: Path of the part in the file; the last word is its name.
-        base: The case as written.
-        common: Overrides of every point.
-        axes: The axes.
+    The last word of ``path`` is the name of the part; ``common`` holds for every point.
     """
     part = str(path[-1]) if path else ""
     for values in itertools.product(*axes):
@@ -290,12 +280,7 @@ def as_overrides(changes: Mapping[str, Any]) -> list[str]:
 
 
 def at_override(message: str, places: Mapping[str, Path]) -> Fault | None:
-    """Locate a message about an override in the file; None if it is about something else.
-
-    Args:
-        message: A message about the case.
-        places: Path of each override in the file, by key.
-    """
+    """Locate a message about an override in the file; None if it is about something else."""
     for key, place in places.items():
         if (text := message.removeprefix("--set ")).startswith(f"{key}: "):
             return Fault(place, text.removeprefix(f"{key}: "))
@@ -303,12 +288,7 @@ def at_override(message: str, places: Mapping[str, Path]) -> Fault | None:
 
 
 def clashes(overrides: Iterable[str], varied: Iterable[tuple[Path, str]]) -> list[Fault]:
-    """Errors for ``--set`` keys that the file varies too.
-
-    Args:
-        overrides: ``--set`` options.
-        varied: Varied keys, each with the path of its list, or of a value in it.
-    """
+    """Errors for ``--set`` keys that the file varies too, each at the path of its list or value."""
     places = {(p[:-1] if isinstance(p[-1], int) else p, key): None for p, key in varied}
     return [
         Fault(place, f"varies, but --set {given} holds for every case; leave one of them out")

@@ -343,13 +343,7 @@ def largest(numbers: Mapping[str, Any], key: str) -> float:
 
 
 def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | None:
-    """Number of ``summary.json`` in its unit; None if it is missing.
-
-    Args:
-        summary: Content of the file; may be empty.
-        name: As in `get`.
-        suffix: Suffix of the key, e.g. ``_error``.
-    """
+    """Number of ``summary.json`` in its unit, by name as in `get`; None if it is missing."""
     owner, _, key = name.partition(".")
     key, _, axis = key.partition(".")
     for _, found, numbers in numbers_of(summary, parts=True):

@@ -145,12 +145,7 @@ def _shared_meshes(study: Study, runs: Sequence[PlannedRun]) -> Iterator[Fault]:
 def read(
     path: Path, overrides: Sequence[str] = ()
 ) -> tuple[Study, list[PlannedRun], tuple[str, ...]]:
-    """Read a study and check every run of it.
-
-    Args:
-        path: The study file.
-        overrides: ``--set`` options of the study, or of the case at every point; keys that vary
-            are refused.
+    """Read a study and check every run of it; ``--set`` keys that vary are refused.
 
     Returns:
         The study; its runs, those of the reference last; the options that hold for all of them.

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -29,8 +29,6 @@ class Sweep(SweepPart):
     """A line for people."""
     parts: Annotated[dict[Name, SweepPart], MAPPING] = Field(default_factory=dict)
     """Parts with axes of their own, and with a base of their own where it differs."""
-    compare_with: Literal["paper"] | None = None
-    """A publication whose numbers, figures and trends get a page beside the report."""
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Sweep:
@@ -66,13 +64,7 @@ class Sweep(SweepPart):
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedRun(Point):
-    """A checked case of a sweep or a study; its changes include ``--set`` options.
-
-    Attributes:
-        file: The case file.
-        overrides: Changes of it, as after ``--set``.
-        case: The case with the overrides.
-    """
+    """A checked case of a sweep or a study; its changes and overrides include ``--set`` options."""
 
     file: Path
     overrides: tuple[str, ...]
@@ -81,11 +73,7 @@ class PlannedRun(Point):
 
 
 def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[PlannedRun]]:
-    """Read a sweep and check every case of it.
-
-    Args:
-        path: The sweep file.
-        overrides: ``--set`` options for every case; they replace values under ``set``.
+    """Read a sweep, with ``--set`` options that replace values under ``set``; check every case.
 
     Raises:
         InputError: Every error of the file and its cases, at its place.
@@ -118,11 +106,7 @@ def plan(
 ) -> tuple[list[PlannedRun], list[Fault]]:
     """Check the case of each point; return the cases and the faults.
 
-    Args:
-        file: The file of the points.
-        folder: The folder of relative bases.
-        every: The points.
-        overrides: ``--set`` options for every point; they replace values under ``set``.
+    Bases are relative to a folder. ``--set`` options replace values under ``set``.
     """
     problems = points.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
     keys = [o.partition("=")[0].strip() for o in overrides]

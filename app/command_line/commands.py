@@ -11,11 +11,10 @@ import logging
 import os
 import shlex
 import sys
-import textwrap
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mantle
 from app.case import gmsh_header
@@ -91,7 +90,7 @@ def _load(options: argparse.Namespace) -> LoadedCase:
 def _init(options: argparse.Namespace) -> int:
     from app.case import new_case
 
-    path = new_case.write(options.name, options.kind, options.stem, _meeting)
+    path = new_case.write(options.name, options.kind, options.stem)
     name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
     program = shlex.quote(os.environ.get("MANTLE_CALLED", "mantle"))
     print(f"{path} is written; next:")
@@ -99,12 +98,6 @@ def _init(options: argparse.Namespace) -> int:
     print(f"  {program} run {name} -o {folder}")
     print(f"  open {folder}/report.html in a browser")
     return 0
-
-
-def _meeting(geometry: Any, mesh: Any) -> Any:
-    import meshes
-
-    return meshes.meeting(geometry, mesh)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -231,12 +224,7 @@ def _report(options: argparse.Namespace) -> int:
         for path in run_report.write(folder, spread=options.spread):
             print(path)
         return 0
-    files, trends, cases = sweep_report.run(folder)
-    wide = max((len(t.name) for t in trends), default=0)
-    for t in trends:
-        by_maxima = f" (by maxima {t.peaks})" if t.peaks else ""
-        claim = textwrap.shorten(t.claim, 90, placeholder=" ...")
-        print(f"{t.name:<{wide}}  {t.verdict + by_maxima:<32}  {claim}")
+    files, cases = sweep_report.run(folder)
     print(f"{sum(c.done for c in cases)} of {len(cases)} cases have results")
     print(f"{files[0]}, and {len(files) - 1} files in {folder / sweep_report.PICTURES}")
     return 0

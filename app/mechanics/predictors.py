@@ -25,8 +25,9 @@ from app.numerics.newton import Solver
 
 # Earlier states of the run that are kept.
 KEPT = 3
-# Other runs whose states are kept, multiples of another one left out; nearest states mixed.
-RUNS, MIXED = 6, 5
+# Other runs whose states are kept, multiples of another one left out, their first states; nearest
+# states mixed.
+RUNS, STATES, MIXED = 6, 20, 5
 # Friction coefficient below which an interface counts as frictionless.
 LITTLE = 1e-3
 
@@ -53,7 +54,8 @@ class Predictor(Protocol):
 class Extrapolation:
     """Line through the last two states.
 
-    Where loads turn, as where a stage begins: all states, or the last cycle once more.
+    Where loads turn, as where a stage begins: line through the states one and two cycles before,
+    or all states.
     """
 
     def __init__(self, solver: Solver, last_turn: Callable[[float], float]) -> None:
@@ -74,9 +76,9 @@ class Extrapolation:
             s = (time - t1) / (t1 - t0)
             x = x1.copy()
             x.axpby(-s, 1.0 + s, x0)
+        elif len(self._trail) > KEPT and take_better(self._solver, x0 * 2 - self._trail[-4][1]):
+            return
         else:
-            if len(self._trail) > 2:  # a cycle changes what the one before it changed
-                take_better(self._solver, x0 + x1 - self._trail[-3][1])
             x = mixture(self._solver, x1, [state for _, state in self._trail[:-1]])
         take_better(self._solver, x)
 
@@ -160,13 +162,17 @@ class WarmStart:
         if not scaled:
             return
         scaled.sort(key=lambda state: self._distance(state[1], here, sizes))
-        nearest, *others = (x for x, _ in scaled[:MIXED])
-        for x in (nearest, mixture(self._solver, nearest, others) if others else nearest):
+        # What a mixture costs, it saves only where an iteration takes longer.
+        mixed = 1 if self._solver.linear.exact else MIXED
+        nearest, *others = (x for x, _ in scaled[:mixed])
+        for x in (nearest, *([mixture(self._solver, nearest, others)] if others else [])):
             if take_better(self._solver, x):
                 self._start = x.copy()
 
     def commit(self, time: float) -> None:
         """Store the state."""
+        if len(self._now) >= STATES:  # a walk has thousands
+            return
         state = self._now[time] = self._state()
         self._new = self._new or self._start is None or not same(self._start, state[0])
 

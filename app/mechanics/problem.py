@@ -236,9 +236,9 @@ class Problem:
 
     def rounding(self, u: PETSc.Vec, q: PETSc.Vec | None = None) -> float:
         """Residual by rounding alone, large for a stiff body that moves [N]."""
-        lost = rounding(self.stiffness.K, u)
+        lost = rounding(self.stiffness.diagonal, u)
         if self.contact and q is not None:
-            lost += rounding(self.contact.coupling.D, q)
+            lost += rounding(self.contact.coupling.D.getDiagonal(), q)
         return lost
 
     # State

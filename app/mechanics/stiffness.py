@@ -32,6 +32,7 @@ class Stiffness:
         constraints: Map from unknowns to nodal displacements.
         rows: Global numbers of the constrained rows of this rank.
         reactions: These rows before they are constrained: the reactions to displacements.
+        diagonal: Diagonal of the matrix.
         typical: Mean diagonal of the stiffness, set in constrained rows to keep scales alike.
         inverse: Approximate inverse of K.
 
@@ -84,6 +85,7 @@ class Stiffness:
         diagonal = K.getDiagonal()
         self.typical = float(diagonal.sum()) / diagonal.getSize()
         K.zeroRowsColumns(self.rows, diag=self.typical)
+        self.diagonal = K.getDiagonal()
         return K
 
     def update(self) -> None:
@@ -117,6 +119,6 @@ class Stiffness:
         return given
 
 
-def rounding(K: PETSc.Mat, u: PETSc.Vec) -> float:
+def rounding(diagonal: PETSc.Vec, u: PETSc.Vec) -> float:
     """Rounding error of K u, from the terms of the diagonal."""
-    return ROUNDING * float(np.finfo(float).eps) * float((K.getDiagonal() * u).norm())
+    return ROUNDING * float(np.finfo(float).eps) * float((diagonal * u).norm())

@@ -18,7 +18,7 @@ from typing import Any
 import cffi
 import numpy as np
 from dolfinx import jit
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 from scipy.sparse import csc_array
 
 from app.arrays import Floats, Ints
@@ -47,7 +47,8 @@ int cholmod_l_free_factor(cholmod_factor **, cholmod_common *);
 #define CHOLMOD_REAL ...
 #define CHOLMOD_PATTERN ...
 #define CHOLMOD_LONG ...
-#define CHOLMOD_A ...
+#define CHOLMOD_L ...
+#define CHOLMOD_Lt ...
 """
 HEADER = "suitesparse/cholmod.h"
 
@@ -150,8 +151,8 @@ class Cholesky:
         del kept
         if self._common.status:
             raise ArithmeticError(f"CHOLMOD: status {self._common.status}")
-        order = self._array("int64_t", self._L.Perm, self._n)
-        self._tail = order[self._n - self._last :] - (self._n - self._last)
+        self._order = self._array("int64_t", self._L.Perm, self._n)
+        self._tail = self._order[self._n - self._last :] - (self._n - self._last)
         if self._tail.min() < 0:
             raise ArithmeticError("CHOLMOD: the last unknowns were moved")
 
@@ -183,14 +184,31 @@ class Cholesky:
         back = np.argsort(self._tail[::-1])
         return np.ascontiguousarray(S[np.ix_(back, back)])
 
-    def solve(self, b: Floats) -> Floats:
-        """Solution of A x = b (n,)."""
+    def down(self, b: Floats) -> Floats:
+        """Solution of L y = b, in the order of L (n,)."""
+        return self._solve(self._lib.CHOLMOD_L, b[self._order])
+
+    def up(self, y: Floats) -> Floats:
+        """Solution of L^T x = y, in the order of the matrix (n,)."""
+        x = np.empty(self._n)
+        x[self._order] = self._solve(self._lib.CHOLMOD_Lt, y)
+        return x
+
+    def last(self, y: Floats, transposed: bool = False) -> Floats:
+        """Last block of L times y: from the order of L to that of the matrix, or transposed."""
+        triangle = self._triangle()
+        full = np.zeros(len(triangle))
+        full[-self._last :] = y[self._tail] if transposed else y
+        found = blas.dtrmv(triangle, full, lower=1, trans=int(transposed))[-self._last :]
+        return np.asarray(found if transposed else found[np.argsort(self._tail)])
+
+    def _solve(self, which: int, b: Floats) -> Floats:
         ffi, lib = self._ffi, self._lib
         right, b = ffi.new("cholmod_dense *"), np.ascontiguousarray(b)
         right.nrow = right.nzmax = right.d = self._n
         right.ncol, right.xtype = 1, lib.CHOLMOD_REAL
         right.x = ffi.cast("void *", b.ctypes.data)
-        found = lib.cholmod_l_solve(lib.CHOLMOD_A, self._L, right, self._common)
+        found = lib.cholmod_l_solve(which, self._L, right, self._common)
         x = self._array("double", found.x, self._n).copy()
         lib.cholmod_l_free_dense(ffi.new("cholmod_dense **", found), self._common)
         return np.asarray(x)

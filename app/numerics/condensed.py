@@ -35,8 +35,8 @@ from app.numerics.cholesky import Cholesky, library
 NOTHING = 1e-10
 # Newton steps at most; parts of one that are tried.
 MOST, PARTS = 40, 2.0 ** -np.arange(8)
-# Residual that a step in single precision may leave.
-ROUGH = 1e-2
+# Residual that a step in single precision may leave; one after which the next has its factors.
+ROUGH, CHORD = 1e-2, 1e-2
 
 
 class Condensable(Protocol):
@@ -170,7 +170,7 @@ class Condensed:
         (ru, rq), (u, q) = (v.getNestSubVecs() for v in (r, z))
         pulled = self._on_root(self._pulled, q, ru.array_r)
         dq = self._on_root(lambda a, b: self._step(a - self._T @ b), q, rq.array_r, pulled)
-        u.array = self._on_root(self._moved, u, ru.array_r, pulled, dq)
+        u.array = self._on_root(self._moved, u, dq)
         q.array = dq
 
     def iterate(self, x: list[PETSc.Vec], tolerance: float) -> int:
@@ -184,22 +184,27 @@ class Condensed:
         self._renew()
         (u, q_vector), (ru, e) = x, self._contact.forces(x)
         q, number = q_vector.array.copy(), 0
+        r, scale = self._contact.law(e, q)
+        if self._norm(np.concatenate([ru, r])) <= tolerance * scale:
+            return number
         pulled = self._on_root(self._pulled, q_vector, ru)
         e = e - pulled
         r, scale = self._contact.law(e, q)
-        norm, moving = self._norm(r), True
+        norm, moving, kept = self._norm(r), True, False
         while norm > tolerance * scale and moving and number < MOST:
-            self.setUp()
+            if not kept:
+                self.setUp()
             dq = self._on_root(self._step, q_vector, r)
             de = self._on_root(lambda: self._pushed, q_vector)
             for part in PARTS:
                 there = e - part * de, q - part * dq
                 r, scale = self._contact.law(*there)
                 if moving := (new := self._norm(r)) < norm:
-                    (e, q), norm = there, new
+                    kept, norm = new < CHORD * norm, new
+                    e, q = there
                     break
             number += 1
-        u.array[:] -= self._on_root(self._moved, u, ru, pulled, q_vector.array_r - q)
+        u.array[:] -= self._on_root(self._moved, u, q_vector.array_r - q)
         q_vector.array[:] = q
         return number
 
@@ -221,13 +226,13 @@ class Condensed:
 
     def _pulled(self, ru: Floats) -> Floats:
         """Forces on jumps of the displacement that other forces cause, C^T K^-1 r_u."""
-        y = self.cholesky.solve(np.concatenate([ru, np.zeros(self._jumps)]))[self.size :]
-        return np.asarray(-(self._S @ y + self._tau * y))
+        self._half = self.cholesky.down(np.concatenate([ru, np.zeros(self._jumps)]))
+        return -self.cholesky.last(self._half[self.size :])
 
-    def _moved(self, ru: Floats, pulled: Floats, dq: Floats) -> Floats:
-        """The displacement K^-1 (r_u - C dq)."""
-        right = pulled + self._S @ dq + self._tau * dq
-        return self.cholesky.solve(np.concatenate([ru, right]))[: self.size]
+    def _moved(self, dq: Floats) -> Floats:
+        """The displacement K^-1 (r_u - C dq), r_u as last given to `_pulled`."""
+        self._half[self.size :] = self.cholesky.last(dq, transposed=True)
+        return self.cholesky.up(self._half)[: self.size]
 
     def _step(self, r: Floats) -> Floats:
         """Solution of (T S + B) dq = r; its forces S dq are kept."""

@@ -1,4 +1,4 @@
-"""Curves of a report: panels of numbers with errors, peaks and published values.
+"""Curves of a report: panels of numbers with their errors.
 
 Of sweeps they are pictures; of the history of a run drawings inside its page, and pictures.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,7 @@ from app.system.style import COLOURS, MARKERS
 
 # Largest over smallest value from which an axis is logarithmic.
 DECADE = 12.0
-PEAKS = {"alpha": 0.45, "mfc": "white", "ms": 4.5, "lw": 1, "ls": (0, (3, 2)), "zorder": 2}
 CURVE = {"ms": 5.5, "lw": 1.6, "capsize": 3, "zorder": 3}
-STARS = {"marker": "*", "mec": "0.15", "mew": 0.7, "ms": 12, "ls": "", "zorder": 4}
 ROUNDED = {"µm": 1e-6, "MPa": 1e-8}  # below which a contact quantity is zero
 # Quantities drawn, by key in history.csv: title, unit for people.
 _INTERFACE = {
@@ -52,22 +50,11 @@ History = Mapping[str, Floats]
 
 @dataclass(frozen=True)
 class Line:
-    """A curve.
-
-    Attributes:
-        style: Number of its colour and marker.
-        numbers: With errors, over x.
-        peaks: Largest values over x, without errors.
-        stars: Published values: x and value.
-        own_stars: Whether they belong to this curve alone.
-    """
+    """A curve of numbers with errors over x, in a numbered style."""
 
     label: str
     style: int
     numbers: dict[float, Number]
-    peaks: dict[float, Number] = field(default_factory=dict)
-    stars: Sequence[tuple[float, float]] = ()
-    own_stars: bool = False
 
 
 @dataclass(frozen=True)
@@ -81,17 +68,7 @@ class Panel:
 
 def too_few(panels: Sequence[Panel]) -> bool:
     """Whether no curve has two points."""
-    return all(max(len(x.numbers), len(x.peaks)) < 2 for p in panels for x in p.lines)
-
-
-def in_words(panels: Sequence[Panel]) -> str:
-    """Alternative text of a figure: its values."""
-    return ". ".join(
-        f"{p.title}, {p.y}, {line.label}: {'; '.join(f'{x:g}: {n}' for x, n in values.items())}"
-        for p in panels
-        for line in p.lines
-        if (values := line.numbers or line.peaks)
-    )
+    return all(len(x.numbers) < 2 for p in panels for x in p.lines)
 
 
 def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> list[Path]:
@@ -102,18 +79,13 @@ def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> list[Path
         _draw(axes, panel)
         axes.set_xlabel(x)
     handles = style.handles(every)
-    # A legend is filled column by column: curves, then peaks, then published values.
-    kinds = zip(*(_labels(line) for p in panels for line in p.lines), strict=True)
-    shown = [[n for n in dict.fromkeys(kind) if n in handles] for kind in kinds]
-    names = [name for kind in shown for name in kind]
-    if len(names) > 1:
-        room = 95 * columns // 2 // (max(map(len, names)) + 8)  # names in a row
-        same = len(set(map(len, shown))) == 1
+    if len(handles) > 1:
+        room = 95 * columns // 2 // (max(map(len, handles)) + 8)  # names in a row
         figure.legend(
-            [handles[name] for name in names],
-            names,
+            handles.values(),
+            handles.keys(),
             loc="outside lower center",
-            ncols=len(shown) if same else max(1, min(len(names), room)),
+            ncols=max(1, min(len(handles), room)),
             frameon=False,
             fontsize=9,
         )
@@ -128,13 +100,12 @@ def _draw(axes: Any, panel: Panel) -> None:
     axes.set_title(panel.title, fontsize=11, loc="left")
     axes.set_ylabel(panel.y)
     style.grid(axes)
-    xs = sorted({x for line in panel.lines for x in (*line.numbers, *line.peaks)})
+    xs = sorted({x for line in panel.lines for x in line.numbers})
     apart = 0.012 * (xs[-1] - xs[0]) if len(xs) > 1 else 0.0
     for k, line in enumerate(panel.lines):
         # Side by side, so that bars of equal numbers can both be seen.
         _line(axes, line, apart * (k - 0.5 * (len(panel.lines) - 1)))
-    values = [n.value for of in panel.lines for n in (*of.numbers.values(), *of.peaks.values())]
-    values += [v for line in panel.lines for _, v in line.stars]
+    values = [n.value for of in panel.lines for n in of.numbers.values()]
     if values and panel.y in ROUNDED and max(map(abs, values)) < ROUNDED[panel.y]:
         axes.set_ylim(-0.05, 1)
         axes.text(0.5, 0.5, "zero to rounding", transform=axes.transAxes, ha="center", color="0.4")
@@ -155,27 +126,12 @@ def _draw(axes: Any, panel: Panel) -> None:
         axes.set_xticks(xs, [f"{x:g}" for x in xs])
 
 
-def _labels(line: Line) -> tuple[str, str, str]:
-    """Legend entries of the curve, its peaks and its published values."""
-    paper = f"{line.label}, paper" if line.own_stars else "paper"
-    curve = f"{line.label}, percentile" if line.own_stars and line.peaks else line.label
-    return curve, f"{line.label}, max", paper
-
-
 def _line(axes: Any, line: Line, shift: float) -> None:
-    curve, peak, star = _labels(line)
-    colour = COLOURS[line.style % len(COLOURS)]
-    own: dict[str, Any] = {"color": colour, "marker": MARKERS[line.style % len(MARKERS)]}
-    if line.peaks:
-        x, y = [x + shift for x in line.peaks], [n.value for n in line.peaks.values()]
-        axes.plot(x, y, label=peak, **own, **PEAKS)
-    if line.numbers:
-        x, y = [x + shift for x in line.numbers], [n.value for n in line.numbers.values()]
-        errors = [n.error or 0.0 for n in line.numbers.values()]
-        axes.errorbar(x, y, yerr=errors, label=curve, **own, **CURVE)
-    if line.stars:
-        x, y = [x + shift for x, _ in line.stars], [v for _, v in line.stars]
-        axes.plot(x, y, color=colour if line.own_stars else "#f2c14e", label=star, **STARS)
+    own: dict[str, Any] = {"color": COLOURS[line.style % len(COLOURS)], "label": line.label}
+    own["marker"] = MARKERS[line.style % len(MARKERS)]
+    x, y = [x + shift for x in line.numbers], [n.value for n in line.numbers.values()]
+    errors = [n.error or 0.0 for n in line.numbers.values()]
+    axes.errorbar(x, y, yerr=errors, **own, **CURVE)
 
 
 # Of history.csv

@@ -19,9 +19,8 @@ T = TypeVar("T")
 MOST = 400  # rows of a table, points of a curve
 
 CLASSES = {
-    **dict.fromkeys(("agrees", "converged"), "good"),
-    **dict.fromkeys(("differs", "failed", "not converged", "do not use"), "bad"),
-    **dict.fromkeys(("undecided", "stopped", "note"), "open"),
+    **{"converged": "good", "stopped": "open", "note": "open"},
+    **dict.fromkeys(("failed", "not converged", "do not use"), "bad"),
 }
 
 

@@ -63,48 +63,44 @@ Column = tuple[str, Run, Sheet]
 Row = tuple[str, str, Sequence[Floats | None]]
 
 
-def ends(sweep: SweepResults) -> list[Chosen]:
-    """The cases with the least and the most of the first number that varies, as one group."""
+def ends(sweep: SweepResults) -> Chosen:
+    """The cases with the least and the most of the first number that varies."""
     done = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
     first_and_last = [(0.0, c) for c in (*done[:1], *done[1:][-1:])]
     _, shown = next(sentence.ranges(done, headlines(done)), ("", first_and_last))
-    return [[(c.name, c) for _, c in shown]] if done else []
+    return [(c.name, c) for _, c in shown]
 
 
-def maps(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str]]:
-    """Draw the maps of each group, a picture for each interface.
+def maps(chosen: Chosen, folder: Path) -> tuple[list[Figure], list[str]]:
+    """Draw the maps of cases side by side, a picture for each interface.
 
     Returns:
         The figures, and reasons for cases without one.
     """
     drawn: list[Figure] = []
     missing: list[str] = []
-    for number, group in enumerate(groups, 1):
-        opened = []
-        for title, case in group:
-            if not (case.folder / "fields.vtkhdf").exists():
-                missing.append(f"no map of {case.name}: it wrote no fields")
-                continue
-            try:
-                run, geometry = Run(case.folder), read_geometry(case.data, case.folder)
-            except (OSError, KeyError, ValueError, MantleError) as error:
-                missing.append(f"no map of {case.name}: {str(error).partition(chr(10))[0]}")
-                continue
-            if geometry:
-                opened.append((title, run, geometry))
-        for name in dict.fromkeys(name for *_, g in opened for name in g.interface_sides):
-            columns = [
-                (title, run, own)
-                for title, run, g in opened
-                if name in g.interface_sides
-                and (own := sheet(run, g.kind, g.interface_sides[name], g.region_names))
-            ]
-            if not columns:
-                missing.append(f"no map of {name}: it neither surrounds a stem nor is flat")
-                continue
-            file = f"map{number}_{name}.png"
-            if labels := draw(folder / file, columns, _rows(name, columns)):
-                drawn.append(_figure(file, name, columns, labels))
+    opened = []
+    for title, case in chosen:
+        try:
+            run, geometry = Run(case.folder), read_geometry(case.data, case.folder)
+        except (OSError, KeyError, ValueError, MantleError) as error:
+            missing.append(f"no map of {case.name}: {str(error).partition(chr(10))[0]}")
+            continue
+        if geometry:
+            opened.append((title, run, geometry))
+    for name in dict.fromkeys(name for *_, g in opened for name in g.interface_sides):
+        columns = [
+            (title, run, own)
+            for title, run, g in opened
+            if name in g.interface_sides
+            and (own := sheet(run, g.kind, g.interface_sides[name], g.region_names))
+        ]
+        if not columns:
+            missing.append(f"no map of {name}: it neither surrounds a stem nor is flat")
+            continue
+        file = f"map_{name}.png"
+        if labels := draw(folder / file, columns, _rows(name, columns)):
+            drawn.append(_figure(file, name, columns, labels))
     return drawn, missing
 
 

@@ -172,7 +172,7 @@ def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]
         folder = case.folder / PICTURES if whole else Path(scratch)
         folder.mkdir(exist_ok=True)
         try:
-            maps, missing = pictures.maps([[("", case)]], folder)
+            maps, missing = pictures.maps([("", case)], folder)
         except (KeyError, OSError) as error:
             maps, missing = [], [f"fields that cannot be read: {error}"]
         sides = pictures.sides(Run(case.folder), folder) if whole else []

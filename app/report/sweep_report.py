@@ -1,49 +1,42 @@
-"""``mantle report``: figures, maps, tables and a verdict on a sweep, as one page."""
+"""``mantle report``: figures, maps and tables of a sweep, as one page."""
 
 from __future__ import annotations
 
-import statistics
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from app.campaigns import uncertainty
-from app.case.quantities import printed
 from app.errors import StoppedError
-from app.report import gruen, page, paper, paper_claims, paper_numbers, pictures, sweep_figures
+from app.report import gruen, page, pictures, sweep_figures
 from app.report.page import Blocks, bullets, table
-from app.report.paper_claims import Trend
-from app.report.paper_numbers import ComparedNumber
 from app.report.sentence import spread
-from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, named, read
+from app.report.sweep_results import STATUSES, SweepResults, SweptCase, by_part, read
 from app.report.viewer import viewer
 from app.system.folders import remove, write_text
 from app.system.layout import duration, noted
 
-PAGE, PAPER, PICTURES = "report.html", "paper.html", "report"
+PAGE, PICTURES = "report.html", "report"
 # Files that an earlier report may have left in the folder of pictures.
-OURS = ("figure[3-8].*", "over_*.*", "map[0-9]_*.png", "shielding.png")
+OURS = ("over_*.*", "map_*.png", "shielding.png")
 
 
-def run(folder: Path) -> tuple[list[Path], Sequence[Trend], Sequence[SweptCase]]:
-    """Write the report of a sweep; its files, verdicts on the paper's trends, and its cases.
+def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
+    """Write the report of a sweep; its files and its cases.
 
     Raises:
         InputError: The folder is not that of a sweep.
         StoppedError: The report cannot be written.
     """
     sweep = read(folder)
-    cases = paper.Cases(sweep)
-    groups = cases.representative() or pictures.ends(sweep)
-    chosen = [pair for group in groups for pair in group]
+    chosen = pictures.ends(sweep)
     drawings = folder / PICTURES
     try:
         drawings.mkdir(exist_ok=True)
         remove(old for pattern in OURS for old in drawings.glob(pattern))
         curves, drawn = sweep_figures.multiples(sweep.cases, drawings)
-        mapped, unmapped = pictures.maps(groups, drawings)
-        shown = cases.over("stem") or dict(chosen)
-        shields = gruen.shielding_picture(shown, gruen.intact(sweep.cases), drawings)
+        mapped, unmapped = pictures.maps(chosen, drawings)
+        shields = gruen.shielding_picture(dict(chosen), gruen.intact(sweep.cases), drawings)
         sections = [
             ("varied", "What varies", curves),
             ("sensitive", "What matters most", table(*sweep_figures.sensitivity(sweep.cases))),
@@ -54,40 +47,13 @@ def run(folder: Path) -> tuple[list[Path], Sequence[Trend], Sequence[SweptCase]]
             ("gruen", "Gruen zones", page.figures(shields, drawings) + gruen.blocks(chosen)),
             ("mantle", "Mantles", table(*gruen.mantles(sweep.cases))),
         ]
-        papers, trends = _paper(cases, sweep, drawings) if cases else ([], [])
-        summary = _summary(sweep)
-        if papers:
-            summary.append(f"The paper's figures, numbers and trends are beside it, in {PAPER}.")
-        head = {"facts": _facts(sweep), "lead": _lead(sweep.cases), "summary": summary}
+        head = {"facts": _facts(sweep), "lead": _lead(sweep.cases), "summary": _summary(sweep)}
         head["view"] = viewer({name: case.folder for name, case in chosen[:2]})
         write_text(folder / PAGE, page.page(sweep.title, sections, **head))
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     figures = (drawings / f.name for f in (*mapped, *shields))
-    return [folder / PAGE, *papers, *figures, *drawn], trends, sweep.cases
-
-
-def _paper(
-    cases: paper.Cases, sweep: SweepResults, folder: Path
-) -> tuple[list[Path], Sequence[Trend]]:
-    """Write the page that compares the sweep with the paper; return its files and verdicts."""
-    figures, missing = paper_numbers.figures(cases, folder)
-    rows = paper_numbers.compare(cases)
-    trends = paper_claims.judge(cases)
-    compared = {"rows": rows, "named": named, "printed": printed}
-    sections = [
-        ("trends", "Trends", [("trends", {"trends": trends})]),
-        ("paper", "The paper's figures", page.figures(figures, folder) + bullets(missing)),
-        ("comparison", "Number by number", [("comparison", compared)]),
-    ]
-    names = {v: [t.name for t in trends if t.verdict == v] for v in paper_claims.VERDICTS}
-    each = "; ".join(f"{len(own)} {v}: {', '.join(own)}" for v, own in names.items() if own)
-    summary = [f"Trends that the paper reports: {each}.", *_ratios(rows)]
-    title = f"{sweep.title}: the paper beside it"
-    text = page.page(title, sections, facts=_facts(sweep), summary=summary)
-    files = [sweep.folder / PAPER, *(folder / f.name for f in figures)]
-    write_text(files[0], text)
-    return files, trends
+    return [folder / PAGE, *figures, *drawn], sweep.cases
 
 
 def _uncertain(sweep: SweepResults) -> Blocks:
@@ -116,23 +82,6 @@ def _summary(sweep: SweepResults) -> list[str]:
     if warned := sum(bool(c.notes) for c in sweep.cases):
         lines.append(f"Notes were made of {warned} cases; they stand below the table of all cases.")
     return lines
-
-
-def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
-    """Ratios of mantle's numbers to the paper's, over all peaks of the stance."""
-    of_stance = [r for r in rows if r.fact.kind == "peak" and r.fact.model == "stance"]
-    found = [r.ratios for r in of_stance if not r.quantity]
-    peaks = [p for p, _ in found if p is not None]
-    settled = [q for _, q in found if q is not None]
-    if not peaks or not settled:
-        return []
-    near = sum(0.5 <= p <= 2.0 for p in peaks)
-    return [
-        f"Over {len(peaks)} peaks of single-limb stance, mantle's largest value is "
-        f"{statistics.median(peaks):.2g} times the paper's in the median (from {min(peaks):.2g} to "
-        f"{max(peaks):.2g}; {near} within a factor of 2), its percentile "
-        f"{statistics.median(settled):.2g} times."
-    ]
 
 
 def _lead(cases: Sequence[SweptCase]) -> str:

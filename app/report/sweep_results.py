@@ -139,7 +139,6 @@ class SweepResults:
         program: Version and hash of the program that ran it.
         seconds: Wall time.
         uncertainty: Results of uncertain inputs, by part (`app/campaigns/uncertainty.py`).
-        compare_with: The publication that it is compared with, or nothing.
     """
 
     folder: Path
@@ -150,7 +149,6 @@ class SweepResults:
     cores: int = 1
     seconds: float = 0.0
     uncertainty: dict[str, Any] = field(default_factory=dict)
-    compare_with: str = ""
 
 
 def read(folder: Path) -> SweepResults:

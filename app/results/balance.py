@@ -79,8 +79,10 @@ class Balance:
         energy = {
             b: e for b, U in enumerate(displacements) if (e := mechanics.body_energy(b, U, dx)) != 0
         }
-        # Energy of all bodies, and its derivatives by body; a rigid body has none.
-        self._elastic = mechanics.form(sum(energy.values())) if energy else None
+        # Energy of all bodies, and its derivatives by body; a rigid body has none. Without free
+        # strains it is half the work of the derivatives.
+        free = mechanics.swelling or any(e.eigenstrains for e in scene.elastic)
+        self._elastic = mechanics.form(sum(energy.values())) if energy and free else None
         self._internal = [
             (b, mechanics.form(ufl.derivative(e, displacements[b], v))) for b, e in energy.items()
         ]
@@ -135,10 +137,14 @@ class Balance:
 
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> _State:
         problem, constraints = self._problem, self._problem.stiffness.constraints
-        energy = fem.assemble_scalar(self._elastic) if self._elastic else 0.0
         displacements = problem.displacements()
         setting = [(b, assembled_vector(form)) for b, form in self._setting]
         elastic = [(b, assembled_vector(form)) for b, form in self._internal]
+        if self._elastic:
+            energy = fem.assemble_scalar(self._elastic)
+        else:
+            moved = ((f.array_r, displacements[b].x.array) for b, f in elastic)
+            energy = sum(float(f @ v[: len(f)]) for f, v in moved) / 2
         inner = problem.forces.action([*elastic, *setting])
         acting = problem.forces.applied(problem.load_time)
         left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)

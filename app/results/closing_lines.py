@@ -59,12 +59,7 @@ def step_line(
 ) -> str:
     """One line for a converged step.
 
-    Args:
-        step: The step.
-        fractions: Open and slipping part of the contact area.
-        penetration: The largest of all interfaces [mm].
-        wall: Time since the run began [s].
-        left: Estimated time to its end [s].
+    Open and slipping fraction of the contact area, largest penetration [mm], seconds so far, left.
     """
     o = step.outcome
     effort = (o.iterations, o.linear_iterations, f"{o.residuals[-1]:.1e}")

@@ -7,13 +7,13 @@ from itertools import pairwise
 from typing import Any
 
 from app.case.quantities import TABLE
+from app.results.interface_numbers import OF_CYCLES
 
 # Dissipation per cycle that has vanished, and change per cycle that is none, relative.
 NOTHING, SAME = 0.02, 0.1
 
 # Numbers by the stem or interface that they are of.
 Turn = dict[str, dict[str, float]]
-OF_INTERFACES = ("motion_p99", "inducible_p99", "dissipation")
 
 
 class Cycles:
@@ -22,30 +22,38 @@ class Cycles:
     saved = ("_turns",)
 
     def __init__(self) -> None:
-        self._turns: dict[str, list[Turn]] = {}
+        # Dissipation at every turn [N mm], and numbers of the last three.
+        self._turns: dict[str, tuple[list[float], list[Turn]]] = {}
 
     def add(self, stage: str, stem: Mapping[str, Any], interfaces: Mapping[str, Any]) -> None:
         """Keep the numbers where the loads of a stage turn: peaks and valleys in turns."""
         kept = {
-            name: {key: numbers[key] for key in OF_INTERFACES if key in numbers}
+            name: {key: numbers[key] for key in sorted(OF_CYCLES) if key in numbers}
             for name, numbers in interfaces.items()
         }
-        self._turns.setdefault(stage, []).append(({"stem": dict(stem)} if stem else {}) | kept)
+        spent, last = self._turns.setdefault(stage, ([], []))
+        spent.append(sum(own.get("dissipation", 0.0) for own in kept.values()))
+        last.append(({"stem": dict(stem)} if stem else {}) | kept)
+        del last[:-3]
 
     def summary(self) -> dict[str, Any]:
         """For each stage with two peaks at least, what `split` finds."""
-        return {name: split(turns) for name, turns in self._turns.items() if len(turns) > 2}
+        return {name: split(*found) for name, found in self._turns.items() if len(found[0]) > 2}
 
 
-def split(turns: list[Turn]) -> dict[str, Any]:
+def split(spent: list[float], last: list[Turn]) -> dict[str, Any]:
     """Permanent and inducible parts of motions, and dissipation from peak to peak.
+
+    Args:
+        spent: Dissipation at every turn [N mm], peaks and valleys in turns.
+        last: Numbers of the last three.
 
     Returns:
         ``permanent``: motions in the last valley, by place and key. ``inducible``: what the load
         adds from there to the next peak; of interfaces the 99th percentile of the way between
         both. ``dissipation`` [N mm] of each cycle after the first peak, and its ``trend``.
     """
-    peaks, low, high = turns[::2], turns[1::2][len(turns[::2]) - 2], turns[::2][-1]
+    *_, low, high = last if len(spent) % 2 else last[:-1]
     permanent: Turn = {}
     inducible: Turn = {}
     for place, own in low.items():
@@ -55,13 +63,12 @@ def split(turns: list[Turn]) -> dict[str, Any]:
         else:
             permanent[place] = {"motion_p99": own["motion_p99"]}
             inducible[place] = {"motion_p99": high[place]["inducible_p99"]}
-    total = [sum(own.get("dissipation", 0.0) for own in peak.values()) for peak in peaks]
-    lost = [b - a for a, b in pairwise(total)]
+    lost = [b - a for a, b in pairwise(spent[::2])]
     return {
         "permanent": permanent,
         "inducible": inducible,
         "dissipation": lost,
-        "trend": trend(total[0], lost),
+        "trend": trend(spent[0], lost),
     }
 
 

@@ -28,8 +28,8 @@ END = 1e-6
 ENDS = ("tip_displacement", "top_displacement")
 
 
-def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
-    """Motion of the implant; nothing without implant or bone; collective.
+class StemMotion:
+    """Motion of the implant; nothing without implant or bone; made and called collectively.
 
     ``subsidence`` [mm] (distal, -z), ``retroversion`` and ``varus`` [deg] are the rigid motion that
     fits best, by area, the motion of the stem's surface facing cement or bone against the nearest
@@ -40,32 +40,67 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     ``tip_displacement`` and ``top_displacement`` (3,) [mm] are those of the stem's lowest and
     highest nodes in the frame of the model, with the bending of the femur.
     """
-    known = problem.tagged.regions
-    implant, bone, cement = (
-        [r for r in case.of_tissue(t) if r in known] for t in ("implant", "bone", "cement")
-    )
-    if not implant or not bone:
-        return {}
-    found = _ends(problem, implant)
-    stem, facing = (
-        _surface(problem, bodies.facets_between(problem.tagged, inside, outside))
-        for inside, outside in ((implant, [*cement, *bone]), (bone, [*cement, *implant]))
-    )
-    if len(stem.x) and len(facing.x):
-        t, ω = _against(stem, facing)
-        ω = np.rad2deg(ω) * (1 if case.side == "left" else -1)
-        motion = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
-        return {key: float(value) for key, value in motion.items()} | found
-    return found
+
+    def __init__(self, problem: Problem, case: Case) -> None:
+        self._problem = problem
+        known = problem.tagged.regions
+        implant, bone, cement = (
+            [r for r in case.of_tissue(t) if r in known] for t in ("implant", "bone", "cement")
+        )
+        self._ends: list[_End] = _ends(problem, implant) if implant and bone else []
+        if not self._ends:
+            return
+        self._stem, self._facing = (
+            _surface(problem, bodies.facets_between(problem.tagged, inside, outside))
+            for inside, outside in ((implant, [*cement, *bone]), (bone, [*cement, *implant]))
+        )
+        self._parts = bool(len(self._stem.x) and len(self._facing.x))
+        if self._parts:
+            from scipy.spatial import cKDTree  # imported late: few runs need it
+
+            self._nearest = cKDTree(self._facing.x).query(self._stem.x)[1]
+
+    def __call__(self, side: str) -> dict[str, Any]:
+        """The numbers, for a hip of this side."""
+        if not self._ends:
+            return {}
+        u, comm = _displacements(self._problem), self._problem.comm
+        found: dict[str, Any] = {}
+        for name, (body, rows, first) in zip(ENDS, self._ends, strict=True):
+            own = np.concatenate(comm.allgather(u[body, rows]))
+            found[name] = [float(c) for c in own[first].mean(axis=0)]
+        if self._parts:
+            t, ω = self._against(u)
+            ω = np.rad2deg(ω) * (1 if side == "left" else -1)
+            motion = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
+            return {key: float(value) for key, value in motion.items()} | found
+        return found
+
+    def _against(self, u: Floats) -> tuple[Floats, Floats]:
+        """Translation [mm] and rotation of the stem against the bone.
+
+        The rigid motion of all bone is subtracted, as it moves stem and bone differently where they
+        are apart. The rest, the bone's deformation, is taken at the nearest point.
+        """
+        stem, bone = self._stem, self._facing
+        moved, at = bone.moved(u), self._nearest
+        ω = bone.rotation(moved)
+        v = stem.moved(u) - moved[at] - np.cross(ω, stem.x - bone.x[at])
+        return np.average(v, axis=0, weights=stem.area), stem.rotation(v)
 
 
 @dataclass(frozen=True)
 class _Surface:
-    """Facets of all ranks: centres (f, 3) [mm], displacements, and areas (f,)."""
+    """Facets of all ranks: centres (f, 3) [mm], areas (f,), and nodes of this rank's own."""
 
+    comm: MPI.Comm
     x: Floats
-    u: Floats
     area: Floats
+    nodes: tuple[Any, Any]
+
+    def moved(self, u: Floats) -> Floats:
+        """Displacements of the centres (f, 3), from those of `_displacements`; collective."""
+        return np.concatenate(self.comm.allgather(u[self.nodes].mean(axis=1)))
 
     def rotation(self, u: Floats) -> Floats:
         """Small rotation (3,) that fits displacements of the centres best, by area."""
@@ -82,43 +117,34 @@ def _surface(problem: Problem, f: bodies.FacetCells) -> _Surface:
     dofs = problem.space.dofmap.list[f.cells][:, :4]
     dofs = np.take_along_axis(dofs, bodies.FACET_NODES[f.local, :3], axis=1)
     body = problem.bodies.of_tag[bodies.cell_tags(problem.tagged)[f.cells]]
-    u = _displacements(problem)[body[:, None], dofs].mean(axis=1)
-    own = corners.mean(axis=1), u, np.linalg.norm(normal, axis=1) / 2
-    return _Surface(*(np.concatenate(problem.comm.allgather(part)) for part in own))
+    own = corners.mean(axis=1), np.linalg.norm(normal, axis=1) / 2
+    x, area = (np.concatenate(problem.comm.allgather(part)) for part in own)
+    return _Surface(problem.comm, x, area, (body[:, None], dofs))
 
 
-def _against(stem: _Surface, bone: _Surface) -> tuple[Floats, Floats]:
-    """Translation [mm] and rotation of the stem against the bone.
-
-    The rigid motion of all bone is subtracted, as it moves stem and bone differently where they are
-    apart. The rest, the bone's deformation, is taken at the nearest point.
-    """
-    from scipy.spatial import cKDTree  # imported late: few runs need it
-
-    nearest = cKDTree(bone.x).query(stem.x)[1]
-    ω = bone.rotation(bone.u)
-    v = stem.u - bone.u[nearest] - np.cross(ω, stem.x - bone.x[nearest])
-    return np.average(v, axis=0, weights=stem.area), stem.rotation(v)
+# Bodies and nodes of this rank, and which of all ranks' count.
+_End = tuple[Any, Any, Any]
 
 
-def _ends(problem: Problem, implant: Sequence[str]) -> dict[str, Any]:
-    comm, u = problem.comm, _displacements(problem)
+def _ends(problem: Problem, implant: Sequence[str]) -> list[_End]:
+    """Lowest and highest nodes."""
+    comm = problem.comm
     cells = {r: problem.mechanics.region_cells(r) for r in implant}
     dofs_of = {r: np.unique(problem.space.dofmap.list[c][:, :4]) for r, c in cells.items()}
     dofs = np.concatenate(list(dofs_of.values()))
-    body = problem.bodies.of_region
-    moved = np.concatenate([u[body[r], rows] for r, rows in dofs_of.items()])
+    of = problem.bodies.of_region
+    body = np.concatenate([np.full(len(rows), of[r]) for r, rows in dofs_of.items()])
     x = problem.space.tabulate_dof_coordinates()[dofs]
     low = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
     high = comm.allreduce(float(x[:, 2].max(initial=-np.inf)), MPI.MAX)
     within = END * (high - low)
-    found = {}
-    for end, z in zip(ENDS, (low, high), strict=True):
+    found = []
+    for z in (low, high):
         here = np.abs(x[:, 2] - z) <= within
-        places, own = (np.concatenate(comm.allgather(part[here])) for part in (x, moved))
+        places = np.concatenate(comm.allgather(x[here]))
         # Ranks and regions share nodes: each counts once.
         first = np.unique(np.round(places / within), axis=0, return_index=True)[1]
-        found[end] = [float(c) for c in own[first].mean(axis=0)]
+        found.append((body[here], dofs[here], first))
     return found
 
 
@@ -150,8 +176,9 @@ def of_femur(problem: Problem, case: Case) -> dict[str, Any]:
     f = bodies.boundary_facets(problem.tagged, "bone_surface")
     outside = _surface(problem, f)
     strain = np.concatenate(problem.comm.allgather(_axial_strain(problem, f)))
+    moved = head.moved(_displacements(problem))
     found: dict[str, Any] = {
-        "head_displacement": np.average(head.u, axis=0, weights=head.area).tolist()
+        "head_displacement": np.average(moved, axis=0, weights=head.area).tolist()
     }
     for side, sign in (("lateral", -1.0), ("medial", 1.0)):
         for name, z in GAUGES.items():

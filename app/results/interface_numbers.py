@@ -12,12 +12,13 @@ bodies may overlap there.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
 from app.arrays import Bools, Floats, Ints
-from app.case.quantities import computed
+from app.case.quantities import TABLE, computed
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.results.percentiles import SurfaceField
@@ -27,6 +28,8 @@ from meshes.contact_points import ContactPoints
 
 Parts = Sequence["Surface"]
 MICROMOTION = 0.030  # mm: where biology reacts
+# Numbers where loads turn.
+OF_CYCLES = {"motion_p99", "inducible_p99", "dissipation"}
 
 
 def _pressure(pressures: Floats, normals: Floats) -> Floats:
@@ -61,7 +64,6 @@ class ContactSamples:
         contact_work: Work of the pressures in the opening (n,) [N mm].
         own: History variables of the laws, by name: (n, ...).
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
-        numbers: Motion, tractions and states of each interface, by its name.
 
     Args:
         since: Jumps of own points at the last valley of the loads (n, 3) [mm]: ``inducible``
@@ -107,55 +109,79 @@ class ContactSamples:
         if since is not None:
             way = whole(trial.jump - since)
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
-        depths = overlap(contact, trial.jump)
-        surfaces = parts or [Surface(points, i, {}) for i in range(len(contacts))]
-        self.numbers: dict[str, dict[str, Any]] = {
-            c.name: {
-                **_numbers(self, i, surfaces[i]),
+        self._contact, self._jump = contact, trial.jump
+        self._surfaces = parts or [Surface(points, i, {}) for i in range(len(contacts))]
+        self._names = [c.name for c in contacts]
+
+    @cached_property
+    def numbers(self) -> dict[str, dict[str, Any]]:
+        """Motion, tractions and states of each interface, by its name; collective."""
+        depths = overlap(self._contact, self._jump)
+        return {
+            name: {
+                **_numbers(self, i, self._surfaces[i]),
                 **depths[i],
-                "facet_size": contact.edge_lengths[i],
-                **computed("interfaces", self, points.interface == i),
+                "facet_size": self._contact.edge_lengths[i],
+                **computed("interfaces", self, self.interface == i),
             }
-            for i, c in enumerate(contacts)
+            for i, name in enumerate(self._names)
+        }
+
+    @cached_property
+    def history(self) -> dict[str, dict[str, Any]]:
+        """The numbers of every step, those of history.csv among them."""
+        wanted = {key for key, q in TABLE["interfaces"].items() if q.history} | OF_CYCLES
+        return {
+            name: _numbers(self, i, self._surfaces[i], wanted)
+            | computed("interfaces", self, self.interface == i)
+            for i, name in enumerate(self._names)
         }
 
 
-def _numbers(s: ContactSamples, i: int, surface: Surface) -> dict[str, Any]:
+def _numbers(
+    s: ContactSamples, i: int, surface: Surface, wanted: set[str] | None = None
+) -> dict[str, Any]:
+    """Numbers of an interface and its parts; the wanted ones of its main part if not all."""
     at = s.interface == i
-    parts = {part: _of_part(s, surface, part) for part in surface.at}
-    return parts.pop("") | {
+    parts = {part: _of_part(s, surface, part, wanted) for part in ([""] if wanted else surface.at)}
+    main = parts.pop("") | {
         "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
-        "area": float(s.weight[at].sum()) - sum(part["area"] for part in parts.values()),
-        "force": (s.weight[at] @ s.force[at]).tolist(),
         "dissipation": float(s.dissipation[at].sum()),
         "dissipation_min": float(s.least[at].min()),
         "contact_work": float(s.contact_work[at].sum()),
-        **parts,
     }
+    if wanted:
+        return main
+    area = float(s.weight[at].sum()) - sum(part["area"] for part in parts.values())
+    return main | {"area": area, "force": (s.weight[at] @ s.force[at]).tolist(), **parts}
 
 
-def _of_part(s: ContactSamples, surface: Surface, part: str) -> dict[str, Any]:
+def _of_part(
+    s: ContactSamples, surface: Surface, part: str, wanted: set[str] | None
+) -> dict[str, Any]:
     """Sizes of motion and tractions, states, area and force of a part of an interface."""
     at = surface.at[part]
     weight, x = s.weight[at], s.x[at]
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = {}  # of functions, what is asked for is computed
     for name, values in s.sizes.items():
         field = surface.field(values, part)
         here = values[at].reshape(len(x), -1).max(axis=1)
         k = int(np.argmax(here))
         found |= {
             f"{name}_max": float(max(here[k], 0.0)),
-            f"{name}_p95": field.percentile(0.95),
-            f"{name}_p99": field.percentile(0.99),
-            f"{name}_mean": field.mean(),
+            f"{name}_p95": partial(field.percentile, 0.95),
+            f"{name}_p99": partial(field.percentile, 0.99),
+            f"{name}_mean": field.mean,
             f"{name}_max_at": x[k].tolist(),
         }
         if name in ("gap", "slip", "motion"):
-            found[f"area_{name}_over_30um"] = field.area_above(MICROMOTION)
+            found[f"area_{name}_over_30um"] = partial(field.area_above, MICROMOTION)
     for name, state in (("open", OPEN), ("stick", STICK), ("slip", SLIP)):
         found[f"{name}_fraction"] = float(weight[s.status[at] == state].sum() / weight.sum())
-    force = [field.whole * surface.field(f, part).mean() for f in s.force.T]
-    return found | {"area": field.whole, "force": force}
+    found["area"] = field.whole
+    found["force"] = lambda: [field.whole * surface.field(f, part).mean() for f in s.force.T]
+    asked = ((key, value) for key, value in found.items() if not wanted or key in wanted)
+    return {key: value() if callable(value) else value for key, value in asked}
 
 
 class Surface:

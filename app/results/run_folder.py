@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import platform
+import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -34,6 +35,7 @@ CASE_PICTURE = "case.png"
 # Files written at the end, and all of a run directory.
 ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", CASE_PICTURE, "report.html"),)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
+OFTEN = 1.0  # s between two states of history.csv
 PACKAGES = "fenics-dolfinx petsc4py fenics-ufl fenics-basix mpi4py numpy h5py".split()
 log = logging.getLogger("mantle")
 
@@ -74,7 +76,7 @@ class Writer:
         StoppedError: The directory cannot be written.
     """
 
-    saved = ("_rows", "field_steps")
+    saved = ("_columns", "_rows", "field_steps")
 
     def __init__(
         self,
@@ -87,7 +89,9 @@ class Writer:
         again: bool = False,
     ) -> None:
         self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
-        self._rows: list[dict[str, Any]] = []
+        # Rows as text, for a run may have thousands of steps.
+        self._columns, self._rows = list[str](), ""
+        self._written = -OFTEN
 
         def start() -> None:
             files.clear(folder)
@@ -145,16 +149,29 @@ class Writer:
             _write(self._comm, self.fields.close, "final.vtkhdf")
 
     def history(self, row: dict[str, Any]) -> None:
-        """Add a row to history.csv; collective."""
-        self._rows.append(row)
-        self._table()
+        """Add a row to history.csv, which is written now and then; collective."""
+        if new := [name for name in row if name not in self._columns]:
+            self._columns += new
+            self._rows = self._rows.replace("\n", "," * len(new) + "\n")
+        full = {name: row.get(name, "") for name in self._columns}
+        self._rows += csv_text([full]).partition("\n")[2]
+        self._table(OFTEN)
 
-    def _table(self) -> None:
+    def _table(self, often: float = 0.0) -> None:
         path = self.folder / "history.csv"
-        _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
+
+        def write() -> None:
+            if clock.monotonic() - self._written >= often:
+                header = csv_text([dict.fromkeys(self._columns)]).partition("\n")[0]
+                write_text(path, f"{header}\n{self._rows}")
+                self._written = clock.monotonic()
+
+        _write(self._comm, write, str(path))
 
     def finish(self, summary: dict[str, Any], done: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""
+        if self._rows:
+            self._table()
 
         def write() -> None:
             if self.fields and not self.field_steps:  # a grid without any state

@@ -65,6 +65,7 @@ class Stresses:
         # Stiffness over its largest at the points, where it varies.
         self._relative: dict[str, Floats] = {}
         self._compliance: dict[str, Floats] = {}
+        self._places: dict[str, tuple[Floats, Floats]] = {}
         laws: dict[str, Law] = {}
         self._own: dict[str, fem.Expression] = {}
         self._shared: dict[str, Callable[[], fem.Expression]] = {}
@@ -137,9 +138,11 @@ class Stresses:
 
     def places(self, region: str) -> tuple[Floats, Floats]:
         """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points)."""
-        mechanics = self._problem.mechanics
-        x, volumes = mechanics.places(region, self.points[region], self.shares[region])
-        return x.reshape(-1, 3), volumes
+        if region not in self._places:  # all states and variations share them
+            mechanics = self._problem.mechanics
+            x, volumes = mechanics.places(region, self.points[region], self.shares[region])
+            self._places[region] = x.reshape(-1, 3), volumes
+        return self._places[region]
 
     def energy_density(self, region: str) -> Floats:
         r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa].

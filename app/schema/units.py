@@ -118,14 +118,7 @@ def bounds_in_words(schema: dict[str, Any]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Bounded(Scalar):
-    """Marks a number.
-
-    Attributes:
-        above: Exclusive lower bound.
-        at_least: Inclusive lower bound.
-        at_most: Inclusive upper bound.
-        below: Exclusive upper bound.
-    """
+    """Marks a number by its bounds."""
 
     above: float | None = None
     at_least: float | None = None

@@ -34,7 +34,7 @@ from app.version import __version__
 log = logging.getLogger("mantle")
 
 # Version of the file layout.
-FORMAT = 5
+FORMAT = 6
 # Stands for rows in the header, which is an array of its name.
 ROWS = "@rows"
 # Number of checkpoints kept.
@@ -121,12 +121,8 @@ def read(path: Path) -> Checkpoint:
 def find(comm: MPI.Comm, wanted: str, folder: Path, case: Case, force: bool) -> Checkpoint | None:
     """Checkpoint to restart from, or None; collective.
 
-    Args:
-        comm: Communicator.
-        wanted: A file, or ``auto``: the newest readable one in the run directory.
-        folder: The run directory.
-        case: The configuration.
-        force: Whether to accept a checkpoint of another configuration.
+    ``wanted`` is a file, or ``auto``: the newest readable one in the run directory. ``force``
+    accepts one of another configuration.
 
     Raises:
         InputError: It is of another configuration, or the file cannot be read.

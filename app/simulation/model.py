@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 import meshes
 from app.case.case import Case
-from app.case.shapes import Shape
 from app.errors import on_root
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
@@ -26,7 +25,7 @@ from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results.balance import Balance
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
-from app.results.hip import by_zone, of_femur, stem_motion
+from app.results.hip import StemMotion, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples, Surface
 from app.results.stresses import Stresses, bonds
 from app.scene.scene import Scene, Stage, build_scene
@@ -67,12 +66,14 @@ class Mechanical:
     Attributes:
         neighbours: States of earlier models, as warm starts.
         zones: Zones of a hip, if it is one; the interfaces' parts in `surfaces`.
+        stem: The motion of its implant.
     """
 
     saved = ("problem", "solver")
 
-    def __init__(self, problem: Problem, solver: Solver, geometry: Shape, timing: Timing) -> None:
+    def __init__(self, problem: Problem, solver: Solver, case: Case, timing: Timing) -> None:
         self.problem, self.solver, self.zones = problem, solver, None
+        self.stem, geometry = StemMotion(problem, case), case.geometry
         self.surfaces, depth = list[Surface](), None
         if geometry.has_gruen_zones:
             from meshes.gruen import Zones  # brings scipy, which few runs need
@@ -192,7 +193,7 @@ class Model:
         problem = Problem(self.scene, self.tagged, factor, timing, like)
         solves = self._runs * cost.contact_solves(case)
         solver = self._solver(mechanical(problem, solves, memory.available()))
-        return Mechanical(problem, solver, case.geometry, timing)
+        return Mechanical(problem, solver, case, timing)
 
     def _heat(self) -> ThermalModel | None:
         if not self.scene.conductors:
@@ -306,7 +307,7 @@ class Model:
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := bonds(m.problem, m.stresses):
                 numbers["bonds"] = found
-            numbers["stem"] = stem_motion(m.problem, self._case)
+            numbers["stem"] = m.stem(self._case.side)
             if found := of_femur(m.problem, self._case):
                 numbers["femur"] = found
         if t := self.thermal:

@@ -22,7 +22,6 @@ from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
 from app.results.cycles import Cycles
-from app.results.hip import stem_motion
 from app.results.interface_numbers import ContactSamples
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import Stage
@@ -65,10 +64,7 @@ OnAccepted = Callable[[AcceptedStep], None]
 class Recorder:
     """Write converged steps as log lines, table rows, fields and summary; made on all ranks.
 
-    Args:
-        model: The model, at rest.
-        begin: Start of the run, by `time.perf_counter`.
-        progress: Called after each step.
+    ``begin`` is the start of the run, by `time.perf_counter`.
 
     Attributes:
         samples: Contact points after the last step, if there are any.
@@ -159,7 +155,7 @@ class Recorder:
                 since = self._valley.get("jump")
                 self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
             self._total.count(step.outcome)
-            moved = stem_motion(m.problem, self._case)
+            moved = m.stem(self._case.side)
             columns = [q for key, q in TABLE["stem"].items() if q.history and key in moved]
             self._mechanical = self._row_of(step, balance)
             self._mechanical |= {f"stem {q.key} [{q.unit}]": moved[q.key] for q in columns}
@@ -174,7 +170,7 @@ class Recorder:
         way = (step.time - math.ceil(step.time) + 1) * self._stage.ways
         if self._stage.cycles == 1 or not step.whole or abs(way - round(way)) > 1e-6:
             return
-        self._cycles.add(step.stage, stem, self.samples.numbers if self.samples else {})
+        self._cycles.add(step.stage, stem, self.samples.history if self.samples else {})
         if trial is not None and round(way) % 2 == 0:
             self._valley = {"jump": trial.jump.copy()}
 
@@ -188,7 +184,7 @@ class Recorder:
             self._row(step)
 
     def _line(self, step: LoadStep) -> None:
-        interfaces = self.samples.numbers if self.samples else {}
+        interfaces = self.samples.history if self.samples else {}
         fractions = self._fraction(OPEN), self._fraction(SLIP)
         deepest = max((q["penetration_max"] for q in interfaces.values()), default=0.0)
         wall = clock.perf_counter() - self._begin
@@ -210,7 +206,7 @@ class Recorder:
         for name, u in self._displacements().items():
             row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
         columns = [c for c in TABLE["interfaces"].values() if c.history]
-        for name, q in (self.samples.numbers if self.samples else {}).items():
+        for name, q in (self.samples.history if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
         return row
 

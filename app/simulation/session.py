@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -107,9 +106,6 @@ def run(
             "another MPI; use the one of this installation, or mantle run -n"
         )
     blas_check.check(comm)
-    here = os.environ.get("OMPI_COMM_WORLD_LOCAL_SIZE", "")
-    if crowd := blas_check.crowd(int(here) if here.isdigit() else comm.size):
-        log.warning("note: %s", crowd)
     signalled = stopping.signals() if signals else str
     if signals:  # the process is ours: a host's functions and options are left as they are
         form_cache.guard()
@@ -155,26 +151,24 @@ def _vary(setup: Setup, output: Path) -> None:
         StoppedError: Those before are done.
     """
     comm, varied = setup.comm, setup.loaded.variations
-    chain = variations.order(setup.loaded.config, varied)
     mark = output / "DONE"
     on_root(comm, lambda: mark.unlink(missing_ok=True), share=False)
     solved: dict[int, dict[str, Any]] = {}
     if not setup.force and setup.restart in ("", "auto"):
         solved = on_root(comm, lambda: finished_runs.summaries(output, varied)) or {}
-        log.info("%d of %d variations are finished already", len(solved), len(chain))
+        log.info("%d of %d variations are finished already", len(solved), len(varied))
     rows = {
         i: variations.row(varied[i], old, old["status"], old["timing"]["total"])
         for i, old in solved.items()
     }
-    for number, i in enumerate(chain, 1):
+    for i, v in enumerate(varied):
         if i in rows:
             continue
-        v = varied[i]
-        log.info("variation %d of %d: %s", number, len(chain), v.name)
+        log.info("variation %d of %d: %s", i + 1, len(varied), v.name)
         try:
             solved[i] = _variation(setup, v, output / v.name)
         except StoppedError as stop:
-            place = f"variation {v.name} (number {number} of {len(chain)})"
+            place = f"variation {v.name} (number {i + 1} of {len(varied)})"
             raise StoppedError(f"{place}: {stop}") from stop
         status = solved[i].get("status", "not converged")
         rows[i] = variations.row(v, solved[i], status, clock.perf_counter() - setup.begin)
@@ -185,7 +179,7 @@ def _vary(setup: Setup, output: Path) -> None:
     log.info("%s", variations.table(done))
     if failed := [v.name for i, v in enumerate(varied) if not solved[i]]:
         raise ConvergenceError(
-            f"{len(failed)} of {len(chain)} variations did not converge: {', '.join(failed)} "
+            f"{len(failed)} of {len(varied)} variations did not converge: {', '.join(failed)} "
             f"(in {output})"
         )
     on_root(comm, partial(write_text, mark, ""), share=False)
@@ -281,7 +275,6 @@ class _CaseRun:
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
         summary["notes"] = [*self._notes, *well_posedness.doubts(case, summary["regions"])]
-        summary["notes"] += model.thermal.heating.notes if model.thermal else []
         if text.reasons_not_to_use(summary):
             summary["status"] = text.UNUSABLE
         setup.note(summary["notes"])

@@ -207,7 +207,7 @@ def warnings(case: Case) -> list[str]:
     expands = any(r.thermal and r.thermal.thermal_expansion for r in case.regions.values())
     messages += [
         f"interfaces.{name}: expansion and a conductance that grows with pressure feed each other: "
-        "there may be several states, and the initial temperatures decide between them"
+        "there may be several states, not all of them stable; the initial temperatures decide"
         for name, law in case.interfaces.items()
         if expands and isinstance(law.conductance, PressureConductance)
     ]

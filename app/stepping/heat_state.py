@@ -22,7 +22,7 @@ from app.numerics.integrator import METHODS, Method, State
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.scene import Scene
-from app.stepping.coupled_system import CoupledSystem, grows
+from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Summary
 
 # First step of a stage, as a part of an increment, if the rate of change is unknown.
@@ -62,10 +62,9 @@ class HeatState:
         state: Temperatures of own nodes, jumps of own points [K], degrees of cure of own nodes.
         seconds: Time since the start of the run [s].
         total: Counts of steps and iterations so far.
-        notes: Warnings about its states.
     """
 
-    saved = ("seconds", "total", "notes", "state", "_slope", "step", "solver")
+    saved = ("seconds", "total", "state", "_slope", "step", "solver")
 
     def __init__(
         self, scene: Scene, step: ImplicitStep, solver: Solver, coupled: CoupledSystem | None
@@ -78,7 +77,6 @@ class HeatState:
         self.method = METHODS[self.options.method]
         self.seconds = 0.0
         self.total = Summary()
-        self.notes: list[str] = []
         self.state = self._state(step.initial())
         self._slope: State = [np.zeros_like(part) for part in self.state]
         self._stages: list[dict[str, float]] = []
@@ -204,33 +202,6 @@ class HeatState:
         self.state, self._slope = found, [np.zeros_like(part) for part in found]
         self.total.steps += 1
         return HeatStep(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
-
-    def warn_if_unstable(self, stage: str) -> None:
-        """Warn if the steady state of a stage is unstable; collective.
-
-        Checked only where conductance changes with pressures that follow temperature, without cure.
-        """
-        system = self.coupled
-        if system is None or self._curing:
-            return
-        if not system.exchange.expands or system.exchange.pressed is None:
-            return
-        n = len(self.vectors())
-
-        def begin(h: float) -> None:
-            self.step.begin(self.state[:n], self.state[n:], h, self.seconds)
-
-        x = self.solver.blocks()
-        unstable = grows(system, x, begin)
-        begin(np.inf)
-        self.put(self.state)
-        system.residual(x, [v.duplicate() for v in x])
-        if unstable:
-            self.notes.append(
-                f"the steady state of stage '{stage}' is not stable: a small change grows, so that "
-                "nothing stays in it; other initial temperatures, or a stage with a `duration`, "
-                "lead to another"
-            )
 
     # Queries
 

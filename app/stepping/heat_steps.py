@@ -87,7 +87,6 @@ class HeatStepper:
                 "heat and the fields coupled to it did not converge\n"
                 "  what to change: give the stage a duration instead"
             )
-        self.heating.warn_if_unstable(stage.name)
         yield accepted, 1.0, True
 
     def _fixed(self, stage: Stage) -> Steps:

@@ -6,8 +6,7 @@ unnoticed otherwise: it may make residuals small.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -100,16 +99,3 @@ def _factored(definite: np.ndarray, b: np.ndarray) -> float:
 
 def _most(values: np.ndarray) -> float:
     return float(np.abs(values).max())
-
-
-def crowd(ranks: int, environ: Mapping[str, str] = os.environ) -> str:
-    """Warning about more threads than cores on this machine, or ""."""
-    found = (environ.get(f"{name}_NUM_THREADS", "") for name in ("OPENBLAS", "OMP"))
-    threads = next((int(n) for n in found if n.isdigit()), 1)
-    cores = len(os.sched_getaffinity(0))
-    if threads < 2 or ranks * threads <= cores:
-        return ""
-    return (
-        f"{ranks} rank(s) of {threads} threads on {cores} core(s) wait for each other: "
-        "OMP_NUM_THREADS=1 is fastest"
-    )

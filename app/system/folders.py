@@ -7,7 +7,6 @@ import fcntl
 import io
 import json
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,8 +17,6 @@ from typing import Any
 from app import files
 from app.errors import EnvironmentProblem, InputError
 
-# First characters of texts that spreadsheets take for formulas, unless they are numbers.
-FORMULA = re.compile(r"[=@+\-\t\r](?!\d*\.?\d*(e[+-]?\d+)?$)", re.IGNORECASE)
 # File in the folder of a variation that did not converge, with the reason.
 FAILED = "FAILED"
 # Initial caches of users of an image.
@@ -160,20 +157,13 @@ def write_text(path: Path, text: str) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV, with a column for every key of any row.
-
-    Texts that a spreadsheet would run as a formula have an apostrophe in front.
-    """
+    """Rows as CSV, with a column for every key of any row."""
     text = io.StringIO()
     names = dict.fromkeys(name for row in rows for name in row)
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(map(_cell, names))
-    table.writerows([_cell(row.get(name, "")) for name in names] for row in rows)
+    table.writerow(names)
+    table.writerows([row.get(name, "") for name in names] for row in rows)
     return text.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    return f"'{value}" if isinstance(value, str) and FORMULA.match(value) else value
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -198,14 +198,7 @@ PASSED, REFUSED, MISSED, FAILED = OUTCOMES = ("passed", "refused", "missed", "fa
 
 @dataclass(frozen=True)
 class CheckResult:
-    """Result of a check.
-
-    Attributes:
-        outcome: One of `OUTCOMES`.
-        message: Reason of the outcome.
-        sample: Result of its judge, if it was called.
-        order: Fitted order of a ladder.
-    """
+    """Outcome of a check, one of `OUTCOMES`, with its reason; the fitted order of a ladder."""
 
     check: Check
     outcome: str

@@ -12,11 +12,8 @@ from app.verification import judges, measures
 from app.verification.check import Check, Judge, each, row, run
 from app.verification.measures import CEMENT, TITANIUM
 
-STEM, STACK = "stress/stem.yaml", "blocks.yaml"
-BAR, RINGS, WALL, INCLINE, COOK = (
-    f"verification/{name}.yaml"
-    for name in ("foundation_bar", "lame_plane_strain", "wall", "incline", "cook")
-)
+STEM, STACK, BAR = "stress/stem.yaml", "blocks.yaml", "verification/foundation_bar.yaml"
+RINGS, INCLINE = "verification/lame_plane_strain.yaml", "verification/incline.yaml"
 # Tolerance where a closed form is compared with a mesh.
 MESH = 0.02
 BONE = (17e3, 0.3)
@@ -55,19 +52,11 @@ def _augmentation() -> Iterator[Check]:
 
 
 def _penalty() -> Iterator[Check]:
-    """Penalties over the same range: an error of known size, of order -1."""
+    """An error of order -1 in the penalty."""
 
     def law(μ: float, penalty: float, gap: str = "") -> str:
         return f"{{kind: penalty, friction_coefficient: {μ}, penalty: {penalty!r} MPa/mm{gap}}}"
 
-    for factor in map(_power, range(-4, 5)):
-        yield row(
-            f"penalty/bar on a wall/{factor:g}",
-            run(WALL, f"interfaces.wall_bar={law(0.3, 220.0 * factor)}"),
-            each(partial(measures.penetration, penalty=220.0 * factor)),
-            1e-6,
-            tier="quick",
-        )
     # The shrink fit keeps its interference.
     for at, case, μ, gap, decades in (
         ("shrink fit", RINGS, 0, ", gap: -0.01 mm", range(4, 8)),
@@ -129,10 +118,6 @@ def _poisson() -> Iterator[Check]:
             _rings(1.5, 1.5, (TITANIUM, (2200, ν), CEMENT)),
             MESH / 2,
         )
-    for ν in exact.COOK:
-        corner = each(partial(measures.corner, poisson_ratio=ν))
-        case = run(COOK, f"regions.membrane.poisson_ratio={ν}")
-        yield row(f"poisson/Cook P2/{ν:g}", case, corner, MESH / 2, tier="quick")
 
 
 def _friction() -> Iterator[Check]:

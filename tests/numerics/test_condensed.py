@@ -37,7 +37,12 @@ def test_last_block_is_the_factor_of_the_schur_complement() -> None:
     )
     np.testing.assert_allclose(c.schur(), D - C.T @ np.linalg.solve(K, C), atol=1e-12)
     b = np.random.default_rng(1).normal(size=A.shape[0])
-    np.testing.assert_allclose(A @ c.solve(b), b, atol=1e-12)
+    np.testing.assert_allclose(A @ c.up(y := c.down(b)), b, atol=1e-12)
+    pulled = C.T @ np.linalg.solve(K, b[:-108])
+    np.testing.assert_allclose(c.last(y[-108:]), b[-108:] - pulled, atol=1e-12)
+    there = np.concatenate([y[:-108], c.last(b[-108:], transposed=True)])
+    moved = np.linalg.solve(K, b[:-108] - C @ b[-108:])
+    np.testing.assert_allclose(c.up(there), np.concatenate([moved, b[-108:]]), atol=1e-12)
 
 
 # Order, unknowns of displacement and jumps, GFlop and million entries of the factors; whether one

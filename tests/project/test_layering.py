@@ -155,15 +155,6 @@ def test_cases_are_read_and_meshed_without_the_solver(path: Path) -> None:
     assert path.name == "distribute.py" or not unseen & set(map(top, imported(path)))
 
 
-def test_only_reports_know_the_paper() -> None:
-    users = {
-        name
-        for name, path in MODULES.items()
-        if any(i.startswith("app.report.paper") for i in imported(path))
-    }
-    assert {package_of(name) for name in users} == {"report"}
-
-
 @all_of("forms")
 def test_forms_import_only_ufl(path: Path) -> None:
     allowed = sys.stdlib_module_names | {"ufl"}

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 import mantle
 from app.results.reading import Run
+from tests.report.sweeps import Maker
 from tests.support import STEM
 
 FRICTION = "interfaces.stem_cement.friction_coefficient"
@@ -21,3 +24,8 @@ def stems(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Run]:
         case = mantle.load(folder / "case.yaml", **{FRICTION: friction})
         mantle.run(case, folder / name)
     return Run(folder / "smooth"), Run(folder / "rough")
+
+
+@pytest.fixture
+def maker(tmp_path: Path) -> Maker:
+    return Maker(tmp_path)

@@ -93,7 +93,7 @@ def test_the_command_draws_maps_and_files(
     assert main(["report", str(copy)]) == 0
     assert capsys.readouterr().out.splitlines()[0] == str(copy / "report.html")
     names = {p.name for p in (copy / "report").iterdir()}
-    assert {"curves.png", "curves.svg", "map1_stem_cement.png"} <= names
+    assert {"curves.png", "curves.svg", "map_stem_cement.png"} <= names
     assert page(copy).count("data:image/png") == 4 and len(page(copy)) < 3e6
 
 

@@ -13,11 +13,11 @@ import meshes
 from app.case.case import load
 from app.errors import InputError
 from app.heat.heat_forms import HeatForms
-from app.report.paper import bone_peak
 from app.report.sweep_results import SweptCase
-from app.results.hip import stem_motion
+from app.results.hip import StemMotion
 from app.results.thermal_record import ThermalRecord
 from app.system.timing import Timing
+from docs.paper.cases import bone_peak
 from tests import support
 from tests.results.test_thermal_quantities import BODIES, SIDES, Play, constant, two_blocks
 
@@ -70,12 +70,12 @@ def test_a_file_has_to_say_it(tmp_path: Path) -> None:
 def test_the_implant_moves_against_the_bone() -> None:
     """Under 1 MPa all strain by 1 %: what is between nail and cortex is 2 mm, less 0.02 mm."""
     solved = support.solve(STACK)
-    motion = stem_motion(solved.problem, solved.case)
+    motion = StemMotion(solved.problem, solved.case)(solved.case.side)
     assert motion["subsidence"] == pytest.approx(0.02, rel=1e-9)
     assert motion["tip_displacement"] == pytest.approx([0, 0, -0.04], abs=1e-12)
     assert motion["top_displacement"] == pytest.approx([0, 0, -0.1], abs=1e-12)
     boneless = support.case(STACK.replace("tissue: bone", "tissue: other"))
-    assert stem_motion(solved.problem, boneless) == {}
+    assert StemMotion(solved.problem, boneless)(boneless.side) == {}
 
 
 def test_heat_kills_bone_alone() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.results.hip import stem_motion
+from app.results.hip import StemMotion
 from app.results.percentiles import SurfaceField
 from app.results.stresses import Stresses
 from app.system.timing import Timing
@@ -134,7 +134,7 @@ BENT = (
 def test_a_bonded_stem_hardly_moves_against_its_own_bone() -> None:
     """However much the bone bends: its top moves a hundred times as far."""
     solved = support.solve(support.STEM, *BONDED, *BENT)
-    motion = stem_motion(solved.problem, solved.case)
+    motion = StemMotion(solved.problem, solved.case)(solved.case.side)
     top = float(np.linalg.norm(motion["top_displacement"]))
     assert top > 0.03
     assert abs(motion["subsidence"]) < 0.01 * top
@@ -146,7 +146,7 @@ def test_a_hip_that_turns_as_a_whole_has_no_motion_inside() -> None:
     turn = "outer: {kind: displacement, boundary: bone_surface, x: 0.004 * z - 0.008 * y, "
     turn += "y: 0.008 * x - 0.005 * z, z: 0.005 * y - 0.004 * x}"
     solved = support.solve(support.STEM, *BONDED, f"supports={{{turn}}}", "loads={}")
-    motion = stem_motion(solved.problem, solved.case)
+    motion = StemMotion(solved.problem, solved.case)(solved.case.side)
     assert max(abs(motion[k]) for k in ("subsidence", "retroversion", "varus")) < 1e-9
     assert np.linalg.norm(motion["top_displacement"]) > 0.01
 
@@ -164,7 +164,7 @@ def test_a_right_hip_is_the_mirror_image_of_a_left_one() -> None:
             f"loads.torque={{kind: body_force, regions: [stem], density: "
             f"['{sign * 0.05} * y', '{-sign * 0.05} * x', 0 N/mm^3]}}",
         )
-        found.append(stem_motion(solved.problem, solved.case))
+        found.append(StemMotion(solved.problem, solved.case)(solved.case.side))
     left, right = found
     for key in ("subsidence", "retroversion", "varus"):
         assert abs(left[key]) > 1e-5

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -73,15 +72,6 @@ def test_a_wrong_number_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     for error in (1e-3, np.nan, np.inf):
         monkeypatch.setattr(blas_check, "_errors", lambda e=error: iter([("dxyz", e)]))
         assert "computes wrong numbers: dxyz" in str(blas_check.problem())
-
-
-def test_threads_that_have_no_core_are_told() -> None:
-    cores = len(os.sched_getaffinity(0))
-    assert not blas_check.crowd(2 * cores, {"OMP_NUM_THREADS": "1"})
-    assert not blas_check.crowd(1, {"OMP_NUM_THREADS": str(cores)})
-    found = blas_check.crowd(cores, {"OMP_NUM_THREADS": "2"})
-    assert "OMP_NUM_THREADS=1" in found and f"{cores} rank(s) of 2 threads" in found
-    assert blas_check.crowd(2, {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": str(cores)})
 
 
 # ------------------------------------------------------------------------------- compilations

@@ -186,7 +186,7 @@ def numbers(solved: support.Solved, u: Floats, monkeypatch: pytest.MonkeyPatch) 
     gap = np.einsum("fci,fi->fc", jump, n)
     slip = np.linalg.norm(jump - gap[..., None] * n[:, None], axis=2)
     both = (SurfaceField(values, area).percentile() for values in (gap, slip))
-    return [hip.stem_motion(p, solved.case)["subsidence"], *both]
+    return [hip.StemMotion(p, solved.case)(solved.case.side)["subsidence"], *both]
 
 
 @pytest.mark.slow

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import random
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +11,10 @@ import numpy as np
 import pytest
 
 from app.arrays import Floats
-from app.case.case import Case, Varied, dump, load
+from app.case.case import Case, dump, load
 from app.errors import InputError
 from app.mechanics.contact import TrialState
 from app.results.interface_numbers import ContactSamples
-from app.simulation import variations
 from app.simulation.model import Model
 from app.stepping.load_steps import LoadStep
 from app.system.timing import Timing
@@ -148,49 +145,6 @@ def test_what_may_not_vary_is_refused(what: str, tmp_path: Path) -> None:
     assert expected in message
     if "may not" in expected:
         assert "allowed: interfaces.<name>" in message and "loads.<name>.force" in message
-
-
-def test_the_chain_goes_to_the_nearest(tmp_path: Path) -> None:
-    """From the case as it is: first what merely scales, then the next friction, then the fit."""
-    text = STEM + SECTION + "  tied:\n    interfaces.cement_bone: {kind: bonded}\n"
-    path = written(tmp_path, text)
-    found = load(path).variations
-    chain = [found[i].name for i in variations.order(load(path).config, found)]
-    assert sorted(chain) == sorted(v.name for v in found)
-    assert chain[0] == "as_is" and chain[-1] == "tied"
-    assert {n.partition("_")[0] for n in chain[1:4]} == {"mu4"}
-    assert chain.index("fit") > 3
-    # A friction coefficient is left for the next one when all of its loads are done.
-    others = [n.partition("_")[0] for n in chain if n.startswith("mu")]
-    assert others == sorted(others, key=others.index)
-
-
-def grid_of(frictions: int, loads: int, folder: Path) -> tuple[Case, list[Varied]]:
-    """Every combination of so many coefficients of friction and forces, shuffled."""
-    points = list(itertools.product(range(frictions), range(loads)))
-    random.Random(1).shuffle(points)
-    lines = [
-        f"  v{i}_{k}: {{{MU}: {0.1 + 0.001 * i:g}, loads.down.force: '[0, 0, {-100 - k}] N'}}\n"
-        for i, k in points
-    ]
-    path = written(folder, STEM + "variations:\n" + "".join(lines))
-    return load(path).config, load(path).variations
-
-
-def test_the_chain_takes_the_nearest_to_any_before(tmp_path: Path) -> None:
-    """Of a grid: a step of friction is 1, one of the load 0.1; of equals the first is taken."""
-    base, found = grid_of(4, 3, tmp_path)
-    places = [tuple(map(int, v.name[1:].split("_"))) for v in found]
-    # The case itself has more friction than any and a larger load.
-    known, left, expected = [(4, 3)], list(range(len(found))), []
-    while left:
-        far = [
-            min(abs(places[i][0] - a) + 0.1 * abs(places[i][1] - b) for a, b in known) for i in left
-        ]
-        nearest = min(far)
-        expected.append(left.pop(next(n for n, f in enumerate(far) if f < nearest + 1e-9)))
-        known.append(places[expected[-1]])
-    assert variations.order(base, found) == expected
 
 
 # What they give

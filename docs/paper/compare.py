@@ -1,24 +1,32 @@
-"""The paper's published numbers beside mantle's, and its figures 3 to 8 redrawn.
+r"""Compare a sweep with the paper by Rakotomanana and Ramaniraka, for docs/paper.md.
 
-The numbers are in `paper_numbers.csv`; a remark says where they contradict themselves or each
-other.
+    ./mantle sweep configs/sweeps/paper.yaml -o out/paper
+    ./mantle shell -c 'python3 -m docs.paper.compare out/paper'
+
+writes the paper's Figures 3 to 8, ``figure3.png`` and so on, and ``paper.md`` into the folder: a
+verdict on each trend, and each published number beside mantle's. The numbers are in `numbers.csv`;
+a remark says where they contradict themselves or each other. A sweep that is not finished is
+compared as far as it is.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+import statistics
+import sys
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from app.case.quantities import numbers_of
-from app.report import paper
-from app.report.curves import Line, Panel, draw, in_words, too_few
-from app.report.page import Figure
-from app.report.paper import READINGS, REFERENCE, STEMS, Cases, labels
-from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named
+from app.case.quantities import numbers_of, printed
+from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named, read
+from app.system import style
+from app.system.style import COLOURS, MARKERS
+from docs.paper import cases as paper
+from docs.paper.cases import READINGS, REFERENCE, STEMS, Cases, labels
+from docs.paper.claims import CLAIMS, judge
 
 # The paper's sliding may be slip in contact, or all relative motion of the sides.
 READINGS_OF = {"slip": ("slip", "motion")}
@@ -55,13 +63,13 @@ class Fact:
         """Whether it is about a mantle of a thickness [mm]."""
         if self.thickness.startswith(">"):
             return thickness > float(self.thickness[1:])
-        return any(paper.same(thickness, float(t)) for t in self.thickness.split("-") if t)
+        return thickness in {float(t) for t in self.thickness.split("-") if t}
 
 
 @cache
 def facts() -> list[Fact]:
     """Numbers that the paper reports; of both stems once for each."""
-    with Path(__file__).with_name("paper_numbers.csv").open(encoding="utf-8", newline="") as file:
+    with Path(__file__).with_name("numbers.csv").open(encoding="utf-8", newline="") as file:
         rows: list[dict[str, Any]] = list(csv.DictReader(file))
     found = []
     for row in rows:
@@ -193,49 +201,53 @@ def _extremes(fact: Fact, cases: Cases) -> Iterator[ComparedNumber]:
 
 # Figures
 
-# By number: title, parameter, quantities.
-FIGURES: dict[int, tuple[str, str, tuple[str, ...]]] = {
-    3: ("Largest debonding", "thickness", ("gap",)),
-    4: ("Largest interfacial shear stress", "thickness", ("shear",)),
-    5: ("Largest sliding and motion", "thickness", ("slip", "motion")),
-    6: ("Debonding, sliding, motion", "friction", ("gap", "slip", "motion")),
-    7: ("Pressure and shear", "friction", ("pressure", "shear")),
-    8: ("Highest temperatures", "thickness", ("temperature",)),
+# By number: parameter, quantities.
+FIGURES: dict[int, tuple[str, tuple[str, ...]]] = {
+    3: ("thickness", ("gap",)),
+    4: ("thickness", ("shear",)),
+    5: ("thickness", ("slip", "motion")),
+    6: ("friction", ("gap", "slip", "motion")),
+    7: ("friction", ("pressure", "shear")),
+    8: ("thickness", ("temperature",)),
 }
-# By parameter: in titles, on axes, and several of them.
-OVER = {
-    "thickness": ("the thickness of the mantle", "thickness of the mantle (mm)", "thicknesses"),
-    "friction": (
-        "the cement-bone friction",
-        "friction coefficient of the cement-bone interface",
-        "frictions",
-    ),
-}
+AXES = {"thickness": "thickness of the mantle (mm)"}
+AXES["friction"] = "friction coefficient of the cement-bone interface"
+# Largest over smallest value from which an axis is logarithmic.
+DECADE = 12.0
+PEAKS = {"alpha": 0.45, "mfc": "white", "ms": 4.5, "lw": 1, "ls": (0, (3, 2)), "zorder": 2}
+CURVE = {"ms": 5.5, "lw": 1.6, "capsize": 3, "zorder": 3}
+STARS = {"marker": "*", "mec": "0.15", "mew": 0.7, "ms": 12, "ls": "", "zorder": 4}
 
 
-def figures(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
-    """Draw the paper's figures that there are cases for.
+class Line(NamedTuple):
+    """A curve: numbers and largest values over x, and the paper's values."""
 
-    Returns:
-        The figures, and reasons for those missing.
-    """
-    drawn, missing = [], []
-    for number, (title, over, quantities) in FIGURES.items():
-        words, axis, several = OVER[over]
-        hot = quantities == ("temperature",)
-        if hot:
+    label: str
+    numbers: dict[float, Number]
+    peaks: dict[float, Number]
+    stars: Sequence[tuple[float, float]]
+
+
+class Panel(NamedTuple):
+    """Axes with curves."""
+
+    title: str
+    y: str
+    lines: list[Line]
+
+
+def figures(cases: Cases, folder: Path) -> list[Path]:
+    """Draw the paper's figures that have a curve of two points, into a folder."""
+    drawn = []
+    for number, (over, quantities) in FIGURES.items():
+        if quantities == ("temperature",):
             panels = [_temperatures(cases, place) for place in ("cement", "cement_bone")]
         else:
             panels = [_panel(cases, p, q, over) for q in quantities for p in INTERFACES]
-        if too_few(panels):
-            of = "case of hot cement" if hot else "stem"
-            missing.append(f"figure {number}: no {of} at two {several}")
-            continue
-        name = f"figure{number}.png"
-        draw(folder / name, panels, axis, 2)
-        title = f"Figure {number}. {title} over {words}"
-        drawn.append(Figure(name, title, "", in_words(panels)))
-    return drawn, missing
+        if any(max(len(x.numbers), len(x.peaks)) > 1 for p in panels for x in p.lines):
+            drawn.append(folder / f"figure{number}.png")
+            draw(drawn[-1], panels, AXES[over])
+    return drawn
 
 
 def published(stem: str, place: str, quantity: str, over: str) -> list[tuple[float, float]]:
@@ -253,26 +265,126 @@ def published(stem: str, place: str, quantity: str, over: str) -> list[tuple[flo
 
 def _panel(cases: Cases, place: str, quantity: str, over: str) -> Panel:
     lines = []
-    for k, stem in enumerate(STEMS):
+    for stem in STEMS:
         family = cases.over(over, stem=stem)
-        values, most = (
-            paper.series(family, paper.contact(place, quantity, how))
-            for how in ("percentile", "max")
-        )
+        of = (paper.contact(place, quantity, how) for how in ("percentile", "max"))
+        values, most = (paper.series(family, number) for number in of)
         stars = published(stem, place, "slip" if quantity == "motion" else quantity, over)
-        lines.append(Line(stem, k, values, most, stars, own_stars=True))
+        lines.append(Line(stem, values, most, stars))
     return Panel(named(place), f"{named(quantity)} ({QUANTITIES[quantity][0]})", lines)
 
 
 def _temperatures(cases: Cases, place: str) -> Panel:
+    """Of each model and reading; the paper's values stand at the first."""
     lines = []
     stars = published("CoCr", place, "temperature", "thickness")
     cement = place == "cement"
-    for k, family in enumerate(cases.heats().values()):
+    for family in cases.heats().values():
         label = _heat_label(next(iter(family.values())))
         values = paper.series(family, paper.cement_peak if cement else paper.bone_p99)
         peaks = {} if cement else paper.series(family, paper.bone_peak)
-        lines.append(Line(label, k, values, peaks, stars))
+        lines.append(Line(label, values, peaks, stars))
         stars = []
     title = "cement" if cement else "bone at the cement-bone interface"
     return Panel(title, "temperature (°C)", lines)
+
+
+def draw(path: Path, panels: Sequence[Panel], x: str) -> None:
+    """Draw panels over x in rows of two: percentiles with bars, light maxima, the paper's stars."""
+    figure, every = style.panels(len(panels), 2, 4.7, 3.2)
+    for axes, panel in zip(every, panels, strict=True):
+        axes.set_title(panel.title, fontsize=11, loc="left")
+        axes.set(xlabel=x, ylabel=panel.y)
+        style.grid(axes)
+        xs = sorted({x for line in panel.lines for x in (*line.numbers, *line.peaks)} or {0.0})
+        for k, line in enumerate(panel.lines):
+            # Side by side, so that bars of equal numbers can both be seen.
+            shift = 0.012 * (xs[-1] - xs[0]) * (k - 0.5 * (len(panel.lines) - 1))
+            own: dict[str, Any] = {"color": COLOURS[k], "marker": MARKERS[k]}
+            at, most = [x + shift for x in line.peaks], [n.value for n in line.peaks.values()]
+            axes.plot(at, most, **own, **PEAKS)
+            at, values = [x + shift for x in line.numbers], [n.value for n in line.numbers.values()]
+            errors = [n.error or 0.0 for n in line.numbers.values()]
+            axes.errorbar(at, values, yerr=errors, label=line.label, **own, **CURVE)
+            at, values = [x + shift for x, _ in line.stars], [v for _, v in line.stars]
+            axes.plot(at, values, color=COLOURS[k], label="paper" * (not k), **STARS)
+        numbers = [n for x in panel.lines for n in (*x.numbers.values(), *x.peaks.values())]
+        shown = [n.value for n in numbers] + [v for line in panel.lines for _, v in line.stars]
+        if min(shown, default=0.0) > 0 and max(shown) > DECADE * min(shown):
+            axes.set_yscale("log")
+        elif "°C" not in panel.y:
+            # From zero, so that differences within the noise of the mesh look small.
+            axes.set_ylim(bottom=0)
+        axes.set_xticks(xs, [f"{x:g}" for x in xs])
+    handles = style.handles(every)
+    place = {"loc": "outside lower center", "ncols": 3, "frameon": False}
+    figure.legend(handles.values(), handles.keys(), fontsize=9, **place)
+    figure.savefig(path, dpi=120)
+
+
+# The page
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def trends(cases: Cases) -> str:
+    """The verdict on each trend."""
+    head = ["", "the paper says", "verdict", "by maxima", "because", "causes tried of a difference"]
+    rows = []
+    for t in judge(cases):
+        because = "; ".join(map(": ".join, t.parts))
+        rows.append([t.name, CLAIMS[t.name[:3]], t.verdict, t.peaks, because, t.tried])
+    return table(head, rows)
+
+
+def number_by_number(rows: Sequence[ComparedNumber]) -> str:
+    """Each number of the paper beside mantle's."""
+    head = ["", "stem", "mm", "where", "what", "paper", "max", "percentile", "max / paper"]
+    head += ["percentile / paper", "case, remarks"]
+    lines = []
+    for r in rows:
+        f = r.fact
+        sign = {"exceeded": "> ", "not exceeded": "< "}.get(f.kind, "")
+        line = [f.id, f.stem, f.thickness if r.thickness is None else f"{r.thickness:g}"]
+        line += [named(f.place), named(f.quantity) + f" (as {r.quantity})" * bool(r.quantity)]
+        line += [f"{sign}{f.value:g} {printed(f.unit)}", "-" if r.peak is None else f"{r.peak:.3g}"]
+        line += [str(r.number or "-"), *("-" if x is None else f"{x:.2g}" for x in r.ratios)]
+        own = (r.case, r.remark, f"paper: {f.remark}" if f.remark else "")
+        lines.append([*line, "; ".join(filter(None, own))])
+    return table(head, lines)
+
+
+def ratios(rows: Sequence[ComparedNumber]) -> str:
+    """Ratios of mantle's numbers to the paper's, over all peaks of the stance."""
+    of_stance = [r for r in rows if r.fact.kind == "peak" and r.fact.model == "stance"]
+    found = [r.ratios for r in of_stance if not r.quantity]
+    peaks = [p for p, _ in found if p is not None]
+    settled = [q for _, q in found if q is not None]
+    if not peaks or not settled:
+        return ""
+    near = sum(0.5 <= p <= 2.0 for p in peaks)
+    return (
+        f"Over {len(peaks)} peaks of single-limb stance, mantle's largest value is "
+        f"{statistics.median(peaks):.2g} times the paper's in the median (from {min(peaks):.2g} to "
+        f"{max(peaks):.2g}; {near} within a factor of 2), its percentile "
+        f"{statistics.median(settled):.2g} times.\n"
+    )
+
+
+def main(folder: Path) -> None:
+    """Write figures and page into the folder of a sweep."""
+    cases = Cases(read(folder))
+    rows = compare(cases)
+    page = folder / "paper.md"
+    text = "\n".join(filter(None, (trends(cases), ratios(rows), number_by_number(rows))))
+    page.write_text(text, encoding="utf-8")
+    for path in (*figures(cases, folder), page):
+        sys.stdout.write(f"{path}\n")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,8 +1,4 @@
-"""The paper by Rakotomanana and Ramaniraka: its cases in a sweep, and their temperatures.
-
-A sweep with ``compare_with: paper`` names its parts as `configs/sweeps/paper.yaml` does; the
-paper's cases are known by these names.
-"""
+"""The paper's cases in a sweep, by the parts of `configs/sweeps/paper.yaml`; their numbers."""
 
 from __future__ import annotations
 
@@ -53,7 +49,7 @@ Numbers = Callable[[SweptCase], Number | None]
 
 
 class Cases:
-    """Cases of the paper in a sweep; none if the sweep is not compared with it.
+    """Cases of the paper in a sweep.
 
     Attributes:
         stances: Single-limb stances on a stem in contact with its cement.
@@ -65,19 +61,14 @@ class Cases:
     """
 
     def __init__(self, sweep: SweepResults, cause: str = "") -> None:
-        own = sweep.cases if sweep.compare_with == "paper" else ()
         parts = {cause: "stance"} if cause else MODELS
         # Of equal cases the finer counts, then the first: the last overwrites.
-        known = [c for c in sorted(reversed(own), key=lambda c: c.unknowns) if c.part in parts]
-        self.stances = [
-            c for c in known if parts[c.part] == "stance" and _friction(c, "stem_cement")
-        ]
+        ordered = sorted(reversed(sweep.cases), key=lambda c: c.unknowns)
+        known = [c for c in ordered if c.part in parts]
+        stances = [c for c in known if parts[c.part] == "stance"]
+        self.stances = [c for c in stances if _friction(c, "stem_cement")]
         self.hot = [c for c in known if parts[c.part] != "stance"]
         self.causes = {} if cause else {w: Cases(sweep, part) for part, w in CAUSES.items()}
-
-    def __bool__(self) -> bool:
-        """Whether any has results."""
-        return any(c.done for c in (*self.stances, *self.hot))
 
     def over(self, parameter: str, done: bool = True, **others: Any) -> Family:
         """Stances by stem, thickness or friction; the others as given, or of the reference."""
@@ -91,25 +82,12 @@ class Cases:
         found = {(m, r): _family(own, "thickness", {"model": m, "reading": r}) for m, r in pairs}
         return {key: family for key, family in found.items() if family}
 
-    def representative(self) -> list[list[tuple[str, SweptCase]]]:
-        """Cases to draw in groups: both stems at 4 and 2 mm, the ends of each reading of heat."""
-        stances = []
-        for stem in STEMS:
-            family = self.over("thickness", stem=stem)
-            stances += [(f"{stem}, {t:g} mm", family[t]) for t in (4.0, 2.0) if t in family]
-        hot = []
-        for (model, reading), family in self.heats().items():
-            if model == "femur":
-                ends = dict.fromkeys((min(family), max(family)))
-                hot += [(f"100 °C {reading}, {t:g} mm", family[t]) for t in ends]
-        return [group for group in (stances, hot) if group]
-
 
 def _family(cases: Iterable[SweptCase], parameter: str, fixed: Mapping[str, Any]) -> Family:
     found = {}
     for case in cases:
         own = labels(case)
-        if own[parameter] is not None and all(same(own[key], v) for key, v in fixed.items()):
+        if own[parameter] is not None and all(own[key] == v for key, v in fixed.items()):
             found[own[parameter]] = case
     return dict(sorted(found.items(), key=lambda item: STEMS.get(item[0], item[0])))
 
@@ -142,13 +120,6 @@ def conductance(case: SweptCase) -> str:
         return str(h.get("kind", "perfect"))
     value = magnitude(h)
     return "perfect" if value is None else f"{1e3 * value:.4g} W/(m²K)"
-
-
-def same(a: Any, b: Any) -> bool:
-    """Whether two labels are equal, numbers to rounding."""
-    if isinstance(a, float):
-        return math.isclose(a, b, rel_tol=1e-6)
-    return bool(a == b)
 
 
 def contact(place: str, quantity: str, how: str) -> Numbers:
@@ -222,18 +193,20 @@ def bone_p99(case: SweptCase) -> Number | None:
     thinnest and depend on the mesh; this does not.
     """
     with suppress(OSError, LookupError, ValueError, MantleError):
-        geometry, run = read_geometry(case.data, case.folder), Run(case.folder)
-        step = -1
+        run, step = Run(case.folder), -1
         if labels(case)["reading"] == "initial":
-            after = AT / (magnitude(case.data["stages"][0].get("duration")) or math.nan)
-            step = int(np.flatnonzero(np.isclose(run.times, 1.0) & same(after, 1.0))[0])
+            duration = magnitude(case.data["stages"][0]["duration"])
+            if duration is None or not math.isclose(duration, AT):
+                return None
+            step = int(np.flatnonzero(np.isclose(run.times, 1.0))[0])
+        geometry = read_geometry(case.data, case.folder)
         if geometry is None:
             return None
-        T = run.temperature(step)
         sides = geometry.interface_sides["cement_bone"]
-        first, second = ([1 + geometry.region_names.index(r) for r in side] for side in sides)
+        first, second = ([run.regions[r] for r in side] for side in sides)
         triangles = facets(run, second, first)
         a, b, c = (run.points[triangles[:, k]] for k in range(3))
         areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        return Number(percentile(T[triangles].mean(axis=1), areas))
+        T = run.temperature(step)[triangles].mean(axis=1)
+        return Number(percentile(T, areas))
     return None

@@ -8,21 +8,20 @@ so that percentiles decide and peaks are given beside them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from app.report import paper
 from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named
 from app.system.layout import plain
+from docs.paper import cases as paper
+from docs.paper.cases import Cases
 
-VERDICTS = AGREES, DIFFERS, UNDECIDED = "agrees", "differs", "undecided"
+AGREES, DIFFERS, UNDECIDED = "agrees", "differs", "undecided"
 FLAT = 0.20  # relative spread up to which a number counts as constant
 MUCH = 2.0  # factor that "drastically" is taken to mean at least
 ROUNDING = 1e-6  # relative difference that is none
 AT = {"stem": "{} stem", "thickness": "{} mm", "friction": "friction {}"}  # by parameter
 MISSING = "no results of"
-NAMED = 3  # cases named of those in which a statement does not hold
 
 
 class Statement(NamedTuple):
@@ -32,23 +31,20 @@ class Statement(NamedTuple):
     text: str
 
 
-@dataclass(frozen=True)
-class Trend:
+class Trend(NamedTuple):
     """A trend that the paper reports.
 
     Attributes:
         name: ``T-a`` .. ``T-h``; of ``T-g`` with the model and the reading of "100 degrees".
-        claim: The paper's statement.
         parts: Statements it consists of, by percentiles.
         peaks: The verdict by peaks, which have no errors; empty where there are none.
         causes: Verdicts where something was varied that the paper does not tell, by its name.
     """
 
     name: str
-    claim: str
     parts: Sequence[Statement]
     peaks: str = ""
-    causes: Mapping[str, str] = field(default_factory=dict)
+    causes: Mapping[str, str] = {}
 
     @property
     def verdict(self) -> str:
@@ -58,10 +54,8 @@ class Trend:
     @property
     def tried(self) -> str:
         """Causes tried of a difference, each with its verdict; empty if there is none."""
-        if self.verdict != DIFFERS:
-            return ""
         each = [f"{words} ({verdict})" for words, verdict in self.causes.items()]
-        return f"causes tried: {', '.join(each) or 'none'}"
+        return ", ".join(each) if self.verdict == DIFFERS else ""
 
 
 def _all(verdicts: Iterable[str]) -> str:
@@ -110,13 +104,9 @@ def constant(
     if len(values) < 2:
         return _missing(f"{label} at two values or more")
     low, high = (pick(values, key=lambda x: values[x].value) for pick in (min, max))
-    a, b = values[low], values[high]
-    spread = 2 * abs(b.value - a.value) / (abs(a.value) + abs(b.value) or 1.0)
-    text = (
-        f"{label}: {a} to {b} {unit} (at {_at(over, low)} and {_at(over, high)}), "
-        f"spread {100 * spread:.2g} % (allowed {100 * tolerance:g} %)"
-    )
-    return Statement(alike(a, b, tolerance), text)
+    text = f"{label}: {values[low]} to {values[high]} {unit} (at {_at(over, low)} and "
+    text += f"{_at(over, high)}; allowed: {100 * tolerance:g} %)"
+    return Statement(alike(values[low], values[high], tolerance), text)
 
 
 def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Statement:
@@ -124,24 +114,16 @@ def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Stat
     thicker = {t: n for t, n in values.items() if 3 <= t <= 5}
     if 2.0 not in values or not thicker:
         return _missing(f"{label} at 2 mm and thicker")
-    t = max(thicker, key=lambda t: thicker[t].value)
-    text = (
-        f"{label}: {values[2.0]} {unit} at 2 mm, at most {thicker[t]} from 3 to 5 mm (at {t:g} mm; "
-        f"asked: {MUCH:g} times)"
-    )
-    return Statement(exceeds(values[2.0], thicker[t], MUCH), text)
+    most = max(thicker.values(), key=lambda n: n.value)
+    text = f"{label}: {values[2.0]} {unit} at 2 mm, at most {most} from 3 to 5 mm (asked: {MUCH:g} "
+    return Statement(exceeds(values[2.0], most, MUCH), f"{text}times)")
 
 
-def above(label: str, pairs: Iterable[tuple[str, Number | None, Number | None]]) -> Statement:
+def above(label: str, pairs: Iterable[tuple[Number | None, Number | None]]) -> Statement:
     """Whether the first number exceeds the second in every case that has both."""
-    found = {name: exceeds(a, b) for name, a, b in pairs if a and b}
-    if not found:
-        return _missing(label)
-    text = f"{label}: in {sum(v == AGREES for v in found.values())} of {len(found)} cases"
-    if others := [name for name, v in found.items() if v != AGREES]:
-        more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
-        text += f"; not in {', '.join(others[:NAMED])}{more}"
-    return Statement(_all(found.values()), text)
+    found = [exceeds(a, b) for a, b in pairs if a and b]
+    text = f"{label}: in {found.count(AGREES)} of {len(found)} cases"
+    return Statement(_all(found), text) if found else _missing(label)
 
 
 def _at(over: str, value: object) -> str:
@@ -167,16 +149,13 @@ CLAIMS = {
 }
 BONE, STEM = INTERFACES
 falls, flat = partial(rises, up=False), partial(constant, tolerance=FLAT)
+far, beyond = far_more_when_thin, partial(flat, beyond=3.0)
 # T-a to T-e: a relation of a quantity of an interface over a parameter.
 FAMILIES: tuple[tuple[str, str, Relation, str, str], ...] = (
     ("T-a", "stem", partial(constant, tolerance=0.02), BONE, "slip"),
     ("T-a", "stem", partial(constant, tolerance=0.05), BONE, "shear"),
-    ("T-b", "thickness", far_more_when_thin, BONE, "slip"),
-    ("T-b", "thickness", far_more_when_thin, BONE, "gap"),
-    ("T-c", "thickness", partial(flat, beyond=3.0), BONE, "pressure"),
-    ("T-c", "thickness", partial(flat, beyond=3.0), BONE, "shear"),
-    ("T-c", "thickness", partial(flat, beyond=3.0), STEM, "pressure"),
-    ("T-c", "thickness", partial(flat, beyond=3.0), STEM, "shear"),
+    *(("T-b", "thickness", far, BONE, quantity) for quantity in ("slip", "gap")),
+    *(("T-c", "thickness", beyond, on, of) for on in INTERFACES for of in ("pressure", "shear")),
     ("T-d", "friction", falls, BONE, "slip"),
     ("T-d", "friction", rises, BONE, "gap"),
     ("T-d", "friction", rises, BONE, "pressure"),
@@ -193,30 +172,24 @@ ORDER = (
 )
 
 
-def judge(cases: paper.Cases) -> list[Trend]:
+def judge(cases: Cases) -> list[Trend]:
     """All trends."""
     by_percentiles, by_maxima = (_contact(cases, how) for how in ("percentile", "max"))
-    varied = {
-        words: _contact(own, "percentile") for words, own in cases.causes.items() if own.stances
+    varied = {w: _contact(own, "percentile") for w, own in cases.causes.items() if own.stances}
+    contact = []
+    for name, parts in by_percentiles.items():
+        # What was tried with one stem leaves the statements on the other without results.
+        known = {w: [p for p in of[name] if MISSING not in p.text] for w, of in varied.items()}
+        causes = {words: _all(v for v, _ in of) for words, of in known.items()}
+        contact.append(Trend(name, parts, _all(v for v, _ in by_maxima[name]), causes))
+    readings = {
+        words: _all(v for v, _ in _remaining([c for c in cases.hot if _reading(c) == reading]))
+        for reading, words in paper.READINGS.items()
     }
-    contact = [
-        Trend(
-            name,
-            CLAIMS[name],
-            parts,
-            _all(v for v, _ in by_maxima[name]),
-            # What was tried with one stem leaves the statements on the other without results.
-            {
-                words: _all(v for v, text in found[name] if not text.startswith(MISSING))
-                for words, found in varied.items()
-            },
-        )
-        for name, parts in by_percentiles.items()
-    ]
-    return [*contact, *_heat(cases), _residual(cases.hot)]
+    return [*contact, *_heat(cases), Trend("T-h", _remaining(cases.hot), causes=readings)]
 
 
-def _contact(cases: paper.Cases, how: str) -> dict[str, list[Statement]]:
+def _contact(cases: Cases, how: str) -> dict[str, list[Statement]]:
     """T-a to T-f, by percentiles or by maxima."""
     found: dict[str, list[Statement]] = {}
     for name, over, relation, place, quantity in FAMILIES:
@@ -227,9 +200,8 @@ def _contact(cases: paper.Cases, how: str) -> dict[str, list[Statement]]:
             found.setdefault(name, []).append(statement)
     for more, less in ORDER:
         a, b = (paper.contact(*of, how) for of in (more, less))
-        pairs = ((c.name, a(c), b(c)) for c in cases.stances)
-        statement = above(f"{_name(*more)} above {_name(*less)}", pairs)
-        found.setdefault("T-f", []).append(statement)
+        pairs = ((a(c), b(c)) for c in cases.stances)
+        found.setdefault("T-f", []).append(above(f"{_name(*more)} above {_name(*less)}", pairs))
     return found
 
 
@@ -237,8 +209,8 @@ def _name(place: str, quantity: str) -> str:
     return f"{named(place)} {named(quantity)}"
 
 
-def _heat(cases: paper.Cases) -> list[Trend]:
-    """T-g, for each reading of "100 degrees"."""
+def _heat(cases: Cases) -> list[Trend]:
+    """T-g, for each reading of "100 degrees", whose causes are the other readings."""
     trends = []
     for (model, reading), family in cases.heats().items():
         of = paper.cement_peak, paper.bone_peak, paper.bone_p99
@@ -246,18 +218,15 @@ def _heat(cases: paper.Cases) -> list[Trend]:
         hotter = rises("cement", cement, "°C", "thickness")
         by_peak = rises("bone at the interface", bone, "°C", "thickness")
         by_p99 = rises("bone at the interface, p99", p99, "°C", "thickness")
-        pairs = ((c.name, cement.get(t), _hottest_beside(c)) for t, c in family.items())
+        pairs = ((cement.get(t), _hottest_beside(c)) for t, c in family.items())
         hottest = above("cement above all else after 10 s", pairs)
         # The percentile is known where fields were written.
         parts = [hotter, by_p99 if len(p99) > 1 else by_peak, hottest]
         peaks = _all(v for v, _ in (hotter, by_peak, hottest))
-        trends.append(Trend(f"T-g ({model}, {reading})", CLAIMS["T-g"], parts, peaks))
-    each = {trend.name: trend.verdict for trend in trends}
-    trends = [
-        replace(trend, causes={k: v for k, v in each.items() if k != trend.name})
-        for trend in trends
-    ]
-    return trends or [Trend("T-g", CLAIMS["T-g"], [_missing("cement of 100 °C")])]
+        trends.append(Trend(f"T-g ({model}, {reading})", parts, peaks))
+    each = {t.name: t.verdict for t in trends}
+    trends = [t._replace(causes={k: v for k, v in each.items() if k != t.name}) for t in trends]
+    return trends or [Trend("T-g", [_missing("cement of 100 °C")])]
 
 
 def _hottest_beside(case: SweptCase) -> Number | None:
@@ -267,34 +236,21 @@ def _hottest_beside(case: SweptCase) -> Number | None:
     return max(known, key=lambda n: n.value) if known else None
 
 
-def _residual(cases: Sequence[SweptCase]) -> Trend:
-    """T-h; its causes are the readings of "100 degrees"."""
-    readings = {
-        words: _all(v for v, _ in _remaining([c for c in cases if _reading(c) == reading]))
-        for reading, words in paper.READINGS.items()
-    }
-    return Trend("T-h", CLAIMS["T-h"], _remaining(cases), causes=readings)
-
-
 def _reading(case: SweptCase) -> str:
     return str(paper.labels(case)["reading"])
 
 
 def _remaining(cases: Sequence[SweptCase]) -> list[Statement]:
-    """Signs of normal tractions as the cement cools."""
+    """T-h: signs of normal tractions as the cement cools."""
     parts: list[Statement] = []
-    for kind, key, what in (
-        ("bonded", "normal_max", "tension"),
-        ("unilateral", "pressure_max", "compression"),
-    ):
-        known = len(parts)
-        for place in INTERFACES:
-            found = [n.value for c in cases if (n := c.number(f"{place}.{key}"))]
+    signs = (("bonded", "normal_max", "tension"), ("unilateral", "pressure_max", "compression"))
+    for kind, key, what in signs:
+        known = {p: [n.value for c in cases if (n := c.number(f"{p}.{key}"))] for p in INTERFACES}
+        for place, found in known.items():
             if found:
-                low, high = min(found), max(found)
-                text = f"{named(place)} {kind}: {what} of {low:.3g} to {high:.3g} MPa at most in "
-                text += f"{len(found)} case{'s' * (len(found) > 1)}"
-                parts.append(Statement(AGREES if low > 0 else DIFFERS, text))
-        if len(parts) == known:
+                text = f"{named(place)} {kind}: {what} of {min(found):.3g} to {max(found):.3g} MPa "
+                text += f"at most in {len(found)} cases"
+                parts.append(Statement(AGREES if min(found) > 0 else DIFFERS, text))
+        if not any(known.values()):
             parts.append(_missing(f"a case that cools with a {kind} interface and mechanics"))
     return parts
