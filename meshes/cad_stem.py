@@ -1,7 +1,8 @@
 """A stem from CAD in a hip: points of its surface in the sections of the mesh.
 
 Above the neck cut sections turn on until they are across the neck, about points that lead from the
-stem's axis to the neck's. Rays from these points meet the surface, which is triangles, once.
+stem's axis to the neck's, from the cut on or from the shoulder, if that is lower. Rays from these
+points meet the surface, which is triangles, once.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from app.arrays import Floats
 from app.errors import GeometryError
@@ -22,7 +24,7 @@ from meshes.placement import Placement
 ROUND = 720  # rays around
 THETA = 2 * np.pi * np.arange(ROUND) / ROUND
 HIDDEN = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
-TIP = 3.0  # mm above the tip from which the mantle goes on below it
+TIP = 3.0  # mm above the tip, and below the shoulder, from which the mantle goes on beyond
 NECK = 0.38  # of the neck's length: what the points between axis and neck head for
 INSIDE = 1e-3  # mm that the last section is within the neck
 
@@ -58,34 +60,48 @@ class CadStem:
         ends: Steps above the neck cut.
     """
 
-    def __init__(self, found: dict[str, Floats], low: float, placed: Placement, mesh: Any) -> None:
-        """The tip is at a level of the stem's axes [mm]."""
-        self._low, self._placed = low, placed
-        way, shift = [1.0, -1.0 if placed.mirrored else 1.0, 1.0], np.array([0.0, 0.0, low])
+    def __init__(
+        self, found: dict[str, Any], ends: tuple[float, float], placed: Placement, mesh: Any
+    ) -> None:
+        """Ends are the level of the tip and the height of the shoulder, or of the cut [mm]."""
+        (self._low, high), self._placed = ends, placed
+        self._high = self._low + found["shoulder"] - TIP if high < placed.top else np.inf
+        way, shift = [1.0, -1.0 if placed.mirrored else 1.0, 1.0], np.array([0.0, 0.0, self._low])
         self._x, self._coarse = found["x"] * way + shift, found["coarse"] * way + shift
         self._kept = lru_cache(maxsize=4096)(self._section)
         end, up = found["end"] * way + shift, found["neck"] * way
         bend = end - (1 - NECK) * end[0] / up[0] * up
-        self._path = np.array([[0.0, 0.0, placed.top], bend, end - INSIDE * up])
+        self._path = np.array([[0.0, 0.0, high], bend, end - INSIDE * up])
         medial = unit(np.array([1.0, 0.0, 0.0]) - up[0] * up)
         steepest, self._lean = placed.slopes
         self._planes = np.stack([self._plane(steepest), [medial, np.cross(up, medial)]])
-        self.ends = (mesh.steps(np.linalg.norm(np.diff(self._path, axis=0), axis=1).sum()),)
+        self._cut = self._along(placed.top, steepest)
+        length = np.linalg.norm(np.diff(self._path, axis=0), axis=1).sum()
+        self.ends = (mesh.steps((1 - self._cut) * length),)
 
     def _plane(self, slope: float) -> Floats:
         """Directions in a section, over x and over y (2, 3)."""
         return np.array([[1.0, 0.0, -slope], [0.0, 1.0, -slope * self._lean]])
+
+    def _along(self, height: float, slope: float) -> float:
+        """Where the path meets a section, of its length; 0 if it begins above."""
+        p, q, r = self._path @ [slope, slope * self._lean, 1.0]
+        if (rise := height - p) <= 0:
+            return 0.0
+        return float(rise / (q - p + np.sqrt((q - p) ** 2 + (p - 2 * q + r) * rise)))
 
     def _section(self, height: float, slope: float, part: float = 0.0) -> tuple[Floats, Floats]:
         """Outline (`ROUND` + 1, 3) [mm], and its length and bend up to there in turns.
 
         A part above 0 is that of the way from the cut to the neck's end.
         """
-        t = 1 - part
-        origin = np.array([t * t, 2 * t * part, part * part]) @ self._path
+        t, at = 1 - part, self._cut + (1 - self._cut) * part
         plane = t * t * self._planes[0] + (1 - t * t) * self._planes[1]
         if part <= 0:
-            origin, plane = np.array([0.0, 0.0, height]), self._plane(slope)
+            at, plane = self._along(height, slope), self._plane(slope)
+        origin = np.array([(1 - at) ** 2, 2 * (1 - at) * at, at * at]) @ self._path
+        if at <= 0:
+            origin = np.array([0.0, 0.0, height])
         try:
             x = outline(self._x, origin, plane)
         except ValueError:
@@ -130,7 +146,17 @@ class CadStem:
         return self._at(phi, zero, zero, np.asarray(s) / self.ends[-1])
 
     def depth(self, thickness: Callable[..., Any], x: Floats) -> Floats:
-        """Depth of points (n, 3) within the surface at a distance [mm]; below the tip its own."""
+        """Depth of points (n, 3) within the surface at a distance [mm], or that of what is below.
+
+        Below the tip, and above a shoulder below the cut, it goes on as it is there.
+        """
         x = np.stack([x[:, 0], x[:, 1], np.maximum(x[:, 2], self._low + TIP)], axis=1)
         wanted = thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
-        return np.asarray(wanted - distance(x, self._coarse))
+        away = distance(x, self._coarse)
+        if (over := x[:, 2] > self._high).any():
+            edge, at = self._kept(self._high, 0.0)[0][:-1, :2], x[over, :2]
+            turn = np.arctan2(at[:, 1], at[:, 0])
+            out = np.hypot(*at.T) - np.interp(turn, THETA, np.hypot(*edge.T), period=2 * np.pi)
+            beside = np.where(out > 0, cKDTree(edge).query(at)[0], 0.0)
+            away[over] = np.minimum(away[over], beside)
+        return np.asarray(wanted - away)

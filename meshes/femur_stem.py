@@ -27,7 +27,7 @@ CLEAR = 2.0  # mm that the round neck is above the cut
 OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of the bone
 ROOM = 0.4  # of the lines before and after the turn to the neck: what it may take
 LEAST_ARM = 0.5  # mm before and after it
-SHOULDER = 6.0  # mm that the shoulder may be below or above the cut without standing out
+SHOULDER = 6.0  # mm that the shoulder may be above the cut without standing out
 
 
 def thickness(given: Any, low: float, top: float) -> Callable[..., Any]:
@@ -142,11 +142,12 @@ def body(geometry: Any) -> Body:
     return Body((values[0], values[1], values[2]), (slopes[0], slopes[1], slopes[2]))
 
 
-def lateral(implant: Any) -> float:
-    """How far the shoulder reaches lateral of the axis [mm]."""
-    if implant.stem:
-        return float(implant.stem.found["lateral"])
-    return float(body(implant).section(implant.stem_tip_z + implant.stem_length)[0])
+def edge(implant: Any, slope: float) -> float:
+    """Height at the axis of a section with a slope through the shoulder's lateral edge [mm]."""
+    shoulder = float(implant.stem_tip_z + implant.stem_length)
+    if stem := getattr(implant, "stem", None):
+        return float(shoulder - slope * stem.found["lateral"])
+    return float(shoulder - slope * body(implant).section(shoulder)[0])
 
 
 @dataclass(frozen=True)
@@ -202,6 +203,7 @@ class Upper:
     Attributes:
         body: What is below.
         planes: Height at the axis [mm] and slope of the body's sections at the cut and at its end.
+        buried: How far the body's end is below the cut, along the axis; both planes are there then.
         rings: Centres of the first and the last round section, which is the head's (2, 3) [mm].
         radii: Their radii [mm].
         arm: How far before and after the first ring lines begin and end to turn [mm].
@@ -213,6 +215,7 @@ class Upper:
     planes: tuple[tuple[float, float], tuple[float, float]]
     rings: Floats
     radii: tuple[float, float]
+    buried: float = 0.0
     arm: float = 0.0
     ends: tuple[int, ...] = ()
 
@@ -228,6 +231,12 @@ class Upper:
         ring = self.ring(phi, 0)
         return ring - self.body.point(phi, *self.planes[1]), self.ring(phi, 1) - ring
 
+    def point(self, phi: Floats, zeta: Any) -> Floats:
+        """Points in planes above the body's end, parallel to it (n, 3) [mm]."""
+        (way, _), (base, slope) = self.ways(phi), self.planes[1]
+        rise = way[:, 2] + slope * (way[:, 0] + self.body.lean * way[:, 1])
+        return np.asarray(self.ring(phi, 0) + ((zeta - base) / rise - 1)[:, None] * way)
+
     def points(self, phi: Floats, s: Floats) -> Floats:
         """Points at stations above the cut (n, 3) [mm]: the sum of the ways up to there.
 
@@ -241,6 +250,9 @@ class Upper:
         x = self.body.point(phi, *(a + out[:, 0] * (b - a) for a, b in planes))
         first, second = self.ways(phi)
         before, after = self.arm * unit(first), self.arm * unit(second)
+        if self.buried:
+            under = self.point(phi, self.planes[1][0] + self.buried) - x
+            x, first = x + under, first - under
         x += loft * (first - before) + cone * (second - after)
         return np.asarray(x + (1 - (1 - turn) ** 2) * before + turn**2 * after)
 
@@ -271,11 +283,13 @@ def unit(x: Floats) -> Floats:
     return np.asarray(x / np.sqrt((x**2).sum(axis=-1, keepdims=True)))
 
 
-def upper(geometry: Any, body: Body, mesh: Any, top: float, steep: float) -> Upper:
-    """The stem above the cut, which meets the axis at the height `top` with the slope `steep`.
+def upper(geometry: Any, body: Body, mesh: Any, low: float, top: float, steep: float) -> Upper:
+    """The stem above the neck cut, which meets the axis at the height `top` with the slope `steep`.
+
+    Below it, the shoulder's lateral edge is in a parallel plane at the height `low` <= `top`.
 
     Raises:
-        GeometryError: The shoulder is far below the cut, or the neck is not above it.
+        GeometryError: The neck is not above the cut.
     """
     sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)
     axis = np.array([sine, 0.0, cosine])
@@ -284,12 +298,9 @@ def upper(geometry: Any, body: Body, mesh: Any, top: float, steep: float) -> Upp
     slope = max(OUT, steep)
     shoulder = geometry.stem_tip_z + geometry.stem_length
     out = shoulder - slope * float(body.section(shoulder)[0])
-    if out < top - SHOULDER:
-        raise GeometryError(
-            f"geometry: the stem's shoulder is {top - out:.0f} mm below the neck cut, {SHOULDER:g}"
-            " mm at most; lengthen the stem, move it proximally or cut lower"
-        )
-    base, slope = (out, slope) if out > top + SHOULDER else (top, steep)
+    base, slope = (out, slope) if out > top + SHOULDER else (low, steep)
+    buried = max(top - low, 0.0)
+    clear = CLEAR if low == top else geometry.neck_fillet + buried / math.hypot(slope, 1.0)
     first, last = 0.5 * geometry.neck_diameter, 0.5 * geometry.trunnion_diameter
     normal = np.array([slope, 0.0, 1.0]) / math.hypot(slope, 1.0)
     # How far the lowest point of a ring is from its centre towards the section below.
@@ -297,7 +308,7 @@ def upper(geometry: Any, body: Body, mesh: Any, top: float, steep: float) -> Upp
     rise = float(axis @ normal)
     # The neck's axis is in the section that it leaves at this part of its length, or below.
     root_ = head - length * axis
-    needed = (CLEAR + dip - float(normal @ (root_ - [0.0, 0.0, base]))) / (rise * length)
+    needed = (clear + dip - float(normal @ (root_ - [0.0, 0.0, base]))) / (rise * length)
     if rise <= 0 or needed > BLEND[1]:
         raise GeometryError(
             f"geometry: the neck, {geometry.neck_diameter:g} mm thick towards a head"
@@ -306,9 +317,10 @@ def upper(geometry: Any, body: Body, mesh: Any, top: float, steep: float) -> Upp
         )
     part = max(BLEND[0], needed)
     ring = root_ + part * length * axis
-    planes, centres = ((top, steep), (base, slope)), np.stack([ring, head])
-    made = Upper(body, planes, centres, (first, last)).with_fillet(geometry.neck_fillet)
-    blend, cone = float(np.linalg.norm(ring - [0.0, 0.0, base])), (1.0 - part) * length
-    lengths = base - top, blend - made.arm, 2 * made.arm, cone - made.arm
+    planes, centres = ((min(base, top), steep), (base, slope)), np.stack([ring, head])
+    made = Upper(body, planes, centres, (first, last), buried).with_fillet(geometry.neck_fillet)
+    blend = float(np.linalg.norm(ring - [0.0, 0.0, max(base, top)]))
+    cone = (1.0 - part) * length
+    lengths = max(base - top, 0.0), blend - made.arm, 2 * made.arm, cone - made.arm
     steps = np.cumsum([mesh.steps(length) if length else 0 for length in lengths])
     return replace(made, ends=tuple(map(int, steps)))

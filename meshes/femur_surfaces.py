@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
 
@@ -36,6 +36,7 @@ CORE = 0.5  # of the canal: where the innermost surface goes below the plug
 CORE_OVER = 30.0  # mm that it takes to get there
 SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the plug
 VOID = "void"  # where no cells are
+DEEP = 2.5  # mm that a shoulder is below the cut at least, or else it is taken to be at it
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
 REACH = 90.0  # mm: farther from the axis there is no bone
 SIDES = "medially antero-medially anteriorly antero-laterally laterally postero-laterally".split()
@@ -89,11 +90,15 @@ class FemurSurfaces:
 
     def __init__(self, geometry: Any, mesh: Any) -> None:
         implant, thickness = geometry.implant, geometry.cement_thickness
+        self._implant = implant
         self.mesh, self._placed, self.told = mesh, geometry.placement, list[str]()
         placed = self._placed
         self._top, (self._steepest, self._lean) = placed.top, placed.slopes
+        edge = femur_stem.edge(implant, self._steepest)
+        self._shoulder = edge if edge < placed.top - DEEP else placed.top
         if stem := getattr(implant, "stem", None):
-            self._body: Any = CadStem(stem.found, implant.stem_tip_z, placed, mesh)
+            ends = implant.stem_tip_z, self._shoulder
+            self._body: Any = CadStem(stem.found, ends, placed, mesh)
         else:
             self._body = replace(femur_stem.body(implant), lean=self._lean)
         self._thickness = femur_stem.thickness(thickness, implant.stem_tip_z, placed.top)
@@ -103,6 +108,14 @@ class FemurSurfaces:
         self._measure(geometry)
         self._refuse()
         self._continue(implant)
+
+    @cached_property
+    def _upper(self) -> Any:
+        """The stem above the neck cut, or above its shoulder."""
+        if isinstance(self._body, CadStem):
+            return self._body
+        levels = self._shoulder, self._top, self._steepest
+        return femur_stem.upper(self._implant, self._body, self.mesh, *levels)
 
     def _measure(self, geometry: Any) -> None:
         """Take the radii of periosteum and endosteum, in axes that turn with the stem."""
@@ -116,6 +129,9 @@ class FemurSurfaces:
         below = _distances(mesh, plug - distal, "below")
         flank = self._tip.low + self._tip.height
         above = _distances(mesh, self._top - flank, "stem")
+        if (depth := self._top - self._shoulder) > 0:  # there is a station
+            near = above[max(1, int(np.abs(above - depth).argmin()))]
+            above = np.interp(above, [0.0, near, above[-1]], [0.0, depth, above[-1]])
         void, start = implant.tip_void, len(below) - 1
         floor, rim = self._tip.rim - void, self._tip.rim
         lengths = floor - plug, void, self._tip.height
@@ -138,10 +154,6 @@ class FemurSurfaces:
 
     def _continue(self, implant: Any) -> None:
         """Divide the stem above the cut."""
-        self._upper = self._body
-        if not isinstance(self._body, CadStem):
-            cut = self._top, self._steepest
-            self._upper = femur_stem.upper(implant, self._body, self.mesh, *cut)
         bone = ("cancellous_bone", "cortical_bone")
         segments = (
             Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
@@ -164,7 +176,7 @@ class FemurSurfaces:
 
     def _slope(self, zeta: Floats) -> Floats:
         """Slope of the sections at heights on the axis."""
-        t = np.clip((zeta - self._top + TURN) / TURN, 0.0, 1.0)
+        t = np.clip((zeta - self._shoulder + TURN) / TURN, 0.0, 1.0)
         return np.asarray(self._steepest * t * t * (2 - t))
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
@@ -214,8 +226,7 @@ class FemurSurfaces:
         start = self._sink(start, theta, zeta, depth)
         endosteum = self._meets(self._inside, zeta, start, end)
         mantle = np.empty(len(s))
-        ways = (v[~below] for v in (zeta, start, end))
-        mantle[~below] = self._meets(lambda x, _: self._mantle(x), *ways)
+        mantle[~below] = self._covered(zeta[~below], start[~below], end[~below])
         if below.any():
             # The mantle's outer side goes on below the plug from where it is at its end.
             first = self._across(phi[below], at[below])
@@ -227,6 +238,9 @@ class FemurSurfaces:
     def _outline(self, phi: Floats, zeta: Floats, slope: Floats) -> Floats:
         """Points of the stem's outline in sections (n, 3) [mm]."""
         x = self._body.point(phi, zeta, slope) * [[1.0, 1.0, 0.0]] * self._tip.width(zeta)[:, None]
+        over = zeta > self._shoulder
+        if over.any() and isinstance(self._body, femur_stem.Body):
+            x[over] = self._upper.point(phi[over], zeta[over])
         x[:, 2] = zeta - slope * (x[:, 0] + self._lean * x[:, 1])
         return np.asarray(x)
 
@@ -248,6 +262,24 @@ class FemurSurfaces:
             np.full(len(theta), REACH),
         )
         return np.stack([r * c, r * d, zeta - slope * r * c], axis=1)
+
+    def _covered(self, zeta: Floats, start: Floats, end: Floats, more: float = 0.0) -> Floats:
+        """Fraction of lines, from the stem's outline to the end (n, 3), that is in the mantle (n,).
+
+        Above the shoulder it takes what it and the body would take if they went on to the cut, and
+        has its thickness, along the lines, on the neck.
+        """
+        way, own = end - start, np.full(len(zeta), -np.inf)
+        length = np.sqrt((way**2).sum(axis=1))
+        if isinstance(self._body, femur_stem.Body) and (over := zeta > self._shoulder).any():
+            x, y, z = start[over].T
+            own[over] = self._thickness(np.arctan2(y, x), z)
+
+        def within(part: Floats, k: Ints) -> Floats:
+            depth = self._mantle(start[k] + part[:, None] * way[k])
+            return np.asarray(np.maximum(depth, own[k] - part * length[k]) + more)
+
+        return root(within, np.ones(len(start)))
 
     def _inside(self, x: Floats, zeta: Floats) -> Floats:
         """Depth of points (n, 3) in sections at heights (n,) within the endosteum [mm]."""

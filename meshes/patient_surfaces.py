@@ -218,7 +218,7 @@ class PatientSurfaces(FemurSurfaces):
         theta, zeta = (v.ravel() for v in np.meshgrid(THETA, self._bone.zeta))
         slope = self._slope(zeta)
         start, end = self._outline(theta / (2 * np.pi), zeta, slope), self._ends(theta, zeta, slope)
-        part = self._meets(lambda x, _: self._mantle(x) + BROACH, zeta, start, end)
+        part = self._covered(zeta, start, end, BROACH)
         x, y, _ = (start + part[:, None] * (end - start)).T.reshape(3, -1, ANGLES)
         rows = zip(np.arctan2(y, x), np.hypot(x, y), strict=True)
         return np.array([np.interp(THETA, turn, r, period=2 * np.pi) for turn, r in rows])

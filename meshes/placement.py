@@ -172,8 +172,7 @@ def _put(
 
 def _deep(placed: Any, geometry: Any) -> Any:
     """The same with the lateral edge of the stem's shoulder at its depth below the cut."""
-    implant, slope = geometry.implant, placed.slopes[0]
-    edge = implant.stem_tip_z + implant.stem_length - slope * femur_stem.lateral(implant)
+    edge = femur_stem.edge(geometry.implant, placed.slopes[0])
     return replace(placed, top=edge + (geometry.insertion.depth or 0.0))
 
 

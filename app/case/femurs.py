@@ -101,9 +101,9 @@ class Version(Section):
 class Insertion(Section):
     """Where the stem is put in the femur."""
 
-    depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=4.5)] | None = None
-    """How deep the lateral edge of the shoulder is below the cut, at most 4.5 mm: the body of the
-    stem is meshed up to the cut. By default 0, and in mantle's own femur as `stem_tip_z` says."""
+    depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=14.0)] | None = None
+    """How deep the lateral edge of the shoulder is below the cut, at most 14 mm: there is cement
+    above it. By default 0, and in mantle's own femur as `stem_tip_z` says."""
     varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
     """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
     version: Version = Field(default_factory=Version)

@@ -37,6 +37,8 @@ NOTHING = 1e-10
 MOST, PARTS = 40, 2.0 ** -np.arange(8)
 # Residual that a step in single precision may leave; one after which the next has its factors.
 ROUGH, CHORD = 1e-2, 1e-2
+# Part of the tolerance that out-of-balance forces of a start may have without being removed.
+LITTLE = 0.01
 
 
 class Condensable(Protocol):
@@ -82,10 +84,8 @@ class Condensed:
     @property
     def work(self) -> tuple[float, float]:
         """Operations and entries of the factors; collective."""
-        return on_root(self._comm, lambda: (self.cholesky.flops, self.cholesky.entries)) or (
-            0.0,
-            0.0,
-        )
+        c = None if self._comm.rank else self.cholesky
+        return self._comm.bcast(c and (c.flops, c.entries))
 
     # Factors
 
@@ -187,6 +187,8 @@ class Condensed:
         r, scale = self._contact.law(e, q)
         if self._norm(np.concatenate([ru, r])) <= tolerance * scale:
             return number
+        if self._norm(ru) <= LITTLE * tolerance * scale:
+            ru = np.zeros_like(ru)
         pulled = self._on_root(self._pulled, q_vector, ru)
         e = e - pulled
         r, scale = self._contact.law(e, q)
@@ -226,7 +228,10 @@ class Condensed:
 
     def _pulled(self, ru: Floats) -> Floats:
         """Forces on jumps of the displacement that other forces cause, C^T K^-1 r_u."""
-        self._half = self.cholesky.down(np.concatenate([ru, np.zeros(self._jumps)]))
+        self._half = np.concatenate([ru, np.zeros(self._jumps)])
+        if not ru.any():  # as in cycles
+            return self._half[self.size :].copy()
+        self._half = self.cholesky.down(self._half)
         return -self.cholesky.last(self._half[self.size :])
 
     def _moved(self, dq: Floats) -> Floats:

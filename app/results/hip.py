@@ -11,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from app.arrays import Floats
+from app.arrays import Floats, Ints
 from app.case.case import Case
 from app.case.femurs import IntactFemur
 from app.case.quantities import GAUGES
@@ -47,46 +47,37 @@ class StemMotion:
         implant, bone, cement = (
             [r for r in case.of_tissue(t) if r in known] for t in ("implant", "bone", "cement")
         )
-        self._ends: list[_End] = _ends(problem, implant) if implant and bone else []
+        self._ends = _ends(problem, implant) if implant and bone else []
+        self._nearest: Ints | None = None
         if not self._ends:
             return
         self._stem, self._facing = (
             _surface(problem, bodies.facets_between(problem.tagged, inside, outside))
             for inside, outside in ((implant, [*cement, *bone]), (bone, [*cement, *implant]))
         )
-        self._parts = bool(len(self._stem.x) and len(self._facing.x))
-        if self._parts:
+        if len(self._stem.x) and len(self._facing.x):
             from scipy.spatial import cKDTree  # imported late: few runs need it
 
             self._nearest = cKDTree(self._facing.x).query(self._stem.x)[1]
 
     def __call__(self, side: str) -> dict[str, Any]:
         """The numbers, for a hip of this side."""
-        if not self._ends:
-            return {}
         u, comm = _displacements(self._problem), self._problem.comm
         found: dict[str, Any] = {}
-        for name, (body, rows, first) in zip(ENDS, self._ends, strict=True):
+        for name, (body, rows, first) in zip(ENDS, self._ends, strict=False):
             own = np.concatenate(comm.allgather(u[body, rows]))
             found[name] = [float(c) for c in own[first].mean(axis=0)]
-        if self._parts:
-            t, ω = self._against(u)
-            ω = np.rad2deg(ω) * (1 if side == "left" else -1)
-            motion = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
-            return {key: float(value) for key, value in motion.items()} | found
-        return found
-
-    def _against(self, u: Floats) -> tuple[Floats, Floats]:
-        """Translation [mm] and rotation of the stem against the bone.
-
-        The rigid motion of all bone is subtracted, as it moves stem and bone differently where they
-        are apart. The rest, the bone's deformation, is taken at the nearest point.
-        """
+        if (at := self._nearest) is None:
+            return found
+        # The rigid motion of all bone is subtracted, as it moves stem and bone differently where
+        # they are apart. The rest, the bone's deformation, is taken at the nearest point.
         stem, bone = self._stem, self._facing
-        moved, at = bone.moved(u), self._nearest
-        ω = bone.rotation(moved)
-        v = stem.moved(u) - moved[at] - np.cross(ω, stem.x - bone.x[at])
-        return np.average(v, axis=0, weights=stem.area), stem.rotation(v)
+        moved = bone.moved(u)
+        v = stem.moved(u) - moved[at] - np.cross(bone.rotation(moved), stem.x - bone.x[at])
+        t = np.average(v, axis=0, weights=stem.area)
+        ω = np.rad2deg(stem.rotation(v)) * (1 if side == "left" else -1)
+        motion = {"subsidence": -t[2], "retroversion": -ω[2], "varus": ω[1]}
+        return {key: float(value) for key, value in motion.items()} | found
 
 
 @dataclass(frozen=True)
@@ -122,12 +113,8 @@ def _surface(problem: Problem, f: bodies.FacetCells) -> _Surface:
     return _Surface(problem.comm, x, area, (body[:, None], dofs))
 
 
-# Bodies and nodes of this rank, and which of all ranks' count.
-_End = tuple[Any, Any, Any]
-
-
-def _ends(problem: Problem, implant: Sequence[str]) -> list[_End]:
-    """Lowest and highest nodes."""
+def _ends(problem: Problem, implant: Sequence[str]) -> list[tuple[Ints, Ints, Ints]]:
+    """Lowest and highest nodes: body and node of this rank's, and which of all ranks' count."""
     comm = problem.comm
     cells = {r: problem.mechanics.region_cells(r) for r in implant}
     dofs_of = {r: np.unique(problem.space.dofmap.list[c][:, :4]) for r, c in cells.items()}

@@ -109,21 +109,15 @@ class ContactSamples:
         if since is not None:
             way = whole(trial.jump - since)
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
-        self._contact, self._jump = contact, trial.jump
-        self._surfaces = parts or [Surface(points, i, {}) for i in range(len(contacts))]
-        self._names = [c.name for c in contacts]
+        self._contact, self._jump, self._names = contact, trial.jump, [c.name for c in contacts]
+        self.surfaces = parts or [Surface(points, i, {}) for i in range(len(contacts))]
 
     @cached_property
     def numbers(self) -> dict[str, dict[str, Any]]:
         """Motion, tractions and states of each interface, by its name; collective."""
-        depths = overlap(self._contact, self._jump)
+        depths, sizes = overlap(self._contact, self._jump), self._contact.edge_lengths
         return {
-            name: {
-                **_numbers(self, i, self._surfaces[i]),
-                **depths[i],
-                "facet_size": self._contact.edge_lengths[i],
-                **computed("interfaces", self, self.interface == i),
-            }
+            name: _numbers(self, i) | depths[i] | {"facet_size": sizes[i]}
             for i, name in enumerate(self._names)
         }
 
@@ -131,24 +125,19 @@ class ContactSamples:
     def history(self) -> dict[str, dict[str, Any]]:
         """The numbers of every step, those of history.csv among them."""
         wanted = {key for key, q in TABLE["interfaces"].items() if q.history} | OF_CYCLES
-        return {
-            name: _numbers(self, i, self._surfaces[i], wanted)
-            | computed("interfaces", self, self.interface == i)
-            for i, name in enumerate(self._names)
-        }
+        return {name: _numbers(self, i, wanted) for i, name in enumerate(self._names)}
 
 
-def _numbers(
-    s: ContactSamples, i: int, surface: Surface, wanted: set[str] | None = None
-) -> dict[str, Any]:
+def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[str, Any]:
     """Numbers of an interface and its parts; the wanted ones of its main part if not all."""
-    at = s.interface == i
+    at, surface = s.interface == i, s.surfaces[i]
     parts = {part: _of_part(s, surface, part, wanted) for part in ([""] if wanted else surface.at)}
     main = parts.pop("") | {
         "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
         "dissipation": float(s.dissipation[at].sum()),
         "dissipation_min": float(s.least[at].min()),
         "contact_work": float(s.contact_work[at].sum()),
+        **computed("interfaces", s, at),
     }
     if wanted:
         return main

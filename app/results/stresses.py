@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import basix
@@ -14,7 +13,7 @@ from ufl.core.expr import Expr
 
 from app.arrays import Field, Floats
 from app.case.quantities import computed
-from app.laws.fibres import Circumferential, Vector
+from app.laws.fibres import Circumferential
 from app.laws.materials import Elastic
 from app.mechanics.problem import Problem
 from app.results.percentiles import percentile
@@ -26,9 +25,6 @@ from meshes.contact_facets import QUADRATURE, surface
 # Components of a symmetric tensor, in the order of `elasticity.symmetric`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 STRESS_LEVELS = (5.0, 8.0, 10.0)  # MPa: PMMA endurance is 8 to 10
-
-# Gives the stress of a region in a displacement, by an expression that regions share.
-Law = Callable[[Elastic, fem.Function], fem.Expression]
 
 
 class Stresses:
@@ -64,72 +60,54 @@ class Stresses:
             self.shares[region] = history.weights / history.weights.sum()
         # Stiffness over its largest at the points, where it varies.
         self._relative: dict[str, Floats] = {}
-        self._compliance: dict[str, Floats] = {}
         self._places: dict[str, tuple[Floats, Floats]] = {}
-        laws: dict[str, Law] = {}
+        self._moduli: dict[str, Floats] = {}
+        # Regions share the form of their strain, but for those with free strain.
         self._own: dict[str, fem.Expression] = {}
-        self._shared: dict[str, Callable[[], fem.Expression]] = {}
+        self._moved = fem.Function(problem.space)
+        self._strain = self._expression(elasticity.strain(self._moved))
         for e in elastic:
             if e.varies:
                 points = self.points[e.region]
                 self._relative[e.region] = mechanics.relative_stiffness(e, points)
-            if e.region in mechanics.growth:
-                continue
-            displacement = problem.displacements()[problem.bodies.of_region[e.region]]
-            if e.eigenstrains or e.region in mechanics.swelling:
-                ε = mechanics.elastic_strain(e, displacement)
-                σ = elasticity.stress(partial(mechanics.largest_energy_density, e), ε)
-                self._own[e.region] = self._expression(σ)
-                continue
-            # Regions with the same kind of fibre share the form of their stress.
-            kind = e.fibre.kind if e.fibre else ""
-            if kind not in laws:
-                laws[kind] = self._law(e)
-            self._shared[e.region] = partial(laws[kind], e, displacement)
+            if e.region not in mechanics.growth and (
+                e.eigenstrains or e.region in mechanics.swelling
+            ):
+                displacement = problem.displacements()[problem.bodies.of_region[e.region]]
+                self._own[e.region] = self._expression(mechanics.elastic_strain(e, displacement))
 
-    def _law(self, e: Elastic) -> Law:
-        """Stress of any region without free strain that has the same law as this one."""
-        mesh, v = self._problem.tagged.mesh, fem.Function(self._problem.space)
-        coefficients = [fem.Constant(mesh, np.array(c)) for c in e.coefficients]
-        vectors: list[fem.Constant] = []
-
-        def constant(value: Vector) -> fem.Constant:
-            vectors.append(fem.Constant(mesh, np.array(value)))
-            return vectors[-1]
-
-        direction = e.fibre.direction(mesh, constant) if e.fibre else None
-        expression = self._expression(
-            elasticity.stress(
-                lambda strain: e.energy(strain, coefficients, direction), elasticity.strain(v)
-            )
-        )
-
-        def of(e: Elastic, displacement: fem.Function) -> fem.Expression:
-            v.x.array[:] = displacement.x.array
-            for constant, value in zip(coefficients, e.coefficients, strict=True):
-                constant.value = value
-            if e.fibre:
-                # A straight fibre has no point.
-                for constant, vector in zip(vectors, (e.fibre.axis, e.fibre.through), strict=False):
-                    constant.value = vector
-            return expression
-
-        return of
-
-    def _expression(self, σ: Expr) -> fem.Expression:
+    def _expression(self, ε: Expr) -> fem.Expression:
         with self._timing.phase("compile", "stress"):
-            return fem.Expression(σ, self._points, comm=self._problem.comm)
+            return fem.Expression(ε, self._points, comm=self._problem.comm)
+
+    def _elastic_strain(self, region: str) -> Floats:
+        """Strain of a region's law for the stress, without thermal or other free strain [-]."""
+        problem, cells = self._problem, self.cells[region]
+        if (expression := self._own.get(region)) is None:
+            displacement = problem.displacements()[problem.bodies.of_region[region]]
+            expression, self._moved.x.array[:] = self._strain, displacement.x.array
+        if not len(cells):
+            return np.zeros((0, len(self._points), 3, 3))
+        return expression.eval(problem.tagged.mesh, cells).reshape(len(cells), -1, 3, 3)
 
     def evaluate(self, region: str) -> Floats:
         """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
         if region in self._history:
             return self._history[region].stress(region)
-        cells = self.cells[region]
-        if not len(cells):
-            return np.zeros((0, len(self._points), 3, 3))
-        expression = self._own.get(region) or self._shared[region]()
-        values = expression.eval(self._problem.tagged.mesh, cells)
-        σ = values.reshape(len(cells), len(self._points), 3, 3)
+        return self._stress(region, self._elastic_strain(region))
+
+    def _stress(self, region: str, ε: Floats) -> Floats:
+        """Stress of a region's elastic strain at its points (cells, points, 3, 3) [MPa]."""
+        e = next(e for e in self._problem.scene.elastic if e.region == region)
+        if region not in self._moduli:  # UFL takes 0.1 s, and variations share it
+            self._moduli[region] = _moduli(e)
+        turning = e.fibre if isinstance(e.fibre, Circumferential) else None
+        if turning:  # in axes that turn with it
+            Q = turning.frames(self.places(region)[0]).reshape(ε.shape)
+            ε = Q.swapaxes(2, 3) @ ε @ Q
+        σ = (ε.reshape(-1, 9) @ self._moduli[region]).reshape(ε.shape)
+        if turning:
+            σ = Q @ σ @ Q.swapaxes(2, 3)
         return σ * self._relative[region][..., None, None] if region in self._relative else σ
 
     def mean(self, region: str) -> Floats:
@@ -145,33 +123,17 @@ class Stresses:
         return self._places[region]
 
     def energy_density(self, region: str) -> Floats:
-        r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa].
-
-        The strain is that of the region's law for the stress, without thermal or other free strain.
-        """
-        σ = self.evaluate(region)
-        e = next(e for e in self._problem.scene.elastic if e.region == region)
-        x, _ = self.places(region)
-        if isinstance(e.fibre, Circumferential):
-            # In axes that turn with it.
-            Q = e.fibre.frames(x).reshape(σ.shape)
-            σ = np.einsum("cqki,cqkl,cqlj->cqij", Q, σ, Q)
-        a = np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
-        # Each of the last three stands for two entries of the tensors.
-        twice = np.diag([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
-        if region not in self._compliance:  # variations share it; UFL takes 0.1 s
-            self._compliance[region] = twice @ np.linalg.inv(_stiffness(e))
-        density = np.asarray(np.einsum("cqi,ij,cqj->cq", a, self._compliance[region], a)) / 2
-        return np.asarray(density / self._relative.get(region, 1.0))
+        r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa]."""
+        ε = self._elastic_strain(region)
+        return np.asarray(np.einsum("cqij,cqij->cq", self._stress(region, ε), ε) / 2)
 
     def region(self, region: str) -> dict[str, Any]:
         """Published stresses of a region, of a stem without its neck; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
         x, volumes = self.places(region)
         mean = np.trace(σ, axis1=1, axis2=2) / 3
-        deviator = σ - mean[:, None, None] * np.eye(3)
         eigen = np.linalg.eigvalsh(σ)
-        mises = np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator))
+        mises = np.sqrt(((eigen - np.roll(eigen, 1, axis=1)) ** 2).sum(axis=1) / 2)
         local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
         values = self._whole(local)
         found: dict[str, Any] = computed("regions", self, region)
@@ -209,8 +171,8 @@ class Stresses:
         return result
 
 
-def _stiffness(e: Elastic) -> Floats:
-    """Stress components (6, 6) of unit strains, in the order of `COMPONENTS` [MPa].
+def _moduli(e: Elastic) -> Floats:
+    """Matrix (9, 9) that turns rows of strains into those of stresses [MPa].
 
     For a fibre that turns, in axes that turn with it, of which it is the third.
     """
@@ -224,8 +186,12 @@ def _stiffness(e: Elastic) -> Floats:
     own = np.array([energy(a) for a in np.eye(6)])
     work = np.array([[energy(a + b) for b in np.eye(6)] for a in np.eye(6)])
     work -= own[:, None] + own
-    # A shear of a stands for two entries of the tensor.
-    return work / np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])[:, None]
+    # Each of the last three stands for two entries of the tensors.
+    entries = np.zeros((6, 3, 3))
+    for k, (i, j) in enumerate(COMPONENTS):
+        entries[k, i, j] = entries[k, j, i] = 1.0 if i == j else 0.5
+    each = entries.reshape(6, 9)
+    return np.asarray(each.T @ work @ each)
 
 
 def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:

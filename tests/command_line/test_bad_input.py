@@ -92,11 +92,11 @@ def test_a_thin_block_is_named() -> None:
 def test_what_only_the_mesher_sees_has_its_place_too(
     path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A stem whose shoulder is buried: where bone is, is known to the mesher."""
+    """A stem that is too wide: where bone is, is known to the mesher."""
     text = TABLE["femur"]["case"]
-    path.write_text(text.replace("kind: femur}", "kind: femur,\n  stem_length: 136 mm}"))
+    path.write_text(text.replace("kind: femur}", "kind: femur,\n  stem_half_width: 14 mm}"))
     assert main(["check", str(path), "--mesh"]) == 3
-    assert f"{path}:1:1: geometry: the stem's shoulder" in capsys.readouterr().err
+    assert f"{path}:1:1: geometry: the stem cuts" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("wrong", ["stem_length: 250 mm", "stem_legth: 147 mm", "neck_angle: 2"])

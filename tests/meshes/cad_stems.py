@@ -37,6 +37,7 @@ STEMS: dict[str, dict[str, Any]] = {
     "turned": EXETER | {"turned": True},
     "iges": EXETER | {"suffix": ".igs"},
     "brep": EXETER | {"suffix": ".brep"},
+    "deep": EXETER,  # to be put below the cut
 }
 MILLIMETRE = "SI_UNIT(.MILLI.,.METRE.)"
 

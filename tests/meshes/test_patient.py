@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -218,6 +219,36 @@ def test_depth_is_that_of_the_shoulder_below_the_cut() -> None:
     assert on.to_model(edge) - deep.to_model(edge) == pytest.approx(np.array([[0, 0, 3.0]]))
 
 
+@pytest.mark.parametrize("kind", ["femur", "patient", "file"])
+def test_a_shoulder_below_the_cut_has_cement_above(kind: str, folder: Path) -> None:
+    """The same metal at any depth. Its top begins at the edge, and ends at the cut.
+
+    By hand: the file's is flat and 11 mm long; mantle's own has 7.61 mm in 21.24 mm to the neck,
+    and is 7.9 mm long.
+    """
+    given: dict[str, Any] = {"cement_thickness": "3 mm"}
+    if kind == "file":
+        given["stem"] = {"step": cad_stems.write("exeter", folder)}
+    volumes = []
+    for depth in (0, 9):
+        given["insertion"] = {"depth": f"{depth} mm"}
+        geometry = femur(**given) if kind == "femur" else patient(folder, **given)
+        data = _make(geometry, options(size="6 mm", around=14))
+        volumes.append(region_volumes(data))
+        assert data.notes["quality"]["sicn_min"] > 0.1
+    metal, there = (v["stem"] for v in volumes)
+    assert metal == pytest.approx(there, rel=2e-3)
+    level, rise = femur_stem.edge(geometry.implant, 0.0), 0.0 if kind == "file" else 7.61 / 21.24
+    x = data.points[np.unique(interface_facets(data, "stem_cement")[0])]
+    x, y, z = geometry.placement.to_stem(x).T
+    along = x + 9.08
+    top = (x < 2.5) & (z > level + (-0.01 if kind == "file" else 0.1))
+    middle = top & (np.abs(y) < (6 if kind == "file" else 0.01))
+    assert z[middle] == pytest.approx(level + rise * along[middle], abs=0.01)
+    assert along[middle].max() == pytest.approx(9 / (0.781 + rise), abs=0.3)
+    assert (z[top] < level + rise * along[top] + 0.01).all()
+
+
 def test_a_stem_that_leaves_the_canal_is_refused_with_the_place() -> None:
     with pytest.raises(GeometryError, match=r"cuts .* mm into the cortex .*laterally at .* insert"):
         made(femur(insertion={"varus": "6 deg"}))
@@ -230,7 +261,8 @@ def random_patient(folder: Path, seed: int, bone: BoneSurface, canal: BoneSurfac
     change = np.diag(rng.uniform(0.94, 1.06, 3) * [(-1) ** seed, 1, 1]) @ (np.eye(3) + shear)
     for name, surface in ((f"{seed}", bone), (f"{seed}_canal", canal)):
         write(folder / f"{name}.stl", moved(surface, change, np.zeros(3)))
-    shift = {k: f"{rng.uniform(-2, 2)} mm" for k in ("medial_offset", "anterior_offset", "depth")}
+    most = {"medial_offset": 2, "anterior_offset": 2, "depth": 12}
+    shift = {k: f"{rng.uniform(-2, far)} mm" for k, far in most.items()}
     turn = {"varus": f"{rng.uniform(0, 3)} deg", "version": {"angle": f"{rng.uniform(-15, 5)} deg"}}
     own = {"surface": f"{seed}_canal.stl"} if rng.uniform() < 0.8 else {}
     cement, distal = (f"{t} mm" for t in rng.uniform(3, 6, 2))
@@ -253,8 +285,16 @@ def distance(geometry: Patient) -> float:
     """
     placed, corners = geometry.placement, geometry.placement.bone.corners
     z, phi = np.meshgrid(np.arange(-geometry.stem.length, 20.0), np.arange(48) / 48)
-    stem = femur_stem.body(geometry.implant).point(phi.ravel(), z.ravel(), 0.0)
-    x = placed.to_model(stem)
+    (slope, lean), implant = placed.slopes, geometry.implant
+    body = replace(femur_stem.body(implant), lean=lean)
+    x = body.point(phi.ravel(), z.ravel(), 0.0)
+    edge = min(femur_stem.edge(implant, slope), placed.top)
+    if edge < placed.top:  # metal is on the body up to there, and then on the way to the neck
+        x = x[x @ [slope, slope * lean, 1.0] < edge]
+        upper = femur_stem.upper(implant, body, options(), edge, placed.top, slope)
+        z, phi = np.meshgrid(np.linspace(edge, placed.top, 20), np.arange(48) / 48)
+        x = np.concatenate([x, upper.point(phi.ravel(), z.ravel())])
+    x = placed.to_model(x)
     x = x[(x - placed.foot) @ placed.normal < 0]
     parts = [(i / 4, j / 4, 1 - (i + j) / 4) for i in range(5) for j in range(5 - i)]
     y = (parts @ corners[corners[:, 0, 2] > x[:, 2].min() - 10]).reshape(-1, 3)

@@ -361,7 +361,10 @@ def test_curved_cells_are_positive_everywhere() -> None:
     ("values", "words"),
     [
         ({"stem_half_width": 14.0}, "the stem cuts .* laterally at .*canal_widening"),
-        ({"stem_length": 130.0}, "the stem's shoulder is .* below the neck cut"),
+        (
+            {"stem_tip_z": -138.0, "stem_section_z": -5.0, "head_height": 34.0},
+            "into the cortex medially at .*, 0 mm below the cut",
+        ),
         ({"head_height": 0.0}, "the neck.*does not clear the neck cut"),
         ({"neck_fillet": 8.0, "head_height": 36.0}, "geometry.neck_fillet: 8 mm .*at most 6"),
     ],

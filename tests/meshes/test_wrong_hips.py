@@ -137,11 +137,11 @@ KEYS: dict[str, tuple[dict[str, Any], str]] = {
     "valgus neck": ({"stem": {"neck_angle": "150 deg"}}, "between 100 and 145 deg"),
     "too thick": ({"cement_thickness": "12 mm"}, "at most 8 mm"),
     "no room": ({"stem": {"tip_half_width": "6 mm"}}, f"the cortex laterally at {PLACE}"),
-    "deep": ({"insertion": {"depth": "15 mm"}}, "at most 4.5 mm"),
+    "deep": ({"insertion": {"depth": "15 mm"}}, "at most 14 mm"),
     "proud": ({"insertion": {"depth": "-60 mm"}}, "leaves 80 mm of the stem .* 98 mm"),
     "shoulder": (
-        change() | {"insertion": {"depth": "4 mm"}},
-        "shoulder is 10 mm below .* cut lower",
+        change() | {"insertion": {"depth": "8 mm"}},
+        f"into the cortex medially at {PLACE}, 0 mm below the cut",
     ),
     "neck": (change(head_height="1 mm"), "1 mm above the shoulder, does not clear .* raise"),
     "fossa": (

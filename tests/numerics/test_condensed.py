@@ -125,3 +125,11 @@ def test_bodies_are_factored_anew_where_a_support_lets_go() -> None:
     solved = support.solve(support.STEM, CONDENSED, held, stages, history)
     assert [step.outcome.linear_iterations for step in solved.steps] == [0, 0]
     assert solved.steps[1].outcome.iterations > 1
+
+
+def test_cycles_begin_where_the_ones_before_lead() -> None:
+    """The line through two of them leaves a tenth of what repeating the last one would."""
+    walk = "stages=[{name: walk, cycles: 8, valley: 0.1}]"
+    solved = support.solve(support.STEM, "mesh.order=2", walk, CONDENSED)
+    first, *_, last = (step.outcome.iterations for step in solved.steps[2:])
+    assert last <= 2 < first
