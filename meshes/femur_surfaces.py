@@ -29,7 +29,7 @@ from meshes import femur_bone, femur_stem
 from meshes.cad_stem import CadStem
 from meshes.femur_bone import PERIOSTEUM
 from meshes.layers import DIGITS, Lines, Nodes
-from meshes.reference_body import ReferenceBody, Segment
+from meshes.reference_body import COARSER, ReferenceBody, Segment
 
 TURN = 60.0  # mm below the neck cut over which sections turn to it
 CORE = 0.5  # of the canal: where the innermost surface goes below the plug
@@ -77,6 +77,7 @@ class FemurSurfaces:
         segments: Segments of the reference body, from below.
         mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
             in one continue below and above.
+        coarser: Size of the reference body inside the stem over that at its surface.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
         tip: Station of the stem's last section.
         told: What was found, in words.
@@ -84,6 +85,7 @@ class FemurSurfaces:
         remedy: What to change where it has no room.
     """
 
+    coarser = COARSER
     mirrored = range(0)
     key = "geometry"
     remedy = "widen the canal (canal_widening), narrow the stem or move it proximally (stem_tip_z)"

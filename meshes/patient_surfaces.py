@@ -29,7 +29,7 @@ ANGLES = 96  # rays around
 THETA = 2 * np.pi * np.arange(ANGLES) / ANGLES
 GROOVE = 4.0  # mm: narrower gaps in the bone do not end a ray
 TWICE = 0.02  # of the rays, at most, may meet the bone more than once
-STEEPEST = 3.0  # slope of a surface along and around
+STEEPEST, AROUND = 3.0, 1.5  # slopes of a surface along and around
 BLUR = 0.7  # samples
 THINNING, THIN = 35.0, 2.0  # mm above the canal's end over which the cortex becomes so thin
 LEAST_CORTEX = 1.5  # mm that reaming leaves where the patient has less than `CORTEX`
@@ -62,6 +62,7 @@ class PatientSurfaces(FemurSurfaces):
 
     _bone: Any
     _endosteum: Any
+    coarser = 1.7  # below the plug sections are small and far apart
     key = "geometry.insertion"
     remedy = (
         "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and offsets"
@@ -113,8 +114,9 @@ class PatientSurfaces(FemurSurfaces):
         if (missed := np.isnan(radii).any(axis=1)).any():
             raise GeometryError(
                 "geometry: the stem's axis is outside of the bone at"
-                f" {self._at_axis(zeta[missed].max())}; cut lower or flatter (resection), move the"
-                " stem (insertion), or repair the surface, if it crosses itself there"
+                f" {self._at_axis(zeta[missed].max())}; move or turn the stem (insertion: offsets,"
+                " varus), cut lower or flatter (resection), or repair the surface, if it crosses"
+                " itself there"
             )
         if (part := (times > 2).mean()) > TWICE:
             where = self._at_axis(zeta[int(np.median(np.nonzero(times > 2)[0]))])
@@ -273,8 +275,8 @@ def kept(geometry: Any, mesh: Any, files: tuple[str, str]) -> PatientSurfaces:
 
 
 def _limited(radii: Floats) -> Floats:
-    """Radii (n, `ANGLES`) where they change no faster than `STEEPEST`; gaps take those below."""
-    radii, turn = radii.copy(), 1 + STEEPEST * THETA[1]
+    """Radii (n, `ANGLES`) with slopes up to `STEEPEST` and `AROUND`; gaps take those below."""
+    radii, turn = radii.copy(), 1 + AROUND * THETA[1]
     for i in range(1, len(radii)):
         radii[i] = np.where(np.isnan(radii[i]), radii[i - 1], radii[i])
     while True:

@@ -134,7 +134,7 @@ def untangle(points: Floats, cells: Ints) -> Floats:
     Takes nodes (n, 3) and cells (m, 10); returns the nodes, with vertices unchanged.
     """
     chord = straightened(points, cells)
-    least = np.minimum(POOR, 0.7 * sicn(points, cells[:, :4]))
+    least = np.minimum(POOR, 0.85 * sicn(points, cells[:, :4]))
     bend = np.ones((len(points), 1))
     near: Ints = np.arange(len(cells))  # cells whose nodes have moved
     # It ends: a bad cell has a bent edge, and its edges get straight.

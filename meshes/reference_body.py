@@ -64,20 +64,26 @@ class ReferenceBody:
     names: tuple[str, ...]
 
 
-def make(outline: Floats, through: Sequence[int], segments: Sequence[Segment]) -> ReferenceBody:
+def make(
+    outline: Floats,
+    through: Sequence[int],
+    segments: Sequence[Segment],
+    coarser: float = COARSER,
+) -> ReferenceBody:
     """Mesh the body.
 
     Args:
         outline: The core's corners, one a line, around 0 (around, 2) [mm].
         through: Cells through each ring, from the core outwards.
         segments: From the bottom up; the first has all rings.
+        coarser: Size inside the core over its edges.
     """
     corners = outline + np.outer(outline[:, 1], [SHEAR, 0.0])
     names = tuple(dict.fromkeys(name for segment in segments for name in segment.regions))
     with session("reference body") as gmsh:
         _extruded(gmsh, corners, through, segments, names)
         edge = np.sqrt(((corners - np.roll(corners, 1, axis=0)) ** 2).sum(axis=1)).mean()
-        grade(gmsh, (), COARSER * edge, COARSER * edge)
+        grade(gmsh, (), coarser * edge, coarser * edge)
         gmsh.model.mesh.generate(3)
         x, row = nodes(gmsh)
         groups = [gmsh.model.getEntitiesForPhysicalGroup(3, k + 1) for k in range(len(names))]

@@ -20,11 +20,13 @@ from meshes import reference_body
 from meshes.data import EDGES, cell_volumes, faces_of, match_faces
 from meshes.femur_surfaces import VOID, FemurSurfaces
 from meshes.layers import DIGITS, Nodes
-from meshes.quality import untangle
+from meshes.quality import sicn, untangle
 from meshes.reference_body import ReferenceBody
 
 FLOOR = 0.12  # of the mesh size: layers thinner than this have no thickness
 ALONG = 0.10  # of the distance to the next section, where that is far: the same
+
+POOR = 0.12  # SICN: quadrangles of the rings with worse cells get their other diagonal
 
 # The tetrahedra of a prism, whose lower corners 0, 1, 2 are in the order of their ranks.
 _PRISM = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])
@@ -91,14 +93,50 @@ def mesh(surfaces: FemurSurfaces, curved: bool) -> Swept:
     Raises:
         GeometryError: Cells overlap: the surfaces are not nested.
     """
-    body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.segments)
+    parts = surfaces.through, surfaces.segments
+    body = reference_body.make(surfaces.outline(), *parts, surfaces.coarser)
     nodes, number = _grid(surfaces, body)
-    cells, parent = _split(surfaces, body, number)
+    cells, parent = _mended(surfaces, body, nodes, number)
     region = body.region[parent]
     solid = np.array([name != VOID for name in body.names])[region]
     made = _packed(surfaces, nodes, cells[solid], region[solid], body.names)
     _check_volume(made)
     return _curved(made) if curved else made
+
+
+def _mended(
+    surfaces: FemurSurfaces, body: ReferenceBody, nodes: Nodes, number: Ints
+) -> tuple[Ints, Ints]:
+    """As `_split`, with other diagonals across the rings where cells are poor and get better.
+
+    A diagonal is the same in all sections: its worst cell counts.
+    """
+    n, r = surfaces.around, len(body.rho)
+    line, place = np.divmod(body.columns, r)
+    least = place.min(axis=1)
+    ring = np.flatnonzero((body.columns < n * r).all(axis=1) & (least < place.max(axis=1)))
+    # Two corners of a triangle in a ring are on one line; the third ends a diagonal.
+    third = ((line == np.roll(line, -1, axis=1)).argmax(axis=1) + 2)[ring] % 3
+    own, pair = line[ring, third], line[ring, third - 1]
+    quad = np.full(len(line), n * r)
+    quad[ring] = np.where(own == (pair + 1) % n, pair, own) * r + least[ring]
+    turned = body.columns.copy()
+    turned[ring, third] += np.where(place[ring, third] == least[ring], 1, -1)
+    at = np.tile(body.at, (len(nodes) // len(body.at), 1))
+    flat = np.asarray(np.column_stack([at, nodes.s]), dtype=np.float64)
+
+    def split(columns: Ints) -> tuple[tuple[Ints, Ints], Floats]:
+        cells, parent = made = _split(surfaces, replace(body, columns=columns), number)
+        worst = np.ones(n * r + 1)
+        signs = np.sign(cell_volumes(flat, cells))  # turned the other way, they may be inverted
+        np.minimum.at(worst, quad[parent], signs * sicn(nodes.x, cells))
+        return made, worst
+
+    made, worst = split(body.columns)
+    if worst[:-1].min() >= POOR:
+        return made
+    better = (worst < POOR) & (split(turned)[1] > worst)
+    return split(np.where(better[quad, None], turned, body.columns))[0]
 
 
 def _split(surfaces: FemurSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 # Of ash by that of a phantom [g/cm3], and its part of the apparent density.
 ASH_SLOPE, ASH_OFFSET, ASH_PART = 0.877, 0.0789, 0.6
 LEAST = 0.01  # g/cm3: smaller densities of a law are taken as that
-STIFFEST = 40e3  # MPa: no bone is stiffer
+# MPa: no bone is stiffer, no densest bone of a femur is softer.
+STIFFEST, SOFTEST = 40e3, 500.0
 SHOWN = (0.3, 0.6, 1.0)  # g/cm3 for which moduli are told
 INSIDE = 1.5  # mm below the surface of a bone where voxels have nothing of what is around it
 Table = tuple[tuple[float, float, float, float], ...]
@@ -92,12 +93,12 @@ class ImageModulus(Section):
         if self.sha256 not in (None, image.sha256):
             fail(f"{self.density}: is not the image of this hash", at=("sha256",))
         self.__dict__["sha256"] = image.sha256
-        if self.largest > STIFFEST:
-            text = f"{image.dense:g} is {self.largest / 1e3:.0f} GPa, and bone has at most"
-            text += f" {STIFFEST / 1e3:g}: another unit, or metal?"
-            fail(f"the CT number {text}", at=("calibration", "slope"))
         if not self.modulus_of(-1e9) > 0.0:
             fail(f"is not positive at {LEAST} g/cm3", at=("law",))
+        if not SOFTEST < self.largest < STIFFEST:
+            text = f"{image.dense:g}, the densest, is {self.largest / 1e3:.2g} GPa; expected"
+            text += f" {SOFTEST / 1e3:g} to {STIFFEST / 1e3:g}: another unit, metal, or labels?"
+            fail(f"the CT number {text}", at=("calibration", "slope"))
         return self
 
     @property

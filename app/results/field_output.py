@@ -184,6 +184,7 @@ class MechanicalFields:
     def __init__(self, problem: Problem, stresses: Stresses) -> None:
         self._problem, self._stresses = problem, stresses
         self.bodies, self.space = problem.bodies, problem.space
+        self._moduli = stresses.varying_moduli()
         index_map = self.space.dofmap.index_map
         # Stress times volume, and volume, at the nodes of a body.
         self._sums = la.vector(index_map, len(COMPONENTS) + 1)
@@ -204,11 +205,13 @@ class MechanicalFields:
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
-        """Mean stress [MPa]."""
-        σ = np.zeros((cells, len(COMPONENTS)))
+        """Mean stress, and Young's modulus where it varies, 0 elsewhere [MPa]."""
+        σ, E = np.zeros((cells, len(COMPONENTS))), np.zeros(cells)
         for region, own in self._stresses.cells.items():
             σ[own] = _components(self._stresses.mean(region))
-        return _named(σ)
+        for region, moduli in self._moduli.items():
+            E[self._stresses.cells[region]] = moduli
+        return _named(σ) | ({"youngs_modulus": E} if self._moduli else {})
 
     def _nodal_stress(self, nodes: OutputNodes) -> Floats:
         """Stress at the nodes (n, 6) [MPa]: the mean of the body's cells there, by volume.

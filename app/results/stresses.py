@@ -110,6 +110,11 @@ class Stresses:
             σ = Q @ σ @ Q.swapaxes(2, 3)
         return σ * self._relative[region][..., None, None] if region in self._relative else σ
 
+    def varying_moduli(self) -> dict[str, Floats]:
+        """Mean Young's modulus of own cells (cells,) [MPa], of regions where it varies."""
+        of = {e.region: e.moduli[0] for e in self._problem.scene.elastic}
+        return {r: of[r] * (g * self.shares[r]).sum(1) for r, g in self._relative.items()}
+
     def mean(self, region: str) -> Floats:
         """Mean stress of a region's own cells (cells, 3, 3) [MPa]."""
         return np.einsum("q,cqij->cij", self.shares[region], self.evaluate(region))

@@ -7,11 +7,13 @@ penalty at their integration points, and a stick slope.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
 from mpi4py import MPI
 
+import basix
 import numpy as np
 
 from app import files
@@ -23,7 +25,7 @@ from app.laws.loads import Load
 from app.laws.materials import Elastic, Isotropic, TransverselyIsotropic
 from app.laws.supports import Foundation
 from app.laws.values import amplitude
-from app.mechanics.body_forms import BodyForms
+from app.mechanics.body_forms import IMAGE_DEGREE, BodyForms
 from app.mechanics.external_forces import nodal_forces
 from app.scene.bodies import (
     FacetCells,
@@ -42,6 +44,7 @@ from meshes.distribute import distribute
 # Of exact contact: pressure per penetration [MPa/mm]. And shear per slip of a point that sticks,
 # in parts of that.
 STIFF, STICK = 1e4, 0.1
+ALIKE = 0.02  # of Young's modulus that varies: what one material of the deck covers
 # Nodes of a C3D10 by those of basix, and the number of the face opposite each corner.
 ORDER, FACE = [0, 1, 2, 3, 9, 6, 8, 7, 5, 4], np.array([3, 4, 2, 1])
 
@@ -60,6 +63,11 @@ def write(case: LoadedCase, data: MeshData, path: Path) -> list[str]:
         f"a penalty of {STIFF:g} MPa/mm and a stick slope of {STICK * STIFF:g} MPa/mm in the file"
     )
     exact = (name for name, law in case.config.interfaces.items() if isinstance(law, Coulomb))
+    notes += [
+        f"regions.{name}: has the mean of E over each cell, to {ALIKE / 2:.0%}, in the file"
+        for name, e in case.config.regions.items()
+        if isinstance(e, Elastic) and e.varies
+    ]
     return [*notes, *(f"interfaces.{name}: has {soft}" for name in exact)]
 
 
@@ -72,8 +80,8 @@ def _refused(case: Case) -> list[Fault]:
     for name, region in case.regions.items():
         if not isinstance(region, Elastic):
             no(f"a region that is {type(region).__name__.lower()}", "regions", name)
-        elif region.varies or region.eigenstrains:
-            no("a modulus that varies" if region.varies else "eigenstrains", "regions", name)
+        elif region.eigenstrains:
+            no("eigenstrains", "regions", name)
         if region.thermal is not None:
             no("heat", "regions", name, "thermal")
     for name, law in case.interfaces.items():
@@ -114,7 +122,7 @@ class _Deck:
             yield f"*ELEMENT, TYPE=C3D{self.cells.shape[1]}, ELSET={e.region}"
             rows = np.flatnonzero(self.tags == self.tagged.regions[e.region])
             yield from (f"{k + 1}, " + ", ".join(map(str, self.cells[k])) for k in rows)
-            yield from _material(e)
+            yield from self._varying(e, rows) if e.varies else _material(e)
         for name in self.tagged.boundaries:
             yield from self._surface(name, boundary_facets(self.tagged, name))
         for i in self.scene.contacts:
@@ -141,6 +149,21 @@ class _Deck:
             if self.scene.contacts:
                 yield "*CONTACT FILE\nCDIS, CSTR"
             yield "*END STEP"
+
+    def _varying(self, e: Elastic, rows: Ints) -> Iterator[str]:
+        """Sets of a region's cells (n,) whose mean of Young's modulus is alike, and its values."""
+        assert isinstance(e, Isotropic)
+        rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
+        points, weights = (np.asarray(a) for a in rule)
+        parts = self.forms.relative_stiffness(e, points)
+        E = e.moduli[0] * (parts @ weights / weights.sum() if parts.shape[1] > 1 else parts[:, 0])
+        step = np.round(np.log(E) / ALIKE).astype(int)
+        for k in np.unique(step):
+            name = f"{e.region}_{k}"
+            yield f"*ELSET, ELSET={name}"
+            yield from (f"{row + 1}," for row in rows[step == k])
+            yield f"*MATERIAL, NAME={name}\n*ELASTIC\n{_real(math.exp(ALIKE * k), e.poisson_ratio)}"
+            yield f"*SOLID SECTION, ELSET={name}, MATERIAL={name}"
 
     def _surface(self, name: str, f: FacetCells) -> Iterator[str]:
         yield f"*SURFACE, NAME={name}, TYPE=ELEMENT"

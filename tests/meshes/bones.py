@@ -78,35 +78,24 @@ def write(path: Path, surface: BoneSurface, scale: float = 1.0) -> Path:
 
 
 def slices(folder: Path, values: Any, affine: Floats, series: str = "1.2") -> Path:
-    """Write numbers of voxels as a DICOM series: by its standard, C.7.6.2, in no order of names.
+    """Write numbers (i, j, k), multiples of 1/2, as DICOM slices of (i, j), out of order by names.
 
-    Args:
-        folder: A new folder.
-        values: Multiples of 1/2 from -1000 on (i, j, k); slices are of (i, j).
-        affine: To their middles, right, anterior, superior positive, as in NIfTI [mm].
-        series: Its identifier.
+    By the standard's C.7.6.2. The affine to mm is as in NIfTI: right, anterior, superior positive.
     """
     folder.mkdir(exist_ok=True)
     import pydicom
 
+    s = pydicom.dcmread(pydicom.data.get_testdata_file("CT_small.dcm"))
     lps, n = np.diag([-1.0, -1.0, 1.0]) @ affine[:3], values.shape[2]
     edge = np.linalg.norm(lps[:, :2], axis=0)
+    s.SeriesInstanceUID, s.RescaleSlope, s.RescaleIntercept = series, 0.5, -1000
+    s.Columns, s.Rows = values.shape[:2]
+    s.PixelSpacing = np.round(edge[::-1], 6).tolist()
+    s.ImageOrientationPatient = np.round(lps[:, :2] / edge, 6).T.ravel().tolist()
     for k in range(n):
-        s = pydicom.Dataset()
-        s.file_meta = pydicom.dataset.FileMetaDataset()
-        s.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
-        s.is_little_endian, s.is_implicit_VR = True, False
-        s.SOPClassUID, s.SOPInstanceUID = "1.2.840.10008.5.1.4.1.1.2", f"{series}.{k}"
-        s.SeriesInstanceUID, s.PhotometricInterpretation = series, "MONOCHROME2"
-        s.SamplesPerPixel, s.PixelRepresentation = 1, 0
-        s.BitsAllocated, s.BitsStored, s.HighBit = 16, 16, 15
-        s.Columns, s.Rows = values.shape[:2]
-        s.PixelSpacing = np.round(edge[::-1], 6).tolist()
-        s.ImageOrientationPatient = np.round(lps[:, :2] / edge, 6).T.ravel().tolist()
         s.ImagePositionPatient = np.round(lps @ [0, 0, k, 1], 6).tolist()
-        s.RescaleSlope, s.RescaleIntercept = 0.5, -1000
-        s.PixelData = (2 * values[:, :, k].T + 2000).astype("<u2").tobytes()
-        s.save_as(folder / f"{series}.{7 * k % n}", write_like_original=False)
+        s.PixelData = (2 * values[:, :, k].T + 2000).astype("<i2").tobytes()
+        s.save_as(folder / f"{series}.{7 * k % n}")
     return folder
 
 

@@ -97,29 +97,24 @@ def test_slices_are_as_their_nifti(tmp_path: Path) -> None:
     """Triangles and moduli of an oblique series; what is no even series of one is refused."""
     nibabel, _, _ = map(pytest.importorskip, ("nibabel", "skimage", "pydicom"))
     rng = np.random.default_rng(0)
-    bone = gaussian_filter(rng.normal(size=(24, 20, 18)), 3) > 0.0
-    values = np.where(bone, 1200, 0) + rng.integers(0, 200, bone.shape) / 2
-    affine = np.eye(4)
-    affine[:3] = np.array([[0.6, -0.48, 0.64, 9], [0.8, 0.36, -0.48, 8], [0, 0.8, 0.6, -7]])
-    affine[:3, :3] *= [0.5, 0.75, 1.25]
-    x = (affine @ np.r_[rng.uniform(0, 17, (3, 50)), np.ones((1, 50))])[:3].T
-    found = []
-    for name in ("labels", "ct"):
-        numbers = bone.astype(float) if name == "labels" else values
-        nibabel.Nifti1Image(numbers, affine).to_filename(tmp_path / f"{name}.nii")
-        slices(tmp_path / name, numbers, affine)
-    (tmp_path / "ct" / "notes.txt").write_text("no slice")
-    for end in (".nii", ""):
-        given = DENSITY | {"density": f"ct{end}"}
-        E = ImageModulus.model_validate(given, context={"folder": tmp_path})
-        found.append((images.surface(tmp_path / f"labels{end}", 1)[0], E.at(x, lambda x, depth: x)))
-    assert found[1][0] == pytest.approx(found[0][0], abs=1e-6)
-    assert found[1][1] == pytest.approx(found[0][1], rel=1e-5)
-    folder = tmp_path / "ct"
-    (folder / "1.2.3").rename(tmp_path / "1.2.3")
+    numbers = rng.integers(0, 200, (24, 20, 18)) / 2
+    numbers[gaussian_filter(rng.normal(size=numbers.shape), 3) > 0.0] = 1200
+    affine = np.array(
+        [[0.3, -0.36, 0.8, 9], [0.4, 0.27, -0.6, 8], [0, 0.6, 0.75, -7], [0, 0, 0, 1]]
+    )
+    x = (affine @ [*rng.uniform(0, 17, (3, 50)), np.ones(50)])[:3].T
+    folder, file = slices(tmp_path / "ct", numbers, affine), tmp_path / "ct.nii"
+    nibabel.Nifti1Image(numbers, affine).to_filename(file)
+    (folder / "notes.txt").write_text("no slice")
+    E = [ImageModulus.model_validate(DENSITY | {"density": str(path)}) for path in (folder, file)]
+    here, there = (images.surface(e.density, 1200)[0] for e in E)
+    assert here == pytest.approx(there, abs=1e-5)
+    here, there = (e.at(x, lambda x, depth: x) for e in E)
+    assert here == pytest.approx(there, rel=1e-5)
+    (folder / "1.2.3").unlink()
     with pytest.raises(InputError, match=r"1\.25 to 2\.5 mm apart; is one missing after 1\.2\.14"):
         images.read(folder)
-    slices(folder, values[:, :, :3], affine, "1.3")
+    slices(folder, numbers[:, :, :3], affine, "1.3")
     with pytest.raises(InputError, match="has 17, 3 slices; expected those of one series"):
         images.read(folder)
 

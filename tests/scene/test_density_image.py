@@ -132,7 +132,14 @@ def test_an_even_image_is_a_constant(even: Path) -> None:
     ("changes", "message"),
     [
         ({"calibration": None}, "'calibration' is missing"),
-        ({"calibration": PHANTOM | {"slope": "0.8 g/cm^3"}}, "GPa, and bone has at most 40"),
+        (
+            {"calibration": PHANTOM | {"slope": "0.8 g/cm^3"}},
+            "GPa; expected 0.5 to 40: another unit",
+        ),
+        (
+            {"calibration": PHANTOM | {"slope": "0.0008 kg/m^3"}},
+            r"is 0\.\d+ GPa; expected 0.5 to 40",
+        ),
         ({"law": line(-1.0)}, "not positive"),
         ({"sha256": "0" * 64}, "is not the image of this hash"),
         ({"density": "none.nii.gz"}, "no such file"),
@@ -162,7 +169,7 @@ def test_images_that_are_none(tmp_path: Path) -> None:
 
 def test_an_image_in_other_axes_is_refused_with_the_place(even: Path) -> None:
     """The stem's bone is around the axis, where the image begins."""
-    write(even, np.zeros((60, 60, 60)), start=0.0)
+    write(even, np.full((60, 60, 60), 1400), start=0.0)
     text = f"regions.bone.youngs_modulus={json.dumps(modulus(even, 'morgan_neck'))}"
     with pytest.raises(InputError, match=r"points are outside of the image, as \(-?\d+"):
         support.assemble(support.case(support.STEM, text))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import subprocess
@@ -133,6 +134,20 @@ def test_materials(fibre: str, constants: list[float], orientation: str, tmp_pat
     np.testing.assert_allclose(found, constants, rtol=1e-12)
     assert f"SYSTEM={orientation}" in text
     assert "*ELASTIC\n1.1" in text and "*FRICTION\n4.000000000000e-01, 1.0" in text
+
+
+def test_a_modulus_that_varies(tmp_path: Path) -> None:
+    """Each cell has, to 1 %, the modulus at its middle: it is linear in z."""
+    text = CASE.replace("FIBRE", "[0, 0, 1]").replace("order: 2", "order: 2, curved: false")
+    text = text.replace("youngs_modulus: 2 GPa", "youngs_modulus: [[0 mm, 1 GPa], [12 mm, 10 GPa]]")
+    text, data = deck(tmp_path, text)
+    x, E = blocks(text, "NODE, ")[0][:, 1:], np.zeros(len(data.cells))
+    for part in text.split("*ELSET, ELSET=cement_")[1:]:
+        rows, _, rest = part.partition("*MATERIAL")
+        at = np.array(rows.replace(",", "").split()[1:], dtype=int) - 1
+        E[at] = float(rest.partition("*ELASTIC\n")[2].split(",")[0])
+    z = x[blocks(text, "ELEMENT")[1][:, 1:5].astype(int) - 1, 2].mean(axis=1)
+    assert E[E > 0] == pytest.approx(1000 + 750 * z, rel=math.exp(0.01) - 1)
 
 
 def test_what_a_deck_does_not_hold_is_refused_at_its_place(tmp_path: Path) -> None:
