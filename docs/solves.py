@@ -20,7 +20,7 @@ from typing import Any
 from mpi4py import MPI
 
 from app.case.case import load
-from app.numerics.choice import Choice
+from app.numerics.choice import SolverChoice
 from app.simulation.model import Model
 from app.system.layout import table
 from app.system.style import COLOURS, grid, panels
@@ -73,7 +73,7 @@ def main() -> None:
             axes.loglog(range(1, 101), times, color=colour, lw=1.8, label=label)
         for n in COUNTS:
             sizes = row["order"], row["displacement"], row["jump"], n
-            choice = Choice(*sizes, factors=tuple(row["factors"]))
+            choice = SolverChoice(*sizes, factors=tuple(row["factors"]))
             took, foreseen = [_total(r, n) for r in ways], (choice.condensed, choice.krylov)
             chosen = not choice.condenses("auto")
             axes.plot(n, took[chosen], "o", color="black", ms=5, zorder=4)

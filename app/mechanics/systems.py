@@ -15,7 +15,7 @@ from app.arrays import Floats, Ints
 from app.mechanics.coarse_space import free_directions, sliding_motions
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
-from app.numerics.choice import Choice
+from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
 from app.numerics.sparse import block_diagonal, fill
@@ -158,7 +158,7 @@ class ContactSystem(BondedSystem):
             return None
         sizes = problem.stiffness.K.getSize()[0], self.contact.coupling.D.getSize()[0]
         foreseen = self._solves, problem.setting is not None, self._memory, comm.size
-        choice = Choice(problem.scene.order, *sizes, *foreseen)
+        choice = SolverChoice(problem.scene.order, *sizes, *foreseen)
         found: Condensed | None = None
         if linear == "condensed" or choice.condensed < HOPELESS * choice.krylov:
             from app.numerics.condensed import Condensed, available  # scipy: few need it

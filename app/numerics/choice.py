@@ -11,16 +11,16 @@ from app.system.layout import duration
 # precision; bytes per second of back-substitutions. Iterations from rest, and of a later solve.
 FACTORS, PRODUCTS, SINGLE, BYTES = 36e9, 26e9, 86e9, 10e9
 FROM_REST, ITERATIONS = 12, 5.5
-# Seconds of imports; per unknown of assembling A', and of a solve by a Krylov method by order; a
-# later one beside it.
-IMPORTS, ASSEMBLY = 0.1, 1.5e-5
+# Seconds of imports and analysis; per unknown of assembling A', and of a solve by a Krylov method
+# by order; a later one beside it.
+START, ASSEMBLY = 0.3, 1.5e-5
 KRYLOV, LATER = {1: 1e-4, 2: 1.3e-4}, {1: 0.4, 2: 0.5}
 # Efficiency of ranks of a Krylov method; part of the memory that factors may take.
 SPEEDUP, MEMORY = 0.9, 0.5
 
 
 @dataclass(frozen=True)
-class Choice:
+class SolverChoice:
     """Times of both ways for all solves of contact.
 
     Attributes:
@@ -60,7 +60,7 @@ class Choice:
         lu = (2 / 3) * (0.64 * self.jumps) ** 3 / SINGLE
         iteration = lu + (32 * self.jumps**2 + 8 * entries) / BYTES
         setup *= self.solves if self.setting else 1
-        return IMPORTS + setup + (FROM_REST + ITERATIONS * (self.solves - 1)) * iteration
+        return START + setup + (FROM_REST + ITERATIONS * (self.solves - 1)) * iteration
 
     @property
     def krylov(self) -> float:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.case.case import Case
 from app.laws.materials import Conductor, TransverselyIsotropic
-from app.numerics.choice import Choice
+from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
 from app.system.layout import count, duration, plain
 
@@ -140,11 +140,13 @@ def _solution(case: Case, size: _Size, runs: int = 1) -> float:
     return (loading + heating) * (errors if case.output.error else 1.0)
 
 
-def _choice(case: Case, size: _Size, runs: int, available: float = math.inf) -> tuple[Choice, bool]:
+def _choice(
+    case: Case, size: _Size, runs: int, available: float = math.inf
+) -> tuple[SolverChoice, bool]:
     """The choice of the linear solver of mechanics, and whether bodies are condensed."""
     number, sets = runs * max(1, sum(solves(case))), bool(build_scene(case).cures)
     sizes = case.mesh.order, 3 * size.nodes, 3 * size.jumps
-    choice = Choice(*sizes, number, sets, available)
+    choice = SolverChoice(*sizes, number, sets, available)
     may = bool(size.jumps and contact_solves(case))
     return choice, may and choice.condenses(case.solver.linear)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array, diags_array, eye_array, kron
 
-from app.numerics.choice import Choice
+from app.numerics.choice import SolverChoice
 from app.numerics.cholesky import Cholesky
 from app.numerics.condensed import Condensed
 from tests import support
@@ -63,7 +63,7 @@ def test_it_is_chosen_where_it_was_measured_to_pay(
 ) -> None:
     order, unknowns, jumps, gflop, entries = size
     for solves, expected in ((1, one), (2, two)):
-        guessed = Choice(order, unknowns, jumps, solves)
+        guessed = SolverChoice(order, unknowns, jumps, solves)
         known = replace(guessed, factors=(1e9 * gflop, 1e6 * entries))
         assert known.condenses("auto") is expected
         assert guessed.condensed == pytest.approx(known.condensed, rel=0.5)
