@@ -127,21 +127,23 @@ class FemurSurfaces:
     def _divide(self, implant: Any, distal: float, thickness: Any) -> None:
         """Divide the bone from a distal level [mm] to the cut: stations, lines, cells."""
         mesh, plug = self.mesh, implant.stem_tip_z - implant.plug_length
-        self._tip = femur_stem.Tip(implant.stem_tip_z, implant.tip_height, plug)
+        cad, height = isinstance(self._body, CadStem), implant.tip_height
+        self._tip = femur_stem.Tip(implant.stem_tip_z, 0.0 if cad else height, plug)
         below = _distances(mesh, plug - distal, "below")
-        flank = self._tip.low + self._tip.height
+        flank = self._tip.low + height
         above = _distances(mesh, self._top - flank, "stem")
         if (depth := self._top - self._shoulder) > 0:  # there is a station
             near = above[max(1, int(np.abs(above - depth).argmin()))]
             above = np.interp(above, [0.0, near, above[-1]], [0.0, depth, above[-1]])
         void, start = implant.tip_void, len(below) - 1
         floor, rim = self._tip.rim - void, self._tip.rim
-        lengths = floor - plug, void, self._tip.height
+        lengths = (2 if cad else 1) * (floor - plug), void, height  # an end of CAD may be narrow
         counts = [mesh.steps(length) if length else 0 for length in lengths]
         levels = pairwise((plug, floor, rim))
         inside = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(levels, counts, strict=False)]
-        turn = math.asin(femur_stem.ZONE) * (1 - np.arange(1, counts[2] + 1) / max(counts[2], 1))
-        inside.append(flank - self._tip.axis * np.sin(turn))
+        off = 1 - np.arange(1, counts[2] + 1) / max(counts[2], 1)
+        round_ = self._tip.axis * np.sin(math.asin(femur_stem.ZONE) * off)
+        inside.append(flank - (height * off if cad else round_))
         self._zeta = np.concatenate([(plug - below)[::-1], *inside, (self._top - above)[-2::-1]])
         self._floor, self.tip = start + counts[0], start + counts[0] + counts[1]
         self.mantle = (start, len(self._zeta) - 1)
