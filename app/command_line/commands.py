@@ -160,7 +160,7 @@ def _mesh(options: argparse.Namespace) -> int:
             print(file)
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
-    print(cost.exact_size(case.config, data))
+    print(cost.exact_size(case.config, data, memory.available()))
     for message in data.notes.get("told", ()):
         print(f"note: {message}")
     return 0
