@@ -78,6 +78,7 @@ class FemurSurfaces:
         mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
             in one continue below and above.
         coarser: Size of the reference body inside the stem over that at its surface.
+        spared: Part of the largest bend of a bad curved cell up to which edges keep theirs.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
         tip: Station of the stem's last section.
         told: What was found, in words.
@@ -85,7 +86,7 @@ class FemurSurfaces:
         remedy: What to change where it has no room.
     """
 
-    coarser = COARSER
+    coarser, spared = COARSER, 0.0
     mirrored = range(0)
     key = "geometry"
     remedy = "widen the canal (canal_widening), narrow the stem or move it proximally (stem_tip_z)"
@@ -100,6 +101,7 @@ class FemurSurfaces:
         self._shoulder = edge if edge < placed.top - DEEP else placed.top
         if stem := getattr(implant, "stem", None):
             ends = implant.stem_tip_z, self._shoulder
+            self.spared = 0.9  # shoulder and neck have sharp edges
             self._body: Any = CadStem(stem.found, ends, placed, mesh)
         else:
             self._body = replace(femur_stem.body(implant), lean=self._lean)
