@@ -94,14 +94,15 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
     from app.soundness import cost, memory, preview
 
     memory.check(case.file, case.config)
-    size, notes = cost.estimated_size(case.config), preview.warnings(case.config)
+    size = cost.estimated_size(case.config, memory.available())
+    notes = preview.warnings(case.config)
     if meshed:
         data = mesh(case)
         with stack_needed():
             from app.soundness import well_posedness
         with case.file.placing():
             notes += well_posedness.judge(case.config, well_posedness.look(case.config, data))
-        size = cost.exact_size(case.config, data)
+        size = cost.exact_size(case.config, data, memory.available())
     text = preview.describe(case.config, case.file.data)
     return preview.CheckedCase(text, size, tuple(n for n in notes if n not in text))
 

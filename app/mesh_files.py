@@ -76,11 +76,7 @@ def left_out(what: str, names: Iterable[str]) -> list[str]:
 
 @lru_cache(maxsize=1)
 def read(path: Path, modified: int) -> Found:
-    """What a file holds; its sets of cells are the regions.
-
-    Args:
-        path: The file.
-        modified: When it was; one that is younger is read again.
+    """What a file, as it was modified last, holds; its sets of cells are the regions.
 
     Raises:
         ValueError: The file is damaged or of no use; what is wrong, in words.

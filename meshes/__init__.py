@@ -154,3 +154,11 @@ def _between(data: MeshData) -> Iterator[tuple[str, str, Any]]:
         on = (data.cell_tags[cell] == tag) & (data.cell_tags[behind] == other)
         if on.any():
             yield a, b, faces_of(data.cells, cell[on], face[on])
+
+
+def meeting(geometry: Any, mesh: Any) -> tuple[list[tuple[str, str]], list[str]]:
+    """Pairs of regions of a gmsh file that meet, and its interior surfaces."""
+    from meshes import imported
+
+    data = canonical(imported.build(geometry, mesh))
+    return [(a, b) for a, b, _ in _between(data)], data.notes["interior_surfaces"]

@@ -117,7 +117,8 @@ class CadStem:
         along = edges / length[:, None]
         bend = np.arccos(np.clip((along * np.roll(along, 1, axis=0)).sum(axis=1), -1.0, 1.0))
         bend += np.roll(bend, -1)
-        weight = length / length.sum() + CORNERS * bend / bend.sum()
+        more = CORNERS if part <= 0 else 0.0  # above, corners are those of shoulder and neck
+        weight = length / length.sum() + more * bend / bend.sum()
         return np.concatenate([x, x[:1]]), np.append(0.0, np.cumsum(weight)) / weight.sum()
 
     def _at(self, phi: Floats, *planes: Floats) -> Floats:
@@ -136,9 +137,9 @@ class CadStem:
         return half, half, 0.0
 
     def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
-        """Points of outlines as `femur_stem.Body.point`; below the tip they are the tip's."""
+        """Points of outlines as `femur_stem.Body.point`; below the tip they are those above."""
         zeta, slope = (np.broadcast_to(v, phi.shape) for v in (zeta, slope))
-        return self._at(phi, np.maximum(zeta, self._low), slope)
+        return self._at(phi, self._low + np.abs(zeta - self._low), slope)
 
     def points(self, phi: Floats, s: Floats) -> Floats:
         """Points at stations above the cut (n, 3) [mm]."""

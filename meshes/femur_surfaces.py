@@ -79,6 +79,7 @@ class FemurSurfaces:
         mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
             in one continue below and above.
         coarser: Size of the reference body inside the stem over that at its surface.
+        spared: Part of the largest bend of a bad curved cell up to which edges keep theirs.
         mirrored: Steps whose prisms are split the other way around: there sections turn back.
         tip: Station of the stem's last section.
         told: What was found, in words.
@@ -86,7 +87,7 @@ class FemurSurfaces:
         remedy: What to change where it has no room.
     """
 
-    coarser = COARSER
+    coarser, spared = COARSER, 0.0
     mirrored = range(0)
     key = "geometry"
     remedy = "widen the canal (canal_widening), narrow the stem or move it proximally (stem_tip_z)"
@@ -101,6 +102,7 @@ class FemurSurfaces:
         self._shoulder = edge if edge < placed.top - DEEP else placed.top
         if stem := getattr(implant, "stem", None):
             ends = implant.stem_tip_z, self._shoulder
+            self.spared = 0.9  # shoulder and neck have sharp edges
             self._body: Any = CadStem(stem.found, ends, placed, mesh)
         else:
             self._body = replace(femur_stem.body(implant), lean=self._lean)
@@ -128,21 +130,23 @@ class FemurSurfaces:
     def _divide(self, implant: Any, distal: float, thickness: Any) -> None:
         """Divide the bone from a distal level [mm] to the cut: stations, lines, cells."""
         mesh, plug = self.mesh, implant.stem_tip_z - implant.plug_length
-        self._tip = femur_stem.Tip(implant.stem_tip_z, implant.tip_height, plug)
+        cad, height = isinstance(self._body, CadStem), implant.tip_height
+        self._tip = femur_stem.Tip(implant.stem_tip_z, 0.0 if cad else height, plug)
         below = _distances(mesh, plug - distal, "below")
-        flank = self._tip.low + self._tip.height
+        flank = self._tip.low + height
         above = _distances(mesh, self._top - flank, "stem")
         if (depth := self._top - self._shoulder) > 0:  # there is a station
             near = above[max(1, int(np.abs(above - depth).argmin()))]
             above = np.interp(above, [0.0, near, above[-1]], [0.0, depth, above[-1]])
         void, start = implant.tip_void, len(below) - 1
         floor, rim = self._tip.rim - void, self._tip.rim
-        lengths = floor - plug, void, self._tip.height
+        lengths = (2 if cad else 1) * (floor - plug), void, height  # an end of CAD may be narrow
         counts = [mesh.steps(length) if length else 0 for length in lengths]
         levels = pairwise((plug, floor, rim))
         inside = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(levels, counts, strict=False)]
-        turn = math.asin(femur_stem.ZONE) * (1 - np.arange(1, counts[2] + 1) / max(counts[2], 1))
-        inside.append(flank - self._tip.axis * np.sin(turn))
+        off = 1 - np.arange(1, counts[2] + 1) / max(counts[2], 1)
+        round_ = self._tip.axis * np.sin(math.asin(femur_stem.ZONE) * off)
+        inside.append(flank - (height * off if cad else round_))
         self._zeta = np.concatenate([(plug - below)[::-1], *inside, (self._top - above)[-2::-1]])
         self._floor, self.tip = start + counts[0], start + counts[0] + counts[1]
         self.mantle = (start, len(self._zeta) - 1)
@@ -221,9 +225,10 @@ class FemurSurfaces:
         zeta, slope = self.plane(s)
         theta = 2 * np.pi * phi
         if (over := zeta > self._shoulder).any():  # lines go with the neck, which moves to medial
-            at = np.append(zeta[over], self._shoulder), np.append(slope[over], self._steepest)
-            side = (self._outline(np.full(len(at[0]), turn), *at) for turn in (0.0, 0.5))
-            aside = 0.5 * sum(x[:-1, 0] - x[-1, 0] for x in side)
+            ways = np.append(zeta[over], self._shoulder), np.append(slope[over], self._steepest)
+            around = np.zeros(len(ways[0]))
+            x = 0.5 * (self._outline(around, *ways) + self._outline(around + 0.5, *ways))
+            aside = x[:-1, 0] - x[-1, 0]
             c, d = BESIDE * np.cos(theta[over]), BESIDE * np.sin(theta[over])
             theta[over] = np.arctan2(d, c + aside)
         end = self._ends(theta, zeta, slope)

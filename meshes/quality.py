@@ -123,7 +123,7 @@ def bent(points: Floats, cells: Ints) -> bool:
     return bool(off > ROUNDING * np.ptp(points, axis=0).max())
 
 
-def untangle(points: Floats, cells: Ints) -> Floats:
+def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:
     """Move the middle nodes of bad quadratic cells towards the middles of their straight edges.
 
     Putting middle nodes on a curved surface inverts some cells beside it. gmsh's cures were
@@ -131,11 +131,13 @@ def untangle(points: Floats, cells: Ints) -> Floats:
     curving four minutes and a torrent on stdout; halving the bend of a fifth of the curved edges
     took two seconds and left no cell below 0.1.
 
-    Takes nodes (n, 3) and cells (m, 10); returns the nodes, with vertices unchanged.
+    Takes nodes (n, 3) and cells (m, 10), and what is spared: edges of a bad cell that are bent by
+    less than this part of its most bent one. Returns the nodes, with vertices unchanged.
     """
     chord = straightened(points, cells)
     least = np.minimum(POOR, 0.85 * sicn(points, cells[:, :4]))
     bend = np.ones((len(points), 1))
+    size = np.linalg.norm(points - chord, axis=1)
     near: Ints = np.arange(len(cells))  # cells whose nodes have moved
     # It ends: a bad cell has a bent edge, and its edges get straight.
     for step in count():
@@ -144,7 +146,8 @@ def untangle(points: Floats, cells: Ints) -> Floats:
         if not len(bad):
             break
         moved = np.zeros(len(points), dtype=bool)
-        moved[cells[bad, 4:]] = True
-        bend[moved] *= 0.5 if step < STEPS else 0.0
+        own = (bend[:, 0] * size)[cells[bad, 4:]]
+        moved[cells[bad, 4:][own >= spared * own.max(axis=1, keepdims=True)]] = True
+        bend[moved] *= 0.5 if step < STEPS * (3 if spared else 1) else 0.0
         near = np.flatnonzero(moved[cells[:, 4:]].any(axis=1))
     return np.asarray(current)

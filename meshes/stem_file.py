@@ -26,12 +26,13 @@ from meshes.mantle import triangles
 # is met to 0.008 mm.
 TURN, PARTS = 15, 4
 SEWN = 1e-3  # mm between edges of faces that are one
+SHARP, FLATTEST = 0.5, 1.0  # mm: an end that is oblique, or rounded by less; least rounding kept
 FLAT = 1e-3  # mm that nodes of a planar face may be off its plane
 LONG = (60.0, 400.0)  # mm that a stem may be long
 STRAIGHT = (0.05, 0.5)  # of its length: where sections show the axis
 WHOLE = (0.05, 0.75)  # of the height of its shoulder: where the axis is within the metal
 TOP = 0.9  # of the height of its shoulder: where the shoulder is
-BLUNT, WIDE = 6.0, 0.4  # mm of a rounded tip; outline of the first section over that there
+BLUNT, WIDE, FULL = 6.0, 0.4, 0.9  # mm of a rounded tip; outlines where it ends over that there
 TAPER, ASIDE = (25.0, 80.0), 10.0  # deg between axis and neck; mm of its end from the axis
 
 
@@ -46,7 +47,7 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
         ``x``: triangles (m, 3, 3), ``coarse``: fewer [mm]; ``head``: the head's centre (3,) [mm];
         ``neck``: unit vector along the neck (3,); ``end``: centre of its end (3,), ``radius`` of a
         circle as large, ``shoulder``: height of the highest point lateral to the axis, ``lateral``:
-        how far it reaches lateral there [mm];
+        how far it reaches lateral there, ``rounding``: height of the rounded tip [mm];
         ``around``: length of a section at 3/4 of that [mm]; ``in_file``: in the file, two
         points of the axis, the centres of head and neck's end [mm], the way to medial (5, 3).
 
@@ -73,7 +74,9 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
     medial = unit(head - origin - axis * (axis @ (head - origin)))
     turn = np.stack([medial, np.cross(axis, medial), axis])
     x = (triangles(points, np.concatenate(faces), PARTS) - origin) @ turn.T
-    tip = np.array([0.0, 0.0, _tip(x)])
+    low, full = (_tip(x, part) for part in (WIDE, FULL))
+    low = full if full - low < SHARP else low
+    tip, rounding = np.array([0.0, 0.0, low]), max(full - low, FLATTEST) if full > low else 0.0
     x -= tip
     shoulder = x[x[..., 0] <= 0][:, 2].max()
     ends = origin + np.outer([tip[2], tip[2] + shoulder], axis)
@@ -85,6 +88,7 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
         "neck": turn @ normal,
         "radius": radius,
         "shoulder": shoulder,
+        "rounding": rounding,
         "lateral": -x[x[..., 2] > TOP * shoulder][:, 0].min(),
         "around": around(_whole(path, x, shoulder)),
         "in_file": np.stack([*ends, head, end, medial]),
@@ -123,12 +127,12 @@ def _level(x: Floats, z: float) -> Floats:
     return outline(x, np.array([0.0, 0.0, z]), np.eye(3)[:2])
 
 
-def _tip(x: Floats) -> float:
-    """Level of the lowest section that is wide [mm]."""
+def _tip(x: Floats, part: float) -> float:
+    """Level of the lowest section that has a part of the full outline [mm]."""
     low = float(x[..., 2].min())
-    for z in low + np.linspace(INSIDE, BLUNT, 60):
+    for z in low + np.linspace(INSIDE, BLUNT, 120):
         with suppress(ValueError):
-            if around(_level(x, z)) > WIDE * around(_level(x, low + BLUNT)):
+            if around(_level(x, z)) > part * around(_level(x, low + BLUNT)):
                 return float(z)
     return low
 

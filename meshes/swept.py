@@ -283,7 +283,8 @@ def _curved(made: Swept) -> Swept:
     middles = _middles(made, keys // n, keys % n)
     nodes = Nodes(**{k: np.concatenate([v, vars(middles)[k]]) for k, v in vars(made.nodes).items()})
     cells = np.hstack([made.cells, of.reshape(-1, 6) + n])
-    return replace(made, nodes=replace(nodes, x=untangle(nodes.x, cells)), cells=cells)
+    x = untangle(nodes.x, cells, made.surfaces.spared)
+    return replace(made, nodes=replace(nodes, x=x), cells=cells)
 
 
 def _middles(made: Swept, a: Ints, b: Ints) -> Nodes:

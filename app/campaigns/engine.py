@@ -33,7 +33,6 @@ HERE = Path(__file__).parent
 SNAKEFILE, SLURM_STATUS = HERE / "Snakefile", HERE / "slurm_status"
 MEGABYTE = 1e6
 POLL = 0.1  # s
-SAME_SIGNAL = 1.0  # s
 JOBS_AT_ONCE = 1000  # in the queue of Slurm
 TREE_JOB = Path("/run/mantle/job")  # template of the script of a job
 LATENCY = 60  # s after which files that a node wrote are seen here
@@ -143,7 +142,7 @@ def _stop(child: subprocess.Popen[bytes]) -> None:
     On a cluster Snakemake cancels its jobs.
     """
     log.info("stopping; running cases save their state first (once more: stop at once)")
-    end = time.monotonic() + SAME_SIGNAL
+    end = time.monotonic() + ranks.SAME_SIGNAL
     _send(child, signal.SIGINT)
     while child.poll() is None:
         try:

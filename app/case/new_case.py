@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
+import json
+import re
+import textwrap
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from errno import EACCES, EROFS
 from pathlib import Path
+from typing import Any
 
 import configs
-from app.errors import InputError
+from app.case import gmsh_header
+from app.case.geometries import MeshFile, MeshOptions
+from app.errors import InputError, MantleError
 
+# Pairs of regions of a mesh that meet, and its interior surfaces.
+Meeting = Callable[[Any, Any], tuple[list[tuple[str, str]], list[str]]]
 FOLDER = configs.FOLDER / "start"
+KINDS = ("femur", "cylinders", "blocks", "file")
 STEMS = {"titanium": "Ti-6Al-4V", "cocr": "CoCrMo", "steel": "316L"}
 SCHEMA = f"# yaml-language-server: $schema={configs.FOLDER / 'schema.json'}\n"
+LAW = "{kind: bonded} # or, where they may part: {kind: contact, friction_coefficient: 0.3}"
+MISSING = """\
+  # It is not there yet. Name its physical volumes under `regions`, two physical surfaces as
+  # `boundary` below; once it is there `mantle check` tells those it has.
+"""
 
 
-def write(path: Path, kind: str, stem: str = "") -> Path:
+def write(path: Path, kind: str, stem: str = "", meeting: Meeting | None = None) -> Path:
     """Write a new case that runs as it is, its stem of one of `STEMS`; return its file.
+
+    `meeting` tells which regions of a mesh meet (`meshes.meeting`); by default none is known.
 
     Raises:
         InputError: The file exists or cannot be written; the kind has no stem.
@@ -22,8 +40,11 @@ def write(path: Path, kind: str, stem: str = "") -> Path:
     if stem and kind not in ("femur", "cylinders"):
         raise InputError(f"--stem {stem}: of kind {kind} there is no stem")
     path = path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
-    text = (FOLDER / f"{kind}.yaml").read_text(encoding="utf-8")
-    text = text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
+    if kind == "file":
+        text = _own(path.with_suffix(".msh"), meeting)
+    else:
+        text = (FOLDER / f"{kind}.yaml").read_text(encoding="utf-8")
+        text = text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(SCHEMA + text)
@@ -34,3 +55,51 @@ def write(path: Path, kind: str, stem: str = "") -> Path:
         why = "the folder is read-only" if getattr(error, "errno", 0) in (EROFS, EACCES) else why
         raise InputError(f"{path}: cannot be written: {why}") from error
     return path
+
+
+def _own(mesh: Path, meeting: Meeting | None) -> str:
+    """Case on a mesh file beside it, with its regions and boundaries if it exists."""
+    regions: tuple[str, ...] = ("NAME_OF_A_REGION",)
+    boundaries: tuple[str, ...] = ("NAME_OF_A_SURFACE", "NAME_OF_ANOTHER")
+    about, pairs = MISSING, list[tuple[str, str]]()
+    if mesh.is_file():
+        try:
+            regions, surfaces = (gmsh_header.physical_names(mesh, d) for d in (3, 2))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{mesh}: {error}") from error
+        if not regions:
+            raise InputError(f"{mesh}: names no region: no physical volume has a name")
+        names = f"its boundaries: {', '.join(surfaces) or 'none, which a case needs'}"
+        about = textwrap.indent(textwrap.fill(names, 90, break_on_hyphens=False), "  # ") + "\n"
+        inside: list[str] = []
+        # A mesh that cannot be read here is told by `check --mesh`.
+        with suppress(MantleError, ModuleNotFoundError, ValueError):
+            if meeting:
+                file = MeshFile(kind="file", path=mesh)
+                pairs, inside = meeting(file, MeshOptions.model_validate({"size": "3 mm"}))
+        boundaries = tuple(s for s in surfaces if s not in inside) or boundaries
+    lines = (f"  {_word(r)}: {{material: cortical_bone, tissue: bone}}\n" for r in regions)
+    return (
+        (FOLDER / "file.template")
+        .read_text(encoding="utf-8")
+        .format(
+            title=_word(mesh.stem),
+            path=_word(mesh.name),
+            about=about,
+            regions="".join(lines),
+            sides=_section("  interfaces:", (f"    {a}_{b}: [{a}, {b}]" for a, b in pairs)),
+            laws=_section("interfaces:", (f"  {a}_{b}: {LAW}" for a, b in pairs)),
+            first=_word(boundaries[0]),
+            last=_word(boundaries[-1]),
+        )
+    )
+
+
+def _section(head: str, lines: Iterable[str]) -> str:
+    found = list(lines)
+    return "\n".join([head, *found, ""]) if found else ""
+
+
+def _word(text: str) -> str:
+    """Text as a YAML scalar, quoted if necessary."""
+    return text if re.fullmatch(r"[A-Za-z_/.][\w/. -]*", text) else json.dumps(text)

@@ -270,12 +270,7 @@ def _tables(owner: str) -> Iterator[dict[str, Quantity]]:
 
 
 def get(name: str) -> Quantity | None:
-    """Quantity by its full name; None if there is none.
-
-    Args:
-        name: ``<interface or region>.<key>``, ``stem.<key>`` or one of `of_run`; components of a
-            vector have the suffix ``.x`` ..
-    """
+    """Quantity by its full name, ``<owner>.<key>`` or one of `of_run`; None if there is none."""
     owner, _, key = name.partition(".")
     return next((q for own in _tables(owner) for q in own.values() if key in q.names), None)
 

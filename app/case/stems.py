@@ -91,9 +91,10 @@ class StemFile(Section):
         (offset, _, height), neck = found["head"], found["neck"]
         numbers = {"stem_length": found["shoulder"], "trunnion_diameter": 2.0 * found["radius"]}
         numbers |= {"head_offset": offset, "head_height": tip + height}
+        numbers["tip_rounding"] = found["rounding"]
         angle = round(math.degrees(math.acos(-neck[2])), 3)
         exact = {key: round(float(number), 2) for key, number in numbers.items()}
-        return exact | {"neck_angle": math.radians(angle), "tip_rounding": 0.0}
+        return exact | {"neck_angle": math.radians(angle)}
 
 
 _READ: dict[str, dict[str, Any]] = {}  # by content: a case is read more than once

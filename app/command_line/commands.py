@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mantle
 from app.case import gmsh_header
@@ -90,7 +90,7 @@ def _load(options: argparse.Namespace) -> LoadedCase:
 def _init(options: argparse.Namespace) -> int:
     from app.case import new_case
 
-    path = new_case.write(options.name, options.kind, options.stem)
+    path = new_case.write(options.name, options.kind, options.stem, _meeting)
     name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
     program = shlex.quote(os.environ.get("MANTLE_CALLED", "mantle"))
     print(f"{path} is written; next:")
@@ -98,6 +98,12 @@ def _init(options: argparse.Namespace) -> int:
     print(f"  {program} run {name} -o {folder}")
     print(f"  open {folder}/report.html in a browser")
     return 0
+
+
+def _meeting(geometry: Any, mesh: Any) -> Any:
+    import meshes
+
+    return meshes.meeting(geometry, mesh)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -154,7 +160,7 @@ def _mesh(options: argparse.Namespace) -> int:
             print(file)
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
-    print(cost.exact_size(case.config, data))
+    print(cost.exact_size(case.config, data, memory.available()))
     for message in data.notes.get("told", ()):
         print(f"note: {message}")
     return 0

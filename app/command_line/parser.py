@@ -121,9 +121,9 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "--accuracy": dict(metavar="PART", help="pick mesh size and order for errors below, e.g. 0.05"),
     "--mesh": dict(action="store_true", help="make the mesh and give exact sizes"),
     "--kind": dict(
-        choices=("femur", "cylinders", "blocks"),
+        choices=("femur", "cylinders", "blocks", "file"),
         default="femur",
-        help="its geometry (default femur, standing on one leg)",
+        help="its geometry (default femur, standing on one leg); file: a mesh of gmsh, NAME.msh",
     ),
     "--stem": dict(
         choices=("titanium", "cocr", "steel"),

@@ -69,12 +69,7 @@ OverTime = Annotated[tuple[T, ...], ITEMS, AfterValidator(rising("time"))]
 
 
 def field(key: str, value: float | str | Field) -> Field:
-    """A value or an expression as a function of points (n, 3): shape (n,).
-
-    Args:
-        key: Key of the value, for errors.
-        value: A number, an expression, or a function, returned as it is.
-    """
+    """A value or an expression of a key as a function of points (n, 3): shape (n,)."""
     if callable(value):
         return value
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
@@ -13,6 +15,7 @@ from app.arrays import Floats, Ints
 from app.mechanics.coarse_space import free_directions, sliding_motions
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
+from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
 from app.numerics.sparse import block_diagonal, fill
@@ -20,6 +23,11 @@ from app.numerics.system import Measure, System, size
 
 if TYPE_CHECKING:
     from app.numerics.condensed import Condensed
+
+log = logging.getLogger("mantle")
+
+# Estimated time over that of a Krylov method from which no factors are analysed.
+HOPELESS = 2.0
 
 
 def mechanical(
@@ -57,7 +65,8 @@ class BondedSystem(System):
         """Direct or multigrid."""
         K, order = self._problem.stiffness.K, self._problem.scene.order
         lower = self._problem.stiffness.inverse.lower
-        return {"displacement": stiffness_options(linear, K, order, lower)}
+        bonded = self._problem.contact is None
+        return {"displacement": stiffness_options(linear, K, order, lower, bonded)}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put prescribed displacements into a state."""
@@ -143,18 +152,23 @@ class ContactSystem(BondedSystem):
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def exact(self, linear: str) -> Condensed | None:
-        """Condensed onto the jumps, if that is asked for or pays at second order; collective."""
-        problem, K = self._problem, self._problem.stiffness.K
-        asked = linear == "condensed"
-        often = linear == "auto" and problem.scene.order > 1 and problem.setting is None
-        if not (self._solves and (asked or often)):
+        """Condensed onto the jumps, if that is asked for or takes less time; collective."""
+        problem, comm = self._problem, self.comm
+        if not self._solves or linear not in ("auto", "condensed"):
             return None
-        from app.numerics.condensed import Condensed, usable  # with scipy, which others do without
+        sizes = problem.stiffness.K.getSize()[0], self.contact.coupling.D.getSize()[0]
+        foreseen = self._solves, problem.setting is not None, self._memory, comm.size
+        choice = SolverChoice(problem.scene.order, *sizes, *foreseen)
+        found: Condensed | None = None
+        if linear == "condensed" or choice.condensed < HOPELESS * choice.krylov:
+            from app.numerics.condensed import Condensed, available  # scipy: few need it
 
-        if not usable(K.getSize()[0], K.comm.tompi4py()):
-            return None
-        found = Condensed(self)
-        return found if asked or found.pays(self._solves, self._memory) else None
+            if available(comm):
+                found = Condensed(self)
+                choice = replace(choice, factors=found.work)
+        chosen = found if choice.condenses(linear) else None
+        log.info("solver: %s", choice.words(chosen is not None))
+        return chosen
 
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         """Stiffness, coupling without constrained rows, stiffness of the jumps."""

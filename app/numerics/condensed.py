@@ -39,16 +39,6 @@ MOST, PARTS = 40, 2.0 ** -np.arange(8)
 ROUGH, CHORD = 1e-2, 1e-2
 # Part of the tolerance that out-of-balance forces of a start may have without being removed.
 LITTLE = 0.01
-# Unknowns of displacement beyond which nothing is analysed, as factors do not pay.
-MANY = 300_000
-# Measured on one core: operations per second of factors, of dense products with S, of LU in single
-# precision; bytes per second of back-substitutions. Iterations from rest, and of a later solve.
-FACTORS, PRODUCTS, SINGLE, BYTES = 36e9, 26e9, 86e9, 10e9
-FROM_REST, ITERATIONS = 12, 5.5
-# Seconds of assembling A' per unknown; of a solve by Krylov's method, and of a later one beside it.
-ASSEMBLY, KRYLOV, LATER = 1.5e-5, 1.3e-4, 0.65
-# Efficiency of ranks of a Krylov method; part of the memory that factors may take.
-SPEEDUP, MEMORY = 0.9, 0.5
 
 
 class Condensable(Protocol):
@@ -91,26 +81,11 @@ class Condensed:
         if self._matrix is not None:
             self.cholesky = Cholesky(self._matrix, self._jumps)
 
-    def __str__(self) -> str:
-        """What is eliminated, in words."""
-        size = f"{self.size:,} displacements eliminated, Newton in {self._jumps:,} jumps"
-        if self._comm.rank:
-            return size
-        c = self.cholesky
-        return (
-            f"{size}; factors of {c.entries / 1e6:.0f} million entries, {c.flops / 1e9:.0f} GFlop"
-        )
-
-    def pays(self, solves: float, memory: float) -> bool:
-        """As `pays`, for memory of rank 0 [byte]; collective."""
-
-        def judged() -> bool:
-            c = self.cholesky
-            needed = 1.3 * 8 * c.entries + 20 * self._jumps**2
-            sizes = self.size, self._jumps, c.flops, c.entries
-            return needed < MEMORY * memory and pays(*sizes, solves, self._comm.size)
-
-        return bool(on_root(self._comm, judged))
+    @property
+    def work(self) -> tuple[float, float]:
+        """Operations and entries of the factors; collective."""
+        c = None if self._comm.rank else self.cholesky
+        return self._comm.bcast(c and (c.flops, c.entries))
 
     # Factors
 
@@ -209,16 +184,15 @@ class Condensed:
         self._renew()
         (u, q_vector), (ru, e) = x, self._contact.forces(x)
         q, number = q_vector.array.copy(), 0
-        r, scale = self._contact.law(e, q)
-        if self._norm(np.concatenate([ru, r])) <= tolerance * scale:
-            return number
+        _, scale = self._contact.law(e, q)
         if self._norm(ru) <= LITTLE * tolerance * scale:
             ru = np.zeros_like(ru)
         pulled = self._on_root(self._pulled, q_vector, ru)
         e = e - pulled
         r, scale = self._contact.law(e, q)
         norm, moving, kept = self._norm(r), True, False
-        while norm > tolerance * scale and moving and number < MOST:
+        # One at least: states that are only just in balance would drift from cycle to cycle.
+        while norm > (tolerance * scale if number else 0.0) and moving and number < MOST:
             if not kept:
                 self.setUp()
             dq = self._on_root(self._step, q_vector, r)
@@ -286,30 +260,9 @@ class Condensed:
         return np.asarray(dq)
 
 
-def pays(
-    size: int, jumps: int, flops: float, entries: float, solves: float, ranks: int = 1
-) -> bool:
-    """Whether condensation takes less time than a Krylov method.
-
-    Args:
-        size: Unknowns of displacement, at second order.
-        jumps: Jumps.
-        flops: Floating-point operations of the factors of A'.
-        entries: Their entries.
-        solves: Number of solves.
-        ranks: Number of ranks, which share the work of a Krylov method alone.
-    """
-    setup = flops / FACTORS + jumps**3 / (3 * PRODUCTS) + ASSEMBLY * size
-    iteration = (2 / 3) * (0.64 * jumps) ** 3 / SINGLE + (32 * jumps**2 + 8 * entries) / BYTES
-    krylov = KRYLOV * size * (1 + LATER * (solves - 1))
-    speedup = SPEEDUP * ranks if ranks > 1 else 1.0
-    iterations = FROM_REST + ITERATIONS * (solves - 1)
-    return setup + iterations * iteration < krylov / speedup
-
-
-def usable(size: int, comm: MPI.Comm) -> bool:
-    """Whether so many unknowns of displacement can be condensed at all; collective."""
-    return size <= MANY and bool(on_root(comm, lambda: library() is not None))
+def available(comm: MPI.Comm) -> bool:
+    """Whether CHOLMOD can be compiled against; collective."""
+    return bool(on_root(comm, lambda: library() is not None))
 
 
 def _blocks(values: Floats) -> csr_array:

@@ -125,7 +125,8 @@ class Linear:
             part.setReusePreconditioner(True)
         self._own = own
         deflated = "; rigid sliding modes deflated" if coarse is not None else ""
-        log.info("solver: %s%s", self.exact or self._described(parts), deflated)
+        if not self.exact:
+            log.info("solver: %s%s", self._described(parts), deflated)
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
         """Blocks in turn, each by its own preconditioner or a shared one."""

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from app.case import quantities
 from app.case.case import Case, load
@@ -45,15 +44,8 @@ PARTS = (
 )
 
 
-@dataclass(frozen=True)
-class Factor:
-    """A credibility factor.
-
-    Attributes:
-        number: 1 to 13, in the order of the standard.
-        part: Group that it belongs to.
-        evidence: Sentences from what was computed, or `APPLICANT`.
-    """
+class Factor(NamedTuple):
+    """A credibility factor: 1 to 13 in the order of the standard, its group, and sentences."""
 
     number: int
     part: str
@@ -75,7 +67,7 @@ def write(folders: Sequence[Path]) -> list[Path]:
     case = load(run.folder / "case.yaml").config
     found = factors(case, run.summary, _json(run.folder / "provenance.json"), checks)
     head = {key: getattr(case, key) or APPLICANT for key in ("question", "context_of_use")}
-    content = head | {"standard": "ASME V&V 40-2018", "factors": [asdict(f) for f in found]}
+    content = head | {"standard": "ASME V&V 40-2018", "factors": [f._asdict() for f in found]}
     write_json(run.folder / "evidence.json", content)
     rows = [[str(f.number), f.part, f.name, list(f.evidence)] for f in found]
     table = page.table(["", "part", "factor", "evidence"], rows)

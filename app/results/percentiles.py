@@ -22,10 +22,7 @@ def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) ->
 
 
 class SurfaceField:
-    """A field that is linear on each triangle of a surface.
-
-    Attributes:
-        whole: Area of all triangles [mm2].
+    """A field that is linear on each triangle of a surface, of area ``whole`` [mm2].
 
     Args:
         corners: Its values at the corners of triangles (f, 3).

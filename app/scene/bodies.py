@@ -172,12 +172,7 @@ def contact_facets(
 ) -> InterfaceFacets:
     """Facets of all contact interfaces, replicated in canonical order; collective.
 
-    Args:
-        tagged: The mesh.
-        bodies: Its bodies.
-        space: Space of the displacement or temperature.
-        contacts: The interfaces.
-        moduli: Stiffness by region, 0 if absent: jumps move the softer side.
+    Jumps move the softer side, by moduli of regions, 0 if absent.
 
     Raises:
         InputError: An interface has no facets on this mesh.

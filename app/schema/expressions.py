@@ -42,11 +42,7 @@ LONGEST = 1000
 
 
 def calculate(expression: str, names: Mapping[str, Any]) -> Any:
-    """Value of an expression: an array (n,) or a float.
-
-    Args:
-        expression: Its text.
-        names: Values of x, y, z, pi: arrays (n,) or floats.
+    """Value of an expression of x, y, z, pi: an array (n,) or a float.
 
     Raises:
         ValueError: It is no valid expression; the argument names the error and what is allowed.
@@ -125,11 +121,7 @@ def evaluate(expression: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Varying(Scalar):
-    """Marks a field that is a dimensional value, or an expression for it in x, y, z.
-
-    Attributes:
-        constant: Dimension of a constant value.
-    """
+    """Marks a field that is a dimensional value, or an expression for it in x, y, z."""
 
     constant: Dimension
 

@@ -252,11 +252,7 @@ class AbsoluteTemperature(Dimension):
 
 @dataclass(frozen=True)
 class Plain(_Bounded):
-    """Marks a float or int field as dimensionless: a bare, finite number; not text, not a bool.
-
-    Attributes:
-        integer: Whether only whole numbers are allowed.
-    """
+    """Marks a float or int field as dimensionless: a bare, finite number; not text, not a bool."""
 
     integer: bool = False
 

@@ -191,7 +191,7 @@ class Model:
                 like = like or m.problem
         factor, timing = case.solver.augmentation_factor, self._timing
         problem = Problem(self.scene, self.tagged, factor, timing, like)
-        solves = 0 if self.scene.coupled else self._runs * sum(cost.solves(case))
+        solves = self._runs * cost.contact_solves(case)
         solver = self._solver(mechanical(problem, solves, memory.available()))
         return Mechanical(problem, solver, case, timing)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from app.case.case import Case
 from app.laws.materials import Conductor, TransverselyIsotropic
+from app.numerics.choice import SolverChoice
+from app.scene.scene import build_scene
 from app.system.layout import count, duration, plain
 
 if TYPE_CHECKING:
@@ -17,18 +20,20 @@ if TYPE_CHECKING:
 # Measured on unstructured tetrahedral meshes: nodes and edges per cell.
 NODES_PER_CELL = 0.19
 EDGES_PER_CELL = 1.22
-# Cost of a run on one core (measured). Mechanics: seconds at 1e5 unknowns by order, exponent of
-# growth, a later load step beside the first (the bodies condensed at second order, or not).
-PRICE, GROWTH, LATER = {1: 20.0, 2: 25.0}, 1.2, {1: 0.35, 2: 0.06}
+# Cost of a run on one core (measured). Mechanics: seconds per unknown beside the solver, and of a
+# later load step beside the first.
+PRICE, LATER = 1.3e-4, 0.05
 # Heat: seconds of a time step, and per temperature; time steps of a stage, and of cement that sets.
 TIME_STEP, HEAT, HEAT_STEPS, SETTING_STEPS = 0.05, 3e-5, 35, 95
-# Factors of runs with errors, of the mechanics and with heat, and of a run that shares matrices;
+# Factors of runs with errors, of the mechanics and with heat;
 # seconds of start and page; of meshing, per cell.
-WITH_ERRORS, WITH_HEAT_ERRORS, SHARED, START, MESHING = 1.25, 2.5, 0.6, 2.6, 1e-4
+WITH_ERRORS, WITH_HEAT_ERRORS, START, MESHING = 1.25, 2.5, 2.6, 1e-4
 # Seconds of compiling forms, which are cached: of the mechanics, in addition with fibres, of heat.
 MECHANICAL_FORMS, FIBRE_FORMS, HEAT_FORMS = 5.0, 10.0, 2.0
 # Seconds of a phase per unknown, the first time; `phases`.
 ASSEMBLE, FACTORIZE, OUTPUT = 3.5e-5, 5e-5, 4e-5
+# Memory of a run in GB, without factors, and per unknown: condensed, and by a Krylov method.
+BASE, CONDENSED, MULTIGRID = 0.4, 2e-6, 5e-6
 # Assumed size where it is not known.
 UNKNOWN_SIZE = 3e4
 # Area of an interface per node on it, in units of the squared edge length.
@@ -73,12 +78,12 @@ def _estimated(case: Case) -> _Size:
     return _size(case, count, nodes, corners, each)
 
 
-def estimated_size(case: Case) -> str:
-    """Cells, unknowns and memory, from the parameters alone."""
+def estimated_size(case: Case, available: float = math.inf) -> str:
+    """Cells, unknowns, solver and memory of what is available [byte], from the parameters alone."""
     size = _estimated(case)
     if not size.cells:
         return "size\n  not known before it is meshed: --mesh counts"
-    return _told("size (estimated; --mesh counts)", case, size)
+    return _told("size (estimated; --mesh counts)", case, size, available)
 
 
 def unknowns(case: Case) -> float:
@@ -92,7 +97,8 @@ def seconds(case: Case, alone: bool = True) -> float:
 
     A run that is not ``alone`` shares mesh, forms and matrices with an earlier one.
     """
-    return _duration(case, _estimated(case), alone)
+    size = _estimated(case)
+    return _duration(case, size) if alone else _solution(case, size, 2) - _solution(case, size)
 
 
 def phases(case: Case) -> dict[str, float]:
@@ -110,10 +116,9 @@ def phases(case: Case) -> dict[str, float]:
     }
 
 
-def _duration(case: Case, size: _Size, alone: bool = True) -> float:
-    """Time of a run of known size on one core [s]."""
-    solution = _solution(case, size)
-    return START + MESHING * size.cells + solution if alone else SHARED * solution
+def _duration(case: Case, size: _Size, runs: int = 1) -> float:
+    """Time of runs of known size on one core, one after the other [s]."""
+    return START + MESHING * size.cells + _solution(case, size, runs)
 
 
 def compiling(case: Case) -> float:
@@ -123,16 +128,27 @@ def compiling(case: Case) -> float:
     return mechanical + HEAT_FORMS * case.conducts
 
 
-def _solution(case: Case, size: _Size) -> float:
-    """Time of the solver alone [s]."""
-    mechanical, thermal = 3 * (size.nodes + size.jumps), size.temperatures + size.steps
-    price = PRICE[case.mesh.order] * (mechanical / 1e5) ** GROWTH
-    loads, moments = solves(case)
-    later = LATER[1 if moments else case.mesh.order] * max(0, loads + moments - 1)
-    loading = price * (1.0 + later) if mechanical else 0.0
-    heating = moments * (TIME_STEP + HEAT * thermal)
+def _solution(case: Case, size: _Size, runs: int = 1) -> float:
+    """Time of the solver alone in runs that share matrices [s]."""
+    loads, moments = (runs * number for number in solves(case))
+    choice, condensed = _choice(case, size, runs)
+    mechanical = PRICE * 3 * (size.nodes + size.jumps)
+    loading = mechanical * (1.0 + LATER * max(0, loads + moments - 1))
+    loading += choice.condensed if condensed else choice.krylov
+    heating = moments * (TIME_STEP + HEAT * (size.temperatures + size.steps))
     errors = WITH_HEAT_ERRORS if moments else WITH_ERRORS
     return (loading + heating) * (errors if case.output.error else 1.0)
+
+
+def _choice(
+    case: Case, size: _Size, runs: int, available: float = math.inf
+) -> tuple[SolverChoice, bool]:
+    """The choice of the linear solver of mechanics, and whether bodies are condensed."""
+    number, sets = runs * max(1, sum(solves(case))), bool(build_scene(case).cures)
+    sizes = case.mesh.order, 3 * size.nodes, 3 * size.jumps
+    choice = SolverChoice(*sizes, number, sets, available)
+    may = bool(size.jumps and contact_solves(case))
+    return choice, may and choice.condenses(case.solver.linear)
 
 
 def solves(case: Case) -> tuple[int, int]:
@@ -144,6 +160,11 @@ def solves(case: Case) -> tuple[int, int]:
     if _proportional(case):
         steps -= case.stages[0].increments - 1  # the first step tells the others
     return steps, moments
+
+
+def contact_solves(case: Case) -> int:
+    """Solves of contact, estimated; 0 where heat is solved together with it."""
+    return 0 if build_scene(case).coupled else sum(solves(case))
 
 
 def _proportional(case: Case) -> bool:
@@ -158,8 +179,8 @@ def solid(case: Case) -> bool:
     return any(not isinstance(region, Conductor) for region in case.regions.values())
 
 
-def exact_size(case: Case, data: MeshData) -> str:
-    """Cells, unknowns and memory of a mesh, and notes of the mesher."""
+def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
+    """Cells, unknowns, solver and memory of a mesh, and notes of the mesher."""
     import numpy as np
 
     from meshes.data import EDGES, interface_facets
@@ -169,7 +190,8 @@ def exact_size(case: Case, data: MeshData) -> str:
     if case.mesh.order == 2:
         nodes += len(np.unique(np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0))
     each = {n: len(np.unique(interface_facets(data, n)[0][:, :3])) for n in case.interfaces}
-    lines = [_told("size", case, _size(case, len(data.cells), nodes, corners, each))]
+    size = _size(case, len(data.cells), nodes, corners, each)
+    lines = [_told("size", case, size, available)]
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {count(np.count_nonzero(data.cell_tags == tag))} cells")
     for name, note in sorted(data.notes.items(), key=lambda item: item[0] != "mantle"):
@@ -191,7 +213,7 @@ def _mantle(note: Mapping[str, Any]) -> str:
     )
 
 
-def _told(title: str, case: Case, size: _Size) -> str:
+def _told(title: str, case: Case, size: _Size, available: float) -> str:
     """Lines on cells, unknowns, memory and time."""
     parts = [f"{count(size.cells)} cells"]
     if size.nodes:
@@ -200,14 +222,16 @@ def _told(title: str, case: Case, size: _Size) -> str:
     if size.temperatures:
         parts.append(f"{count(size.temperatures)} temperatures")
         parts.append(f"{count(size.steps)} temperature jumps")
-    # Factors of a direct solver grow as n^(4/3) in three dimensions; the rest is proportional.
-    memory = 0.4 + 2e-6 * size.unknowns + 25 * 8e-9 * size.unknowns ** (4 / 3)
-    first, others = _duration(case, size), _duration(case, size, alone=False)
-    more = len(case.variations) - 1
-    every = f", {duration(first + more * others)} for all variations" if more > 0 else ""
+    runs = max(1, len(case.variations))
+    choice, condensed = _choice(case, size, runs, available)
+    memory = BASE + (CONDENSED if condensed else MULTIGRID) * size.unknowns
+    memory += choice.needed / 1e9 * condensed
+    contact = size.jumps and contact_solves(case)
+    solver = f"\n  contact: {choice.words(condensed)}" if contact else ""
+    every = f", {duration(_duration(case, size, runs))} for all variations" if runs > 1 else ""
     return (
         f"{title}\n  {', '.join(parts)}\n"
-        f"  {count(size.unknowns)} unknowns, about {memory:.1f} GB with a direct solver\n"
-        f"  about {duration(first)} on one core{every}; {compiling(case):.0f} s more where forms "
-        "are compiled first"
+        f"  {count(size.unknowns)} unknowns, about {memory:.1f} GB{solver}\n"
+        f"  about {duration(_duration(case, size))} on one core{every}; "
+        f"{compiling(case):.0f} s more where forms are compiled first"
     )

@@ -30,9 +30,6 @@ Steps = Iterator[tuple[HeatStep, float, bool]]
 class HeatStepper:
     """Time stepping of heat with error control.
 
-    Attributes:
-        heating: Its state.
-
     Args:
         mechanics: The mechanics beside it, if any.
         on_heat: Called after each committed step, once the mechanics have followed.

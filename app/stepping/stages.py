@@ -18,15 +18,7 @@ def run_stages(
     checkpoint_point: Callable[[int], None] = lambda k: None,
     first: int = 0,
 ) -> None:
-    """Run a model through its stages.
-
-    Args:
-        stages: All stages of the scene.
-        load_stepper: Its mechanics, at rest at time 0.
-        heat_stepper: Its heat.
-        begin: Called before each stage.
-        checkpoint_point: Called with the number of the stage wherever a run may be saved.
-        first: First stage to run, in which both steppers have been restored.
+    """Run a model through its stages, from one in which both steppers have been restored.
 
     Raises:
         ConvergenceError: A failed step cannot or may not be cut, or a body runs away.

@@ -39,7 +39,7 @@ from app.verification.check import (
 )
 from app.verification.extreme_cases import extremes
 from app.verification.heat_problems import heat_problems
-from app.verification.invariance_cases import invariants
+from app.verification.invariance_cases import condensed, invariants
 from app.verification.problems import problems
 from app.verification.validation import GROUP
 
@@ -55,7 +55,8 @@ def stress_rows() -> list[Check]:
     """Checks of ``mantle stress``, with the stiff problems of ``mantle verify``."""
     stiff = [p for p in heat_problems() if p.group == "stiff"]
     heat = [replace(p, name=p.name.replace("stiff", "heat", 1), group="heat") for p in stiff]
-    return [*extremes(), *invariants(), *heat]
+    rows = [*extremes(), *invariants()]
+    return [*rows, *heat, *condensed(rows)]
 
 
 # The checks of each command.

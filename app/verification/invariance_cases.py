@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import product
 
@@ -11,7 +12,7 @@ import numpy as np
 from app.errors import Reason
 from app.verification import judges
 from app.verification.changed_meshes import ROTATION
-from app.verification.check import Check, Judge, row, run
+from app.verification.check import Check, Judge, row, run, within
 from app.verification.extreme_cases import BAR, MESH, STACK, STEM
 
 TAPER = "stress/taper.yaml"
@@ -22,6 +23,15 @@ def invariants() -> list[Check]:
     """All checks of invariances, loads and supports."""
     kinds = (_loads, _units, _floating, _taper, _cycles, _increments, _symmetry)
     return [check for kind in kinds for check in kind()]
+
+
+def condensed(rows: Iterable[Check]) -> Iterator[Check]:
+    """The first run of other rows, condensed onto the jumps and by a Krylov method with factors."""
+    for c in rows:
+        if c.judge and within(c.tier, "default") and c.group != "floating" and "Cook" not in c.name:
+            own, ways = c.runs[0].overrides, ("condensed", "direct")
+            runs = [replace(c.runs[0], overrides=(*own, f"solver.linear={way}")) for way in ways]
+            yield row(f"condensed/{c.name}", tuple(runs), judges.same, 1e-7, c.refusal, "long")
 
 
 def _pushed(force: float) -> tuple[str, ...]:

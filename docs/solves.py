@@ -1,0 +1,100 @@
+"""Time over number of solves for both ways of contact: figure and table of docs/verification.md.
+
+    ./mantle shell -c 'python3 docs/solves.py 2 "4 mm" condensed'   # measure into docs/solves.json
+    ./mantle shell -c 'python3 docs/solves.py'                      # print the table, draw
+
+CPU seconds of one core: assembly, set-up, the stance's whole load, then the hip's force by a tenth
+more in each of three steps. Later solves are the mean of these three.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from itertools import groupby, pairwise
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+from mpi4py import MPI
+
+from app.case.case import load
+from app.numerics.choice import SolverChoice
+from app.simulation.model import Model
+from app.system.layout import table
+from app.system.style import COLOURS, grid, panels
+from app.system.timing import Timing
+from app.verification.benchmarks import STANCE, STEPS
+from app.verification.check import CONFIGS
+
+KEPT, FIGURE = (Path(__file__).with_name(f"solves.{end}") for end in ("json", "png"))
+COUNTS = (1, 4, 24)
+HEAD = (
+    *("order", "size", "unknowns", "solves", "condensed (foreseen)", "Krylov (foreseen)"),
+    *("chosen", "over the better"),
+)
+
+
+def measure(order: str, size: str, way: str) -> dict[str, Any]:
+    """Times of one way on one mesh."""
+    keys = (f"mesh.order={order}", f"mesh.size={size}", f"solver.linear={way}")
+    case = load(CONFIGS / "stance.yaml", [*STANCE, *STEPS, *keys]).config
+    timing, begin, ends = Timing(), process_time(), [0.0]
+    model = Model(case, MPI.COMM_WORLD, {}, timing, str)
+    model.go(lambda *_: ends.append(process_time() - begin))
+    assert model.mechanics
+    ends[0] = sum(timing.cpu.get(phase, 0.0) for phase in ("mesh", "compile"))
+    first, *later = (b - a for a, b in pairwise(ends))
+    exact, sizes = model.mechanics.solver.linear.exact, model.sizes()
+    times = {"first": round(first, 2), "later": round(sum(later) / len(later), 3)}
+    found = {"order": int(order), "size": size, "way": way, **sizes, **times}
+    return found | ({"factors": exact.work} if exact else {})
+
+
+def main() -> None:
+    """Measure, or print and draw."""
+    known = json.loads(KEPT.read_text()) if KEPT.exists() else []
+    if len(sys.argv) > 1:
+        new = measure(*sys.argv[1:])
+        key = lambda r: (r["order"], -float(r["size"].split()[0]), r["way"])  # noqa: E731
+        kept = [r for r in known if key(r) != key(new)]
+        rows = sorted([*kept, new], key=key)
+        KEPT.write_text("[\n " + ",\n ".join(map(json.dumps, rows)) + "\n]\n")
+        return
+    lines = []
+    meshes = [list(rows) for _, rows in groupby(known, lambda r: (r["order"], r["size"]))]
+    figure, every = panels(len(meshes), 4, 3.1, 2.7)
+    for axes, ways in zip(every, meshes, strict=True):
+        row = ways[0]  # condensed
+        unknowns = f"{row['displacement'] + row['jump']:,}"
+        for own, colour, label in zip(ways, COLOURS, ("condensed", "Krylov method"), strict=False):
+            times = [_total(own, n) for n in range(1, 101)]
+            axes.loglog(range(1, 101), times, color=colour, lw=1.8, label=label)
+        for n in COUNTS:
+            sizes = row["order"], row["displacement"], row["jump"], n
+            choice = SolverChoice(*sizes, factors=tuple(row["factors"]))
+            took, foreseen = [_total(r, n) for r in ways], (choice.condensed, choice.krylov)
+            chosen = not choice.condenses("auto")
+            axes.plot(n, took[chosen], "o", color="black", ms=5, zorder=4)
+            told = [f"{a:.3g} ({b:.3g})" for a, b in zip(took, foreseen, strict=True)]
+            over = f"{took[chosen] / min(took):.2f}"
+            lines.append((row["order"], row["size"], unknowns, n, *told, ways[chosen]["way"], over))
+        axes.set_title(f"order {row['order']}, {row['size']}: {unknowns} unknowns", fontsize=8)
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_major_formatter("{x:g}")
+        grid(axes)
+    every[0].legend(fontsize=8)
+    figure.supxlabel("solves on one mesh", fontsize=9)
+    figure.supylabel("CPU time (s)", fontsize=9)
+    figure.savefig(FIGURE, dpi=110)
+    logging.basicConfig(format="%(message)s", level=logging.INFO)
+    logging.info("%s", table(HEAD, lines))
+
+
+def _total(row: dict[str, Any], solves: int) -> float:
+    return float(row["first"] + (solves - 1) * row["later"])
+
+
+if __name__ == "__main__":
+    main()
