@@ -2,7 +2,8 @@
 
 Maps of a stem are unrolled: over the angle about its axis, which is z in both geometries that have
 one, and the height. The angle begins behind (posterior), so that medial and lateral both lie inside
-the picture. End faces, seen edge on, are left out.
+the picture. End faces, seen edge on, are left out. Other interfaces are drawn if they are flat, in
+their own plane.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -41,13 +43,21 @@ WAYS = {-90: "posterior", 0: "medial", 90: "anterior", 180: "lateral", 270: "pos
 SHORT = {"posterior": "post.", "medial": "med.", "anterior": "ant.", "lateral": "lat."}
 # Facets that face up or down more than this (cosine) are end faces.
 STEEP = math.cos(math.radians(40.0))
+FLAT = 1e-6
 # Colours end at this percentile of what is shown.
 CLIP = 99.5
 LEAST = 1e-3  # of the colours' range, so that rounding has no colour
 
 
-# Corners of the triangles of an unrolled interface (m, 3, 2) [degrees, mm], and their nodes (m, 3).
-Sheet = tuple[Floats, Ints]
+@dataclass(frozen=True)
+class Sheet:
+    """An interface in the plane."""
+
+    corners: Floats  # of its triangles (m, 3, 2): degrees and mm, or mm
+    nodes: Ints  # the run's, at these corners (m, 3)
+    round: bool  # whether it was unrolled; else it is flat
+
+
 Column = tuple[str, Run, Sheet]
 # Label, colours, and values at the nodes of each column's run; None where it has none.
 Row = tuple[str, str, Sequence[Floats | None]]
@@ -86,7 +96,7 @@ def maps(chosen: Chosen, folder: Path) -> tuple[list[Figure], list[str]]:
             and (own := sheet(run, g.kind, g.interface_sides[name], g.region_names))
         ]
         if not columns:
-            missing.append(f"no map of {name}: it surrounds no stem")
+            missing.append(f"no map of {name}: it neither surrounds a stem nor is flat")
             continue
         file = f"map_{name}.png"
         if labels := draw(folder / file, columns, _rows(name, columns)):
@@ -111,10 +121,11 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
     titles = [title for title, _, _ in columns if title]
     common = "are common to all cases and " if len(columns) > 1 else ""
     caption = f"The colours of a row {common}end at the 99.5th percentile. "
-    caption += (
-        "Unrolled about the stem's axis, cut open posteriorly; end faces are left out, grey is "
-    )
-    caption += "beyond the resection."
+    if all(s.round for _, _, s in columns):
+        caption += (
+            "Unrolled about the stem's axis, cut open posteriorly; end faces are left out, grey is "
+            "beyond the resection."
+        )
     if TEMPERATURE in labels:
         caption += " Temperature: the highest at each place of the second body, at any time."
     place = f"{named(name)} interface"
@@ -162,12 +173,22 @@ def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 
 def sheet(run: Run, kind: str, sides: Sides, regions: Sequence[str]) -> Sheet | None:
-    """An interface of a run in the plane; None if it surrounds no stem."""
-    if kind not in ("femur", "patient", "cylinders"):
-        return None
+    """An interface of a run in the plane; None if it neither surrounds a stem nor is flat."""
     first, second = ([1 + regions.index(r) for r in side] for side in sides)
-    corners, nodes = unroll(run.points, facets(run, second, first))
-    return (corners, nodes) if len(nodes) else None
+    triangles = facets(run, second, first)
+    if not len(triangles):
+        return None
+    if kind in ("femur", "patient", "cylinders"):
+        corners, nodes = unroll(run.points, triangles)
+        return Sheet(corners, nodes, True) if len(nodes) else None
+    x = run.points[triangles]
+    centred = x.reshape(-1, 3) - x.reshape(-1, 3).mean(axis=0)
+    _, extent, axes = np.linalg.svd(centred, full_matrices=False)
+    if extent[2] > FLAT * extent[0]:
+        return None
+    others = np.delete(np.eye(3), np.abs(axes[2]).argmax(), axis=0)
+    plane, signs = np.linalg.qr(np.vstack([axes[2], others]).T)
+    return Sheet(x @ (plane * np.sign(np.diag(signs)))[:, 1:], triangles, False)
 
 
 def draw(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
@@ -179,38 +200,45 @@ def draw(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> list[str
     rows = [row for row in rows if any(v is not None for v in row[2])]
     if not rows:
         return []
-    wide, high = 3.0 * len(columns) + 1.6, 2.9 * len(rows) + 0.5
+    round = all(s.round for _, _, s in columns)
+    wide, high = (3.0, 2.9) if round else (3.4, 3.0)
+    wide, high = wide * len(columns) + 1.6, high * len(rows) + 0.5
     figure = figures.new(wide, high)
     figure.set_layout_engine(None)  # takes a third of the time
     margins = 0.75 / wide, 0.4 / high, 1 - 0.45 / wide, 1 - 0.45 / high
     figure.subplots_adjust(*margins, wspace=0.12, hspace=0.16)
-    grid = figure.subplots(len(rows), len(columns), squeeze=False, sharey=True)
+    grid = figure.subplots(len(rows), len(columns), squeeze=False, sharey=round)
     for axes_row, (label, colours, found) in zip(grid, rows, strict=True):
         of = [(own, v) for (*_, own), v in zip(columns, found, strict=True)]
-        every = np.concatenate([v[nodes].ravel() for (_, nodes), v in of if v is not None])
+        every = np.concatenate([v[own.nodes].ravel() for own, v in of if v is not None])
         low = float(every.min()) if label == TEMPERATURE else 0.0
         top = max(float(np.percentile(every, CLIP)), low + LEAST)
         shade: Any = None
-        for axes, ((corners, nodes), v) in zip(axes_row, of, strict=True):
-            _axes(axes, corners)
+        for axes, (own, v) in zip(axes_row, of, strict=True):
+            _axes(axes, own)
             if v is None:
                 axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color="0.4")
                 continue
-            shade = figures.shaded(axes, corners, v[nodes], colours, (low, top))
+            shade = figures.shaded(axes, own.corners, v[own.nodes], colours, (low, top))
         extend = "max" if every.max() > top * (1 + 1e-6) else "neither"
         figure.colorbar(shade, ax=list(axes_row), label=label, extend=extend, pad=0.04)
     for axes, (title, _, _) in zip(grid[0], columns, strict=True):
         axes.set_title(textwrap.fill(title.replace("_", " "), 30), fontsize=10)
     for axes in grid[:, 0]:
-        axes.set_ylabel("height (mm)")
+        axes.set_ylabel("height (mm)" if round else "mm")
     figure.savefig(path, dpi=110)
     return [label for label, *_ in rows]
 
 
-def _axes(axes: Any, corners: Floats) -> None:
+def _axes(axes: Any, own: Sheet) -> None:
     axes.set_facecolor("0.93")
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    low, high = own.corners.reshape(-1, 2).min(axis=0), own.corners.reshape(-1, 2).max(axis=0)
     axes.set_ylim(low[1], high[1])
+    if not own.round:
+        axes.set_xlim(low[0], high[0])
+        axes.set_aspect("equal")
+        axes.set_xlabel("mm", fontsize=8)
+        return
     axes.set_xlim(max(low[0], SEAM), min(high[0], SEAM + 360.0))
     shown = {a: w for a, w in WAYS.items() if axes.get_xlim()[0] <= a <= axes.get_xlim()[1]}
     names = [SHORT[way] for way in shown.values()]
