@@ -160,7 +160,8 @@ class ContactSystem(BondedSystem):
         foreseen = self._solves, problem.setting is not None, self._memory, comm.size
         choice = SolverChoice(problem.scene.order, *sizes, *foreseen)
         found: Condensed | None = None
-        if linear == "condensed" or choice.condensed < HOPELESS * choice.krylov:
+        near = choice.order > 1 and choice.condensed < HOPELESS * choice.krylov
+        if linear == "condensed" or near:
             from app.numerics.condensed import Condensed, available  # scipy: few need it
 
             if available(comm):

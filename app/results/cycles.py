@@ -7,8 +7,9 @@ from itertools import pairwise
 from typing import Any
 
 from app.case.quantities import TABLE
-from app.results.interface_numbers import OF_CYCLES
 
+# Numbers of an interface where loads turn.
+OF_CYCLES = {"motion_p99", "inducible_p99", "dissipation"}
 # Dissipation per cycle that has vanished, and change per cycle that is none, relative.
 NOTHING, SAME = 0.02, 0.1
 

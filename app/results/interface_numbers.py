@@ -21,6 +21,7 @@ from app.arrays import Bools, Floats, Ints
 from app.case.quantities import TABLE, computed
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
+from app.results.cycles import OF_CYCLES
 from app.results.percentiles import SurfaceField
 from forms.contact import OPEN, SLIP, STICK
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
@@ -28,8 +29,6 @@ from meshes.contact_points import ContactPoints
 
 Parts = Sequence["Surface"]
 MICROMOTION = 0.030  # mm: where biology reacts
-# Numbers where loads turn.
-OF_CYCLES = {"motion_p99", "inducible_p99", "dissipation"}
 
 
 def _pressure(pressures: Floats, normals: Floats) -> Floats:
