@@ -38,7 +38,6 @@ SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the 
 VOID = "void"  # where no cells are
 DEEP = 2.5  # mm that a shoulder is below the cut at least, or else it is taken to be at it
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
-BESIDE = 25.0  # mm from the axis: where lines that go with the neck are as around it
 REACH = 90.0  # mm: farther from the axis there is no bone
 SIDES = "medially antero-medially anteriorly antero-laterally laterally postero-laterally".split()
 SIDES += ["posteriorly", "postero-medially"]
@@ -224,13 +223,6 @@ class FemurSurfaces:
         """Lines at stations up to the cut."""
         zeta, slope = self.plane(s)
         theta = 2 * np.pi * phi
-        if (over := zeta > self._shoulder).any():  # lines go with the neck, which moves to medial
-            ways = np.append(zeta[over], self._shoulder), np.append(slope[over], self._steepest)
-            around = np.zeros(len(ways[0]))
-            x = 0.5 * (self._outline(around, *ways) + self._outline(around + 0.5, *ways))
-            aside = x[:-1, 0] - x[-1, 0]
-            c, d = BESIDE * np.cos(theta[over]), BESIDE * np.sin(theta[over])
-            theta[over] = np.arctan2(d, c + aside)
         end = self._ends(theta, zeta, slope)
         below = s < self.mantle[0]
         at = np.where(below, float(self.mantle[0]), s)
