@@ -82,7 +82,7 @@ class SolverChoice:
     def condenses(self, linear: str) -> bool:
         """Whether it is condensed; ``linear`` is auto, condensed or another method.
 
-        At first order it saves little, in small cases alone, and fails where cement sets slowly.
+        At first order it saves little, and in small cases alone.
         """
         less = linear == "auto" and self.order > 1 and self.condensed < self.krylov
         return self.fits and (less or linear == "condensed")

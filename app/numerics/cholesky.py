@@ -94,6 +94,7 @@ class Cholesky:
         self._common = self._ffi.new("cholmod_common *")
         self._lib.cholmod_l_start(self._common)
         self._n, self._last = A.shape[0], last
+        self._pattern = A.indptr, A.indices
         order = self._ordering(A)
         common = self._common
         common.nmethods, common.supernodal = 1, self._lib.CHOLMOD_SUPERNODAL
@@ -140,8 +141,12 @@ class Cholesky:
         order = np.concatenate([order[order < free], order[order >= free]])
         return np.ascontiguousarray((3 * order[:, None] + np.arange(3)).ravel())
 
+    def fits(self, A: csc_array) -> bool:
+        """Whether a matrix has the pattern that was analysed."""
+        return all(map(np.array_equal, self._pattern, (A.indptr, A.indices)))
+
     def factorize(self, A: csc_array) -> None:
-        """Compute the factors of a matrix with the same pattern.
+        """Compute the factors of a matrix that fits.
 
         Raises:
             ArithmeticError: It is not positive definite, or memory does not suffice.

@@ -117,6 +117,8 @@ class Condensed:
         A = self._matrix if self._made < 0 else self._gathered_matrix()
         self._made, self._matrix = now, None
         if A is not None:
+            if not self.cholesky.fits(A):  # a support may have let go
+                self.cholesky = Cholesky(A, self._jumps)
             self.cholesky.factorize(A)
             self._S = self.cholesky.schur()
             self._S[np.diag_indices(self._jumps)] -= self._tau

@@ -129,10 +129,14 @@ def test_cure_and_what_it_leaves(tmp_path: Path, every: bool) -> None:
         restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, file, FIELDS))
 
 
-def test_mechanics_that_have_not_been_solved_yet(tmp_path: Path) -> None:
-    """The balance of energy begins at rest, not at the temperatures of the first checkpoint."""
+@pytest.mark.parametrize("linear", ["auto", "condensed"])
+def test_mechanics_that_have_not_been_solved_yet(linear: str, tmp_path: Path) -> None:
+    """The balance of energy begins at rest, not at the temperatures of the first checkpoint.
+
+    The pattern of the stiffness changes between the stages.
+    """
     steps = "time={tolerance: 0.5 K, mechanical_step: 10 K}"
-    options = ("stages.0.adaptive=true", steps)
+    options = ("stages.0.adaptive=true", steps, f"solver.linear={linear}")
     case, files = restarted.whole(test_ranks.SETTING, tmp_path, *options)
     restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, files[0], *options))
 
