@@ -76,7 +76,7 @@ def test_constants_of_a_law_vary_in_space(tmp_path: Path) -> None:
     summary, _ = run(tmp_path, LAYER, case)
     found = summary["interfaces"]["lower_upper"]
     assert summary["balance"]["force"] < 1e-9
-    # An opening a + b s over s in [-2, 2] mm: force 3 MPa x 16 mm2, no moment; areas as of a regular mesh.
+    # An opening a + b s over s in [-2, 2] mm: force 3 MPa x 16 mm2, no moment.
     at = found["gap_max_at"][0]  # an edge of the block: the soft one
     s = np.linspace(-2, 2, 5)
     k = 4 * np.array([0.5, 1, 1, 1, 0.5]) * 50 * (1 + (at + 2 + s) / 8)
