@@ -240,8 +240,7 @@ class Coulomb(Unilateral):
     @property
     def layer(self) -> tuple[float, float] | None:
         """The stiffnesses of `compliance`."""
-        soft = self.compliance
-        return soft and (soft.normal, soft.tangential)
+        return (c.normal, c.tangential) if (c := self.compliance) else None
 
     def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
         """The given augmentation, or the default."""

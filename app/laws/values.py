@@ -87,9 +87,11 @@ def field(key: str, value: float | str | Field, mark: Varying | None = None) -> 
             return np.full(len(x), value)
         try:
             found = evaluate(value, x)
-            for k in {int(found.argmin()), int(found.argmax())} if mark and len(found) else ():
-                place = ", ".join(f"{c:g}" for c in x[k])
-                mark.constant.check(found[k], f"{found[k]:g} at ({place}) mm", mark.constant.unit)
+            if mark is not None and len(found):
+                for k in {int(found.argmin()), int(found.argmax())}:
+                    place = ", ".join(f"{c:g}" for c in x[k])
+                    bounds, shown = mark.constant, f"{found[k]:g} at ({place}) mm"
+                    bounds.check(found[k], shown, bounds.unit)
             return found
         except (InputError, PydanticCustomError) as error:
             raise InputError(f"{key}: {error}") from error

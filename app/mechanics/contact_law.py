@@ -105,7 +105,8 @@ class PointLaw:
         self._factor, self._groups = factor, self._known[forms]
         self._laws = [(law, own.interface == i) for i, law in enumerate(laws)]
         for rows, law, compiled in self._groups:
-            compiled.set(**{name: values[name][rows] for name in law.values})
+            constants: dict[str, Any] = {name: values[name][rows] for name in law.values}
+            compiled.set(**constants)
         self.history = {k: shape for law in laws for k, shape in law.history.items()}
         self.can_open = np.array([law.can_open for law in laws])[own.interface]
         self.frictional = np.array([law.friction > 0 for law in laws])[own.interface]

@@ -123,8 +123,9 @@ class Pointwise:
     def _compile(self, comm: MPI.Comm, build: Build) -> tuple[Kernel, Any, ModuleType]:
         """Compile all expressions into one kernel, which evaluates common terms once."""
         built = build(dict(self._inputs))
-        every = built if isinstance(built, Mapping) else dict(enumerate(built))
-        together = ufl.as_vector([c for e in every.values() for c in _components(e)])
+        if not isinstance(built, Mapping):
+            built = {str(k): e for k, e in enumerate(built)}
+        together = ufl.as_vector([c for e in built.values() for c in _components(e)])
         options = {"scalar_type": np.float64}
         symbol, module, _ = jit.ffcx_jit(comm, (together, np.array([[0.5]])), options)
         used = extract_coefficients(together)
@@ -136,8 +137,8 @@ class Pointwise:
                 names[used[symbol.original_coefficient_positions[i]]]
                 for i in range(symbol.num_coefficients)
             ),
-            shapes=tuple(e.ufl_shape for e in every.values()),
-            outputs=tuple(map(str, every)),
+            shapes=tuple(e.ufl_shape for e in built.values()),
+            outputs=tuple(built),
         )
         return kernel, symbol, module
 
