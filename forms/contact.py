@@ -32,7 +32,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as replace_state
-from functools import reduce
+from functools import partial, reduce
 from itertools import combinations
 from typing import Any
 
@@ -189,7 +189,8 @@ def projected(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> Res
         size = sqrt(conditional(t.sticks, 1, inner(t.tangential, t.tangential)))
         return normal + conditional(t.sticks, 1, t.radius / size) * t.tangential
 
-    force = as_vector([_choose(states, lambda k, i=i: carried(k)[i]) for i in range(3)])
+    each = [carried(k) for k in range(len(states))]
+    force = as_vector([_choose(states, partial(lambda i, k: each[k][i], i)) for i in range(3)])
     pressures, status = _state(states, len(normals))
     return Response(force, None, None, pressures, status)
 
