@@ -20,6 +20,14 @@ if TYPE_CHECKING:
 StiffnessField = Annotated[
     float | str, Varying(Dimension("MPa/mm", "a stiffness per area", "100 MPa/mm", above=0.0))
 ]
+StrengthField = Annotated[float | str, Varying(Dimension("MPa", "a strength", "2 MPa", above=0.0))]
+FractureEnergyField = Annotated[
+    float | str, Varying(Dimension("N/mm", "an energy per area", "100 J/m^2", above=0.0))
+]
+# Of an area: 30 %, or an expression that gives 0 to 1.
+ShareField = Annotated[
+    float | str, Varying(Dimension("dimensionless", "a share", "7.7 %", at_least=0.0, at_most=1.0))
+]
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
 # How sure values are, and where they are from.
 Status = Literal["measured", "assumed", "unverified"] | None
