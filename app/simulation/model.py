@@ -33,6 +33,7 @@ from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.coupled_system import CoupledSystem
+from app.stepping.creep_steps import CreepStepper
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
@@ -241,11 +242,13 @@ class Model:
         Raises:
             ConvergenceError: As `run_stages`.
         """
-        load_stepper, heat_stepper = None, None
+        load_stepper = heat_stepper = creep_stepper = None
         if m := self.mechanics:
             load_stepper = LoadStepper(
                 m.problem, m.solver, on_step, on_trouble, self._predictors(m)
             )
+            if (history := m.problem.history) and history.creep:
+                creep_stepper = CreepStepper(load_stepper, history, history.creep)
         if t := self.thermal:
 
             def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
@@ -258,22 +261,23 @@ class Model:
             elif load_stepper:
                 beside = SolvedAfterHeat(load_stepper, t.heating)
             heat_stepper = HeatStepper(t.heating, beside, on_accepted)
-        steppers = self._steppers = load_stepper, heat_stepper
+        steppers = self._steppers = load_stepper, heat_stepper, creep_stepper
         run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume())
         total = Summary()
-        for part in steppers:
+        for part in steppers[:2]:
             if part is not None:
                 total.add(part.total)
         return total
 
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
-        load_stepper, heat_stepper = self._steppers
+        load_stepper, heat_stepper, creep_stepper = self._steppers
         return {
             "mechanics": self.mechanics,
             "thermal": self.thermal,
             "heat_stepper": heat_stepper,
             "load_stepper": load_stepper,
+            "creep_stepper": creep_stepper,
         }
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
@@ -315,6 +319,15 @@ class Model:
             if t.cure:
                 numbers["cure"] = t.cure.summary()
         return numbers
+
+    def creep(self) -> dict[str, float]:
+        """Columns of history.csv for scenes that creep; collective."""
+        history = self.mechanics and self.mechanics.problem.history
+        if not history or (c := history.creep) is None:
+            return {}
+        unit = "cycles [-]" if self.scene.creeps[0].per is None else "time [s]"
+        row = {f"creep {unit}": c.elapsed, "creep dissipation [N mm]": c.dissipated}
+        return row | {f"{r} creep strain max [-]": c.largest(r) for r in c.of}
 
     def places(self, samples: ContactSamples | None) -> dict[str, Any]:
         """Published numbers of some geometries: mantle, layers, Gruen zones; collective."""
