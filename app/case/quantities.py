@@ -208,6 +208,8 @@ add_quantity(
     _region("principal_p99", "MPa", order=STRESS),
     _region("principal_min", "MPa", peak=True),
     *(_region(f"mean_stress_{end}", "MPa") for end in ("min", "max")),
+    _region("creep_strain_max", "-", "%", peak=True),
+    _region("creep_strain_mean", "-", "%", order=STRESS, headline=True),
     Quantity("stem", "subsidence", "mm", "um", 1, order=MOTION, history=True, headline=True),
     Quantity("stem", "retroversion", "deg", digits=3, order=MOTION, history=True, headline=True),
     Quantity("stem", "varus", "deg", digits=3, order=MOTION, history=True, headline=True),

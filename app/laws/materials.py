@@ -164,6 +164,8 @@ class Isotropic(Elastic):
     def _creeps(self) -> Self:
         if self.creep and self.varies:
             fail("a modulus that creeps is a value", at=("youngs_modulus",))
+        if self.creep and self.eigenstrains:
+            fail("none in a region that creeps", at=("eigenstrains",))
         return self
 
     @property

@@ -48,6 +48,7 @@ class CreepState:
         of: Slice of the points of each region.
         strain: Equivalent creep strain (n,).
         elapsed: Cycles or seconds so far.
+        measure, unit: Of what elapses: cycles or time.
         dissipated: Work that creep has lost so far, on all ranks [N mm].
         taken: Stress that creep takes in the current step (n, 6) [MPa].
         length: Cycles or seconds of the current step.
@@ -71,6 +72,8 @@ class CreepState:
     ) -> None:
         self._mechanics, self._comm = mechanics, mechanics.mesh.comm
         self._laws = scene.creeps
+        in_cycles = scene.creeps[0].per is None
+        self.measure, self.unit = ("cycles", "-") if in_cycles else ("time", "s")
         elastic: dict[str, Any] = {e.region: e for e in scene.elastic}
         self.rows = np.concatenate([rows[c.region].ravel() for c in self._laws])
         ends = np.cumsum([0, *(rows[c.region].size for c in self._laws)])
@@ -101,10 +104,14 @@ class CreepState:
         """Equivalent creep strain (n,) that takes a stress (n, 6) [MPa]."""
         return von_mises(taken) / self.three_G
 
-    def largest(self, region: str) -> float:
-        """Largest equivalent creep strain of a region; collective."""
-        found = self.strain[self.of[region]].max(initial=0.0)
-        return float(self._comm.allreduce(found, MPI.MAX))
+    def numbers(self, region: str) -> dict[str, float]:
+        """Published creep strain of a region that creeps; collective."""
+        if (here := self.of.get(region)) is None:
+            return {}
+        strain, volumes = self.strain[here], self._volumes[here]
+        total, volume = self._comm.allreduce(np.array([strain @ volumes, volumes.sum()]))
+        largest = self._comm.allreduce(strain.max(initial=0.0), MPI.MAX)
+        return {"creep_strain_max": float(largest), "creep_strain_mean": float(total / volume)}
 
     @property
     def three_G(self) -> Floats:

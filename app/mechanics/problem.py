@@ -17,6 +17,7 @@ from app.arrays import Floats, Ints
 from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
+from app.mechanics.creep import CreepState
 from app.mechanics.external_forces import Forces
 from app.mechanics.stiffness import Stiffness, rounding
 from app.mechanics.stress_history import StressHistory
@@ -103,6 +104,8 @@ class Problem:
         self.set_stage(0, self.stiffness.K.createVecRight())
         for state in (self.u, *self.moved.values(), *self.mechanics.swelling.values()):
             state.x.array[:] = 0
+        if self.history:
+            self.history.begin()
         if self.contact:
             self.contact.begin(scene.contacts, augmentation_factor)
         self.forces = Forces(scene, self.mechanics, self.bodies, self.contact, self.forces)
@@ -141,6 +144,11 @@ class Problem:
         self.update_displacements(u, q)
         if self.history:
             self.history.begin_at(self.displacements())
+
+    @property
+    def creep(self) -> CreepState | None:
+        """State of the regions that creep, if any."""
+        return self.history.creep if self.history else None
 
     # State in time
 

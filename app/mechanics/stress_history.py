@@ -116,6 +116,7 @@ class StressHistory:
                 )
                 for r, e in self._elastic.items()
             }
+        self._rest = self.state()
 
     def _stress_of(self, e: Elastic, ε: Any, sign: int) -> Any:
         """Stress of a strain, with the step's free strain added or subtracted."""
@@ -264,6 +265,14 @@ class StressHistory:
         self.creep.taken, self.creep.length = taken, length
         self._left.x.array[:] = self._stress.x.array
         self._left.x.array.reshape(-1, 6)[self.creep.rows] -= taken
+
+    def begin(self) -> None:
+        """Return to rest, where nothing sets."""
+        self._old = {r: (g, np.zeros_like(e)) for r, (g, e) in self._old.items()}
+        self._new = dict(self._old)
+        self.go_back(self._rest)
+        if c := self.creep:
+            self.relax(np.zeros_like(c.taken), 0.0)
 
     def state(self) -> tuple[Any, ...]:
         """The committed state, for `go_back`."""

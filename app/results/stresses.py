@@ -151,6 +151,8 @@ class Stresses:
                 for key, k in (("von_mises", 0), ("principal", 2))
             }
             values = values[:, ~outside]
+        if (s := self._history.get(region)) and s.creep:
+            found |= s.creep.numbers(region)
         return self._statistics(values) | found
 
     def _whole(self, rows: Floats) -> Floats:

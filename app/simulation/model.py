@@ -247,8 +247,8 @@ class Model:
             load_stepper = LoadStepper(
                 m.problem, m.solver, on_step, on_trouble, self._predictors(m)
             )
-            if (history := m.problem.history) and history.creep:
-                creep_stepper = CreepStepper(load_stepper, history, history.creep)
+            if m.problem.creep:
+                creep_stepper = CreepStepper(load_stepper)
         if t := self.thermal:
 
             def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
@@ -311,6 +311,8 @@ class Model:
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := bonds(m.problem, m.stresses):
                 numbers["bonds"] = found
+            if creep := m.problem.creep:
+                numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
             numbers["stem"] = m.stem(self._case.side)
             if found := of_femur(m.problem, self._case):
                 numbers["femur"] = found
@@ -319,15 +321,6 @@ class Model:
             if t.cure:
                 numbers["cure"] = t.cure.summary()
         return numbers
-
-    def creep(self) -> dict[str, float]:
-        """Columns of history.csv for scenes that creep; collective."""
-        history = self.mechanics and self.mechanics.problem.history
-        if not history or (c := history.creep) is None:
-            return {}
-        unit = "cycles [-]" if self.scene.creeps[0].per is None else "time [s]"
-        row = {f"creep {unit}": c.elapsed, "creep dissipation [N mm]": c.dissipated}
-        return row | {f"{r} creep strain max [-]": c.largest(r) for r in c.of}
 
     def places(self, samples: ContactSamples | None) -> dict[str, Any]:
         """Published numbers of some geometries: mantle, layers, Gruen zones; collective."""
