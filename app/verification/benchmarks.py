@@ -42,6 +42,8 @@ STEPS = (
     "stages=[{name: stance, adaptive: false}, {name: more, increments: 3, adaptive: false}]",
     "loads.hip.history=[1, 1.3]",
 )
+# Ten times to the stance and back to a tenth of it.
+TEN = "stages=[{name: walking, cycles: 10, valley: 0.1}]"
 # Half an hour of setting cement, and the same time steps of conduction through bonded regions.
 HALF_AN_HOUR = "stages=[{name: setting, duration: 30 min, increments: 60, adaptive: false}]"
 CONDUCTION = (
@@ -117,7 +119,7 @@ def _over_bonded() -> Iterator[Check]:
 
 
 def _condensed() -> Iterator[Check]:
-    """First solve, later step and variations at second order."""
+    """First solve, later step, variations and cycles at second order; contact over bonded."""
     for rung, (size, most) in CONDENSED.items():
         first, krylov = (
             CheckRun("stance.yaml", (f"mesh.size={size}", *STANCE, *o), times=TIMES)
@@ -129,6 +131,10 @@ def _condensed() -> Iterator[Check]:
         later = partial(later_steps, setup=True)
         yield _goal(f"later_2_{rung}", "over the first with its set-up", steps, later, 0.1)
         yield _goal(f"variations_2_{rung}", "over one", (first, *twelve), _variations, 2.5)
+        ten = CheckRun("stance.yaml", (f"mesh.size={size}", STANCE[0], TEN))
+        yield _goal(f"cycles_2_{rung}", "ten over the first load", (ten, first), _ratio(cpu), 2.5)
+        bonded = CheckRun("stance.yaml", (*first.overrides, *BONDED), times=TIMES)
+        yield _goal(f"bonded_2_{rung}", "over bonded", (first, bonded), _ratio(cpu), 2.6)
 
 
 def stance(kind: str, rung: str) -> CheckRun:
