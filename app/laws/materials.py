@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag,
 
 from app.laws.creep import Creep
 from app.laws.densities import ImageModulus
+from app.laws.failure import Weibull
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
 from app.laws.values import History, Named, Source, Status, Table, rising
@@ -111,6 +112,8 @@ class Elastic(Material):
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
+    weibull: Weibull | None = None
+    """Strength of specimens, for the probability that the region fails."""
     # The image that gives the stiffness, if one does; where points of the model are in it.
     image: ClassVar[ImageModulus | None] = None
     _places: Any = None

@@ -291,12 +291,15 @@ def modulus(region: Any) -> float:
 
 
 def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
-    """Warnings about results, from the numbers of regions by name.
-
-    Strains that are not small; laws of creep beyond what they were measured at, or from memory.
-    """
+    """Warnings about results: strains that are not small, laws from memory or used beyond theirs."""
     notes = []
-    for name, found in numbers.items():
+    for name, law in (case.fatigue.laws if case.fatigue else {}).items():
+        s, measured = numbers["fatigue"][name]["stress_p99"], law.measured
+        if measured and not measured[0] <= s <= measured[1]:
+            low, high = measured
+            text = f"was measured at {low:g} to {high:g} MPa, and is used at {s:.2g} MPa (p99)"
+            notes.append(f"fatigue.laws.{name} {text}")
+    for name, found in numbers["regions"].items():
         creep = getattr(case.regions[name], "creep", None)
         if creep and "creep_strain_max" in found and case.regions[name].status == "unverified":
             notes.append(f"region '{name}' creeps by a law whose source was not read: check it")
