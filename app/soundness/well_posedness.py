@@ -291,7 +291,7 @@ def modulus(region: Any) -> float:
 
 
 def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
-    """Warnings about results: strains that are not small, laws from memory or used beyond theirs."""
+    """Warnings about results: large strains, laws from memory or beyond their stresses."""
     notes = []
     for name, law in (case.fatigue.laws if case.fatigue else {}).items():
         s, measured = numbers["fatigue"][name]["stress_p99"], law.measured
