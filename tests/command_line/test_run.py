@@ -533,6 +533,8 @@ def check_history(s: dict[str, Any], steps: int = 3) -> None:
 
 
 STANCE = ["mesh.size=6 mm", "stages.0.increments=1", "output.error=false"]
+
+
 # Numbers of the first two are those of the frozen ones, and of the patch tests.
 def check_fatigue(summary: dict[str, Any]) -> None:
     """Rim and tip of the mantle tire first; a stumble is no threat to its strength."""
