@@ -188,7 +188,7 @@ def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
     text = f"over {', '.join(laws)}{' and mesh' * mesh}"
     if len(known) < 2 and not mesh:
         return f"no year without a band ({text}): name another law, or --error"
-    short, long = (f"{1 / d:.2g}" if d > 0 else "endless" for d in (most, least))
+    short, long = (f"{float(f'{1 / d:.2g}'):g}" if d > 0 else "endless" for d in (most, least))
     return f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
 
 
