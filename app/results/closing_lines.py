@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -159,7 +158,8 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
     asked = [Verdict(summary["accuracy"])] if "accuracy" in summary else []
-    clauses += [_fatigue(laws)] if (laws := summary.get("fatigue")) else []
+    if laws := summary.get("fatigue"):
+        clauses.append(Verdict(f"fatigue: {life(laws)}", "doubtful"))
     clauses += _growing_risk(summary)
     return [*clauses, *_physiology(summary), _mesh_and_step(summary), *asked]
 
@@ -180,25 +180,16 @@ def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         yield Verdict(f"physiology: {'; '.join(clauses)}", "doubtful")
 
 
-def life(laws: Mapping[str, Mapping[str, Any]]) -> tuple[float, float] | None:
-    """Band of the life of 99 % of a region [years], over laws and errors; None if none is known."""
+def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
+    """Band of the life of a region, over laws and errors; no year without it."""
     known = [(q["damage_p99"], q.get("damage_p99_error") or 0.0) for q in laws.values()]
-    if len(known) < 2 and not known[0][1]:
-        return None
     most, least = max(d + e for d, e in known), min(d - e for d, e in known)
-    return 1 / most if most else math.inf, 1 / least if least > 0 else math.inf
-
-
-def _fatigue(laws: Mapping[str, Mapping[str, Any]]) -> Verdict:
-    """Life of a region: a band over laws and errors, or none."""
     mesh = any("damage_p99_error" in q for q in laws.values())
     text = f"over {', '.join(laws)}{' and mesh' * mesh}"
-    if ends := life(laws):
-        short, long = (f"{year:.2g}" if year < math.inf else "endless" for year in ends)
-        text = f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
-    else:
-        text = f"no year without a band ({text}): name another law, or --error"
-    return Verdict(f"fatigue: {text}", "doubtful")
+    if len(known) < 2 and not mesh:
+        return f"no year without a band ({text}): name another law, or --error"
+    short, long = (f"{float(f'{1 / d:.2g}'):g}" if d > 0 else "endless" for d in (most, least))
+    return f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
 
 
 def _growing_risk(summary: Mapping[str, Any]) -> Iterator[Verdict]:
