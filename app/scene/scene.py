@@ -6,6 +6,7 @@ solver. Absent parts are empty tuples.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ class Interface:
         history: Amplitudes of the gap at the ends of the stages, or empty (`laws.values.gap_at`).
         turned: Whether the master is the second side as declared.
         slave_share: Fraction of the friction heat that enters the slave side.
+        values: Constants of the law (n,) at points, by name.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Interface:
     history: tuple[float, ...] = ()
     turned: bool = False
     slave_share: float = 0.0
+    values: Mapping[str, Field] = dataclasses.field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -197,6 +200,7 @@ def _interface(
         history=tuple(history or ()),
         turned=turned,
         slave_share=slave_share,
+        values=law.fields(name),
     )
 
 
