@@ -11,16 +11,17 @@ from typing import Any
 from app.case.quantities import of_run
 from app.errors import Reason
 from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
-from app.laws.materials import Conductor, Rigid
+from app.laws.materials import Conductor, Elastic, Rigid
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
 
 def cross_check(case: Any) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
-    faults = [*_held(case), *_side(case), *_heat(case)]
+    faults = [*_held(case), *_side(case), *_heat(case), *_creep(case)]
     if case.geometry is not None:
         faults += [*_names(case), *_mesh(case), *_rigid(case), *_accuracy(case)]
+        faults += _fatigue(case)
     if case.stages is not None:
         faults += _stages(case)
     return faults
@@ -121,6 +122,21 @@ def _stages(case: Any) -> Iterable[Fault]:
                 yield Fault(("supports", name, "stages", i), text)
 
 
+def _fatigue(case: Any) -> Iterable[Fault]:
+    """Fatigue of a region that does not deform, by stages that are not there or take time."""
+    if (fatigue := case.fatigue) is None:
+        return
+    elastic = [name for name, region in (case.regions or {}).items() if isinstance(region, Elastic)]
+    if case.regions and fatigue.region not in elastic and None not in case.regions.values():
+        text = f"'{fatigue.region}' is not one of the elastic regions {', '.join(elastic)}"
+        yield Fault(("fatigue", "region"), text + did_you_mean(fatigue.region, elastic))
+    stages = [stage.name for stage in case.stages or () if not stage.takes_time]
+    for name in fatigue.spectrum if case.stages else ():
+        if name not in stages:
+            text = f"'{name}' is not one of the stages without a duration: {', '.join(stages)}"
+            yield Fault(("fatigue", "spectrum", name), text + did_you_mean(name, stages))
+
+
 def _accuracy(case: Any) -> Iterable[Fault]:
     """An accuracy where there is no mesh to choose, or no number that counts."""
     given = case.geometry.kind == "file" or case.variations
@@ -177,11 +193,30 @@ def _side(case: Any) -> Iterable[Fault]:
         yield Fault(("side",), text)
 
 
-def quantities(geometry: Any, study: Any) -> Iterable[Fault]:
-    """Quantities of interfaces or regions unknown to the geometry."""
-    if geometry is None or study is None:
+def _creep(case: Any) -> Iterable[Fault]:
+    """Stages of creep where no region creeps, or where a law counts in another measure."""
+    regions = list(_entries(case, "regions"))
+    if not case.regions or len(regions) < len(case.regions):
         return
-    known = (*geometry.interface_sides, *geometry.region_names)
+    laws = {name: law for _, name, region in regions if (law := getattr(region, "creep", None))}
+    for i, stage in enumerate(case.stages or ()):
+        key = ("stages", i, stage.creep_key)
+        if stage.creep and not laws:
+            yield Fault(key, "no region creeps; expected `creep` in a region")
+        for name, law in laws.items() if stage.creep else ():
+            if (law.per is None) != (stage.creep_key == "creep_cycles"):
+                has, other = (
+                    ("cycles", "creep_cycles") if law.per is None else ("time", "creep_time")
+                )
+                yield Fault(key, f"the creep of {name} counts {has}; expected {other}")
+
+
+def quantities(case: Any, study: Any) -> Iterable[Fault]:
+    """Quantities of interfaces, regions or laws of fatigue unknown to a case."""
+    if (geometry := case.geometry) is None or study is None:
+        return
+    laws = case.fatigue.laws if case.fatigue else ()
+    known = (*geometry.interface_sides, *geometry.region_names, *laws)
     for i, quantity in enumerate(study.quantities):
         name = quantity.partition(".")[0]
         if name not in known and quantity not in of_run():

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from app.laws.creep import Creep
 from app.laws.densities import ImageModulus
+from app.laws.failure import Weibull
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
 from app.laws.values import History, Named, Source, Status, Table, rising
@@ -110,6 +112,8 @@ class Elastic(Material):
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
+    weibull: Weibull | None = None
+    """Strength of specimens, for the probability that the region fails."""
     # The image that gives the stiffness, if one does; where points of the model are in it.
     image: ClassVar[ImageModulus | None] = None
     _places: Any = None
@@ -156,6 +160,16 @@ class Isotropic(Elastic):
     image whose density gives E."""
     poisson_ratio: Annotated[float, Plain(above=-1.0, below=0.5)]
     """Poisson's ratio nu."""
+    creep: Creep | None = None
+    """Creep in the stages with `creep_cycles` or `creep_time`; elastic in the others."""
+
+    @model_validator(mode="after")
+    def _creeps(self) -> Self:
+        if self.creep and self.varies:
+            fail("a modulus that creeps is a value", at=("youngs_modulus",))
+        if self.creep and self.eigenstrains:
+            fail("none in a region that creeps", at=("eigenstrains",))
+        return self
 
     @property
     def nearly_incompressible(self) -> bool:

@@ -38,6 +38,7 @@ def solve(solver: Solver) -> NewtonResult:
         if not solver.converged:
             start.copy(solver.x)
     runs.append(solver.run())
+    solver.x.copy(solver.first_state)
     tried: list[tuple[str, float]] = []
     for text in remedies(solver, start):
         log.info("     %s: %s", failure_text(solver), text)

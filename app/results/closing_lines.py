@@ -158,6 +158,12 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
     asked = [Verdict(summary["accuracy"])] if "accuracy" in summary else []
+    if laws := summary.get("fatigue"):
+        clauses.append(Verdict(f"fatigue: {life(laws)}", "doubtful"))
+    unsettled = summary.get("error", {}).get("unsettled", {})
+    for name, q in summary.get("regions", {}).items():
+        if "failure_risk" in q:
+            clauses.append(_strength(name, q, unsettled))
     return [*clauses, *_physiology(summary), _mesh_and_step(summary), *asked]
 
 
@@ -175,6 +181,34 @@ def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         clauses.append(f"the cortex is strained by {span}")
     if clauses:
         yield Verdict(f"physiology: {'; '.join(clauses)}", "doubtful")
+
+
+def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
+    """Band of the life of a region, over laws and errors; no year without it."""
+    known = [(q["damage_p99"], q.get("damage_p99_error") or 0.0) for q in laws.values()]
+    most, least = max(d + e for d, e in known), min(d - e for d, e in known)
+    mesh = any("damage_p99_error" in q for q in laws.values())
+    text = f"over {', '.join(laws)}{' and mesh' * mesh}"
+    if len(known) < 2 and not mesh:
+        return f"no year without a band ({text}): name another law, or --error"
+    short, long = (f"{float(f'{1 / d:.2g}'):g}" if d > 0 else "endless" for d in (most, least))
+    return f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
+
+
+def _strength(name: str, q: Mapping[str, Any], unsettled: Mapping[str, Any]) -> Verdict:
+    """Probability that a region and its parts fail, and where it grows with every mesh."""
+    texts, tone = [], ""
+    for part in ("", *(p for p in quantities.PARTS if p in q)):
+        own, key = q[part] if part else q, f"{name}_{part}" if part else name
+        text = f"{100 * own['failure_probability']:.2g} %{f' at its {part}' * bool(part)}"
+        (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))
+        if fine > coarse:
+            text += (
+                f" (R grows from {coarse:.2g} at {size:g} mm to {fine:.2g}: it may have no limit)"
+            )
+            tone = "doubtful"
+        texts.append(text)
+    return Verdict(f"strength: {name} breaks with a probability of {', '.join(texts)}", tone)
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:
@@ -225,7 +259,7 @@ def peaks(summary: Mapping[str, Any]) -> list[Verdict]:
     """Peaks that change most with the mesh, with their values on every mesh solved."""
     lines = []
     for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
-        if q := quantities.get(name):
+        if (q := quantities.get(name)) and q.unit != "-":  # a risk is told with the strength
             on = [f"{name} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
             lines.append(
                 ", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others])
@@ -255,6 +289,12 @@ TABLES: dict[str, dict[str, str]] = {
         "von Mises p99": "von_mises_p99",
         "tension max/p99": "principal_max / principal_p99",
         "mean stress": "mean_stress_min .. mean_stress_max",
+    },
+    "fatigue": {
+        "damage in a year": "",
+        "p99": "damage_p99",
+        "largest": "damage_max",
+        "stress p99": "stress_p99",
     },
     "thermal.regions": {
         "temperature": "",
@@ -289,7 +329,7 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
     for section in ("interfaces", "regions"):
         yield from _table(section, rows[section])
     yield from (_sentence("bonds", *row) for row in rows["bonds"].items())
-    for section in ("thermal.regions", "thermal.interfaces"):
+    for section in ("fatigue", "thermal.regions", "thermal.interfaces"):
         yield from _table(section, rows[section])
     yield from _necrosis(rows["thermal.regions"])
     if note := summary.get("thermal", {}).get("note"):

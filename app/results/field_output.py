@@ -19,6 +19,7 @@ from dolfinx import fem, la
 from app.arrays import Floats, Ints
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import ENDS, node_keys
+from app.results.cement_risk import CementRisk
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS, Exposure
 from app.results.stresses import Stresses, extrapolated
@@ -181,8 +182,8 @@ class HeatFields:
 class MechanicalFields:
     """Displacement, stress, and contact quantities."""
 
-    def __init__(self, problem: Problem, stresses: Stresses) -> None:
-        self._problem, self._stresses = problem, stresses
+    def __init__(self, problem: Problem, stresses: Stresses, risk: CementRisk | None) -> None:
+        self._problem, self._stresses, self._risk = problem, stresses, risk
         self.bodies, self.space = problem.bodies, problem.space
         self._moduli = stresses.varying_moduli()
         index_map = self.space.dofmap.index_map
@@ -205,13 +206,14 @@ class MechanicalFields:
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
-        """Mean stress, and Young's modulus where it varies, 0 elsewhere [MPa]."""
+        """Mean stress, Young's modulus where it varies, 0 elsewhere [MPa], and damage."""
         σ, E = np.zeros((cells, len(COMPONENTS))), np.zeros(cells)
         for region, own in self._stresses.cells.items():
             σ[own] = _components(self._stresses.mean(region))
         for region, moduli in self._moduli.items():
             E[self._stresses.cells[region]] = moduli
-        return _named(σ) | ({"youngs_modulus": E} if self._moduli else {})
+        damage = self._risk.damage(cells) if self._risk else {}
+        return _named(σ) | ({"youngs_modulus": E} if self._moduli else {}) | damage
 
     def _nodal_stress(self, nodes: OutputNodes) -> Floats:
         """Stress at the nodes (n, 6) [MPa]: the mean of the body's cells there, by volume.

@@ -17,6 +17,7 @@ from app.case.case import Case
 from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
 from app.case.shapes import Sides
+from app.laws.creep import Creep
 from app.laws.cure import Cure
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
@@ -85,6 +86,7 @@ class Scene:
     friction_heat: tuple[Interface, ...] = ()
     expansions: tuple[Thermal, ...] = ()
     cures: tuple[Cure, ...] = ()
+    creeps: tuple[Creep, ...] = ()
     time: TimeOptions | None = None
     coupled: bool = False
     bonds: tuple[Interface, ...] = ()
@@ -144,6 +146,11 @@ def build_scene(case: Case) -> Scene:
         coupled=bool(rubbing) or any(i.law.conductances[1] > 0 for i in conducting),
         expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
         cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
+        creeps=tuple(
+            creep.named(e.region)
+            for e in elastic
+            if (creep := getattr(e, "creep", None)) and any(stage.creep for stage in case.stages)
+        ),
         time=case.time,
     )
 

@@ -24,6 +24,7 @@ from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results.balance import Balance
+from app.results.cement_risk import CementRisk
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import StemMotion, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples, Surface
@@ -33,6 +34,7 @@ from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.coupled_system import CoupledSystem
+from app.stepping.creep_steps import CreepStepper
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
@@ -151,6 +153,7 @@ class Model:
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
             self.mechanics = self._mechanics()
+            self.risk = self._risk()
             self.thermal = self._heat()
         self._others[:] = [m for m in self._others if not self.deforms_like(m._case)] + [self]
 
@@ -195,6 +198,13 @@ class Model:
         solver = self._solver(mechanical(problem, solves, memory.available()))
         return Mechanical(problem, solver, case, timing)
 
+    def _risk(self) -> CementRisk | None:
+        if (m := self.mechanics) is None:
+            return None
+        if not self._case.fatigue and not any(e.weibull for e in self.scene.elastic):
+            return None
+        return CementRisk(self._case, m.problem, m.zones.borders if m.zones else None, self._timing)
+
     def _heat(self) -> ThermalModel | None:
         if not self.scene.conductors:
             return None
@@ -214,7 +224,7 @@ class Model:
         """Groups of fields to be written: mechanics, heat."""
         groups: list[FieldGroup] = []
         if m := self.mechanics:
-            groups.append(MechanicalFields(m.problem, m.stresses))
+            groups.append(MechanicalFields(m.problem, m.stresses, self.risk))
         if t := self.thermal:
             groups.append(HeatFields(t.heating, t.record, self._case.geometry.interface_sides))
         return groups
@@ -241,11 +251,15 @@ class Model:
         Raises:
             ConvergenceError: As `run_stages`.
         """
-        load_stepper, heat_stepper = None, None
+        load_stepper = heat_stepper = creep_stepper = None
+        if risk := self.risk:
+            on_step = risk.before(on_step)
         if m := self.mechanics:
             load_stepper = LoadStepper(
                 m.problem, m.solver, on_step, on_trouble, self._predictors(m)
             )
+            if m.problem.creep:
+                creep_stepper = CreepStepper(load_stepper)
         if t := self.thermal:
 
             def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
@@ -258,22 +272,23 @@ class Model:
             elif load_stepper:
                 beside = SolvedAfterHeat(load_stepper, t.heating)
             heat_stepper = HeatStepper(t.heating, beside, on_accepted)
-        steppers = self._steppers = load_stepper, heat_stepper
+        steppers = self._steppers = load_stepper, heat_stepper, creep_stepper
         run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume())
         total = Summary()
-        for part in steppers:
+        for part in steppers[:2]:
             if part is not None:
                 total.add(part.total)
         return total
 
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
-        load_stepper, heat_stepper = self._steppers
-        return {
+        load_stepper, heat_stepper, creep_stepper = self._steppers
+        return ({"risk": self.risk} if self.risk else {}) | {
             "mechanics": self.mechanics,
             "thermal": self.thermal,
             "heat_stepper": heat_stepper,
             "load_stepper": load_stepper,
+            "creep_stepper": creep_stepper,
         }
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
@@ -307,6 +322,13 @@ class Model:
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := bonds(m.problem, m.stresses):
                 numbers["bonds"] = found
+            if creep := m.problem.creep:
+                numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
+            if self.risk:
+                for region, found in self.risk.weibull().items():
+                    numbers["regions"][region] |= found
+                if found := self.risk.fatigue():
+                    numbers["fatigue"] = found
             numbers["stem"] = m.stem(self._case.side)
             if found := of_femur(m.problem, self._case):
                 numbers["femur"] = found
