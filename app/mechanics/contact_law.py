@@ -29,8 +29,8 @@ from forms.contact import OPEN, SLIP, STICK
 
 # What a law may tell of a point, with its shape.
 TOLD: dict[str, tuple[int, ...]] = {
-    **{"slip": (3,), "stored": (), "dissipated": (), "spent_by_jump": (3,)},
-    **{"share": (), "share_by_jump": (3,)},
+    **{"slip": (3,), "stored": (), "dissipated": (), "spent": ()},
+    **{"spent_by_jump": (3,), "share": (), "share_by_jump": (3,)},
 }
 # The modules that define a law, beside its own: a change of their text makes it another law.
 SOURCES = (cohesion, contact, interface_laws, pointwise, sys.modules[__name__])
@@ -286,6 +286,7 @@ class PointLaw:
             "status": np.full(len(rows), STICK),
             "stored": stored / 2,
             "dissipated": found["used"],
+            "spent": found["used"],
             "spent_by_jump": gradient("used"),
             "share": np.where(touches, found["broken"], 0.0),
             "share_by_jump": touches[:, None] * gradient("broken"),

@@ -321,6 +321,7 @@ Density = Annotated[float, Dimension("tonne/mm^3", "a density", "1100 kg/m^3", a
 SpecificHeat = Annotated[float, _specific_heat]
 ExpansionCoefficient = Annotated[float, _expansion]
 HeatDensity = Annotated[float, _heat]
+FractureEnergy = Annotated[float, Dimension("N*mm", "an energy", "0.5 N mm", above=0.0)]
 ConductancePerArea = Annotated[float, _conductance(at_least=0.0)]
 FilmCoefficient = Annotated[float, _conductance(above=0.0)]
 ConductancePerPressure = Annotated[float, _per_pressure("100 W/(m^2 K MPa)", above=0.0)]
