@@ -104,7 +104,9 @@ def bond(c: Cohesion, opened: Any, slid: Any, old: Mapping[str, Any], live: Any)
     damage = c.damage(m, m_0, G)
     loading = And(ge(damage, old["damage"] - LOADING), gt(live, 0.5))
     damage = conditional(loading, damage, old["damage"])
-    spent = conditional(loading, c.spent(m, m_0, G), old["spent"])
+    # Where the mixture changes, more damage may be a smaller part of another energy.
+    spent = c.spent(m, m_0, G)
+    spent = conditional(And(loading, gt(spent, old["spent"])), spent, old["spent"])
     broken, before = (c.unbonded + (1 - c.unbonded) * d for d in (damage, old["damage"]))
     used = (1 - c.unbonded) * G * (spent - old["spent"])
     told = {"broken": broken, "used": used}

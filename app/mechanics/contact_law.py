@@ -134,7 +134,8 @@ class PointLaw:
             rows = np.flatnonzero((own.faces == m) & (form == k))
             law = next(law for law in laws if law.form == forms[k])
             normals = own.normals[rows, :m]
-            beside = law.beside and _compile(self._comm, normals, law.beside)
+            other = law.beside
+            beside = None if other is None else _compile(self._comm, normals, other)
             groups.append((rows, law, _compile(self._comm, normals, law), beside))
         return groups
 
@@ -238,7 +239,8 @@ class PointLaw:
             if beside is not None:
                 if law.friction > 0:
                     known["μ"] = law.friction * out.told["share"][rows]
-                self._touch(rows, beside, {k: known[k] for k in beside.inputs & known.keys()}, out)
+                names = (*inputs, "μ") if law.friction > 0 else inputs
+                self._touch(rows, beside, {name: known[name] for name in names}, out)
         if self.tied.any():
             self._tie(out, force, jump + gap, state.jump)
         return out

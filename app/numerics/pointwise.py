@@ -158,11 +158,6 @@ class Pointwise:
         """As a call, at all points, by name."""
         return dict(zip(self.outputs, self(None, **values), strict=True))
 
-    @property
-    def inputs(self) -> set[str]:
-        """Names of the inputs."""
-        return set(self._inputs)
-
     def __call__(self, rows: Ints | None = None, **values: Floats) -> list[Floats]:
         """Set inputs; return the values of the expressions (n, ...) at all points or some rows."""
         self.set(rows, **values)

@@ -17,7 +17,7 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache, partial
 from typing import Annotated, Any
@@ -248,6 +248,37 @@ class AbsoluteTemperature(Dimension):
         """The value in degC where that reads back to the same float, else in K."""
         celsius = f"{round(value - 273.15, 9)!r} degC"
         return celsius if self.read(celsius) == value else super().write(value)
+
+
+@dataclass(frozen=True)
+class Part(Dimension):
+    """Marks a share: a bare number from 0 to 1, or per cent."""
+
+    unit: str = "-"
+    what: str = "a share"
+    example: str = "7.7 %"
+    at_least: float | None = field(default=0.0, kw_only=True)
+    at_most: float | None = field(default=1.0, kw_only=True)
+
+    def read(self, value: object) -> float:
+        """The share.
+
+        Raises:
+            PydanticCustomError: Not a number, or not from 0 to 1.
+        """
+        found = _part(value)
+        match = NUMBER.fullmatch(found) if isinstance(found, str) else None
+        if isinstance(found, bool) or not (isinstance(found, int | float) or match):
+            fail(f"{show(value)} is not {self.what} such as '{self.example}'")
+        if match and match[2]:
+            fail(f"{show(value)}: a share has no unit but %")
+        result = float(match[1]) if match else float(found)  # type: ignore[arg-type]
+        self.check(result, show(value))
+        return result
+
+    def write(self, value: float) -> str:
+        """The share as a bare number."""
+        return repr(value)
 
 
 @dataclass(frozen=True)

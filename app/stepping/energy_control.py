@@ -22,23 +22,31 @@ from collections.abc import Callable
 
 import numpy as np
 
+from app.arrays import Floats
 from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 
 # Newton iterations of a step; part of the energy at which it counts as spent; step of the part of
-# the path for the derivative, which is exact: loads are linear in a way.
+# the path for the derivative.
 MOST, ENOUGH, SMALL = 25, 1e-6, 1e-4
 # Relative tolerance of the linear solver, how often a failed step is halved, and bisections.
 LINEAR, HALVINGS, BISECTIONS = 1e-9, 6, 40
 
 
 def spent(problem: Problem, solver: Solver) -> float:
-    """Energy that damage spends in the step, at the last residual [N mm]; collective."""
+    """Energy that damage spends in a step to the solver's state [N mm]; collective."""
+    return _spent(problem, solver)[0]
+
+
+def _spent(problem: Problem, solver: Solver) -> tuple[float, Floats]:
+    """The same, and its derivative by own jumps (3 n,) [N]."""
+    u, q = solver.u_and_q()
     contact = problem.contact
-    if contact is None or not contact.law.history:
-        return 0.0
-    told = solver.system.trial.law.told
-    return float(problem.comm.allreduce(float(contact.own.weight @ told["spent"])))
+    if contact is None or q is None or not contact.law.history:
+        return 0.0, np.zeros(0)
+    told, weight = problem.trial(u, q).law.told, contact.own.weight
+    local = float(weight @ told["spent"])
+    return problem.comm.allreduce(local), (weight[:, None] * told["spent_by_jump"]).ravel()
 
 
 def overshoot(
@@ -102,15 +110,22 @@ def by_energy(
     """
     contact, comm = problem.contact, problem.comm
     assert contact is not None
-    x, f, there, a, b = solver.x, *(solver.vector() for _ in range(4))
+    x, a, b = solver.x, solver.vector(), solver.vector()
     residuals: list[float] = []
     ksp, converged, krylov = solver.snes.getKSP(), False, 0
     contact.scale_augmentation(solver.augmentation)
     for _ in range(MOST):
-        set_load(s)
-        solver.system.residual(solver.blocks(), solver.blocks(f))
-        told = solver.system.trial.law.told
-        missing = spent(problem, solver) - energy
+        # Loads are linear in the way to the end of the path, and taken as such beyond.
+        at = min(s, 1.0)
+        h = SMALL if at < 0.5 else -SMALL
+        set_load(at + h)
+        by_load = solver.residual(x.copy())
+        set_load(at)
+        f = solver.residual(x)
+        by_load.axpby(-1 / h, 1 / h, f)
+        f.axpy(s - at, by_load)
+        found, gradient = _spent(problem, solver)
+        missing = found - energy
         parts = solver.measure(x, f)
         residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
         if not math.isfinite(residuals[-1]):
@@ -119,23 +134,19 @@ def by_energy(
         if converged := converged and abs(missing) <= ENOUGH * energy:
             solver.scales = [p.scale for p in parts]
             break
-        gradient = (contact.own.weight[:, None] * told["spent_by_jump"]).ravel()
         solver.linear.update(solver.blocks())
         ksp.setOperators(solver.linear.matrix)
         ksp.setTolerances(rtol=LINEAR, atol=0.0)
         ksp.solve(f, a)
         krylov += int(ksp.getIterationNumber())
-        set_load(s + SMALL)
-        solver.system.residual(solver.blocks(), solver.blocks(there))
-        there.axpy(-1.0, f)
-        ksp.solve(there, b)
-        along = [float(gradient @ solver.u_and_q(v)[1].array_r) for v in (a, b)]
-        by_a, by_b = comm.allreduce(np.array(along))
+        ksp.solve(by_load, b)
+        jumps = [solver.blocks_by_name(v)["jump"].array_r for v in (a, b)]
+        by_a, by_b = comm.allreduce(np.array([gradient @ q for q in jumps]))
         if by_b == 0.0:
             break
-        ds = SMALL * (missing - by_a) / by_b
+        ds = (missing - by_a) / by_b
         x.axpy(-1.0, a)
-        x.axpy(-ds / SMALL, b)
+        x.axpy(-ds, b)
         s += ds
     newton = len(residuals) - 1
     return NewtonResult(converged, newton, krylov, tuple(residuals), (), False), s

@@ -251,8 +251,8 @@ class LoadStepper:
         It hands back to load steps where it is a long one, or where nothing more can break.
         """
         problem, solver, started = self.problem, self.solver, clock.perf_counter()
-        (start, begun), energy = first, progress.energy
-        for _ in range(1 + HALVINGS):
+        (start, begun), energy, most = first, progress.energy, stage.fracture_step or 0.0
+        while energy > most / 2**HALVINGS:
             at = progress.done if begun is None else begun
             outcome, reach = by_energy(problem, solver, energy, at, set_load)
             self.total.count(outcome)
@@ -279,7 +279,7 @@ class LoadStepper:
             return
         passed = math.floor(reach / whole) > math.floor(progress.done / whole)
         progress.done, progress.most = reach, max(progress.most, reach)
-        progress.energy = 0.0 if longer else min(2 * energy, stage.fracture_step or energy)
+        progress.energy = 0.0 if longer else min(2 * energy, most)
         if longer:
             progress.step = whole
         self.commit(stage, times[0] + reach * (times[1] - times[0]), outcome, started, passed)
