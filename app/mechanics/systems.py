@@ -157,7 +157,7 @@ class ContactSystem(BondedSystem):
         if not self._solves or linear not in ("auto", "condensed"):
             return None
         sizes = problem.stiffness.K.getSize()[0], self.contact.coupling.D.getSize()[0]
-        foreseen = self._solves, problem.setting is not None, self._memory, comm.size
+        foreseen = self._solves, bool(problem.scene.cures), self._memory, comm.size
         choice = SolverChoice(problem.scene.order, *sizes, *foreseen)
         found: Condensed | None = None
         if linear == "condensed" or choice.condensed < HOPELESS * choice.krylov:
@@ -198,7 +198,7 @@ class ContactSystem(BondedSystem):
         if self._coarse_version != version:
             self._coarse, self._coarse_version = sliding_motions(self._problem), version
         allowing = np.eye(3) - self.contact.own.projector
-        self._coarse.update(allowing @ free_directions(self.trial.law.jacobian) @ allowing)
+        self._coarse.update(allowing @ free_directions(self.trial.law.resisted) @ allowing)
         return self._coarse
 
     @property

@@ -32,7 +32,12 @@ class ThermalStrain:
         self._terms = [x for x in scene.expansions if x.region in mechanics.swelling]
         self.body = {x.region: bodies.of_region[x.region] for x in self._terms}
         elastic = {e.region: e for e in scene.elastic}
-        self._forces = {x.region: _forces(mechanics, elastic[x.region]) for x in self._terms}
+        # Where stress is history free strain is a part of it.
+        self._forces = {
+            x.region: _forces(mechanics, elastic[x.region])
+            for x in self._terms
+            if x.region not in mechanics.history
+        }
 
     def set(self, temperatures: Mapping[str, fem.Function]) -> dict[int, PETSc.Vec]:
         """Set the thermal strain; return nodal forces on each body [N].
@@ -44,7 +49,9 @@ class ThermalStrain:
         for x in self._terms:
             e = self._mechanics.swelling[x.region]
             e.x.array[:] = x.expansion * (temperatures[x.region].x.array - x.reference)
-            G, body = self._forces[x.region], self.body[x.region]
+            if (G := self._forces.get(x.region)) is None:
+                continue
+            body = self.body[x.region]
             nodal = G.createVecRight()
             nodal.array[:] = e.x.array[: nodal.getLocalSize()]
             parts.setdefault(body, G.createVecLeft())
@@ -65,7 +72,11 @@ class ThermalStrain:
             Rows of displacement and jumps, columns of temperatures and temperature jumps; None
             where the scene has no such unknowns.
         """
-        scaled = {x.region: self._forces[x.region] * x.expansion for x in self._terms}
+        scaled = {
+            x.region: self._forces[x.region] * x.expansion
+            for x in self._terms
+            if x.region in self._forces
+        }
         by_jumps = {r: G.matMult(moves[r]) for r, G in scaled.items() if r in moves}
         columns = []
         for of_region in (scaled, by_jumps):

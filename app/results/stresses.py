@@ -59,7 +59,7 @@ class Stresses:
         self.points: dict[str, Floats] = dict.fromkeys(self.cells, self._points)
         self.shares: dict[str, Floats] = dict.fromkeys(self.cells, weights / weights.sum())
         # Stress that is history is known at the points where it was summed.
-        self._history = {r: problem.setting for r in mechanics.growth if problem.setting}
+        self._history = {r: problem.history for r in mechanics.history if problem.history}
         for region, history in self._history.items() if degree is None else ():
             self.points[region] = history.points
             self.shares[region] = history.weights / history.weights.sum()
@@ -75,7 +75,7 @@ class Stresses:
             if e.varies:
                 points = self.points[e.region]
                 self._relative[e.region] = mechanics.relative_stiffness(e, points)
-            if e.region not in mechanics.growth and (
+            if e.region not in mechanics.history and (
                 e.eigenstrains or e.region in mechanics.swelling
             ):
                 displacement = problem.displacements()[problem.bodies.of_region[e.region]]
@@ -160,6 +160,8 @@ class Stresses:
                 for key, k in (("von_mises", 0), ("principal", 2))
             }
             values = values[:, ~outside]
+        if (s := self._history.get(region)) and s.creep:
+            found |= s.creep.numbers(region)
         if cement:
             _, _, tension, _, _, volume = values
             for level in STRESSED:

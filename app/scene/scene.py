@@ -6,6 +6,7 @@ solver. Absent parts are empty tuples.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from app.case.case import Case
 from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
 from app.case.shapes import Sides
+from app.laws.creep import Creep
 from app.laws.cure import Cure
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
@@ -39,6 +41,7 @@ class Interface:
         history: Amplitudes of the gap at the ends of the stages, or empty (`laws.values.gap_at`).
         turned: Whether the master is the second side as declared.
         slave_share: Fraction of the friction heat that enters the slave side.
+        values: Constants of the law (n,) at points, by name.
     """
 
     name: str
@@ -50,6 +53,7 @@ class Interface:
     history: tuple[float, ...] = ()
     turned: bool = False
     slave_share: float = 0.0
+    values: Mapping[str, Field] = dataclasses.field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,7 @@ class Scene:
     friction_heat: tuple[Interface, ...] = ()
     expansions: tuple[Thermal, ...] = ()
     cures: tuple[Cure, ...] = ()
+    creeps: tuple[Creep, ...] = ()
     time: TimeOptions | None = None
     coupled: bool = False
     bonds: tuple[Interface, ...] = ()
@@ -141,6 +146,11 @@ def build_scene(case: Case) -> Scene:
         coupled=bool(rubbing) or any(i.law.conductances[1] > 0 for i in conducting),
         expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
         cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
+        creeps=tuple(
+            creep.named(e.region)
+            for e in elastic
+            if (creep := getattr(e, "creep", None)) and any(stage.creep for stage in case.stages)
+        ),
         time=case.time,
     )
 
@@ -190,6 +200,7 @@ def _interface(
         history=tuple(history or ()),
         turned=turned,
         slave_share=slave_share,
+        values=law.fields(name),
     )
 
 

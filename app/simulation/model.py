@@ -34,6 +34,7 @@ from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.coupled_system import CoupledSystem
+from app.stepping.creep_steps import CreepStepper
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
@@ -250,13 +251,15 @@ class Model:
         Raises:
             ConvergenceError: As `run_stages`.
         """
-        load_stepper, heat_stepper = None, None
+        load_stepper = heat_stepper = creep_stepper = None
         if risk := self.risk:
             on_step = risk.before(on_step)
         if m := self.mechanics:
             load_stepper = LoadStepper(
                 m.problem, m.solver, on_step, on_trouble, self._predictors(m)
             )
+            if m.problem.creep:
+                creep_stepper = CreepStepper(load_stepper)
         if t := self.thermal:
 
             def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
@@ -269,22 +272,23 @@ class Model:
             elif load_stepper:
                 beside = SolvedAfterHeat(load_stepper, t.heating)
             heat_stepper = HeatStepper(t.heating, beside, on_accepted)
-        steppers = self._steppers = load_stepper, heat_stepper
+        steppers = self._steppers = load_stepper, heat_stepper, creep_stepper
         run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume())
         total = Summary()
-        for part in steppers:
+        for part in steppers[:2]:
             if part is not None:
                 total.add(part.total)
         return total
 
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
-        load_stepper, heat_stepper = self._steppers
+        load_stepper, heat_stepper, creep_stepper = self._steppers
         return ({"risk": self.risk} if self.risk else {}) | {
             "mechanics": self.mechanics,
             "thermal": self.thermal,
             "heat_stepper": heat_stepper,
             "load_stepper": load_stepper,
+            "creep_stepper": creep_stepper,
         }
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
@@ -318,6 +322,8 @@ class Model:
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := bonds(m.problem, m.stresses):
                 numbers["bonds"] = found
+            if creep := m.problem.creep:
+                numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
             if self.risk:
                 for region, found in self.risk.weibull().items():
                     numbers["regions"][region] |= found

@@ -1,4 +1,4 @@
-"""The outer loop: stages of a scene, by load steps where they take no time, else by time steps."""
+"""The outer loop: stages of a scene, by load steps, time steps of heat or steps of creep."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from app.scene.scene import Stage
+from app.stepping.creep_steps import CreepStepper
 from app.stepping.heat_steps import HeatStepper
 from app.stepping.load_steps import LoadStepper
 
@@ -14,11 +15,12 @@ def run_stages(
     stages: Sequence[Stage],
     load_stepper: LoadStepper | None,
     heat_stepper: HeatStepper | None,
+    creep_stepper: CreepStepper | None = None,
     begin: Callable[[Stage], None] = lambda stage: None,
     checkpoint_point: Callable[[int], None] = lambda k: None,
     first: int = 0,
 ) -> None:
-    """Run a model through its stages, from one in which both steppers have been restored.
+    """Run a model through its stages, from one in which the steppers have been restored.
 
     Raises:
         ConvergenceError: A failed step cannot or may not be cut, or a body runs away.
@@ -27,6 +29,7 @@ def run_stages(
         begin(stage)
         if load_stepper is not None:
             load_stepper.problem.set_stage(k, load_stepper.solver.u_and_q()[0])
-        stepper = heat_stepper if stage.takes_time else load_stepper
+        timed = heat_stepper if stage.takes_time else load_stepper
+        stepper = creep_stepper if stage.creep else timed
         if stepper is not None:
             stepper.run_stage(k, stage, partial(checkpoint_point, k))
