@@ -34,7 +34,6 @@ from app.stepping.load_steps import LoadStep, OnStep
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
 
-DEGREE = 9
 # Distance from edges within which numbers are apart [mm], and the angle by which such an edge turns
 # in: more than straight facets of a round stem do.
 NEAR, TURN = 1.0, math.radians(60)
@@ -60,7 +59,7 @@ class CementRisk:
         self._tires = case.fatigue.region if case.fatigue else ""
         self._tagged, self._comm = problem.tagged, problem.comm
         self._weibull = {e.region: e.weibull for e in problem.scene.elastic if e.weibull}
-        self._stresses = Stresses(problem, timing, degree=DEGREE)
+        self._stresses = Stresses(problem, timing, fine={*self._weibull, self._tires} - {""})
         self._parts: dict[str, dict[str, Bools]] = {}
         laws = case.fatigue.laws if case.fatigue else ()
         number = problem.tagged.mesh.topology.original_cell_index
