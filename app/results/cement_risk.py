@@ -66,15 +66,11 @@ class CementRisk:
         self._valley: Floats | None = None
         # By law: damage a year and largest equivalent stress [MPa] at the points (n, 2).
         laws = case.fatigue.laws if case.fatigue else ()
+        number = problem.tagged.mesh.topology.original_cell_index
+        at = number[self._stresses.cells[self._tires]] if laws else np.zeros(0, dtype=np.int64)
+        count = len(self._stresses.shares[self._tires]) if laws else 1
+        self.row_keys: Ints = (at[:, None] * count + np.arange(count)).ravel()
         self._found = {name: np.zeros((len(self.row_keys), 2)) for name in laws}
-
-    @property
-    def row_keys(self) -> Ints:
-        """Keys of the points of the region that tires."""
-        cells = self._stresses.cells.get(self._tires, np.zeros(0, dtype=np.int64))
-        count = len(self._stresses.shares.get(self._tires, ()))
-        numbers = self._tagged.mesh.topology.original_cell_index[cells]
-        return np.asarray(numbers[:, None] * count + np.arange(count)).ravel()
 
     # Fatigue
 

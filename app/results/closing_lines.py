@@ -160,7 +160,10 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
     asked = [Verdict(summary["accuracy"])] if "accuracy" in summary else []
     if laws := summary.get("fatigue"):
         clauses.append(Verdict(f"fatigue: {life(laws)}", "doubtful"))
-    clauses += _growing_risk(summary)
+    unsettled = summary.get("error", {}).get("unsettled", {})
+    for name, q in summary.get("regions", {}).items():
+        if "failure_risk" in q:
+            clauses.append(_strength(name, q, unsettled))
     return [*clauses, *_physiology(summary), _mesh_and_step(summary), *asked]
 
 
@@ -192,13 +195,20 @@ def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
     return f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
 
 
-def _growing_risk(summary: Mapping[str, Any]) -> Iterator[Verdict]:
-    """Risks that grow with every mesh, as at edges that turn in."""
-    for name, values in summary.get("error", {}).get("unsettled", {}).items():
-        if name.endswith("failure_risk") and values[0][1] > values[1][1]:
-            on = ", ".join(f"{risk:.2g} at {size:g} mm" for size, risk in values)
-            text = f"{name} grows with the mesh ({on}): it may have no limit"
-            yield Verdict(f"strength: {text}", "doubtful")
+def _strength(name: str, q: Mapping[str, Any], unsettled: Mapping[str, Any]) -> Verdict:
+    """Probability that a region and its parts fail, and where it grows with every mesh."""
+    texts, tone = [], ""
+    for part in ("", *(p for p in quantities.PARTS if p in q)):
+        own, key = q[part] if part else q, f"{name}_{part}" if part else name
+        text = f"{100 * own['failure_probability']:.2g} %{f' at its {part}' * bool(part)}"
+        (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))
+        if fine > coarse:
+            text += (
+                f" (R grows from {coarse:.2g} at {size:g} mm to {fine:.2g}: it may have no limit)"
+            )
+            tone = "doubtful"
+        texts.append(text)
+    return Verdict(f"strength: {name} breaks with a probability of {', '.join(texts)}", tone)
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:
@@ -249,7 +259,7 @@ def peaks(summary: Mapping[str, Any]) -> list[Verdict]:
     """Peaks that change most with the mesh, with their values on every mesh solved."""
     lines = []
     for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
-        if q := quantities.get(name):
+        if (q := quantities.get(name)) and q.unit != "-":  # a risk is told with the strength
             on = [f"{name} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
             lines.append(
                 ", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others])

@@ -128,5 +128,10 @@ def test_damage_is_told_as_a_band(tmp_path: Path) -> None:
 
 def test_growing_risk_is_told() -> None:
     told = {"a_edge.failure_risk": [[1, 3e-3], [2, 1e-3]], "a.failure_risk": [[1, 1e-3], [2, 3e-3]]}
-    (line,) = closing_lines._growing_risk({"error": {"unsettled": told}})
-    assert "a_edge.failure_risk grows with the mesh (0.003 at 1 mm, 0.001 at 2 mm)" in line.text
+    q = {"failure_probability": 2e-3, "edge": {"failure_probability": 0.031}}
+    line = closing_lines._strength("a", q, told)
+    expected = (
+        "0.2 %, 3.1 % at its edge (R grows from 0.001 at 2 mm to 0.003: it may have no limit)"
+    )
+    assert line.text.endswith(f"a breaks with a probability of {expected}")
+    assert line.tone == "doubtful" and not closing_lines._strength("a", q, {}).tone
