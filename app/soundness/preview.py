@@ -217,7 +217,7 @@ def warnings(case: Case) -> list[str]:
     if case.geometry.has_gruen_zones and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
             messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
-    laws = [(f"regions.{n}", region) for n, region in case.regions.items()]
+    laws: list[tuple[str, Any]] = [(f"regions.{n}", r) for n, r in case.regions.items()]
     laws += [
         (f"fatigue.laws.{n}", x) for n, x in (case.fatigue.laws if case.fatigue else {}).items()
     ]
