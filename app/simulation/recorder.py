@@ -210,7 +210,7 @@ class Recorder:
             row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
         columns = [c for c in TABLE["interfaces"].values() if c.history]
         for name, q in (self.samples.history if self.samples else {}).items():
-            row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
+            row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns if c.key in q}
         return row
 
     def _row(self, step: LoadStep) -> None:

@@ -545,6 +545,15 @@ def check_fatigue(summary: dict[str, Any]) -> None:
     assert summary["fatigue"].keys() == {"verdonschot", "murphy"}
 
 
+def check_debonding(summary: dict[str, Any]) -> None:
+    """A weak bond is damaged on a part of its area, and what that takes is dissipated."""
+    q = summary["interfaces"]["cement_bone"]
+    assert 0 <= q["area_broken"] < q["area_damaged"]
+    assert 0 < q["damage_mean"] < 1
+    assert 0 < q["dissipation"]
+    assert q["zone_elements"] == pytest.approx(q["zone_length"] / q["facet_size"])
+
+
 SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = {
     "iso_7206_4.yaml": (check_bench, ["mesh.size=10 mm", "output.error=false"]),
     "blocks.yaml": (None, ["mesh.size=3 mm"]),
@@ -569,6 +578,7 @@ SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = 
         check_fatigue,
         ["mesh.size=10 mm", "output.error=false", "stages.0.cycles=1", "stages.4.cycles=1"],
     ),
+    "debonding.yaml": (check_debonding, ["mesh.size=10 mm", "stages.0.increments=4"]),
     "walk.yaml": (partial(check_history, steps=4), ["mesh.size=10 mm", "stages.0.cycles=4"]),
     "residual.yaml": (
         check_residual,
@@ -616,6 +626,8 @@ def test_shipped_configuration(name: str, tmp_path: Path) -> None:
         assert (folder / "DONE").exists()
         summary = support.summary(folder) | {"name": folder.name}
         assert balanced(summary)
-        assert all(q["penetration_max"] < 1e-9 for q in summary["interfaces"].values())
+        # A bond gives way where it is pressed.
+        hard = (q for q in summary["interfaces"].values() if "damage_mean" not in q)
+        assert all(q["penetration_max"] < 1e-9 for q in hard)
         if check := SHIPPED[name][0]:
             check(summary)
