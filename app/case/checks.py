@@ -10,15 +10,16 @@ from typing import Any
 
 from app.case.quantities import of_run
 from app.errors import Reason
+from app.laws.densities import density
 from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
-from app.laws.materials import Conductor, Rigid
+from app.laws.materials import Conductor, Elastic, Rigid
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
 
 def cross_check(case: Any) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
-    faults = [*_held(case), *_side(case), *_heat(case)]
+    faults = [*_held(case), *_side(case), *_heat(case), *_remodelling(case)]
     if case.geometry is not None:
         faults += [*_names(case), *_mesh(case), *_rigid(case), *_accuracy(case)]
     if case.stages is not None:
@@ -175,6 +176,37 @@ def _side(case: Any) -> Iterable[Fault]:
             "are those of the mirrored right one"
         )
         yield Fault(("side",), text)
+
+
+def _remodelling(case: Any) -> Iterable[Fault]:
+    """Stages without section and reverse; load cases and regions that remodelling lacks."""
+    law, stages = case.remodelling, case.stages or ()
+    timed = [i for i, stage in enumerate(stages) if stage.remodels]
+    if law is None:
+        if timed and "remodelling" not in case.model_fields_set:
+            text = "how bone remodels is missing; expected a section `remodelling`"
+            yield Fault(("stages", timed[0], "remodels"), text)
+        return
+    if stages and not timed:
+        yield Fault(("stages",), "nothing remodels; expected `remodels: 2 years` in some stage")
+    before = [s.name for s in stages[: timed[0] if timed else None] if not s.takes_time]
+    for j, name in enumerate(law.load_cases):
+        if stages and name not in before:
+            text = f"'{name}' is no stage before; expected one of {', '.join(before)}"
+            yield Fault(("remodelling", "load_cases", j), text + did_you_mean(name, before))
+    for name in law.regions or (case.of_tissue("bone") if case.regions else ()):
+        region = case.regions.get(name)
+        cures = getattr(getattr(region, "thermal", None), "cure", None)
+        if not isinstance(region, Elastic) or region.eigenstrains or cures:
+            text = f"{name} cannot; expected elastic regions without eigenstrains that do not set"
+            yield Fault(("remodelling", "regions"), text)
+        elif not region.image:
+            E, (low, high) = getattr(region, "youngs_modulus", None), law.density
+            moduli = [v for _, v in E] if isinstance(E, tuple) else region.moduli[:1]
+            for rho in density(law.law, moduli):
+                if not low <= rho <= high:
+                    text = f"has {rho:.4g} g/cm3 by `remodelling.law`; expected {low:g} to {high:g}"
+                    yield Fault(("regions", name), text)
 
 
 def quantities(geometry: Any, study: Any) -> Iterable[Fault]:

@@ -31,8 +31,13 @@ class ThermalStrain:
         self._mechanics = mechanics
         self._terms = [x for x in scene.expansions if x.region in mechanics.swelling]
         self.body = {x.region: bodies.of_region[x.region] for x in self._terms}
-        elastic = {e.region: e for e in scene.elastic}
-        self._forces = {x.region: _forces(mechanics, elastic[x.region]) for x in self._terms}
+        self._elastic = {e.region: e for e in scene.elastic}
+        self.assemble()
+
+    def assemble(self) -> None:
+        """Assemble the forces of unit strain at the present moduli; collective."""
+        made = {x.region: _forces(self._mechanics, self._elastic[x.region]) for x in self._terms}
+        self._forces = made
 
     def set(self, temperatures: Mapping[str, fem.Function]) -> dict[int, PETSc.Vec]:
         """Set the thermal strain; return nodal forces on each body [N].
@@ -40,10 +45,16 @@ class ThermalStrain:
         Args:
             temperatures: Values at the vertices of each expanding region [K], ghosts included.
         """
-        parts: dict[int, PETSc.Vec] = {}
         for x in self._terms:
             e = self._mechanics.swelling[x.region]
             e.x.array[:] = x.expansion * (temperatures[x.region].x.array - x.reference)
+        return self.forces()
+
+    def forces(self) -> dict[int, PETSc.Vec]:
+        """Nodal forces of the present thermal strain on each body [N]."""
+        parts: dict[int, PETSc.Vec] = {}
+        for x in self._terms:
+            e = self._mechanics.swelling[x.region]
             G, body = self._forces[x.region], self.body[x.region]
             nodal = G.createVecRight()
             nodal.array[:] = e.x.array[: nodal.getLocalSize()]

@@ -62,7 +62,8 @@ class Balance:
     Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
     forces. Curing regions have no stored energy: the work of their stress in their strain, also
-    trapezoidal, takes the place of stored energy and of the work of free strain.
+    trapezoidal, takes the place of stored energy and of the work of free strain. The same holds for
+    all regions where bone remodels: what is stored changes with its stiffness too.
 
     Args:
         about: Point that moments are taken about (3,) [mm].
@@ -97,6 +98,8 @@ class Balance:
             (free, mechanics.form(self._work_of(elastic[region], swelling)))
             for region, free in mechanics.swelling.items()
         ]
+        if mechanics.density:
+            self._strain_work, self._swelling = [], []
         self._setting: list[tuple[int, fem.Form]] = []
         self._set: fem.Form | None = None
         if s := problem.setting:
@@ -146,6 +149,8 @@ class Balance:
             moved = ((f.array_r, displacements[b].x.array) for b, f in elastic)
             energy = sum(float(f @ v[: len(f)]) for f, v in moved) / 2
         inner = problem.forces.action([*elastic, *setting])
+        if problem.mechanics.density:
+            setting, energy = [*setting, *elastic], 0.0
         acting = problem.forces.applied(problem.load_time)
         left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)
         reaction = np.where(constraints.reacting, left, 0.0)

@@ -184,7 +184,6 @@ class MechanicalFields:
     def __init__(self, problem: Problem, stresses: Stresses) -> None:
         self._problem, self._stresses = problem, stresses
         self.bodies, self.space = problem.bodies, problem.space
-        self._moduli = stresses.varying_moduli()
         index_map = self.space.dofmap.index_map
         # Stress times volume, and volume, at the nodes of a body.
         self._sums = la.vector(index_map, len(COMPONENTS) + 1)
@@ -205,13 +204,18 @@ class MechanicalFields:
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
-        """Mean stress, and Young's modulus where it varies, 0 elsewhere [MPa]."""
+        """Mean stress, Young's modulus where it varies, 0 elsewhere [MPa], and density of bone."""
         σ, E = np.zeros((cells, len(COMPONENTS))), np.zeros(cells)
         for region, own in self._stresses.cells.items():
             σ[own] = _components(self._stresses.mean(region))
-        for region, moduli in self._moduli.items():
-            E[self._stresses.cells[region]] = moduli
-        return _named(σ) | ({"youngs_modulus": E} if self._moduli else {})
+        moduli = self._stresses.varying_moduli()
+        for region, values in moduli.items():
+            E[self._stresses.cells[region]] = values
+        rho, mechanics = np.zeros(cells), self._problem.mechanics
+        for region in mechanics.density:
+            rho[self._stresses.cells[region]] = mechanics.density_at(region, CENTRE)[:, 0]
+        density = {"density": rho} if mechanics.density else {}
+        return _named(σ) | ({"youngs_modulus": E} if moduli else {}) | density
 
     def _nodal_stress(self, nodes: OutputNodes) -> Floats:
         """Stress at the nodes (n, 6) [MPa]: the mean of the body's cells there, by volume.
@@ -239,6 +243,8 @@ class MechanicalFields:
             found[at] = mean[:, :-1] / np.where(mean[:, -1:] > 0, mean[:, -1:], 1.0)
         return found
 
+
+CENTRE = np.full((1, 3), 0.25)  # of the reference cell
 
 # Components of a symmetric tensor in VTK's order: XX, YY, ZZ, XY, YZ, XZ.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))

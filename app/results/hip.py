@@ -217,7 +217,9 @@ def by_zone(
     # A rigid region has no strain energy; that of a curing one is not known.
     elastic = {e.region for e in problem.scene.elastic} - set(problem.mechanics.growth)
     regions = [r for r in zones.regions if r in elastic]
-    sums = {r: _energy_and_volume(problem, stresses, r, zones) for r in regions}
+    sums = {
+        r: _integrals(problem, stresses, r, zones, stresses.energy_density(r), 1.0) for r in regions
+    }
     result: dict[str, Zone] = {}
     for zone in zones.numbers:
         volumes = {r: float(volume[zone]) for r, (_, volume) in sums.items()}
@@ -235,24 +237,29 @@ def by_zone(
     return result
 
 
-def _energy_and_volume(
-    problem: Problem, stresses: Stresses, region: str, zones: Zones
-) -> tuple[Floats, Floats]:
-    """Strain energy [N mm] and volume [mm3] of a region by zone, zone 0 outside of all.
+def bone_mass(problem: Problem, stresses: Stresses, zones: Zones) -> Floats:
+    """Mass of the bone that remodels by zone, zone 0 outside of all [g]; collective."""
+    density = problem.mechanics.density_at
+    parts = [
+        _integrals(problem, stresses, r, zones, density(r, stresses.points[r]))
+        for r in problem.mechanics.density
+    ]
+    return np.asarray(1e-3 * np.sum(parts, axis=(0, 1)))
+
+
+def _integrals(
+    problem: Problem, stresses: Stresses, region: str, zones: Zones, *densities: Any
+) -> Floats:
+    """Integrals of densities (cells, points) over the zones in a region, zone 0 outside of all.
 
     By the points at which its stress is known: cells may span several zones.
     """
     x, volume = stresses.places(region)
-    dx = volume.ravel()
     zone = zones.at(x) * zones.is_left(x)[:, None]
-    local = np.array(
-        [
-            np.bincount(zone.ravel(), np.repeat(w, 2), minlength=len(zones.numbers) + 1)
-            for w in (stresses.energy_density(region).ravel() * dx, dx)
-        ]
-    )
-    energy, volume = problem.comm.allreduce(local, MPI.SUM)
-    return energy, volume
+    rows = (np.repeat((w * volume).ravel(), 2) for w in densities)
+    count = len(zones.numbers) + 1
+    local = np.array([np.bincount(zone.ravel(), row, minlength=count) for row in rows])
+    return np.asarray(problem.comm.allreduce(local, MPI.SUM))
 
 
 def _interface(s: ContactSamples, at: NDArray[np.bool_]) -> dict[str, float]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import meshes
+from app.arrays import Floats
 from app.case.case import Case
 from app.errors import on_root
 from app.heat.implicit_step import ImplicitStep
@@ -25,10 +26,11 @@ from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results.balance import Balance
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
-from app.results.hip import StemMotion, by_zone, of_femur
+from app.results.hip import StemMotion, bone_mass, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples, Surface
 from app.results.stresses import Stresses, bonds
 from app.scene.scene import Scene, Stage, build_scene
+from app.simulation.intact_femur import carried, intact_case
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
@@ -37,6 +39,7 @@ from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
+from app.stepping.remodelling import Remodeller
 from app.stepping.stages import run_stages
 from app.system import folders
 from app.system.timing import Timing
@@ -84,6 +87,10 @@ class Mechanical:
                 borders, every = zones.borders(points.x), range(len(points.triangles))
                 self.surfaces = [Surface(points, i, borders) for i in every]
         self.stresses = Stresses(problem, timing, geometry.is_around_z, depth)
+        # Mass of bone by zone, before it remodels [g].
+        self.start: Floats | None = None
+        if self.zones and problem.mechanics.density:
+            self.start = bone_mass(problem, self.stresses, self.zones)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
@@ -96,6 +103,14 @@ class Mechanical:
     def restored(self) -> None:
         """Fill the unknowns with the restored displacement and jumps; collective."""
         self.problem.take_up(*self.solver.u_and_q())
+        self.stresses.follow_density()
+
+    def bone_change(self) -> dict[int, float]:
+        """Change of the mass of bone by zone, relative to that before it remodels; collective."""
+        if self.start is None or self.zones is None:
+            return {}
+        now = bone_mass(self.problem, self.stresses, self.zones)
+        return {z: float(now[z] / self.start[z] - 1) for z in self.zones.numbers if self.start[z]}
 
     def balance(self, about: NDArray[np.float64]) -> Balance:
         """Balances of the model at rest, with moments about a fixed point (3,) [mm]; collective."""
@@ -150,6 +165,7 @@ class Model:
             self.notes = on_root(comm, lambda: found and well_posedness.judge(case, found)) or []
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
+            self.remodeller: Remodeller | None = None
             self.mechanics = self._mechanics()
             self.thermal = self._heat()
         self._others[:] = [m for m in self._others if not self.deforms_like(m._case)] + [self]
@@ -180,8 +196,9 @@ class Model:
         if not self.scene.elastic:
             return None
         case, like = self._case, None
-        for model in self._others if not self.scene.cures else ():
-            if (m := model.mechanics) is None:
+        changes = self.scene.cures or self.scene.remodelling
+        for model in self._others if not changes else ():
+            if (m := model.mechanics) is None or m.problem.mechanics.density:
                 continue
             if model.deforms_like(case):
                 m.begin(self.scene, case.solver.augmentation_factor, case.solver.tolerance)
@@ -259,7 +276,10 @@ class Model:
                 beside = SolvedAfterHeat(load_stepper, t.heating)
             heat_stepper = HeatStepper(t.heating, beside, on_accepted)
         steppers = self._steppers = load_stepper, heat_stepper
-        run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume())
+        if load_stepper and m and self.scene.remodelling:
+            self.remodeller = Remodeller(load_stepper, m.stresses, self._intact)
+        steps = self.remodeller
+        run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume(), steps)
         total = Summary()
         for part in steppers:
             if part is not None:
@@ -274,6 +294,7 @@ class Model:
             "thermal": self.thermal,
             "heat_stepper": heat_stepper,
             "load_stepper": load_stepper,
+            "remodeller": self.remodeller,
         }
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
@@ -284,6 +305,18 @@ class Model:
         if case is None:
             return (m.neighbours,)
         return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
+
+    def _intact(self) -> Floats | None:
+        """Stimulus of the intact femur (r, n) [J/g], if it is asked for; collective."""
+        law, m = self.scene.remodelling, self.mechanics
+        if not (law and law.intact and m):
+            return None
+        forms, timing = m.problem.mechanics, self._timing.of("intact femur")
+        case, comm = intact_case(self._case, tuple(forms.density)), self.tagged.mesh.comm
+        other = Model(case, comm, self.options, timing, self.stop, judged=False).mechanics
+        assert other is not None
+        loads = LoadStepper(other.problem, other.solver, _nothing, _nothing)
+        return carried(Remodeller(loads, other.stresses, _nothing), forms)
 
     def _cheaper(self, case: Case) -> LoadStepper:
         other = self._other(case, self._timing.of("cheaper model"))
@@ -310,6 +343,8 @@ class Model:
             numbers["stem"] = m.stem(self._case.side)
             if found := of_femur(m.problem, self._case):
                 numbers["femur"] = found
+            if self.remodeller:
+                numbers["remodelling"] = self.remodeller.summary()
         if t := self.thermal:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}
             if t.cure:
@@ -322,6 +357,8 @@ class Model:
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
         if (m := self.mechanics) and m.zones:
             found["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
+            for zone, change in m.bone_change().items():
+                found["gruen"][str(zone)]["bone_mass_change"] = change
         return found
 
     def relative(self, case: Case) -> dict[str, Any]:

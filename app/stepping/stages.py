@@ -1,4 +1,4 @@
-"""The outer loop: stages of a scene, by load steps where they take no time, else by time steps."""
+"""The outer loop: stages of a scene, by load steps, time steps, or as bone remodels."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from functools import partial
 from app.scene.scene import Stage
 from app.stepping.heat_steps import HeatStepper
 from app.stepping.load_steps import LoadStepper
+from app.stepping.remodelling import Remodeller
 
 
 def run_stages(
@@ -17,6 +18,7 @@ def run_stages(
     begin: Callable[[Stage], None] = lambda stage: None,
     checkpoint_point: Callable[[int], None] = lambda k: None,
     first: int = 0,
+    remodeller: Remodeller | None = None,
 ) -> None:
     """Run a model through its stages, from one in which both steppers have been restored.
 
@@ -27,6 +29,10 @@ def run_stages(
         begin(stage)
         if load_stepper is not None:
             load_stepper.problem.set_stage(k, load_stepper.solver.u_and_q()[0])
-        stepper = heat_stepper if stage.takes_time else load_stepper
+        stepper: LoadStepper | HeatStepper | Remodeller | None = load_stepper
+        if stage.takes_time:
+            stepper = heat_stepper
+        elif stage.remodels:
+            stepper = remodeller
         if stepper is not None:
             stepper.run_stage(k, stage, partial(checkpoint_point, k))
