@@ -11,14 +11,13 @@ within bounds of the density, and Young's modulus is that of the density.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from app.laws.densities import LEAST, Law, density, modulus
 from app.schema.expressions import Varying
-from app.schema.paths import file
+from app.schema.paths import File
 from app.schema.section import ITEMS, Name, Pair, Section, fail
 from app.schema.units import Dimension, PositiveLength, Share
 
@@ -40,9 +39,9 @@ class Remodelling(Section):
     """Regions that remodel; all of bone by default."""
     load_cases: Annotated[_Names, Field(min_length=1)]
     """Earlier stages whose loads are borne from day to day; the stimulus is the mean over them."""
-    intact: Annotated[Path, file(folder=True)] | None = None
-    """Case of the intact femur with the same load cases, or a folder with a run of it: its stimulus
-    is K, place by place."""
+    intact: File | None = None
+    """Case of the intact femur with the same load cases, or `case.yaml` of a run of it; solved with
+    the mesh section of this one, its stimulus is K, place by place."""
     stimulus: (
         Annotated[float | str, Varying(Dimension("J/g", "an energy per mass", "0.004 J/g"))] | None
     ) = None
@@ -61,12 +60,6 @@ class Remodelling(Section):
     """Boundaries whose bone stays as it is; those with loads and fixed supports by default."""
     tolerance: Annotated[float, Dimension("g/cm^3", "a density", "0.01 g/cm^3", above=0.0)] = 0.01
     """Largest error of the density in a step."""
-
-    @field_validator("intact", mode="after")
-    @classmethod
-    def _case(cls, path: Path | None, info: ValidationInfo) -> Path | None:
-        found = path / "case.yaml" if path and path.is_dir() else path
-        return found if not found or found.is_file() else fail(f"no run: {found} is missing")
 
     @model_validator(mode="after")
     def _sound(self) -> Remodelling:

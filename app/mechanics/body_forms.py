@@ -98,7 +98,8 @@ class BodyForms:
         springs: Stiffness of each elastic foundation.
         swelling: Thermal strain of each expanding elastic region, at the vertices [-].
         growth: Modulus of each curing region over its final one, at the vertices [-].
-        density: Density of each region that remodels, at the vertices [g/cm3].
+        remodels: Regions that remodel.
+        density: Their density at all vertices of this rank, ghosts too (n, r) [g/cm3]; None: none.
 
     Raises:
         InputError: A load acts on nothing, or nothing can carry its moment.
@@ -118,7 +119,9 @@ class BodyForms:
         self._facets: Domains = []
         self._surface = self._surface_measure()
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
-        self.density = {e.region: self._density(e) for e in scene.elastic if e._remodelling}
+        bone = [e for e in scene.elastic if e._remodelling]
+        self.remodels = tuple(e.region for e in bone)
+        self.density: Any = np.array([self._density(e) for e in bone]).T if bone else None
         self._relative = {e.region: self._relative_stiffness(e) for e in scene.elastic if e.varies}
         self.springs = [self.constant(f.stiffness) for f in scene.foundations]
         self._amplitude = {
@@ -210,13 +213,12 @@ class BodyForms:
         values = values.reshape(volumes.shape)
         return np.average(values, axis=1, weights=volumes, keepdims=True) if mean else values
 
-    def _density(self, e: Elastic) -> fem.Function:
-        """Density of a region's modulus in the case at all vertices, within its bounds."""
-        rho, law, x = fem.Function(self.scalars), e._remodelling, self.vertex_places
+    def _density(self, e: Elastic) -> Floats:
+        """Density of a region's modulus in the case at all vertices, within its bounds (n,)."""
+        law, x = e._remodelling, self.vertex_places
         assert law is not None
         E = e.moduli[0] * everywhere(self.mesh.comm, lambda: e.relative_stiffness(x))
-        rho.x.array[:] = np.clip(density(law.law, E), *law.density)
-        return rho
+        return np.asarray(np.clip(density(law.law, E), *law.density))
 
     @property
     def vertex_places(self) -> Floats:
@@ -237,7 +239,8 @@ class BodyForms:
 
     def density_at(self, region: str, points: Floats) -> Floats:
         """Density at points of a region's own cells (cells, points) [g/cm3]."""
-        return np.asarray(self.density[region].x.array[self.vertices(region)] @ hats(points).T)
+        own = self.density[:, self.remodels.index(region)]
+        return np.asarray(own[self.vertices(region)] @ hats(points).T)
 
     def follow_density(self) -> None:
         """Set the moduli of regions that remodel to those of their densities; collective."""
@@ -326,7 +329,7 @@ class BodyForms:
         x, _ = facet_coordinates(self.tagged, boundary_facets(self.tagged, boundary))
         rule = basix.make_quadrature(basix.CellType.triangle, MOMENT_DEGREE)
         points, weights = (np.asarray(a) for a in rule)
-        L = np.column_stack([1 - points.sum(axis=1), points])
+        L = hats(points)
         _, size = surface(x, L)
         at = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
 
@@ -385,7 +388,7 @@ class BodyForms:
 
 
 def hats(points: Floats) -> Floats:
-    """The linear functions of the vertices at points of the reference cell (p, 4)."""
+    """Linear functions of the vertices at points of the reference simplex (p, vertices)."""
     return np.column_stack([1 - points.sum(axis=1), points])
 
 

@@ -193,7 +193,7 @@ class Problem:
 
     def follow_density(self) -> None:
         """Update moduli and matrices where regions remodel; collective."""
-        if self.mechanics.density:
+        if self.mechanics.remodels:
             self.mechanics.follow_density()
             if self.thermal_strain:
                 self.thermal_strain.assemble()

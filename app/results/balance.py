@@ -98,7 +98,7 @@ class Balance:
             (free, mechanics.form(self._work_of(elastic[region], swelling)))
             for region, free in mechanics.swelling.items()
         ]
-        if mechanics.density:
+        if mechanics.remodels:
             self._strain_work, self._swelling = [], []
         self._setting: list[tuple[int, fem.Form]] = []
         self._set: fem.Form | None = None
@@ -149,7 +149,7 @@ class Balance:
             moved = ((f.array_r, displacements[b].x.array) for b, f in elastic)
             energy = sum(float(f @ v[: len(f)]) for f, v in moved) / 2
         inner = problem.forces.action([*elastic, *setting])
-        if problem.mechanics.density:
+        if problem.mechanics.remodels:
             setting, energy = [*setting, *elastic], 0.0
         acting = problem.forces.applied(problem.load_time)
         left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)

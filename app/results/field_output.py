@@ -212,10 +212,10 @@ class MechanicalFields:
         for region, values in moduli.items():
             E[self._stresses.cells[region]] = values
         rho, mechanics = np.zeros(cells), self._problem.mechanics
-        for region in mechanics.density:
+        for region in mechanics.remodels:
             rho[self._stresses.cells[region]] = mechanics.density_at(region, CENTRE)[:, 0]
-        density = {"density": rho} if mechanics.density else {}
-        return _named(σ) | ({"youngs_modulus": E} if moduli else {}) | density
+        found = {"youngs_modulus": E} if moduli else {}
+        return _named(σ) | found | ({"density": rho} if mechanics.remodels else {})
 
     def _nodal_stress(self, nodes: OutputNodes) -> Floats:
         """Stress at the nodes (n, 6) [MPa]: the mean of the body's cells there, by volume.

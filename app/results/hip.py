@@ -238,13 +238,12 @@ def by_zone(
 
 
 def bone_mass(problem: Problem, stresses: Stresses, zones: Zones) -> Floats:
-    """Mass of the bone that remodels by zone, zone 0 outside of all [g]; collective."""
-    density = problem.mechanics.density_at
-    parts = [
-        _integrals(problem, stresses, r, zones, density(r, stresses.points[r]))
-        for r in problem.mechanics.density
-    ]
-    return np.asarray(1e-3 * np.sum(parts, axis=(0, 1)))
+    """Mass of the regions that remodel by zone, zone 0 outside of all (r, z) [g]; collective."""
+    m, points = problem.mechanics, stresses.points
+    found = (
+        _integrals(problem, stresses, r, zones, m.density_at(r, points[r])) for r in m.remodels
+    )
+    return 1e-3 * np.concatenate([*found])
 
 
 def _integrals(

@@ -35,7 +35,7 @@ def intact_case(ours: Case, regions: tuple[str, ...]) -> Case:
 
 
 def carried(intact: Remodeller, ours: BodyForms) -> Floats:
-    """Stimulus of an intact femur at the vertices of ours (r, n) [J/g]; collective.
+    """Stimulus of an intact femur at the vertices of ours (n, r) [J/g]; collective.
 
     Raises:
         ConvergenceError: One of its load cases cannot be solved.
@@ -43,12 +43,13 @@ def carried(intact: Remodeller, ours: BodyForms) -> Floats:
     forms, cases = intact.mechanics, intact.problem.scene.load_cases
     if (found := intact.stimulus([(k, k + 1.0) for k in cases])) is None:
         raise ConvergenceError("remodelling.intact: a load case of it cannot be solved")
-    rows = []
-    for region, values in zip(intact.regions, found, strict=True):
-        own = forms.vertices(region)
-        every = (forms.mesh.comm.allgather(v[own]) for v in (forms.vertex_places, values))
-        rows.append(interpolated(*map(np.concatenate, every), ours.vertex_places))
-    return np.array(rows)
+    carried = []
+    for region, values in zip(forms.remodels, found.T, strict=True):
+        own, comm = forms.vertices(region), forms.mesh.comm
+        corners = np.concatenate(comm.allgather(forms.vertex_places[own]))
+        known = np.concatenate(comm.allgather(values[own]))
+        carried.append(interpolated(corners, known, ours.vertex_places))
+    return np.array(carried).T
 
 
 def interpolated(corners: Floats, values: Floats, x: Floats) -> Floats:

@@ -89,7 +89,7 @@ class Mechanical:
         self.stresses = Stresses(problem, timing, geometry.is_around_z, depth)
         # Mass of bone by zone, before it remodels [g].
         self.start: Floats | None = None
-        if self.zones and problem.mechanics.density:
+        if self.zones and problem.mechanics.remodels:
             self.start = bone_mass(problem, self.stresses, self.zones)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
@@ -105,12 +105,20 @@ class Mechanical:
         self.problem.take_up(*self.solver.u_and_q())
         self.stresses.follow_density()
 
-    def bone_change(self) -> dict[int, float]:
-        """Change of the mass of bone by zone, relative to that before it remodels; collective."""
+    def bone_change(self) -> dict[int, dict[str, float]]:
+        """Relative change of the mass of bone by zone, ``all`` and by region; collective."""
         if self.start is None or self.zones is None:
             return {}
-        now = bone_mass(self.problem, self.stresses, self.zones)
-        return {z: float(now[z] / self.start[z] - 1) for z in self.zones.numbers if self.start[z]}
+        now, names = (
+            bone_mass(self.problem, self.stresses, self.zones),
+            self.problem.mechanics.remodels,
+        )
+        pairs = ([m.sum(axis=0), *m] for m in (self.start, now))
+        rows = [*zip(("all", *names), *pairs, strict=True)]
+        return {
+            z: {name: float(b[z] / a[z] - 1) for name, a, b in rows if a[z]}
+            for z in self.zones.numbers
+        }
 
     def balance(self, about: NDArray[np.float64]) -> Balance:
         """Balances of the model at rest, with moments about a fixed point (3,) [mm]; collective."""
@@ -198,7 +206,7 @@ class Model:
         case, like = self._case, None
         changes = self.scene.cures or self.scene.remodelling
         for model in self._others if not changes else ():
-            if (m := model.mechanics) is None or m.problem.mechanics.density:
+            if (m := model.mechanics) is None or m.problem.mechanics.remodels:
                 continue
             if model.deforms_like(case):
                 m.begin(self.scene, case.solver.augmentation_factor, case.solver.tolerance)
@@ -307,12 +315,12 @@ class Model:
         return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
 
     def _intact(self) -> Floats | None:
-        """Stimulus of the intact femur (r, n) [J/g], if it is asked for; collective."""
+        """Stimulus of the intact femur (n, r) [J/g], if it is asked for; collective."""
         law, m = self.scene.remodelling, self.mechanics
         if not (law and law.intact and m):
             return None
         forms, timing = m.problem.mechanics, self._timing.of("intact femur")
-        case, comm = intact_case(self._case, tuple(forms.density)), self.tagged.mesh.comm
+        case, comm = intact_case(self._case, forms.remodels), self.tagged.mesh.comm
         other = Model(case, comm, self.options, timing, self.stop, judged=False).mechanics
         assert other is not None
         loads = LoadStepper(other.problem, other.solver, _nothing, _nothing)

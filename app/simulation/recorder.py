@@ -162,7 +162,7 @@ class Recorder:
             if r := self._model.remodeller:
                 self._mechanical |= {"remodelled [s]": r.seconds, "bone mass [g]": r.present}
                 zones = m.bone_change().items()
-                self._mechanical |= {f"zone {z} bone mass change [-]": v for z, v in zones}
+                self._mechanical |= {f"zone {z} bone mass change [-]": v["all"] for z, v in zones}
             self._turn(step, {q.key: moved[q.key] for q in columns}, trial)
             # The steps of heat, which come more often, have the rows of stages that take time.
             if not self._stage.takes_time:

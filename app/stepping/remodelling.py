@@ -1,6 +1,6 @@
 """Remodelling of bone: the stimulus at the vertices, and the density in time by Heun's rule.
 
-Arrays are by region and vertex of this rank, ghosts too (r, n). The end of a step is projected on
+Arrays are by vertex of this rank, ghosts too, and region (n, r). The end of a step is projected on
 the bounds; what that cuts is counted, so that the mass is that at the start, plus what was added,
 plus what was cut.
 """
@@ -44,7 +44,7 @@ class Remodeller:
 
     Args:
         stresses: Strain energy at points of the cells (`results.stresses.Stresses`).
-        reference: Stimulus of the intact femur (r, n), made when it is first needed; None where the
+        reference: Stimulus of the intact femur (n, r), made when it is first needed; None where the
             case gives it.
     """
 
@@ -57,10 +57,9 @@ class Remodeller:
         problem, law = stepper.problem, stepper.problem.scene.remodelling
         assert law is not None
         self.problem, self._law, self.mechanics = problem, law, problem.mechanics
-        self.regions = tuple(problem.mechanics.density)
         # The integrals of the hat functions of the vertices [mm3].
         self._volume = self._integrals(lambda region: 1.0)
-        self._filters = [self._filter(k, law.filter) for k in range(len(self.regions))]
+        self._filters = [self._filter(r, law.filter) for r in self.mechanics.remodels]
         self._states: dict[float, PETSc.Vec] = {}
         self._progress, contact = Progress(), problem.contact
         self._start: Any = contact and contact.state
@@ -74,23 +73,13 @@ class Remodeller:
         return {"_start": contact.row_keys} if contact else {}
 
     @property
-    def density(self) -> Floats:
-        """Density [g/cm3]."""
-        return np.array([f.x.array for f in self.mechanics.density.values()])
-
-    @property
     def present(self) -> float:
         """Mass of the bone that remodels [g]; collective."""
-        return self._grams(self.density)
-
-    def _set(self, density: Floats) -> Floats:
-        for f, values in zip(self.mechanics.density.values(), density, strict=True):
-            f.x.array[:] = values
-        return density
+        return self._grams(self.mechanics.density)
 
     def _grams(self, density: Floats) -> float:
         own = self.mechanics.scalars.dofmap.index_map.size_local
-        local = float((self._volume * density)[:, :own].sum())
+        local = float((self._volume * density)[:own].sum())
         return GRAM * float(self.problem.comm.allreduce(local))
 
     def _largest(self, values: Floats) -> float:
@@ -102,22 +91,19 @@ class Remodeller:
     def _integrals(self, density: Callable[[str], Any]) -> Floats:
         """Integrals of a region's density (cells, points) times the hat functions of vertices."""
         m, s = self.mechanics, self._stresses
-        return np.array(
-            [
-                m.vertex_sums(m.vertices(r), density(r) * s.places(r)[1] @ hats(s.points[r]))
-                for r in self.regions
-            ]
-        )
+        cells = {r: density(r) * s.places(r)[1] @ hats(s.points[r]) for r in m.remodels}
+        return np.array([m.vertex_sums(m.vertices(r), own) for r, own in cells.items()]).T
 
-    def _filter(self, k: int, length: float | None) -> Callable[[Floats], Floats]:
+    def _filter(self, region: str, length: float | None) -> Callable[[Floats], Floats]:
         """Filter of values S of a region, S - l^2 div grad S = given, if it has a length l."""
         if length is None:
             return lambda given: given
         m, own = self.mechanics, self.mechanics.scalars.dofmap.index_map.size_local
         slopes = [ufl.grad(f(m.scalars)) for f in (ufl.TrialFunction, ufl.TestFunction)]
-        dx = m.cells()(m.tagged.regions[self.regions[k]])
+        dx = m.cells()(m.tagged.regions[region])
         A = assembled_matrix(m.form(m.constant(length**2) * ufl.inner(*slopes) * dx))
-        volume = np.where(self._volume[k] > 0, self._volume[k], 1.0)
+        volume = self._volume[:, m.remodels.index(region)]
+        volume = np.where(volume > 0, volume, 1.0)
         A.setDiagonal(A.getDiagonal() + PETSc.Vec().createWithArray(volume[:own], comm=A.comm))
         krylov = PETSc.KSP().create(A.comm)
         krylov.setOperators(A)
@@ -157,9 +143,8 @@ class Remodeller:
             self._states[time] = solver.x.copy()
             problem.update_displacements(*solver.u_and_q())
             energy += self._integrals(self._stresses.energy_density)
-        mass = len(cases) * self._volume * self.density
-        S = np.divide(energy, mass, out=np.zeros_like(mass), where=mass > 0)
-        return np.array([f(own) for f, own in zip(self._filters, S, strict=True)])
+        S = energy / np.maximum(len(cases) * self._volume * self.mechanics.density, TINY)
+        return np.array([f(own) for f, own in zip(self._filters, S.T, strict=True)]).T
 
     def _begin(self, k: int) -> None:
         """Find load cases, reference, and the bone that is free to remodel; collective."""
@@ -167,7 +152,7 @@ class Remodeller:
         self._cases = [(k, i + 1.0) for i in problem.scene.load_cases]
         if (K := self._intact()) is None:
             given = field("remodelling.stimulus", law.stimulus or 0.0)(m.vertex_places)
-            K = np.broadcast_to(given, self._volume.shape)
+            K = np.broadcast_to(given[:, None], self._volume.shape)
         self._reference = K
         least = float(self._reference[self._volume > 0].min(initial=np.inf))
         if (least := problem.comm.allreduce(least, MPI.MIN)) <= 0:
@@ -180,7 +165,7 @@ class Remodeller:
         for name in held:
             f = boundary_facets(problem.tagged, name)
             nodes = m.scalars.dofmap.list[f.cells[:, None], FACET_NODES[f.local, :3]]
-            self._free &= m.vertex_sums(nodes, 1.0) == 0
+            self._free &= m.vertex_sums(nodes, 1.0)[:, None] == 0
 
     # Steps
 
@@ -191,24 +176,24 @@ class Remodeller:
             ConvergenceError: A load case cannot be solved even after a short time.
         """
         problem, solver, whole = self.problem, self._stepper.solver, 1.0 / stage.increments
-        contact = problem.contact
+        contact, m = problem.contact, self.mechanics
         if not self._progress.step:
             self._progress, self._start = Progress(whole), contact and contact.state
         p = self._progress
         self._begin(k)
-        kept = self.density, solver.x.copy(), contact and contact.state
+        kept: Any = (m.density.copy(), solver.x.copy(), contact and contact.state)
         try:
             speed = self._speed()
             while p.done < 1.0:
                 started, goal = clock.perf_counter(), p.goal(whole)
                 speed = self._step(stage, goal, speed)
                 self._commit(stage, k, started, p.done == goal, kept[2])
-                kept = self.density, solver.x.copy(), contact and contact.state
+                kept = m.density.copy(), solver.x.copy(), contact and contact.state
                 checkpoint_point()
         except MantleError:
-            self._set(kept[0])
+            m.density[:] = kept[0]
             kept[1].copy(solver.x)
-            if contact:
+            if contact is not None:
                 contact.state = kept[2]
             problem.follow_density()
             self._stresses.follow_density()
@@ -229,17 +214,24 @@ class Remodeller:
             goal: Where in it the step ends at the latest.
             speed: Change of the density in time; None if a load case cannot be solved.
         """
-        p, T, old, bounds = self._progress, stage.remodels or 0.0, self.density, self._law.density
+        p, T, old, bounds = (
+            self._progress,
+            stage.remodels or 0.0,
+            self.mechanics.density.copy(),
+            self._law.density,
+        )
         while speed is not None and p.step > SHORTEST:
             room = np.where(speed > 0, bounds[1] - old, old - bounds[0])
             fastest = self._largest(speed[room > MOST])
             p.step = min(p.step, MOST / max(fastest * T, TINY))
             reach = p.reach(goal)
             dt, factor = T * (reach - p.done), 0.5
-            euler = self._set(np.where(self._free, np.clip(old + dt * speed, *bounds), old))
+            euler = np.where(self._free, np.clip(old + dt * speed, *bounds), old)
+            self.mechanics.density[:] = euler
             if (there := self._speed()) is not None:
                 change = dt / 2 * (speed + there)
-                heun = self._set(np.where(self._free, np.clip(old + change, *bounds), old))
+                heun = np.where(self._free, np.clip(old + change, *bounds), old)
+                self.mechanics.density[:] = heun
                 error = self._largest(heun - euler)
                 factor = min(max(0.9 * (self._law.tolerance / max(error, TINY)) ** 0.5, 0.2), 2.0)
                 if error <= self._law.tolerance and (end := self._speed()) is not None:
