@@ -22,6 +22,7 @@ from app.case.geometries import Geometry, MeshOptions
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
 from app.case.variations import Variations, expand, title_with_changes
 from app.errors import InputError
+from app.laws.failure import Fatigue
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import Bonded, Interface
 from app.laws.loads import AnyLoad
@@ -77,6 +78,8 @@ class Case(Section):
     """How bone follows its load in the stages that remodel it."""
     time: TimeOptions | None = None
     """How stages that take time are divided into steps; only where there is heat."""
+    fatigue: Fatigue | None = None
+    """Damage by a spectrum of activities; by default none."""
     solver: SolverOptions = SolverOptions()
     """How the equations are solved."""
     output: OutputOptions = OutputOptions()

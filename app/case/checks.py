@@ -19,9 +19,10 @@ from app.schema.yaml_file import Fault, Path
 
 def cross_check(case: Any) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
-    faults = [*_held(case), *_side(case), *_heat(case), *_remodelling(case)]
+    faults = [*_held(case), *_side(case), *_heat(case)]
     if case.geometry is not None:
         faults += [*_names(case), *_mesh(case), *_rigid(case), *_accuracy(case)]
+        faults += [*_fatigue(case), *_remodelling(case)]
     if case.stages is not None:
         faults += _stages(case)
     return faults
@@ -122,6 +123,21 @@ def _stages(case: Any) -> Iterable[Fault]:
                 yield Fault(("supports", name, "stages", i), text)
 
 
+def _fatigue(case: Any) -> Iterable[Fault]:
+    """Fatigue of a region that does not deform, by stages that are not there or take time."""
+    if (fatigue := case.fatigue) is None:
+        return
+    elastic = [name for name, region in (case.regions or {}).items() if isinstance(region, Elastic)]
+    if case.regions and fatigue.region not in elastic and None not in case.regions.values():
+        text = f"'{fatigue.region}' is not one of the elastic regions {', '.join(elastic)}"
+        yield Fault(("fatigue", "region"), text + did_you_mean(fatigue.region, elastic))
+    stages = [stage.name for stage in case.stages or () if not stage.takes_time]
+    for name in fatigue.spectrum if case.stages else ():
+        if name not in stages:
+            text = f"'{name}' is not one of the stages without a duration: {', '.join(stages)}"
+            yield Fault(("fatigue", "spectrum", name), text + did_you_mean(name, stages))
+
+
 def _accuracy(case: Any) -> Iterable[Fault]:
     """An accuracy where there is no mesh to choose, or no number that counts."""
     given = case.geometry.kind == "file" or case.variations
@@ -194,8 +210,10 @@ def _remodelling(case: Any) -> Iterable[Fault]:
         if stages and name not in before:
             text = f"'{name}' is no stage before; expected one of {', '.join(before)}"
             yield Fault(("remodelling", "load_cases", j), text + did_you_mean(name, before))
-    for name in law.regions or (case.of_tissue("bone") if case.regions else ()):
-        region = case.regions.get(name)
+    regions, tissues = case.regions or {}, case.geometry.tissues
+    bone = [n for n, r in regions.items() if r and (r.tissue or tissues.get(n)) == "bone"]
+    for name in law.regions or bone:
+        region = regions.get(name)
         cures = getattr(getattr(region, "thermal", None), "cure", None)
         if not isinstance(region, Elastic) or region.eigenstrains or cures:
             text = f"{name} cannot; expected elastic regions without eigenstrains that do not set"
@@ -209,11 +227,12 @@ def _remodelling(case: Any) -> Iterable[Fault]:
                     yield Fault(("regions", name), text)
 
 
-def quantities(geometry: Any, study: Any) -> Iterable[Fault]:
-    """Quantities of interfaces or regions unknown to the geometry."""
-    if geometry is None or study is None:
+def quantities(case: Any, study: Any) -> Iterable[Fault]:
+    """Quantities of interfaces, regions or laws of fatigue unknown to a case."""
+    if (geometry := case.geometry) is None or study is None:
         return
-    known = (*geometry.interface_sides, *geometry.region_names)
+    laws = case.fatigue.laws if case.fatigue else ()
+    known = (*geometry.interface_sides, *geometry.region_names, *laws)
     for i, quantity in enumerate(study.quantities):
         name = quantity.partition(".")[0]
         if name not in known and quantity not in of_run():

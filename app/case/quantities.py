@@ -21,6 +21,8 @@ from app.schema.units import Dimension, Plain
 # Orders of convergence of P1 and P2 for estimates of errors (docs/verification.md): of
 # displacements, of tractions, of stress, of temperature, of doses, times and cure.
 MOTION, TRACTION, STRESS, HEAT, DOSE = (0.8, 1.3), (0.8, 0.8), (0.8, 1.0), (1.5, 1.5), (1.0, 1.0)
+# Of what follows a power of stress, or is where it exceeds a level.
+RISK = (0.8, 0.99)
 # Dimension of each unit in summary.json, with its article.
 UNITS = {
     "mm": "a length",
@@ -36,6 +38,7 @@ UNITS = {
     "W/m^2": "a heat flux",
     "W/(m^2 K)": "an entropy production",
     "min": "a thermal dose",
+    "1/year": "a rate",
     "1/s": "a rate",
     "-": "a number",
 }
@@ -135,13 +138,15 @@ PLACES = {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}
 RUN = ("solver", "balance", "timing")
 WHOLE = ("stem", "femur", *RUN)
 # Parts that are reported apart: of the interfaces of a hip, and of its stem.
-PARTS = ("rim", "tip", "neck")
+PARTS = ("rim", "tip", "neck", "edge")
+# Levels of tension of cement, over which its volume is known [MPa].
+STRESSED = (3, 5, 7, 9, 11)
 # Levels of strains of the cortex [mm] by name: from the lesser trochanter to the tip of a stem.
 GAUGES = {"10": -10.0, "40": -40.0, "80": -80.0, "113": -113.0}
 # By section and key, in the order in which they are shown.
 TABLE: dict[str, dict[str, Quantity]] = {
-    **{name: {} for name in ("interfaces", "regions", "stem", "femur", "bonds", "thermal.regions")},
-    **{name: {} for name in ("thermal.interfaces", "cure", *RUN)},
+    **{name: {} for name in ("interfaces", "regions", "fatigue", "stem", "femur", "bonds")},
+    **{name: {} for name in ("thermal.regions", "thermal.interfaces", "cure", *RUN)},
 }
 
 
@@ -161,6 +166,7 @@ def add_quantity(*quantities: Quantity) -> None:
 
 
 _interface, _region = partial(Quantity, "interfaces"), partial(Quantity, "regions")
+_damage = partial(Quantity, "fatigue", digits=4)
 for _key, _word, _unit, _shown, _digits, _order in (
     ("gap", "debonding", "mm", "um", 1, MOTION),
     ("slip", "slip", "mm", "um", 1, MOTION),
@@ -208,6 +214,12 @@ add_quantity(
     _region("principal_p99", "MPa", order=STRESS),
     _region("principal_min", "MPa", peak=True),
     *(_region(f"mean_stress_{end}", "MPa") for end in ("min", "max")),
+    *(_region(f"volume_over_{p}_MPa", "mm^3", digits=1, order=RISK) for p in STRESSED),
+    _region("failure_risk", "-", digits=4, order=RISK, peak=True, headline=True),
+    _region("failure_probability", "-", "%", order=RISK),
+    _damage("damage_p99", "1/year", label="damage, p99", order=RISK, headline=True),
+    _damage("damage_max", "1/year", label="damage, max", peak=True),
+    _damage("stress_p99", "MPa", digits=2, label="equivalent stress, p99", order=STRESS),
     Quantity("stem", "subsidence", "mm", "um", 1, order=MOTION, history=True, headline=True),
     Quantity("stem", "retroversion", "deg", digits=3, order=MOTION, history=True, headline=True),
     Quantity("stem", "varus", "deg", digits=3, order=MOTION, history=True, headline=True),

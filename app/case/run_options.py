@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
@@ -52,6 +53,11 @@ class Stage(Section):
     def ways(self) -> int:
         """How often loads turn, and the way to the end."""
         return 2 * self.cycles - 1
+
+    def turn(self, time: float) -> int:
+        """Which turn of the loads comes at a time, 1 at the first peak, or 0: none."""
+        way = self.ways * (time - math.ceil(time) + 1)
+        return round(way) if abs(way - round(way)) < 1e-6 else 0
 
     def reached(self, part: float) -> float:
         """How much of the stage's change is there after a part of it: 1 at the end and at peaks."""

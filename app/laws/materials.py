@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from app.laws.densities import ImageModulus
+from app.laws.failure import Weibull
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.remodelling import Remodelling
 from app.laws.thermal import Thermal
@@ -111,6 +112,8 @@ class Elastic(Material):
 
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
+    weibull: Weibull | None = None
+    """Strength of specimens, for the probability that the region fails."""
     # The image that gives the stiffness, if one does; where points of the model are in it.
     image: ClassVar[ImageModulus | None] = None
     _places: Any = None

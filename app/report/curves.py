@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from app.arrays import Floats
-from app.case.quantities import FACTORS, TABLE, printed
+from app.case.quantities import FACTORS, STRESSED, TABLE, printed
 from app.report import page
 from app.report.page import Blocks
 from app.report.sweep_results import Number
@@ -169,6 +169,17 @@ def of_history(history: History) -> tuple[list[Panel], str]:
         if key in lines
     ]
     return found, "time (s)" if x == SECONDS else "time (each stage takes 1)"
+
+
+def of_tension(summary: Mapping[str, Any]) -> list[Panel]:
+    """Volume of cement over levels of tension, where any exceeds the first."""
+    lines: list[Line] = []
+    for region, q in summary.get("regions", {}).items():
+        keys = {float(level): f"volume_over_{level}_MPa" for level in STRESSED}
+        if q.get(keys[STRESSED[0]]):
+            own = {x: Number(q[key], q.get(f"{key}_error")) for x, key in keys.items()}
+            lines.append(Line(region, len(lines), own))
+    return [Panel("volume over a tension", printed("mm^3"), lines)] if lines else []
 
 
 def _parts(column: str) -> tuple[str, str, str]:

@@ -36,6 +36,7 @@ SHARE, MAPS, VIEW = 0.03, 1.2, 0.3  # s
 TITLES = {
     "interfaces": "Interfaces",
     "regions": "Stresses",
+    "fatigue": "Fatigue: damage in a year",
     "bonds": "Bonded interfaces",
     "thermal.regions": "Temperatures",
     "thermal.interfaces": "Heat through the interfaces",
@@ -112,6 +113,7 @@ def _run(folder: Path, share: float, alone: bool = True, spread: Path | None = N
     view, lacking = _view(folder) if alone or spent >= VIEW else ("", [])
     sides, maps, files = _pictures(case, spent)
     drawn = [curves.drawing(panel, x) for panel in panels]
+    stressed = [curves.drawing(p, "tension (MPa)") for p in curves.of_tension(summary)]
     if share == math.inf and panels:
         (folder / PICTURES).mkdir(exist_ok=True)
         files = curves.draw(folder / PICTURES / "curves.png", panels, x, 3) + files
@@ -122,6 +124,11 @@ def _run(folder: Path, share: float, alone: bool = True, spread: Path | None = N
         ("numbers", "Numbers", _numbers(summary, over)),
         ("sides", "From three sides", sides),
         ("curves", "Over time", [("drawings", {"drawings": drawn})] if panels else []),
+        (
+            "tension",
+            "Cement under tension",
+            [("drawings", {"drawings": stressed})] * bool(stressed),
+        ),
         ("maps", "Maps of the interfaces", maps),
         ("gruen", "Gruen zones", gruen.blocks([("", case)])),
         ("mantle", "Cement mantle", table(*gruen.mantles([case]))),

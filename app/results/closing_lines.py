@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -158,6 +159,8 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
     asked = [Verdict(summary["accuracy"])] if "accuracy" in summary else []
+    clauses += [_fatigue(laws)] if (laws := summary.get("fatigue")) else []
+    clauses += _growing_risk(summary)
     return [*clauses, *_physiology(summary), _mesh_and_step(summary), *asked]
 
 
@@ -175,6 +178,36 @@ def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         clauses.append(f"the cortex is strained by {span}")
     if clauses:
         yield Verdict(f"physiology: {'; '.join(clauses)}", "doubtful")
+
+
+def life(laws: Mapping[str, Mapping[str, Any]]) -> tuple[float, float] | None:
+    """Band of the life of 99 % of a region [years], over laws and errors; None if none is known."""
+    known = [(q["damage_p99"], q.get("damage_p99_error") or 0.0) for q in laws.values()]
+    if len(known) < 2 and not known[0][1]:
+        return None
+    most, least = max(d + e for d, e in known), min(d - e for d, e in known)
+    return 1 / most if most else math.inf, 1 / least if least > 0 else math.inf
+
+
+def _fatigue(laws: Mapping[str, Mapping[str, Any]]) -> Verdict:
+    """Life of a region: a band over laws and errors, or none."""
+    mesh = any("damage_p99_error" in q for q in laws.values())
+    text = f"over {', '.join(laws)}{' and mesh' * mesh}"
+    if ends := life(laws):
+        short, long = (f"{year:.2g}" if year < math.inf else "endless" for year in ends)
+        text = f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
+    else:
+        text = f"no year without a band ({text}): name another law, or --error"
+    return Verdict(f"fatigue: {text}", "doubtful")
+
+
+def _growing_risk(summary: Mapping[str, Any]) -> Iterator[Verdict]:
+    """Risks that grow with every mesh, as at edges that turn in."""
+    for name, values in summary.get("error", {}).get("unsettled", {}).items():
+        if name.endswith("failure_risk") and values[0][1] > values[1][1]:
+            on = ", ".join(f"{risk:.2g} at {size:g} mm" for size, risk in values)
+            text = f"{name} grows with the mesh ({on}): it may have no limit"
+            yield Verdict(f"strength: {text}", "doubtful")
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:
@@ -256,6 +289,12 @@ TABLES: dict[str, dict[str, str]] = {
         "tension max/p99": "principal_max / principal_p99",
         "mean stress": "mean_stress_min .. mean_stress_max",
     },
+    "fatigue": {
+        "damage in a year": "",
+        "p99": "damage_p99",
+        "largest": "damage_max",
+        "stress p99": "stress_p99",
+    },
     "thermal.regions": {
         "temperature": "",
         "hottest": "temperature_max",
@@ -289,7 +328,7 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
     for section in ("interfaces", "regions"):
         yield from _table(section, rows[section])
     yield from (_sentence("bonds", *row) for row in rows["bonds"].items())
-    for section in ("thermal.regions", "thermal.interfaces"):
+    for section in ("fatigue", "thermal.regions", "thermal.interfaces"):
         yield from _table(section, rows[section])
     yield from _necrosis(rows["thermal.regions"])
     if note := summary.get("thermal", {}).get("note"):

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from app.case.case import Case
-from app.case.quantities import DOSE, HEAT, MOTION, STRESS, TABLE, TRACTION, numbers_of
+from app.case.quantities import DOSE, HEAT, MOTION, RISK, STRESS, TABLE, TRACTION, numbers_of
 
 # Mesh sizes over that of the run, of the companion for the error of the mesh and of those for the
 # error of the step.
@@ -44,6 +44,7 @@ FACTORS = {
     MOTION: ((4.0, 8.0), (0.7, 1.4)),
     TRACTION: ((2.6, 2.6), (1.6, 3.2)),
     STRESS: ((6.0, 6.0), (0.9, 0.7)),
+    RISK: ((6.0, 6.0), (0.9, 0.7)),
     HEAT: ((6.0, 0.0), (6.0, 0.0)),
     DOSE: ((5.0, 1.5), (5.0, 1.5)),
 }

@@ -19,6 +19,7 @@ from dolfinx import fem, la
 from app.arrays import Floats, Ints
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import ENDS, node_keys
+from app.results.cement_risk import CementRisk
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS, Exposure
 from app.results.stresses import Stresses, extrapolated
@@ -181,8 +182,8 @@ class HeatFields:
 class MechanicalFields:
     """Displacement, stress, and contact quantities."""
 
-    def __init__(self, problem: Problem, stresses: Stresses) -> None:
-        self._problem, self._stresses = problem, stresses
+    def __init__(self, problem: Problem, stresses: Stresses, risk: CementRisk | None) -> None:
+        self._problem, self._stresses, self._risk = problem, stresses, risk
         self.bodies, self.space = problem.bodies, problem.space
         index_map = self.space.dofmap.index_map
         # Stress times volume, and volume, at the nodes of a body.
@@ -204,18 +205,16 @@ class MechanicalFields:
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
-        """Mean stress, Young's modulus where it varies, 0 elsewhere [MPa], and density of bone."""
-        σ, E = np.zeros((cells, len(COMPONENTS))), np.zeros(cells)
-        for region, own in self._stresses.cells.items():
-            σ[own] = _components(self._stresses.mean(region))
-        moduli = self._stresses.varying_moduli()
-        for region, values in moduli.items():
-            E[self._stresses.cells[region]] = values
-        rho, mechanics = np.zeros(cells), self._problem.mechanics
-        for region in mechanics.remodels:
-            rho[self._stresses.cells[region]] = mechanics.density_at(region, CENTRE)[:, 0]
-        found = {"youngs_modulus": E} if moduli else {}
-        return _named(σ) | found | ({"density": rho} if mechanics.remodels else {})
+        """Mean stress, Young's modulus where it varies [MPa], density of bone, and damage."""
+        σ, s, m = np.zeros((cells, len(COMPONENTS))), self._stresses, self._problem.mechanics
+        for region, own in s.cells.items():
+            σ[own] = _components(s.mean(region))
+        density = {r: m.density_at(r, CENTRE)[:, 0] for r in m.remodels}
+        found = _named(σ) | (self._risk.damage(cells) if self._risk else {})
+        for name, parts in {"youngs_modulus": s.varying_moduli(), "density": density}.items():
+            for region, values in parts.items():
+                found.setdefault(name, np.zeros(cells))[s.cells[region]] = values
+        return found
 
     def _nodal_stress(self, nodes: OutputNodes) -> Floats:
         """Stress at the nodes (n, 6) [MPa]: the mean of the body's cells there, by volume.

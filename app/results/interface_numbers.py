@@ -184,7 +184,7 @@ class Surface:
 
     def __init__(self, points: ContactPoints, i: int, borders: Mapping[str, Floats]) -> None:
         at = points.interface == i
-        self.at = _divided(at, borders)
+        self.at = divided(at, borders)
         self._triangles: Ints = points.triangles[i]
         x = points.x[self._triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
@@ -196,7 +196,7 @@ class Surface:
         along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self._triangles]))
         self._face: Ints = np.argmax(along, axis=2)
         centres = {part: own[self._triangles].mean(axis=1) for part, own in borders.items()}
-        self._of = _divided(np.ones(len(x), dtype=bool), centres)
+        self._of = divided(np.ones(len(x), dtype=bool), centres)
 
     def field(self, values: Floats, part: str) -> SurfaceField:
         """Values at points (n,), or at the faces of points (n, 3), as a field on a part."""
@@ -206,7 +206,8 @@ class Surface:
         return SurfaceField(corners[self._of[part]], self._area[self._of[part]])
 
 
-def _divided(whole: Bools, levels: Mapping[str, Floats]) -> dict[str, Bools]:
+def divided(whole: Bools, levels: Mapping[str, Floats]) -> dict[str, Bools]:
+    """Parts of a whole (n,) where levels (n,) are not positive, the first first; "": the rest."""
     found = {}
     for part, level in levels.items():
         found[part], whole = whole & (level <= 0), whole & (level > 0)

@@ -12,7 +12,7 @@ from ufl import as_vector
 from ufl.core.expr import Expr
 
 from app.arrays import Field, Floats
-from app.case.quantities import computed
+from app.case.quantities import STRESSED, computed
 from app.laws.fibres import Circumferential
 from app.laws.materials import Elastic
 from app.mechanics.problem import Problem
@@ -24,7 +24,6 @@ from meshes.contact_facets import QUADRATURE, surface
 
 # Components of a symmetric tensor, in the order of `elasticity.symmetric`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-STRESS_LEVELS = (5.0, 8.0, 10.0)  # MPa: PMMA endurance is 8 to 10
 
 
 class Stresses:
@@ -38,16 +37,22 @@ class Stresses:
     Args:
         around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
         depth: Distance of points (n, 3) below a neck cut, above which a stem is a neck [mm].
+        degree: Of polynomials that the points integrate exactly; by default that of energies.
     """
 
     def __init__(
-        self, problem: Problem, timing: Timing, around_z: bool = False, depth: Field | None = None
+        self,
+        problem: Problem,
+        timing: Timing,
+        around_z: bool = False,
+        depth: Field | None = None,
+        degree: int | None = None,
     ) -> None:
         self._problem, self._timing, self._around_z = problem, timing, around_z
         self._depth = depth
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
-        degree = 4 * (problem.scene.order - 1)
-        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
+        usual = 4 * (problem.scene.order - 1)
+        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree or usual)
         self._points, weights = (np.asarray(a) for a in quadrature)
         elastic, mechanics = problem.scene.elastic, problem.mechanics
         self.cells = {e.region: mechanics.region_cells(e.region) for e in elastic}
@@ -55,7 +60,7 @@ class Stresses:
         self.shares: dict[str, Floats] = dict.fromkeys(self.cells, weights / weights.sum())
         # Stress that is history is known at the points where it was summed.
         self._history = {r: problem.setting for r in mechanics.growth if problem.setting}
-        for region, history in self._history.items():
+        for region, history in self._history.items() if degree is None else ():
             self.points[region] = history.points
             self.shares[region] = history.weights / history.weights.sum()
         # Stiffness over its largest at the points, where it varies.
@@ -97,8 +102,9 @@ class Stresses:
 
     def evaluate(self, region: str) -> Floats:
         """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
-        if region in self._history:
-            return self._history[region].stress(region)
+        if history := self._history.get(region):
+            σ, at = history.stress(region), self.points[region]
+            return σ if at is history.points else extrapolated(σ, history.points, at[None])
         return self._stress(region, self._elastic_strain(region))
 
     def _stress(self, region: str, ε: Floats) -> Floats:
@@ -143,12 +149,15 @@ class Stresses:
         x, volumes = self.places(region)
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         eigen = np.linalg.eigvalsh(σ)
+        cement = next(
+            e.tissue == "cement" for e in self._problem.scene.elastic if e.region == region
+        )
         mises = np.sqrt(((eigen - np.roll(eigen, 1, axis=1)) ** 2).sum(axis=1) / 2)
         local = np.stack([mises, _hoop(σ, x), *eigen[:, [2, 0]].T, mean, volumes.ravel()])
-        values = self._whole(local)
+        values = self.whole(local)
         found: dict[str, Any] = computed("regions", self, region)
         if region == "stem" and self._depth:
-            x = self._whole(x.T).T
+            x = self.whole(x.T).T
             outside = self._depth(x) < 0
             neck, places = values[:, outside], x[outside]
             found["neck"] = self._statistics(neck) | {
@@ -156,9 +165,13 @@ class Stresses:
                 for key, k in (("von_mises", 0), ("principal", 2))
             }
             values = values[:, ~outside]
+        if cement:
+            _, _, tension, _, _, volume = values
+            for level in STRESSED:
+                found[f"volume_over_{level}_MPa"] = float(volume[tension > level].sum())
         return self._statistics(values) | found
 
-    def _whole(self, rows: Floats) -> Floats:
+    def whole(self, rows: Floats) -> Floats:
         """Values at the points of all ranks (k, n)."""
         return np.concatenate(self._problem.comm.allgather(rows), axis=1)
 
@@ -174,7 +187,6 @@ class Stresses:
             "mean_stress_min": float(mean.min()),
             "mean_stress_max": float(mean.max()),
             "volume": float(volume.sum()),
-            "volume_over_5_8_10_MPa": [float(volume[principal > p].sum()) for p in STRESS_LEVELS],
         }
         if self._around_z:
             result["hoop_p99"] = percentile(hoop, volume)

@@ -25,6 +25,7 @@ from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results.balance import Balance
+from app.results.cement_risk import CementRisk
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import StemMotion, bone_mass, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples, Surface
@@ -175,6 +176,7 @@ class Model:
             self.scene: Scene = build_scene(case)
             self.remodeller: Remodeller | None = None
             self.mechanics = self._mechanics()
+            self.risk = self._risk()
             self.thermal = self._heat()
         self._others[:] = [m for m in self._others if not self.deforms_like(m._case)] + [self]
 
@@ -220,6 +222,13 @@ class Model:
         solver = self._solver(mechanical(problem, solves, memory.available()))
         return Mechanical(problem, solver, case, timing)
 
+    def _risk(self) -> CementRisk | None:
+        if (m := self.mechanics) is None:
+            return None
+        if not self._case.fatigue and not any(e.weibull for e in self.scene.elastic):
+            return None
+        return CementRisk(self._case, m.problem, m.zones.borders if m.zones else None, self._timing)
+
     def _heat(self) -> ThermalModel | None:
         if not self.scene.conductors:
             return None
@@ -239,7 +248,7 @@ class Model:
         """Groups of fields to be written: mechanics, heat."""
         groups: list[FieldGroup] = []
         if m := self.mechanics:
-            groups.append(MechanicalFields(m.problem, m.stresses))
+            groups.append(MechanicalFields(m.problem, m.stresses, self.risk))
         if t := self.thermal:
             groups.append(HeatFields(t.heating, t.record, self._case.geometry.interface_sides))
         return groups
@@ -267,6 +276,8 @@ class Model:
             ConvergenceError: As `run_stages`.
         """
         load_stepper, heat_stepper = None, None
+        if risk := self.risk:
+            on_step = risk.before(on_step)
         if m := self.mechanics:
             load_stepper = LoadStepper(
                 m.problem, m.solver, on_step, on_trouble, self._predictors(m)
@@ -297,7 +308,7 @@ class Model:
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
         load_stepper, heat_stepper = self._steppers
-        return {
+        return ({"risk": self.risk} if self.risk else {}) | {
             "mechanics": self.mechanics,
             "thermal": self.thermal,
             "heat_stepper": heat_stepper,
@@ -348,6 +359,11 @@ class Model:
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := bonds(m.problem, m.stresses):
                 numbers["bonds"] = found
+            if self.risk:
+                for region, found in self.risk.weibull().items():
+                    numbers["regions"][region] |= found
+                if found := self.risk.fatigue():
+                    numbers["fatigue"] = found
             numbers["stem"] = m.stem(self._case.side)
             if found := of_femur(m.problem, self._case):
                 numbers["femur"] = found

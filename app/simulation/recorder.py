@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -128,7 +127,8 @@ class Recorder:
             self._balance.go_on(u, trial)
             if trial is not None:
                 trial = replace(trial, law=replace(trial.law, **self._contact))
-                self.samples = ContactSamples(m.problem, trial, None, m.surfaces)
+                since = self._valley.get("jump")
+                self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
         if self._writer.fields and not self._writer.field_steps:
             self._written = 0
 
@@ -171,11 +171,11 @@ class Recorder:
 
     def _turn(self, step: LoadStep, stem: Mapping[str, Any], trial: TrialState | None) -> None:
         """Keep the numbers at peaks and valleys of a stage with cycles."""
-        way = (step.time - math.ceil(step.time) + 1) * self._stage.ways
-        if self._stage.cycles == 1 or not step.whole or abs(way - round(way)) > 1e-6:
+        turn = self._stage.turn(step.time)
+        if self._stage.cycles == 1 or not step.whole or not turn:
             return
         self._cycles.add(step.stage, stem, self.samples.history if self.samples else {})
-        if trial is not None and round(way) % 2 == 0:
+        if trial is not None and turn % 2 == 0:
             self._valley = {"jump": trial.jump.copy()}
 
     def heat(self, step: LoadStep, accepted: HeatStep) -> None:

@@ -274,7 +274,7 @@ class _CaseRun:
         with setup.timing.phase("output"):
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
-        summary["notes"] = [*self._notes, *well_posedness.doubts(case, summary["regions"])]
+        summary["notes"] = [*self._notes, *well_posedness.doubts(case, summary)]
         if text.reasons_not_to_use(summary):
             summary["status"] = text.UNUSABLE
         setup.note(summary["notes"])

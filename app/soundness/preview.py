@@ -14,6 +14,7 @@ from app.case.case import Case
 from app.case.library import ORIGIN
 from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table
+from app.laws.failure import MEMORY
 from app.laws.materials import Rigid
 from app.laws.thermal import PressureConductance
 from app.schema.section import Section
@@ -216,6 +217,8 @@ def warnings(case: Case) -> list[str]:
     if case.geometry.has_gruen_zones and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
             messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
+    laws = case.fatigue.laws.items() if case.fatigue else ()
+    messages += [f"fatigue.laws.{n}: {x.source}" for n, x in laws if MEMORY in str(x.source)]
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         messages += _far_off(f"heat.{name}", condition, limits)

@@ -291,9 +291,15 @@ def modulus(region: Any) -> float:
 
 
 def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
-    """Warnings about results: strains that are not small, from the numbers of regions by name."""
+    """Warnings about results: strains that are not small, stresses that a law was not made for."""
     notes = []
-    for name, found in numbers.items():
+    for name, law in (case.fatigue.laws if case.fatigue else {}).items():
+        s, measured = numbers["fatigue"][name]["stress_p99"], law.measured
+        if measured and not measured[0] <= s <= measured[1]:
+            low, high = measured
+            text = f"was measured at {low:g} to {high:g} MPa, and is used at {s:.2g} MPa (p99)"
+            notes.append(f"fatigue.laws.{name} {text}")
+    for name, found in numbers["regions"].items():
         E = modulus(case.regions[name])
         strain = largest(found, "von_mises_p99") / E if E else 0.0
         if strain > STRAIN:

@@ -11,6 +11,7 @@ import numpy as np
 
 from app.verification import closed_forms as exact
 from app.verification import measures
+from app.verification.cement_problems import cement_problems
 from app.verification.check import Check, each, ladder, problem
 from app.verification.heat_problems import heat_problems
 from app.verification.measures import BONE, CEMENT, SLICE, TITANIUM
@@ -33,6 +34,7 @@ def problems() -> list[Check]:
     what = "friction beyond which a particle has several equilibria, relative"
     klarbring = Check("klarbring", what, (), measures.klarbring, 1e-9)
     every = [*(check for kind in kinds for check in kind()), klarbring, *heat_problems()]
+    every += cement_problems()
     every = [replace(p, tier="quick") if p.name in QUICK else p for p in every]
     return [*every, *validation()]
 

@@ -356,7 +356,7 @@ def test_a_mesh_in_metres_read_as_millimetres_is_asked_about(tmp_path: Path) -> 
 def test_strains_that_are_not_small_are_told() -> None:
     case = support.case(TWO)
     numbers = {"bone": {"von_mises_p99": 1200.0}, "metal": {"von_mises_p99": 1200.0}}
-    (note,) = well_posedness.doubts(case, numbers)
+    (note,) = well_posedness.doubts(case, {"regions": numbers})
     assert note.startswith("region 'bone' is strained by 7.1 %")
 
 

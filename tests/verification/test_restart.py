@@ -33,6 +33,11 @@ KINDS = {
     "second order": ("mesh.order=2",),
     "let go": ("supports.clamp={kind: fixed, boundary: lower_x_max, stages: [press, back]}",),
     "augmented more": ("solver.augmentation_factor=100",),
+    "tiring": (
+        "fatigue={region: upper, spectrum: {slide: 1e6}, laws: {m: {kind: murphy_2000}}}",
+        "stages.2.cycles=2",
+        "fatigue.spectrum.back=1e5",
+    ),
 }
 
 
@@ -40,7 +45,7 @@ KINDS = {
 @pytest.mark.parametrize("steps", EVERY)
 def test_kinds_of_mechanics(tmp_path: Path, kind: str, steps: slice) -> None:
     case, files = restarted.whole(restarted.RUBBING, tmp_path, FIELDS, *KINDS[kind])
-    assert len(files) == 6
+    assert len(files) == (10 if kind == "tiring" else 6)
     for file in files[steps]:
         part = restarted.on(case, tmp_path, file, FIELDS, *KINDS[kind])
         restarted.assert_same(tmp_path / "whole", part)

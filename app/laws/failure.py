@@ -1,0 +1,148 @@
+"""How a material fails: at its largest flaw (Weibull), or by cycles of load (S-N laws, Miner)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, model_validator
+
+from app.laws.values import Source
+from app.schema.section import MAPPING, Kinds, Name, Pair, Section, fail
+from app.schema.units import Dimension, Modulus, Number, Plain, PositiveNumber
+
+MEMORY = "from memory: check"
+SOME = AfterValidator(lambda entries: entries or fail("is empty; expected at least one"))
+Strength = Annotated[float, Dimension("MPa", "a stress", "26 MPa", at_least=0.0)]
+Volume = Annotated[float, Dimension("mm^3", "a volume", "1000 mm^3", above=0.0)]
+
+
+class Weibull(Section):
+    """Strength of specimens: three parameters, and the volume that they are of."""
+
+    shape: PositiveNumber
+    """Exponent m."""
+    scale: Modulus
+    """Stress s_0 above the threshold."""
+    threshold: Strength = 0.0
+    """Stress s_u below which nothing fails."""
+    reference_volume: Volume
+    """Volume V_0 under tension in the specimens."""
+
+    def risk(self, tension: Any) -> Any:
+        """Risk per volume [1/mm3] under principal tensions [MPa]."""
+        above = tension - self.threshold
+        return (above * (above > 0) / self.scale) ** self.shape / self.reference_volume
+
+
+def _rising(ends: tuple[float, float]) -> tuple[float, float]:
+    return ends if ends[0] < ends[1] else fail("its second stress is not above the first")
+
+
+Measured = Annotated[tuple[Strength, Strength], Pair("[7 MPa, 25 MPa]"), AfterValidator(_rising)]
+
+
+class FatigueLaw(Section):
+    """Base of the S-N laws: cycles N to failure, by the largest stress s of a cycle."""
+
+    ratio: Annotated[float, Plain(at_least=0.0, below=1.0)] = 0.0
+    """Least over largest stress of the cycles that it was measured in."""
+    measured: Measured | None = None
+    """Stresses between which it was measured."""
+    source: Source = None
+    """Where it is from."""
+
+    def damage(self, s: Any) -> Any:
+        """Damage 1/N of a cycle with a largest stress s, not negative [MPa]."""
+        raise NotImplementedError
+
+
+class Power(FatigueLaw):
+    """A line over the logarithms of both: log10 N = intercept - slope log10 (s / MPa)."""
+
+    kind: Literal["power"] = "power"
+    intercept: Number
+    """log10 N at 1 MPa."""
+    slope: PositiveNumber
+    """Decades of N that a decade of s takes."""
+
+    def damage(self, s: Any) -> Any:
+        """1/N."""
+        return s**self.slope / 10.0**self.intercept
+
+
+class Logarithmic(FatigueLaw):
+    """A line over the logarithm of N: s = strength - fall log10 N; no tension does no damage."""
+
+    kind: Literal["logarithmic"] = "logarithmic"
+    strength: Modulus
+    """Stress that breaks in one cycle."""
+    fall: Modulus
+    """Fall of the stress for each decade of N."""
+
+    def damage(self, s: Any) -> Any:
+        """1/N."""
+        return 10.0 ** ((s - self.strength) / self.fall) * (s > 0)
+
+
+class Verdonschot(Power):
+    """Bone cement: Verdonschot and Huiskes 1997, from memory: check."""
+
+    kind: Literal["verdonschot_1997"] = "verdonschot_1997"  # type: ignore[assignment]
+    intercept: Number = 8.77
+    slope: PositiveNumber = 4.68
+    source: Source = f"Verdonschot and Huiskes 1997, {MEMORY}"
+
+
+class Murphy(Logarithmic):
+    """Bone cement mixed by hand: Murphy and Prendergast 2000, from memory: check."""
+
+    kind: Literal["murphy_2000"] = "murphy_2000"  # type: ignore[assignment]
+    strength: Modulus = 37.8
+    fall: Modulus = 4.736
+    ratio: Annotated[float, Plain(at_least=0.0, below=1.0)] = 0.1
+    source: Source = f"Murphy and Prendergast 2000, {MEMORY}"
+
+
+class Fatigue(Section):
+    """Damage that a spectrum of activities does to a region in a year, by Miner's rule."""
+
+    region: Name = "cement"
+    """Region whose damage is summed."""
+    spectrum: Annotated[dict[Name, PositiveNumber], MAPPING, SOME]
+    """Cycles a year of each stage that is an activity. Its peak is the end of the stage, its valley
+    the last valley before, or the start of a stage without `cycles`."""
+    laws: Annotated[
+        dict[Name, Annotated[Power | Logarithmic | Verdonschot | Murphy, Kinds("power")]],
+        MAPPING,
+        SOME,
+    ]
+    """S-N laws side by side, by name; a life is told as the band over all of them."""
+    mean_stress: Literal["none", "goodman"] = "none"
+    """How the mean stress counts: by the range alone, or by Goodman's line to the strength."""
+    tensile_strength: Modulus | None = None
+    """Strength at which Goodman's line ends."""
+
+    @model_validator(mode="after")
+    def _line_ends(self) -> Fatigue:
+        if (self.mean_stress == "goodman") != (self.tensile_strength is not None):
+            fail(
+                "is needed by `mean_stress: goodman`, and by nothing else", at=("tensile_strength",)
+            )
+        return self
+
+    def equivalent(self, law: FatigueLaw, most: Any, least: Any) -> Any:
+        r"""Largest stress s of the cycle of a law that does the damage of a cycle [MPa].
+
+        Both cycles have the same amplitude where Goodman's line takes them to no mean stress,
+
+        .. math:: \frac{s (1 - R) / 2}{1 - s (1 + R) / 2 S} = \frac{a}{1 - m / S}
+
+        with R the ratio of the law, a amplitude and m mean of the cycle and S the strength, which
+        is infinite without the rule: s (1 - R) is then the range. ``most`` and ``least`` are the
+        tensions of the cycle, not negative [MPa].
+        """
+        strength = self.tensile_strength or float("inf")
+        left = 1.0 - (most + least) / 2 / strength
+        range_ = most - least
+        below = (1.0 - law.ratio) * (left * (left > 0)) + range_ * (1.0 + law.ratio) / 2 / strength
+        return range_ / (below + (below == 0))

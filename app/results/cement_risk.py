@@ -1,0 +1,215 @@
+r"""Risk that a region fails: at its largest flaw (Weibull), and by cycles of load (Miner).
+
+.. math:: P = 1 - e^{-R}, \quad
+    R = \int \Big\langle \frac{σ_1 - σ_u}{σ_0} \Big\rangle^m \frac{dV}{V_0}, \qquad
+    D = \sum_i \frac{n_i}{N(s_i)}
+
+of the stress of the displacement, with that of setting. High powers of stress need many points:
+means of cells are 70 % off at a shape of 10. Those here are exact to degree 9, and none counts
+negatively.
+
+Rim and tip of a hip are reported apart, as on interfaces, and so is what is near an edge at which
+the region turns in: stress has no bound there, and R has none where m times the power of the
+distance with which stress grows is 2 or more. It then grows with every refinement.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from app.arrays import Bools, Floats, Ints
+from app.case.case import Case
+from app.mechanics.contact import TrialState
+from app.mechanics.problem import Problem
+from app.results.interface_numbers import divided
+from app.results.percentiles import percentile
+from app.results.stresses import Stresses
+from app.stepping.load_steps import LoadStep, OnStep
+from app.system.timing import Timing
+from meshes.distribute import TaggedMesh
+
+DEGREE = 9
+# Distance from edges within which numbers are apart [mm], and the angle by which such an edge turns
+# in: more than facets of a round stem do on coarse meshes.
+NEAR, TURN = 1.0, math.radians(60)
+_FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
+Borders = Callable[[Floats], dict[str, Floats]]
+
+
+class CementRisk:
+    """Weibull's risk of regions, and the damage of one; made collectively.
+
+    Args:
+        borders: Functions of points that are not positive in a part of a hip (`Zones.borders`).
+    """
+
+    saved = ("_valley", "_found")
+
+    def __init__(
+        self, case: Case, problem: Problem, borders: Borders | None, timing: Timing
+    ) -> None:
+        self._fatigue, self._stages, self._borders = case.fatigue, case.stages, borders
+        self._tires = case.fatigue.region if case.fatigue else ""
+        self._tagged, self._comm = problem.tagged, problem.comm
+        self._weibull = {e.region: e.weibull for e in problem.scene.elastic if e.weibull}
+        self._stresses = Stresses(problem, timing, degree=DEGREE)
+        self._parts: dict[str, dict[str, Bools]] = {}
+        # Stress at the points in the last valley, or at the end of the stage before (n, 3, 3).
+        self._valley: Floats | None = None
+        # By law: damage a year and largest equivalent stress [MPa] at the points (n, 2).
+        self._found: dict[str, Floats] = {}
+
+    @property
+    def row_keys(self) -> Ints:
+        """Keys of the points of the region that tires."""
+        cells = self._stresses.cells.get(self._tires, np.zeros(0, dtype=np.int64))
+        count = len(self._stresses.shares.get(self._tires, ()))
+        numbers = self._tagged.mesh.topology.original_cell_index[cells]
+        return np.asarray(numbers[:, None] * count + np.arange(count)).ravel()
+
+    # Fatigue
+
+    def before(self, on_step: OnStep) -> OnStep:
+        """A hook of steps, with what tires taken up before it."""
+
+        def step(done: LoadStep, trial: TrialState | None) -> None:
+            stage = self._stages[math.ceil(done.time) - 1]
+            turn = stage.turn(done.time)
+            if self._fatigue and turn and (turn == stage.ways or turn % 2 == 0):
+                now = self._stresses.evaluate(self._tires).reshape(-1, 3, 3)
+                if turn == stage.ways and (cycles := self._fatigue.spectrum.get(stage.name)):
+                    valley = 0.0 * now if self._valley is None else self._valley
+                    self._add(cycles, *tensions(now, valley))
+                self._valley = now
+            on_step(done, trial)
+
+        return step
+
+    def _add(self, cycles: float, most: Floats, least: Floats) -> None:
+        """Add the damage of cycles between two tensions at the points (n,)."""
+        assert self._fatigue
+        for name, law in self._fatigue.laws.items():
+            s = self._fatigue.equivalent(law, most, least)
+            damage, before = self._found.get(name, np.zeros((len(s), 2))).T
+            both = damage + cycles * law.damage(s), np.maximum(before, s)
+            self._found[name] = np.column_stack(both)
+
+    def fatigue(self) -> dict[str, Any]:
+        """Published numbers by law, of activities so far; collective."""
+        laws = self._fatigue.laws if self._fatigue else {}
+        return {
+            name: {"source": laws[name].source}
+            | self._by_part(self._tires, partial(self._damaged, own))
+            for name, own in self._found.items()
+        }
+
+    def _damaged(self, own: Floats, at: Bools) -> dict[str, Any]:
+        x, volume = self._stresses.places(self._tires)
+        rows = np.column_stack([own, volume.ravel(), x])[at].T
+        damage, stress, weight, *places = self._stresses.whole(rows)
+        return {
+            "damage_p99": percentile(damage, weight),
+            "damage_max": float(damage.max()),
+            "damage_max_at": [float(c[damage.argmax()]) for c in places],
+            "stress_p99": percentile(stress, weight),
+        }
+
+    def damage(self, cells: int) -> dict[str, Floats]:
+        """Mean damage a year of the cells of this rank by law (cells,), zero elsewhere."""
+        found: dict[str, Floats] = {}
+        for name, own in self._found.items():
+            mean, shares = np.zeros(cells), self._stresses.shares[self._tires]
+            mean[self._stresses.cells[self._tires]] = own[:, 0].reshape(-1, len(shares)) @ shares
+            found[f"damage_{name}"] = mean
+        return found
+
+    # Strength
+
+    def weibull(self) -> dict[str, dict[str, Any]]:
+        """Published numbers by region; collective."""
+        found = {}
+        for region, law in self._weibull.items():
+            tension = np.linalg.eigvalsh(self._stresses.evaluate(region))[..., 2]
+            risk = law.risk(tension) * self._stresses.places(region)[1]
+            found[region] = self._by_part(region, partial(self._strength, region, risk))
+        return found
+
+    def _strength(self, region: str, risk: Floats, at: Bools) -> dict[str, Any]:
+        """Numbers of a part by the risk at points (cells, points), and the place of most of it."""
+        own = np.where(at.reshape(risk.shape), risk, 0.0)
+        x = self._stresses.places(region)[0].reshape(*risk.shape, 3)
+        rows = np.column_stack([own.sum(axis=1), np.einsum("cq,cqi->ci", own, x)]).T
+        share, *moments = self._stresses.whole(rows)
+        k, total = share.argmax(), float(share.sum())
+        place = {"failure_at": [float(m[k] / share[k]) for m in moments]} if total else {}
+        return {"failure_risk": total, "failure_probability": -math.expm1(-total)} | place
+
+    def _by_part(self, region: str, of: Callable[[Bools], dict[str, Any]]) -> dict[str, Any]:
+        """Numbers of the points of a region, with sections of its parts; collective."""
+        if region not in self._parts:
+            x = self._stresses.places(region)[0]
+            levels = self._borders(x) if self._borders else {}
+            if len(edges := turning_in(self._tagged, region)):
+                levels["edge"] = distance(x, edges) - NEAR
+            parts = divided(np.ones(len(x), dtype=bool), levels)
+            self._parts[region] = {p: a for p, a in parts.items() if self._comm.allreduce(a.sum())}
+        found = {part: of(at) for part, at in self._parts[region].items()}
+        return found.pop("", {}) | found
+
+
+def tensions(peak: Floats, valley: Floats) -> tuple[Floats, Floats]:
+    """Largest and least tension (n,) of a cycle on the plane of the largest one [MPa].
+
+    Between two states of stress (n, 3, 3); compression counts as none.
+    """
+    σ = np.stack([peak, valley])
+    values, axes = np.linalg.eigh(σ)
+    worse = values[..., 2].argmax(axis=0)
+    n = axes[worse, np.arange(len(peak)), :, 2]
+    both = np.maximum(np.einsum("ni,snij,nj->sn", n, σ, n), 0.0)
+    return both.max(axis=0), both.min(axis=0)
+
+
+def turning_in(tagged: TaggedMesh, region: str) -> Floats:
+    """Edges at which a region turns in by more than `TURN` (e, 2, 3) [mm], on all ranks."""
+    geometry = tagged.mesh.geometry
+    own = tagged.cell_tags.find(tagged.regions[region])
+    nodes = geometry.dofmap[own[own < tagged.mesh.topology.index_map(3).size_local], :4]
+    local = geometry.input_global_indices[nodes], geometry.x[nodes]
+    numbers, x = (
+        np.concatenate(part) for part in zip(*tagged.mesh.comm.allgather(local), strict=True)
+    )
+    every = numbers[:, _FACES].reshape(-1, 3)
+    order = np.argsort(every, axis=1)
+    every = np.take_along_axis(every, order, axis=1)
+    _, first, count = np.unique(every, axis=0, return_index=True, return_counts=True)
+    outer = first[count == 1]  # faces of the surface
+    corners = np.take_along_axis(x[:, _FACES].reshape(-1, 3, 3), order[..., None], axis=1)[outer]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inner = x.reshape(-1, 3)[outer] - corners[:, 0]  # face k is opposite vertex k
+    normal *= -np.sign(np.einsum("fi,fi->f", normal, inner))[:, None]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # The faces of each edge: the third corner of one is outside the other where it turns in.
+    ends = np.array([(0, 1), (0, 2), (1, 2)])
+    pairs = every[outer][:, ends].reshape(-1, 2)
+    rows = np.lexsort(pairs.T)
+    twins = np.flatnonzero((pairs[rows][1:] == pairs[rows][:-1]).all(axis=1))
+    a, b = rows[twins], rows[twins + 1]
+    third = corners[b // 3, 2 - b % 3] - corners[a // 3, 0]
+    turned = np.einsum("ei,ei->e", normal[a // 3], normal[b // 3]) < math.cos(TURN)
+    inward = turned & (np.einsum("ei,ei->e", third, normal[a // 3]) > 0)
+    return np.asarray(corners[a[inward, None] // 3, ends[a[inward] % 3]])
+
+
+def distance(x: Floats, edges: Floats) -> Floats:
+    """Distance of points (n, 3) from the nearest of some edges (e, 2, 3) (n,) [mm]."""
+    least = np.full(len(x), np.inf)
+    for a, b in edges:
+        t = np.clip((x - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        least = np.minimum(least, np.linalg.norm(x - a - t[:, None] * (b - a), axis=1))
+    return least

@@ -1,0 +1,132 @@
+"""Strength and fatigue: cycles of stress by hand, edges that turn in, what is told."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.arrays import Floats
+from app.case.case import load
+from app.laws.failure import Fatigue, Murphy, Power, Verdonschot, Weibull
+from app.report import curves
+from app.results import closing_lines
+from app.results.cement_risk import NEAR, distance, tensions, turning_in
+from app.soundness import preview, well_posedness
+from app.verification.check import CONFIGS
+from tests import support
+
+SPECTRUM = (CONFIGS / "verification/spectrum.yaml").read_text()
+QUIET = ("output.report=false", "output.fields=false")
+
+
+def turned(*principal: float, angle: float = 0.3) -> Floats:
+    """Stress with principal values about turned axes (1, 3, 3)."""
+    c, s = math.cos(angle), math.sin(angle)
+    Q = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    return (Q * principal @ Q.T)[None]
+
+
+@pytest.mark.parametrize(
+    ("peak", "valley", "expected"),
+    [
+        (turned(10, 2, 1), turned(1, 0, 0), (10, 1)),
+        (turned(10, 2, 1), turned(-4, 0, 0), (10, 0)),  # compression does nothing
+        (turned(-10, -2, -3), turned(-1, 0, 0), (0, 0)),
+        (turned(-5, 0, 0), turned(7, 0, 0), (7, 0)),  # the plane of the largest tension of both
+        (turned(10, 0, 0), turned(0, 6, 0), (10, 0)),  # on another plane
+        (turned(10, 0, 0), turned(6, 0, 0, angle=0.3 + math.pi / 4), (10, 3)),
+    ],
+)
+def test_tensions_of_a_cycle(peak: Floats, valley: Floats, expected: tuple[float, float]) -> None:
+    np.testing.assert_allclose(np.ravel(tensions(peak, valley)), expected, atol=1e-12)
+
+
+def test_lives_under_the_laws_side_by_side() -> None:
+    """Years of walking, stairs and stumbling by two laws: `laws.md` gives them with two digits."""
+    years = {1.5: (82, 44), 3.0: (3.2, 21), 5.0: (0.29, 7.9), 7.0: (0.06, 3.0)}
+    laws: list[Power | Murphy] = [Verdonschot(), Murphy(ratio=0.0)]
+    for walking, known in years.items():
+        spectrum = ((1e6, walking), (5e4, 1.1 * walking), (10, 2.2 * walking))
+        for law, life in zip(laws, known, strict=True):
+            damage = sum(n * law.damage(s) for n, s in spectrum)
+            assert 1 / damage == pytest.approx(life, rel=0.02)
+    assert Verdonschot().damage(0.0) == Murphy().damage(0.0) == 0
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.1, 0.5])
+def test_mean_stress(ratio: float) -> None:
+    """A cycle of the law's own ratio is itself; another one lies on the same line of Goodman."""
+    f = {"spectrum": {"a": 1}, "laws": {"x": {"intercept": 8.77, "slope": 4.68}}}
+    plain = Fatigue.model_validate(f)
+    line = Fatigue.model_validate(f | {"mean_stress": "goodman", "tensile_strength": "40 MPa"})
+    law = Power.model_construct(ratio=ratio)
+    for rule in (plain, line):
+        assert rule.equivalent(law, 12.0, 12.0 * ratio) == pytest.approx(12.0)
+    assert plain.equivalent(law, 12.0, 5.0) == pytest.approx(7.0 / (1 - ratio))
+    s = line.equivalent(law, 12.0, 5.0)
+    left = s * (1 - ratio) / 2 / (1 - s * (1 + ratio) / 2 / 40)
+    assert left == pytest.approx(3.5 / (1 - 8.5 / 40))
+    assert line.equivalent(law, 60.0, 30.0) == pytest.approx(80 / (1 + ratio))  # beyond the line
+    assert line.equivalent(law, 0.0, 0.0) == 0
+
+
+def test_risk_of_a_volume() -> None:
+    law = Weibull.model_validate(
+        {"shape": 2, "scale": "2 MPa", "threshold": "3 MPa", "reference_volume": "4 mm^3"}
+    )
+    np.testing.assert_allclose(law.risk(np.array([-9.0, 3.0, 5.0, 7.0])), [0, 0, 0.25, 1.0])
+
+
+def test_edges_that_turn_in() -> None:
+    """That of an L, in pieces; none of a bar, and none on the facets around a stem."""
+    edges = turning_in(support.mesh(load(CONFIGS / "verification/corner.yaml").config), "corner")
+    length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum()
+    assert length == pytest.approx(1.0) and np.all(edges[..., :2] == 10.0)
+    x = np.array([[10, 10, 0.5], [7, 6, 0.2], [10, 10, 3.0]])
+    np.testing.assert_allclose(distance(x, edges), [0, 5, 2], atol=1e-12)
+    assert not len(turning_in(support.mesh(support.case(SPECTRUM)), "bar"))
+    around = support.mesh(support.case(support.STEM))
+    assert not len(turning_in(around, "cement")) and NEAR > 0
+
+
+def test_damage_is_told_as_a_band(tmp_path: Path) -> None:
+    """Damage in numbers, fields and the closing lines; notes on laws and on what they are used at.
+
+    Without a band, of one law on one mesh, there is no year.
+    """
+    laws = "fatigue.laws={v: {kind: verdonschot_1997, measured: [7 MPa, 20 MPa]}}"
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+    results = support.run(SPECTRUM, tmp_path / "one", laws)
+    damage = (1e6 * 3**4.68 + 5e4 * 2.97**4.68 + 10 * 6.6**4.68) / 10**8.77
+    np.testing.assert_allclose(results.fields.on_cells("damage_v"), damage, rtol=1e-9)
+    s = results.summary
+    assert s["fatigue"]["v"]["stress_p99"] == pytest.approx(6.6)
+    notes = "; ".join(s["notes"])
+    assert "laws.v: Verdonschot and Huiskes 1997, from memory: check" in notes
+    assert "laws.v was measured at 7 to 20 MPa, and is used at 6.6 MPa" in notes
+    (told,) = (v.text for v in closing_lines.verdict(s) if v.text.startswith("fatigue"))
+    assert "no year without a band (over v)" in told and closing_lines.life(s["fatigue"]) is None
+    case = support.case(SPECTRUM)
+    assert not preview.warnings(case)
+    two = support.run(SPECTRUM, tmp_path / "two", *QUIET, "output.error=true").summary
+    (told,) = (v.text for v in closing_lines.verdict(two) if v.text.startswith("fatigue"))
+    assert "lasts 3.3 to 21 years, over power, logarithmic and mesh: to rank" in told
+    assert not [n for n in well_posedness.doubts(case, two) if "measured" in n]
+    q = {"damage_p99": 0.5, "damage_p99_error": 0.3}
+    assert closing_lines.life({"v": q}) == pytest.approx((1 / 0.8, 5.0))
+    assert closing_lines.life({"v": q | {"damage_p99_error": 0.6}}) == (1 / 1.1, math.inf)
+    # Over 5 MPa nothing is left at 6.6 MPa but the whole; the curve falls to zero behind it.
+    volumes = [s["regions"]["bar"][f"volume_over_{p}_MPa"] for p in (3, 5, 7, 9, 11)]
+    assert volumes == pytest.approx([16, 16, 0, 0, 0])
+    (panel,) = curves.of_tension(s)
+    assert [n.value for n in panel.lines[0].numbers.values()] == pytest.approx(volumes)
+
+
+def test_growing_risk_is_told() -> None:
+    told = {"a_edge.failure_risk": [[1, 3e-3], [2, 1e-3]], "a.failure_risk": [[1, 1e-3], [2, 3e-3]]}
+    (line,) = closing_lines._growing_risk({"error": {"unsettled": told}})
+    assert "a_edge.failure_risk grows with the mesh (0.003 at 1 mm, 0.001 at 2 mm)" in line.text
