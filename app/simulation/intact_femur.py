@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from app.arrays import Floats
@@ -41,7 +43,8 @@ def carried(intact: Remodeller, ours: BodyForms) -> Floats:
         ConvergenceError: One of its load cases cannot be solved.
     """
     forms, cases = intact.mechanics, intact.problem.scene.load_cases
-    if (found := intact.stimulus([(k, k + 1.0) for k in cases])) is None:
+    found: Any = intact.stimulus([(k, k + 1.0) for k in cases])
+    if found is None:
         raise ConvergenceError("remodelling.intact: a load case of it cannot be solved")
     carried = []
     for region, values in zip(forms.remodels, found.T, strict=True):

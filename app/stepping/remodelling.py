@@ -102,6 +102,8 @@ class Remodeller:
         slopes = [ufl.grad(f(m.scalars)) for f in (ufl.TrialFunction, ufl.TestFunction)]
         dx = m.cells()(m.tagged.regions[region])
         A = assembled_matrix(m.form(m.constant(length**2) * ufl.inner(*slopes) * dx))
+        # Vertices of other regions have no entries yet.
+        A.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
         volume = self._volume[:, m.remodels.index(region)]
         volume = np.where(volume > 0, volume, 1.0)
         A.setDiagonal(A.getDiagonal() + PETSc.Vec().createWithArray(volume[:own], comm=A.comm))

@@ -11,3 +11,4 @@ Physical Volume("other") = {2};
 Physical Volume("cap") = {3};
 Physical Surface("floor") = Surface In BoundingBox {-0.1, -0.1, -0.1, 2.3, 1.1, 0.1};
 Physical Surface("top") = Surface In BoundingBox {-0.1, -0.1, 1.4, 2.3, 1.1, 1.6};
+Physical Surface("guide") = Surface In BoundingBox {-0.1, -0.1, 0.9, 0.1, 1.1, 1.6};
