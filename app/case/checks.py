@@ -19,7 +19,7 @@ from app.schema.yaml_file import Fault, Path
 
 def cross_check(case: Any) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
-    faults = [*_held(case), *_side(case), *_heat(case)]
+    faults = [*_held(case), *_side(case), *_heat(case), *_creep(case)]
     if case.geometry is not None:
         faults += [*_names(case), *_mesh(case), *_rigid(case), *_accuracy(case)]
         faults += [*_fatigue(case), *_remodelling(case)]
@@ -199,9 +199,9 @@ def _remodelling(case: Any) -> Iterable[Fault]:
     law, stages = case.remodelling, case.stages or ()
     timed = [i for i, stage in enumerate(stages) if stage.remodels]
     if law is None:
-        if timed and "remodelling" not in case.model_fields_set:
-            text = "how bone remodels is missing; expected a section `remodelling`"
-            yield Fault(("stages", timed[0], "remodels"), text)
+        for i in timed:
+            text = "how bone remodels is missing or wrong; expected a section `remodelling`"
+            yield Fault(("stages", i, "remodels"), text)
         return
     if stages and not timed:
         yield Fault(("stages",), "nothing remodels; expected `remodels: 2 years` in some stage")
@@ -225,6 +225,24 @@ def _remodelling(case: Any) -> Iterable[Fault]:
                 if not low <= rho <= high:
                     text = f"has {rho:.4g} g/cm3 by `remodelling.law`; expected {low:g} to {high:g}"
                     yield Fault(("regions", name), text)
+
+
+def _creep(case: Any) -> Iterable[Fault]:
+    """Stages of creep where no region creeps, or where a law counts in another measure."""
+    regions = list(_entries(case, "regions"))
+    if not case.regions or len(regions) < len(case.regions):
+        return
+    laws = {name: law for _, name, region in regions if (law := getattr(region, "creep", None))}
+    for i, stage in enumerate(case.stages or ()):
+        key = ("stages", i, stage.creep_key)
+        if stage.creep and not laws:
+            yield Fault(key, "no region creeps; expected `creep` in a region")
+        for name, law in laws.items() if stage.creep else ():
+            if (law.per is None) != (stage.creep_key == "creep_cycles"):
+                has, other = (
+                    ("cycles", "creep_cycles") if law.per is None else ("time", "creep_time")
+                )
+                yield Fault(key, f"the creep of {name} counts {has}; expected {other}")
 
 
 def quantities(case: Any, study: Any) -> Iterable[Fault]:

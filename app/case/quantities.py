@@ -214,6 +214,8 @@ add_quantity(
     _region("principal_p99", "MPa", order=STRESS),
     _region("principal_min", "MPa", peak=True),
     *(_region(f"mean_stress_{end}", "MPa") for end in ("min", "max")),
+    _region("creep_strain_max", "-", "%", peak=True),
+    _region("creep_strain_mean", "-", "%", order=STRESS, headline=True),
     *(_region(f"volume_over_{p}_MPa", "mm^3", digits=1, order=RISK) for p in STRESSED),
     _region("failure_risk", "-", digits=4, order=RISK, peak=True, headline=True),
     _region("failure_probability", "-", "%", order=RISK),

@@ -39,6 +39,14 @@ class Stage(Section):
     """Time in which bone remodels under the load cases of `remodelling`; its steps are chosen by
     their error, and fields are written at the end of each of `increments` equal parts."""
 
+    creep_cycles: units.PositiveNumber | None = None
+    """Cycles for which regions creep, at the loads of the end of the stage, their peak. Loads come
+    first, in `increments` and without creep; temperatures stay."""
+    creep_time: units.PositiveTime | None = None
+    """The same in time, for laws of creep in a unit of time."""
+    creep_tolerance: units.PositiveNumber = 1e-2
+    """Largest error of the creep strain in a step, over the largest elastic strain."""
+
     @model_validator(mode="after")
     def _one_end(self) -> Stage:
         if self.steady and self.duration is not None:
@@ -47,7 +55,27 @@ class Stage(Section):
             fail("a stage that takes time has no cycles", at=("cycles",))
         if self.takes_time and self.remodels:
             fail("takes the time of heat; expected no `duration`, no `steady`", at=("remodels",))
+        if self.creep_cycles and self.creep_time:
+            fail("creep is in cycles or in time; leave one out", at=("creep_time",))
+        if self.creep and (self.takes_time or self.cycles > 1):
+            text = "the loads of a stage that creeps stay; expected no duration, steady or cycles"
+            fail(text, at=(self.creep_key,))
         return self
+
+    @property
+    def creep_key(self) -> str:
+        """The key that gives the length of creep."""
+        return "creep_cycles" if self.creep_cycles else "creep_time"
+
+    @property
+    def creep(self) -> float:
+        """Cycles or seconds of creep; 0 without."""
+        return self.creep_cycles or self.creep_time or 0.0
+
+    @property
+    def loaded(self) -> float:
+        """Part of the stage after which its loads are there: creep is in the rest."""
+        return 0.5 if self.creep else 1.0
 
     @property
     def ways(self) -> int:
@@ -63,7 +91,7 @@ class Stage(Section):
         """How much of the stage's change is there after a part of it: 1 at the end and at peaks."""
         way = min(int(self.ways * part), self.ways - 1)
         low = self.valley if way else 0.0
-        up = self.ways * part - way
+        up = min(self.ways * part / self.loaded, self.ways) - way
         return low + (1.0 - low) * (1.0 - up if way % 2 else up)
 
     @property

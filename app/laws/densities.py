@@ -86,7 +86,7 @@ def density(law: str | DensityLaw, modulus: Any) -> Any:
     import numpy as np
 
     start, a, b, c = np.transpose(table_of(law)[1])
-    k = np.maximum(np.searchsorted(a + b * start**c, modulus) - 1, 0)
+    k = np.maximum(np.searchsorted(a + b * np.maximum(start, LEAST) ** c, modulus) - 1, 0)
     return ((modulus - a[k]) / b[k]) ** (1 / c[k])
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from app.laws.creep import Creep
 from app.laws.densities import ImageModulus
 from app.laws.failure import Weibull
 from app.laws.fibres import Fibre, FibreDirection
@@ -164,6 +165,16 @@ class Isotropic(Elastic):
     image whose density gives E."""
     poisson_ratio: Annotated[float, Plain(above=-1.0, below=0.5)]
     """Poisson's ratio nu."""
+    creep: Creep | None = None
+    """Creep in the stages with `creep_cycles` or `creep_time`; elastic in the others."""
+
+    @model_validator(mode="after")
+    def _creeps(self) -> Self:
+        if self.creep and self.varies:
+            fail("a modulus that creeps is a value", at=("youngs_modulus",))
+        if self.creep and self.eigenstrains:
+            fail("none in a region that creeps", at=("eigenstrains",))
+        return self
 
     @property
     def nearly_incompressible(self) -> bool:

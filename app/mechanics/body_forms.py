@@ -100,6 +100,9 @@ class BodyForms:
         growth: Modulus of each curing region over its final one, at the vertices [-].
         remodels: Regions that remodel.
         density: Their density at all vertices of this rank, ghosts too (n, r) [g/cm3]; None: none.
+        history: Regions whose stress is history.
+        history_degree: Degree of its quadrature. Creep needs positive weights and no more points
+            than stresses that a cell can have: more would lock, as its volume stays the same.
 
     Raises:
         InputError: A load acts on nothing, or nothing can carry its moment.
@@ -111,6 +114,7 @@ class BodyForms:
         self.scene, self.tagged, self.bodies = scene, tagged, bodies
         self._timing = timing
         self.varying_degree = 2 * scene.order - 1
+        self.history_degree = max(1, 2 * scene.order - 2) if scene.creeps else self.varying_degree
         self.mesh = tagged.mesh
         self.space = fem.functionspace(self.mesh, ("Lagrange", scene.order, (3,)))
         self.u = fem.Function(self.space, name="displacement")
@@ -130,6 +134,7 @@ class BodyForms:
             for k in range(len(e.eigenstrains))
         }
         self.growth = {c.region: fem.Function(self.scalars) for c in scene.cures}
+        self.history = {c.region for c in (*scene.cures, *scene.creeps)}
         self.swelling = {
             x.region: fem.Function(self.scalars)
             for x in scene.expansions
@@ -292,10 +297,10 @@ class BodyForms:
         return ε
 
     def body_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
-        """Energy of a body (strain, foundations) in its displacement v [N mm]; 0 if curing."""
+        """Energy of a body (strain, foundations) in its displacement v [N mm], without history."""
         total = 0
         for e in self.scene.elastic:
-            if self.bodies.of_region[e.region] == body and e.region not in self.growth:
+            if self.bodies.of_region[e.region] == body and e.region not in self.history:
                 total += self.energy_density(e, self.elastic_strain(e, v)) * self.over(e, dx)
         for f, k in zip(self.scene.foundations, self.springs, strict=True):
             ds = self.ds(f.boundary, body)
@@ -307,10 +312,10 @@ class BodyForms:
         """Energy of a body whose second derivative is its stiffness at the current cure."""
         total = self.body_energy(body, v, dx)
         for e in self.scene.elastic:
-            if self.bodies.of_region[e.region] == body and e.region in self.growth:
+            if self.bodies.of_region[e.region] == body and e.region in self.history:
                 ψ = self.energy_density(e, elasticity.strain(v))
-                dx_e = dx(self.tagged.regions[e.region], degree=self.varying_degree)
-                total += self.growth[e.region] * ψ * dx_e
+                dx_e = dx(self.tagged.regions[e.region], degree=self.history_degree)
+                total += self.growth.get(e.region, 1) * ψ * dx_e
         return total
 
     def set_amplitudes(self, value: dict[tuple[str, int], float]) -> None:

@@ -17,9 +17,10 @@ from app.arrays import Floats, Ints
 from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
-from app.mechanics.curing_stress import CuringStress
+from app.mechanics.creep import CreepState
 from app.mechanics.external_forces import Forces
 from app.mechanics.stiffness import Stiffness, rounding
+from app.mechanics.stress_history import StressHistory
 from app.mechanics.thermal_strain import ThermalStrain
 from app.numerics.saved_state import node_keys
 from app.scene.bodies import bodies_of
@@ -35,7 +36,7 @@ class Problem:
         stiffness: Stiffness of the bodies, with its constraints.
         forces: Loads, eigenstrains and free strains.
         contact: Contact of the interfaces, if there are any.
-        setting: Stress history of curing regions, if any.
+        history: Stress history of regions that set or creep, if any.
         thermal_strain: Thermal expansion of regions with constant moduli, if any.
         u: Displacement, the continuous field.
         moved: Displacement of each body that jumps move.
@@ -53,7 +54,7 @@ class Problem:
         InputError: The scene does not fit the mesh.
     """
 
-    saved = ("time", "stiffness", "u", "mechanics", "contact", "setting")
+    saved = ("time", "stiffness", "u", "mechanics", "contact", "history")
 
     def __init__(
         self,
@@ -69,8 +70,10 @@ class Problem:
         self.mechanics = BodyForms(scene, tagged, self.bodies, timing)
         self.space = self.mechanics.space
         self.u = self.mechanics.u
-        self.setting = (
-            CuringStress(scene, self.mechanics, self.bodies, timing) if scene.cures else None
+        self.history = (
+            StressHistory(scene, self.mechanics, self.bodies, timing)
+            if self.mechanics.history
+            else None
         )
         parts = scene, tagged, self.bodies, self.mechanics
         self.stiffness: Stiffness = Stiffness(*parts, like.stiffness if like else None)
@@ -101,6 +104,8 @@ class Problem:
         self.set_stage(0, self.stiffness.K.createVecRight())
         for state in (self.u, *self.moved.values(), *self.mechanics.swelling.values()):
             state.x.array[:] = 0
+        if self.history:
+            self.history.begin()
         if self.contact:
             self.contact.begin(scene.contacts, augmentation_factor)
         self.forces = Forces(scene, self.mechanics, self.bodies, self.contact, self.forces)
@@ -138,6 +143,13 @@ class Problem:
             assert q is not None
             q.array[:] = self.contact.state.jump.ravel()
         self.update_displacements(u, q)
+        if self.history:
+            self.history.begin_at(self.displacements())
+
+    @property
+    def creep(self) -> CreepState | None:
+        """State of the regions that creep, if any."""
+        return self.history.creep if self.history else None
 
     # State in time
 
@@ -177,18 +189,20 @@ class Problem:
         """
         if self.thermal_strain:
             self.forces.set_eigenforces("heat", self.thermal_strain.set(temperatures))
+            if self.history:
+                self.history.swell(self.mechanics.swelling)
         self.set_time(self.time)
 
     def update_stiffness(self) -> None:
-        """Update stiffness and prestress of curing regions (`setting`) before a solve; collective.
+        """Update stiffness and prestress of regions with stress history before a solve; collective.
 
         Matrices are assembled again, in place, only if a modulus has changed.
         """
-        if self.setting is None:
+        if self.history is None:
             return
-        if self.setting.stiffen():
+        if self.history.stiffen():
             self._renew()
-        self.forces.set_eigenforces("cure", self.setting.forces())
+        self.forces.set_eigenforces("history", self.history.forces())
         self.set_time(self.time)
 
     def follow_density(self) -> None:
@@ -276,5 +290,5 @@ class Problem:
         """Commit a converged state, after `update_displacements`."""
         if trial is not None:
             trial.contact.state = trial.committed()
-        if self.setting:
-            self.setting.commit(self.displacements())
+        if self.history:
+            self.history.commit(self.displacements())

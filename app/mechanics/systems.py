@@ -157,7 +157,7 @@ class ContactSystem(BondedSystem):
         if not self._solves or linear not in ("auto", "condensed"):
             return None
         sizes = problem.stiffness.K.getSize()[0], self.contact.coupling.D.getSize()[0]
-        foreseen = self._solves, problem.setting is not None, self._memory, comm.size
+        foreseen = self._solves, problem.scene.stiffens, self._memory, comm.size
         choice = SolverChoice(problem.scene.order, *sizes, *foreseen)
         found: Condensed | None = None
         near = choice.order > 1 and choice.condensed < HOPELESS * choice.krylov
@@ -179,12 +179,12 @@ class ContactSystem(BondedSystem):
             self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
         return self._problem.stiffness.K, self._C, self.contact.coupling.D
 
-    def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats]:
-        """Residual of displacement and jumps in equilibrium, without the law [N]."""
+    def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats, float]:
+        """Residual of displacement and jumps without the law, and size of the forces [N]."""
         out = x[0].duplicate()
         self._problem.residual_u(x[0], x[1], out)
         e = self.contact.coupling.equilibrium(x[0], x[1], self._problem.f_q)
-        return out.array, e.ravel()
+        return out.array, e.ravel(), self._problem.interface_scale(e)
 
     def law(self, e: Floats, q: Floats) -> tuple[Floats, float]:
         """Residual of the law at equilibrium e and jumps q, and size of the forces [N]."""

@@ -36,8 +36,12 @@ class ThermalStrain:
 
     def assemble(self) -> None:
         """Assemble the forces of unit strain at the present moduli; collective."""
-        made = {x.region: _forces(self._mechanics, self._elastic[x.region]) for x in self._terms}
-        self._forces = made
+        # Where stress is history free strain is a part of it.
+        self._forces = {
+            x.region: _forces(self._mechanics, self._elastic[x.region])
+            for x in self._terms
+            if x.region not in self._mechanics.history
+        }
 
     def set(self, temperatures: Mapping[str, fem.Function]) -> dict[int, PETSc.Vec]:
         """Set the thermal strain; return nodal forces on each body [N].
@@ -53,9 +57,8 @@ class ThermalStrain:
     def forces(self) -> dict[int, PETSc.Vec]:
         """Nodal forces of the present thermal strain on each body [N]."""
         parts: dict[int, PETSc.Vec] = {}
-        for x in self._terms:
-            e = self._mechanics.swelling[x.region]
-            G, body = self._forces[x.region], self.body[x.region]
+        for region, G in self._forces.items():
+            e, body = self._mechanics.swelling[region], self.body[region]
             nodal = G.createVecRight()
             nodal.array[:] = e.x.array[: nodal.getLocalSize()]
             parts.setdefault(body, G.createVecLeft())
@@ -76,7 +79,11 @@ class ThermalStrain:
             Rows of displacement and jumps, columns of temperatures and temperature jumps; None
             where the scene has no such unknowns.
         """
-        scaled = {x.region: self._forces[x.region] * x.expansion for x in self._terms}
+        scaled = {
+            x.region: self._forces[x.region] * x.expansion
+            for x in self._terms
+            if x.region in self._forces
+        }
         by_jumps = {r: G.matMult(moves[r]) for r, G in scaled.items() if r in moves}
         columns = []
         for of_region in (scaled, by_jumps):

@@ -35,8 +35,9 @@ from app.numerics.cholesky import Cholesky, library
 NOTHING = 1e-10
 # Newton steps at most; parts of one that are tried.
 MOST, PARTS = 40, 2.0 ** -np.arange(8)
-# Residual that a step in single precision may leave; one after which the next has its factors.
-ROUGH, CHORD = 1e-2, 1e-2
+# Residual that a step in single precision may leave, and one in double; one after which the next
+# step has its factors.
+ROUGH, SINGULAR, CHORD = 1e-2, 1e-4, 1e-2
 # Part of the tolerance that out-of-balance forces of a start may have without being removed.
 LITTLE = 0.01
 
@@ -57,8 +58,8 @@ class Condensable(Protocol):
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         """K, C without constrained rows, and D."""
 
-    def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats]:
-        """Residual of displacement and jumps in equilibrium, without the law, at a state [N]."""
+    def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats, float]:
+        """Residual of displacement and jumps without the law, and size of the forces [N]."""
 
     def law(self, e: Floats, q: Floats) -> tuple[Floats, float]:
         """Residual of the law at equilibrium e [N] and jumps q, and the forces' size."""
@@ -184,9 +185,8 @@ class Condensed:
             The number of iterations.
         """
         self._renew()
-        (u, q_vector), (ru, e) = x, self._contact.forces(x)
+        (u, q_vector), (ru, e, scale) = x, self._contact.forces(x)
         q, number = q_vector.array.copy(), 0
-        _, scale = self._contact.law(e, q)
         if self._norm(ru) <= LITTLE * tolerance * scale:
             ru = np.zeros_like(ru)
         pulled = self._on_root(self._pulled, q_vector, ru)
@@ -241,12 +241,13 @@ class Condensed:
         return self.cholesky.up(self._half)[: self.size]
 
     def _step(self, r: Floats) -> Floats:
-        """Solution of (T S + B) dq = r; its forces S dq are kept."""
-        dq = self._by_factors(r)
-        if np.linalg.norm(r - self._times(dq)) > ROUGH * np.linalg.norm(r):
+        """Solution of (T S + B) dq = r, zero where a body floats; its forces S dq are kept."""
+        size, dq = np.linalg.norm(r), self._by_factors(r)
+        if np.linalg.norm(r - self._times(dq)) > ROUGH * size:
             self._factor(self._S)
             dq = self._by_factors(r)
-            self._times(dq)
+            if np.linalg.norm(r - self._times(dq)) > SINGULAR * size:
+                self._times(dq := np.zeros_like(r))
         return dq
 
     def _times(self, dq: Floats) -> Floats:

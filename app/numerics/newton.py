@@ -150,6 +150,7 @@ class Solver:
     Attributes:
         x: The current state.
         failed_state: Last state of the last solve that failed.
+        first_state: Where plain Newton ended in the last solve.
         options: PETSc options of the SNES.
         active: States of the contact points at the last iterates.
         converged: Whether the last run converged.
@@ -184,7 +185,7 @@ class Solver:
         defaults = NEWTON | {"snes_max_it": max_iterations} | system.newton
         self.options = defaults | self.linear.options | options
         self._search = self.usual_search
-        self.x, self.failed_state = self.vector(), self.vector()
+        self.x, self.failed_state, self.first_state = (self.vector() for _ in range(3))
         self.residuals: list[float] = []
         self.changes: list[int] = []
         self.scales: list[float] = []

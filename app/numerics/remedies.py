@@ -33,6 +33,7 @@ def solve(solver: Solver) -> NewtonResult:
     runs = [solver.linear_step()]
     start = solver.x.copy() if contact else solver.x
     runs.append(solver.run())
+    solver.x.copy(solver.first_state)
     tried: list[tuple[str, float]] = []
     for text in remedies(solver, start):
         log.info("     %s: %s", failure_text(solver), text)

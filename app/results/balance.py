@@ -61,9 +61,9 @@ class Balance:
 
     Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
-    forces. Curing regions have no stored energy: the work of their stress in their strain, also
-    trapezoidal, takes the place of stored energy and of the work of free strain. The same holds for
-    all regions where bone remodels: what is stored changes with its stiffness too.
+    forces. Regions that set or creep have no stored energy: the work of their stress in their
+    strain, also trapezoidal, takes the place of stored energy and of the work of free strain. So it
+    does in all regions where bone remodels: what is stored changes with its stiffness too.
 
     Args:
         about: Point that moments are taken about (3,) [mm].
@@ -97,12 +97,13 @@ class Balance:
         self._swelling = [
             (free, mechanics.form(self._work_of(elastic[region], swelling)))
             for region, free in mechanics.swelling.items()
+            if region not in mechanics.history
         ]
         if mechanics.remodels:
             self._strain_work, self._swelling = [], []
         self._setting: list[tuple[int, fem.Form]] = []
         self._set: fem.Form | None = None
-        if s := problem.setting:
+        if s := problem.history:
             self._set = mechanics.form(s.complementary_energy())
             self._setting = [(b, mechanics.form(s.internal_work(b, v))) for b in s.bodies]
         # The traction k_i U_i of each bed of springs on each body.

@@ -59,7 +59,7 @@ class Stresses:
         self.points: dict[str, Floats] = dict.fromkeys(self.cells, self._points)
         self.shares: dict[str, Floats] = dict.fromkeys(self.cells, weights / weights.sum())
         # Stress that is history is known at the points where it was summed.
-        self._history = {r: problem.setting for r in mechanics.growth if problem.setting}
+        self._history = {r: problem.history for r in mechanics.history if problem.history}
         for region, history in self._history.items() if degree is None else ():
             self.points[region] = history.points
             self.shares[region] = history.weights / history.weights.sum()
@@ -73,7 +73,7 @@ class Stresses:
         self._moved = fem.Function(problem.space)
         self._strain = self._expression(elasticity.strain(self._moved))
         for e in elastic:
-            if e.region not in mechanics.growth and (
+            if e.region not in mechanics.history and (
                 e.eigenstrains or e.region in mechanics.swelling
             ):
                 displacement = problem.displacements()[problem.bodies.of_region[e.region]]
@@ -165,6 +165,8 @@ class Stresses:
                 for key, k in (("von_mises", 0), ("principal", 2))
             }
             values = values[:, ~outside]
+        if (s := self._history.get(region)) and s.creep:
+            found |= s.creep.numbers(region)
         if cement:
             _, _, tension, _, _, volume = values
             for level in STRESSED:

@@ -16,6 +16,7 @@ from app.case.case import Case
 from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
 from app.case.shapes import Sides
+from app.laws.creep import Creep
 from app.laws.cure import Cure
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
@@ -84,6 +85,7 @@ class Scene:
     expansions: tuple[Thermal, ...] = ()
     cures: tuple[Cure, ...] = ()
     remodelling: Remodelling | None = None
+    creeps: tuple[Creep, ...] = ()
     time: TimeOptions | None = None
     coupled: bool = False
     bonds: tuple[Interface, ...] = ()
@@ -93,6 +95,11 @@ class Scene:
         """Largest Young's modulus of each region that carries load, infinite if rigid [MPa]."""
         elastic = {e.region: max(e.moduli) for e in self.elastic}
         return elastic | {r.region: math.inf for r in self.rigid}
+
+    @property
+    def stiffens(self) -> bool:
+        """Whether the stiffness changes from solve to solve."""
+        return bool(self.cures or self.remodelling)
 
     @property
     def load_cases(self) -> list[int]:
@@ -158,6 +165,11 @@ def build_scene(case: Case) -> Scene:
         expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
         cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
         remodelling=law,
+        creeps=tuple(
+            creep.named(e.region)
+            for e in elastic
+            if (creep := getattr(e, "creep", None)) and any(stage.creep for stage in case.stages)
+        ),
         time=case.time,
     )
 

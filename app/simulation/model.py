@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -31,22 +31,24 @@ from app.results.hip import StemMotion, bone_mass, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples, Surface
 from app.results.stresses import Stresses, bonds
 from app.scene.scene import Scene, Stage, build_scene
-from app.simulation.intact_femur import carried, intact_case
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, memory, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.coupled_system import CoupledSystem
+from app.stepping.creep_steps import CreepStepper
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heat_steps import HeatStepper, OnHeat
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
-from app.stepping.remodelling import Remodeller
 from app.stepping.stages import run_stages
 from app.system import folders
 from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
 from meshes.pieces import Parts
+
+if TYPE_CHECKING:
+    from app.stepping.remodelling import Remodeller
 
 log = logging.getLogger("mantle")
 
@@ -275,13 +277,15 @@ class Model:
         Raises:
             ConvergenceError: As `run_stages`.
         """
-        load_stepper, heat_stepper = None, None
+        load_stepper = heat_stepper = creep_stepper = None
         if risk := self.risk:
             on_step = risk.before(on_step)
         if m := self.mechanics:
             load_stepper = LoadStepper(
                 m.problem, m.solver, on_step, on_trouble, self._predictors(m)
             )
+            if m.problem.creep:
+                creep_stepper = CreepStepper(load_stepper)
         if t := self.thermal:
 
             def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
@@ -294,25 +298,28 @@ class Model:
             elif load_stepper:
                 beside = SolvedAfterHeat(load_stepper, t.heating)
             heat_stepper = HeatStepper(t.heating, beside, on_accepted)
-        steppers = self._steppers = load_stepper, heat_stepper
         if load_stepper and m and self.scene.remodelling:
+            from app.stepping.remodelling import Remodeller  # few runs need it
+
             self.remodeller = Remodeller(load_stepper, m.stresses, self._intact)
+        steppers = self._steppers = load_stepper, heat_stepper, creep_stepper
         steps = self.remodeller
         run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume(), steps)
         total = Summary()
-        for part in steppers:
+        for part in steppers[:2]:
             if part is not None:
                 total.add(part.total)
         return total
 
     def saved_parts(self) -> dict[str, Any]:
         """All state that later steps depend on, in the order in which it is restored."""
-        load_stepper, heat_stepper = self._steppers
+        load_stepper, heat_stepper, creep_stepper = self._steppers
         return ({"risk": self.risk} if self.risk else {}) | {
             "mechanics": self.mechanics,
             "thermal": self.thermal,
             "heat_stepper": heat_stepper,
             "load_stepper": load_stepper,
+            "creep_stepper": creep_stepper,
             "remodeller": self.remodeller,
         }
 
@@ -330,6 +337,9 @@ class Model:
         law, m = self.scene.remodelling, self.mechanics
         if not (law and law.intact and m):
             return None
+        from app.simulation.intact_femur import carried, intact_case
+        from app.stepping.remodelling import Remodeller
+
         forms, timing = m.problem.mechanics, self._timing.of("intact femur")
         case, comm = intact_case(self._case, forms.remodels), self.tagged.mesh.comm
         other = Model(case, comm, self.options, timing, self.stop, judged=False).mechanics
@@ -359,6 +369,8 @@ class Model:
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := bonds(m.problem, m.stresses):
                 numbers["bonds"] = found
+            if creep := m.problem.creep:
+                numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
             if self.risk:
                 for region, found in self.risk.weibull().items():
                     numbers["regions"][region] |= found

@@ -207,6 +207,9 @@ class Recorder:
             "moment balance [-]": balance.moment,
             "energy balance [-]": balance.energy,
         }
+        if (m := self._model.mechanics) and (creep := m.problem.creep):
+            row[f"creep {creep.measure} [{creep.unit}]"] = creep.elapsed
+            row["creep dissipation [N mm]"] = creep.dissipated
         for name, u in self._displacements().items():
             row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
         columns = [c for c in TABLE["interfaces"].values() if c.history]

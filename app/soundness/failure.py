@@ -235,10 +235,12 @@ def explain(
     u, q = solver.u_and_q(solver.failed_state)
     if q is None:
         return Explanation(outcome, scales=scales)
-    trial = problem.trial(u, q)
+    trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
     free = pulled_off(problem, contact) if scales else []
+    # Remedies may end anywhere.
     free = free or loose_bodies.free_bodies(problem, trial)
+    free = free or loose_bodies.free_bodies(problem, first)
     friction = [] if free else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
     places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]

@@ -219,6 +219,11 @@ def warnings(case: Case) -> list[str]:
             messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
     laws = case.fatigue.laws.items() if case.fatigue else ()
     messages += [f"fatigue.laws.{n}: {x.source}" for n, x in laws if MEMORY in str(x.source)]
+    if case.remodelling and not case.remodelling.lazy_zone:
+        text = (
+            "of parallel columns all but one vanish where the modulus rises faster than the density"
+        )
+        messages.append(f"remodelling.lazy_zone is 0: {text}, and results depend on the mesh")
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         messages += _far_off(f"heat.{name}", condition, limits)

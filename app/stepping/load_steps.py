@@ -143,15 +143,15 @@ class LoadStepper:
         self._progress = Progress()
 
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
-        """Take load steps through a stage that takes no time."""
-        whole = 1.0 / (stage.increments * stage.ways)
+        """Take load steps through a stage that takes no time, up to its creep."""
+        whole, end = 1.0 / (stage.increments * stage.ways), k + stage.loaded
         if not self._progress.step:
             self._progress = Progress(whole)
 
         def set_load(s: float) -> None:
-            self.problem.set_time(k + s)
+            self.problem.set_time(k + s * stage.loaded)
 
-        self.run_path(stage, whole, set_load, k, k + 1, self._progress, checkpoint_point)
+        self.run_path(stage, whole, set_load, k, end, self._progress, checkpoint_point)
         self._progress = Progress()
 
     def run_path(

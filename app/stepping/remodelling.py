@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -23,11 +22,13 @@ from app.errors import ConvergenceError, InputError, MantleError
 from app.laws.supports import Fixed
 from app.laws.values import field
 from app.mechanics.body_forms import assembled_matrix, hats
+from app.numerics.preconditioners import Inverse
 from app.numerics.remedies import solve
+from app.numerics.saved_state import node_keys
 from app.scene.bodies import FACET_NODES, boundary_facets
 from app.scene.scene import Stage
 from app.soundness.failure import explain
-from app.stepping.load_steps import LoadStep, LoadStepper, Progress
+from app.stepping.load_steps import LoadStepper, Progress
 
 MOST = 0.3  # g/cm3 in a step
 SHORTEST = 1e-8  # part of a stage that is no step any more
@@ -48,7 +49,7 @@ class Remodeller:
             case gives it.
     """
 
-    saved = ("_progress", "_start", "mass", "seconds", "steps", "rejected")
+    saved = ("_progress", "_speed", "mass", "seconds", "steps", "rejected")
 
     def __init__(
         self, stepper: LoadStepper, stresses: Any, reference: Callable[[], Floats | None]
@@ -61,16 +62,16 @@ class Remodeller:
         self._volume = self._integrals(lambda region: 1.0)
         self._filters = [self._filter(r, law.filter) for r in self.mechanics.remodels]
         self._states: dict[float, PETSc.Vec] = {}
-        self._progress, contact = Progress(), problem.contact
-        self._start: Any = contact and contact.state
+        self._progress = Progress()
+        # Change of the density in time at the last step's end [g/(cm3 s)], if it is known.
+        self._speed: Floats | None = None
         self.mass = {"start": self.present, "added": 0.0, "cut": 0.0}
         self.seconds, self.steps, self.rejected = 0.0, 0, 0
 
     @property
     def row_keys(self) -> dict[str, Any]:
-        """Keys of own contact points."""
-        contact = self.problem.contact
-        return {"_start": contact.row_keys} if contact else {}
+        """Keys of vertices."""
+        return {"_speed": node_keys(self.mechanics.scalars)}
 
     @property
     def present(self) -> float:
@@ -107,16 +108,12 @@ class Remodeller:
         volume = self._volume[:, m.remodels.index(region)]
         volume = np.where(volume > 0, volume, 1.0)
         A.setDiagonal(A.getDiagonal() + PETSc.Vec().createWithArray(volume[:own], comm=A.comm))
-        krylov = PETSc.KSP().create(A.comm)
-        krylov.setOperators(A)
-        krylov.setType("cg")
-        krylov.getPC().setType("jacobi")
-        krylov.setTolerances(rtol=1e-10)
+        inverse = Inverse(A, lambda: 0, {"pc_type": "jacobi"})
 
         def filtered(given: Floats) -> Floats:
             b, x = A.createVecs()
             b.array[:] = (volume * given)[:own]
-            krylov.solve(b, x)
+            inverse.solve(b, x, 1e-10)
             return m.vertex_sums(np.arange(own, dtype=np.int32), x.array_r)
 
         return filtered
@@ -124,22 +121,20 @@ class Remodeller:
     def stimulus(self, cases: Sequence[tuple[int, float]]) -> Floats | None:
         """Strain energy per mass [J/g], the mean over load cases; None if one cannot be solved.
 
-        The energy density at a vertex is its mean weighted with the vertex's hat function. Each
-        case, the number of the stage whose supports hold and the time of its loads, begins in the
-        state of the interfaces in which the stage did. Collective.
+        The energy density at a vertex is its mean weighted with the vertex's hat function. A case
+        is the stage whose supports hold and the time of its loads; each begins in the committed
+        state of the interfaces. Collective.
         """
         problem, solver = self.problem, self._stepper.solver
-        problem.follow_density()
-        self._stresses.follow_density()
+        self._follow()
         energy = 0.0 * self._volume
         for k, time in cases:
-            if problem.contact:
-                problem.contact.state = self._start
             self._states.get(time, solver.x).copy(solver.x)
             problem.set_stage(k, solver.u_and_q()[0])
             problem.set_time(time)
             problem.update_stiffness()
             self._outcome = solve(solver)
+            self._stepper.total.count(self._outcome)
             if not self._outcome.converged:
                 return None
             self._states[time] = solver.x.copy()
@@ -177,101 +172,75 @@ class Remodeller:
         Raises:
             ConvergenceError: A load case cannot be solved even after a short time.
         """
-        problem, solver, whole = self.problem, self._stepper.solver, 1.0 / stage.increments
-        contact, m = problem.contact, self.mechanics
-        if not self._progress.step:
-            self._progress, self._start = Progress(whole), contact and contact.state
-        p = self._progress
+        problem, stepper, m = self.problem, self._stepper, self.mechanics
         self._begin(k)
-        kept: Any = (m.density.copy(), solver.x.copy(), contact and contact.state)
+        if not self._progress.step:
+            self._progress = Progress(1.0 / stage.increments)
+        p, kept = self._progress, (m.density.copy(), stepper.solver.x.copy())
         try:
-            speed = self._speed()
             while p.done < 1.0:
-                started, goal = clock.perf_counter(), p.goal(whole)
-                speed = self._step(stage, goal, speed)
-                self._commit(stage, k, started, p.done == goal, kept[2])
-                kept = m.density.copy(), solver.x.copy(), contact and contact.state
+                started, goal = clock.perf_counter(), p.goal(1.0 / stage.increments)
+                self._speed = self._step(stage, goal)
+                problem.set_time(k + p.done)
+                stepper.commit(stage, k + p.done, self._outcome, started, p.done == goal)
+                kept = m.density.copy(), stepper.solver.x.copy()
                 checkpoint_point()
         except MantleError:
             m.density[:] = kept[0]
-            kept[1].copy(solver.x)
-            if contact is not None:
-                contact.state = kept[2]
-            problem.follow_density()
-            self._stresses.follow_density()
-            problem.update_displacements(*solver.u_and_q())
+            kept[1].copy(stepper.solver.x)
+            self._follow()
+            problem.update_displacements(*stepper.solver.u_and_q())
             raise
-        self._progress = Progress()
+        self._progress, self._speed = Progress(), None
 
-    def _speed(self) -> Floats | None:
+    def _follow(self) -> None:
+        self.problem.follow_density()
+        self._stresses.follow_density()
+
+    def _change(self) -> Floats | None:
         """Change of the density in time [g/(cm3 s)]; None if a load case cannot be solved."""
         S = self.stimulus(self._cases)
         return None if S is None else self._free * self._law.speed(S, self._reference)
 
-    def _step(self, stage: Stage, goal: float, speed: Floats | None) -> Floats:
-        """Take a step that its error allows; returns the speed at its end; collective.
+    def _step(self, stage: Stage, goal: float) -> Floats:
+        """Take a step that its error allows, to a goal in the stage at most; collective.
 
-        Args:
-            stage: The stage.
-            goal: Where in it the step ends at the latest.
-            speed: Change of the density in time; None if a load case cannot be solved.
+        Returns:
+            Change of the density in time at its end [g/(cm3 s)].
         """
-        p, T, old, bounds = (
-            self._progress,
-            stage.remodels or 0.0,
-            self.mechanics.density.copy(),
-            self._law.density,
-        )
+        p, tolerance, (low, high) = self._progress, self._law.tolerance, self._law.density
+        T, old, m = stage.remodels or 0.0, self.mechanics.density.copy(), self.mechanics
+
+        def moved(change: Floats) -> Floats:
+            m.density[:] = np.where(self._free, np.clip(old + change, low, high), old)
+            return m.density.copy()
+
+        speed = self._change() if self._speed is None else self._speed
         while speed is not None and p.step > SHORTEST:
-            room = np.where(speed > 0, bounds[1] - old, old - bounds[0])
-            fastest = self._largest(speed[room > MOST])
-            p.step = min(p.step, MOST / max(fastest * T, TINY))
+            far = np.where(speed > 0, high - old, old - low) > MOST
+            p.step = min(p.step, MOST / max(self._largest(speed[far]) * T, TINY))
             reach = p.reach(goal)
-            dt, factor = T * (reach - p.done), 0.5
-            euler = np.where(self._free, np.clip(old + dt * speed, *bounds), old)
-            self.mechanics.density[:] = euler
-            if (there := self._speed()) is not None:
-                change = dt / 2 * (speed + there)
-                heun = np.where(self._free, np.clip(old + change, *bounds), old)
-                self.mechanics.density[:] = heun
+            part, factor = reach - p.done, 0.5
+            euler = moved(T * part * speed)
+            if (there := self._change()) is not None:
+                change = T * part * (speed + there) / 2
+                heun = moved(change)
                 error = self._largest(heun - euler)
-                factor = min(max(0.9 * (self._law.tolerance / max(error, TINY)) ** 0.5, 0.2), 2.0)
-                if error <= self._law.tolerance and (end := self._speed()) is not None:
+                factor = min(max(0.9 * (tolerance / max(error, TINY)) ** 0.5, 0.2), 2.0)
+                if error <= tolerance and (end := self._change()) is not None:
                     self.mass["added"] += self._grams(change)
                     self.mass["cut"] += self._grams(heun - old - change)
-                    self.seconds, self.steps = self.seconds + dt, self.steps + 1
-                    longer = factor * (reach - p.done)
-                    p.step, p.done = max(longer, p.step if reach == goal else 0.0), reach
+                    self.seconds, self.steps = self.seconds + T * part, self.steps + 1
+                    p.step, p.done = max(factor * part, p.step if reach == goal else 0.0), reach
                     return end
             self.rejected += 1
-            p.step = min(factor, 0.9) * (reach - p.done)
+            p.step = min(factor, 0.9) * part
         why = explain(self.problem, self._stepper.solver, self._outcome)
         raise ConvergenceError(why.text(stage.name, p.done, [p.step]))
-
-    def _commit(self, stage: Stage, k: int, started: float, whole: bool, last: Any) -> None:
-        """Commit and report the state of the last load case; `last` is that before; collective."""
-        problem, stepper, time = self.problem, self._stepper, k + self._progress.done
-        problem.set_time(time)
-        u, q = stepper.solver.u_and_q()
-        trial = problem.trial(u, q) if q is not None else None
-        problem.commit(trial)
-        if contact := problem.contact:
-            # Work is summed from step to step, not from the start of the stage.
-            now = contact.state
-            work = np.einsum("pi,pi->p", (now.force + last.force) / 2, now.jump - last.jump)
-            contact.state = replace(now, work=last.work + contact.own.weight * work)
-        stepper.total.steps += 1
-        stepper.total.count(self._outcome)
-        number, seconds = stepper.total.steps, clock.perf_counter() - started
-        stepper.on_step(LoadStep(number, stage.name, time, self._outcome, seconds, whole), trial)
 
     def summary(self) -> dict[str, Any]:
         """Published numbers of the state last committed; collective."""
         mass = self.mass | {"end": self.present}
-        audit = mass["end"] - mass["start"] - mass["added"] - mass["cut"]
-        return {
-            "seconds": self.seconds,
-            "steps": self.steps,
-            "rejected": self.rejected,
-            "mass": mass | {"audit": audit / mass["start"]},
-        }
+        mass["audit"] = (mass["end"] - sum(self.mass.values())) / mass["start"]
+        counts = {"steps": self.steps, "rejected": self.rejected}
+        return {"seconds": self.seconds, **counts, "mass": mass}

@@ -28,7 +28,7 @@ def invariants() -> list[Check]:
 def condensed(rows: Iterable[Check]) -> Iterator[Check]:
     """The first run of other rows, condensed onto the jumps and by a Krylov method with factors."""
     for c in rows:
-        if c.judge and within(c.tier, "default") and c.group != "floating" and "Cook" not in c.name:
+        if c.judge and within(c.tier, "default"):
             own, ways = c.runs[0].overrides, ("condensed", "direct")
             runs = [replace(c.runs[0], overrides=(*own, f"solver.linear={way}")) for way in ways]
             yield row(f"condensed/{c.name}", tuple(runs), judges.same, 1e-7, c.refusal, "long")

@@ -66,35 +66,32 @@ def even(runs: Sequence[Run], cells: Sequence[int]) -> Sample:
 
 def remodelling_problems() -> Iterator[Check]:
     """Problems of ``mantle verify``."""
-    block, press = "remodelling", "loads.press.pressure={} MPa"
-    pairs = [(3.0, START), (8.0, START), (3.0, 0.3)]
-    light = ("regions.bone.youngs_modulus=9 MPa",)
-    runs = [(press.format(p), *(light if start < START else ())) for p, start in pairs]
-    ends = [partial(grown, bone=limit(p, start)) for p, start in pairs]
+    block, press, E = (
+        "remodelling",
+        "loads.press.pressure={} MPa",
+        "regions.{}.youngs_modulus={} MPa",
+    )
+    ends = [(3.0, START, 64), (8.0, START, 64), (3.0, 0.3, 9)]
+    runs = [(press.format(p), E.format("bone", e)) for p, _, e in ends]
+    judges = [partial(grown, bone=limit(p, start)) for p, start, _ in ends]
     what = "density at the edge of the lazy zone, from above and below [g/cm3]"
-    yield problem("remodelling_ends", what, block, ends, 1e-3, runs)
-    bounds = [partial(grown, bone=b) for b in BOUNDS]
+    yield problem("remodelling_ends", what, block, judges, 1e-3, runs)
+    judges = [partial(grown, bone=b) for b in BOUNDS]
+    pressed = [(press.format(p),) for p in (0.001, 40)]
     what = "density on its bounds [g/cm3]"
-    yield problem(
-        "remodelling_bounds", what, block, bounds, 1e-12, [(press.format(p),) for p in (0.001, 40)]
-    )
-    tolerances = (1e-2, 1e-3, 1e-4)
-    yield problem(
-        "remodelling_course",
-        "density after 2 s, over the tolerance of a step, 1e-2 to 1e-4 g/cm3",
-        block,
-        [partial(on_the_way, tolerance=t) for t in tolerances],
-        0.5,
-        [("stages.1.remodels=2 s", f"remodelling.tolerance={t} g/cm^3") for t in tolerances],
-    )
+    yield problem("remodelling_bounds", what, block, judges, 1e-12, pressed)
+    what = "density after 2 s, over the tolerance of a step, 1e-2 to 1e-4 g/cm3"
+    steps = (1e-2, 1e-3, 1e-4)
+    runs = [("stages.1.remodels=2 s", f"remodelling.tolerance={t} g/cm^3") for t in steps]
+    courses = [partial(on_the_way, tolerance=t) for t in steps]
+    yield problem("remodelling_course", what, block, courses, 0.5, runs)
     what = "density of two columns under one cap [g/cm3]: exponent 0.9, both stay"
-    both = partial(
-        grown, one=limit(3.0, lazy=0.0, exponent=0.9), other=limit(3.0, lazy=0.0, exponent=0.9)
-    )
-    light = tuple(f"regions.{n}.youngs_modulus={E} MPa" for n, E in (("one", 83), ("other", 70)))
-    yield problem("remodelling_two_stay", what, "columns", both, 0.01, [(LAW.format(0.9), *light)])
+    half, all_of_it = limit(3.0, lazy=0.0, exponent=0.9), limit(6.0, lazy=0.0)
+    own = [(LAW.format(0.9), E.format("one", 83), E.format("other", 70))]
+    both = partial(grown, one=half, other=half)
+    yield problem("remodelling_two_stay", what, "columns", both, 0.01, own)
     what = "the same by exponent 2: one bears all, the other vanishes"
-    alone = partial(grown, one=limit(6.0, lazy=0.0), other=BOUNDS[0])
+    alone = partial(grown, one=all_of_it, other=BOUNDS[0])
     yield problem("remodelling_one_stays", what, "columns", alone, 0.01)
     what = "mass that is not accounted for, over all, of two columns"
     yield problem("remodelling_mass", what, "columns", balanced, 1e-10)

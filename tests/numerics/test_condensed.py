@@ -133,3 +133,11 @@ def test_cycles_begin_where_the_ones_before_lead() -> None:
     solved = support.solve(support.STEM, "mesh.order=2", walk, CONDENSED)
     first, *_, last = (step.outcome.iterations for step in solved.steps[2:])
     assert last <= 2 < first
+
+
+def test_a_body_that_floats_is_named() -> None:
+    """Its motions make the Jacobian in the jumps singular: no step leads anywhere."""
+    gaps = [f"interfaces.{name}.gap=0.1 mm" for name in ("stem_cement", "cement_bone")]
+    lifted = "interfaces.cement_bone.friction_coefficient=0.4", "loads.hip.force=[0 N, 0 N, 1 N]"
+    with pytest.raises(support.mantle.ConvergenceError, match="nothing holds body 'stem'"):
+        support.solve(support.STEM, CONDENSED, *gaps, *lifted)

@@ -1,18 +1,19 @@
-r"""Regions that set: their stress is history, not a function of strain.
+r"""Regions whose stress is history, not a function of strain: they set, creep, or both.
 
 While cement cures its stiffness grows from nearly nothing, so that strains of the liquid leave no
-stress. The law is a rate,
+stress; once set it creeps. The law is a rate,
 
-.. math:: \dot σ = g(α)\, C : (\dot ε - \dot e^* I),
+.. math:: \dot σ = g(α)\, C : (\dot ε - \dot e^* I - \dot e_c),
 
-with α the degree of cure, g the modulus over the final one and e* the free strain (expansion and
-shrinkage) since gelation. Over a step g is the mean of its values at both ends, second order in
-the step. For the step's equilibrium the region is a body of stiffness g C under the forces
+with α the degree of cure, g the modulus over the final one, e* the free strain (expansion and
+shrinkage) since gelation and e_c the creep strain of `mechanics.creep`. Over a step g is the mean
+of its values at both ends, second order in the step. For the step's equilibrium the region is a
+body of stiffness g C under the forces
 
-.. math:: -\int σ : ε(v) + \int g\, C : (ε(u) + Δe^* I) : ε(v)
+.. math:: -\int (σ - R) : ε(v) + \int g\, C : (ε(u) + Δe^* I) : ε(v)
 
-with σ, u of the last converged state. Degrees, moduli and free strains live at the vertices; stress
-at quadrature points.
+with σ, u of the last converged state and R = g C : Δe_c the stress that creep takes in the step.
+Degrees, moduli and free strains live at the vertices; stress at quadrature points.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from app.errors import InputError
 from app.laws.cure import Cure
 from app.laws.materials import Elastic
 from app.mechanics.body_forms import BodyForms, assembled_vector
+from app.mechanics.creep import CreepState
 from app.numerics.pointwise import Pointwise
 from app.numerics.saved_state import LEFT_OUT
 from app.scene.bodies import Bodies
@@ -47,53 +49,61 @@ ROWS, COLUMNS = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])
 SAME = 1e-12
 
 
-class CuringStress:
-    """Stress history of all curing regions; made collectively.
+class StressHistory:
+    """Stress history of all regions that set or creep; made collectively.
 
     Attributes:
         bodies: Bodies that hold such regions.
         points: Quadrature points in the reference cell (p, 3).
         weights: Their weights (p,).
+        creep: State of the regions that creep, if any.
 
     Raises:
-        InputError: A curing region has eigenstrains, which have no rate.
+        InputError: Such a region has eigenstrains, which have no rate.
     """
 
-    saved = ("_stress",)
+    saved = ("_stress", "creep")
 
     def __init__(self, scene: Scene, mechanics: BodyForms, bodies: Bodies, timing: Timing) -> None:
         self._mechanics = mechanics
-        regions = [c.region for c in scene.cures]
+        regions = sorted(mechanics.history)
         self._body = {r: bodies.of_region[r] for r in regions}
         self.bodies = sorted(set(self._body.values()))
         self._elastic = {e.region: e for e in scene.elastic if e.region in regions}
         for e in self._elastic.values():
             if e.eigenstrains:
                 raise InputError(
-                    f"regions.{e.region}.eigenstrains: none in a region that sets; allowed: "
-                    "shrinkage and thermal expansion"
+                    f"regions.{e.region}.eigenstrains: none in a region that sets or creeps; "
+                    "allowed: shrinkage and thermal expansion"
                 )
-        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, mechanics.varying_degree)
+        degree = mechanics.history_degree
+        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
         points, weights = (np.asarray(a, dtype=np.float64) for a in quadrature)
         self.points, self.weights = points, weights
-        element = basix.ufl.quadrature_element(
-            "tetrahedron", value_shape=(6,), degree=mechanics.varying_degree
-        )
-        self._stress = fem.Function(fem.functionspace(mechanics.mesh, element))
+        element = basix.ufl.quadrature_element("tetrahedron", value_shape=(6,), degree=degree)
+        space = fem.functionspace(mechanics.mesh, element)
+        self._stress = fem.Function(space)
+        # The stress that the step begins with: less, by what creep takes in it.
+        self._left = fem.Function(space) if scene.creeps else self._stress
         self._before = {b: fem.Function(mechanics.space) for b in self.bodies}
         self._step = {b: fem.Function(mechanics.space) for b in self.bodies}
-        self._rise = {r: fem.Function(mechanics.scalars) for r in regions}
+        free = {*mechanics.growth, *mechanics.swelling}
+        self._rise = {r: fem.Function(mechanics.scalars) for r in regions if r in free}
         # Growth and free strain of the last converged state, and those to come.
-        nodes = len(self._rise[regions[0]].x.array)
+        nodes = len(next(iter(self._rise.values())).x.array) if self._rise else 0
         with timing.phase("compile", "cure"):
             self._growth = {c.region: _growth(mechanics.mesh.comm, c, nodes) for c in scene.cures}
-        self._old = {
+        self._old = {r: (np.ones(nodes), np.zeros(nodes)) for r in self._rise} | {
             c.region: (self._growth[c.region](a=np.full(nodes, c.initial))[0], np.zeros(nodes))
             for c in scene.cures
         }
         self._new = dict(self._old)
         self.stiffen()
         self._cells = {r: mechanics.region_cells(r) for r in regions}
+        rows = {r: space.dofmap.list[cells] for r, cells in self._cells.items()}
+        self.creep = CreepState(scene, mechanics, rows, points, weights) if scene.creeps else None
+        if self.creep:
+            self.creep.row_keys = self.row_keys[self.creep.rows]
         v = ufl.TestFunction(mechanics.space)
         self._measure = mechanics.cells()
         self._forces = {b: mechanics.form(self._prestress(b, v)) for b in self.bodies}
@@ -106,15 +116,18 @@ class CuringStress:
                 )
                 for r, e in self._elastic.items()
             }
+        self._rest = self.state()
 
     def _stress_of(self, e: Elastic, ε: Any, sign: int) -> Any:
         """Stress of a strain, with the step's free strain added or subtracted."""
-        g = self._mechanics.growth[e.region]
-        ε = ε + sign * elasticity.swelling(self._rise[e.region])
-        return g * elasticity.stress(lambda x: self._mechanics.energy_density(e, x), ε)
+        if e.region in self._rise:
+            ε = ε + sign * elasticity.swelling(self._rise[e.region])
+        return self._mechanics.growth.get(e.region, 1) * elasticity.stress(
+            lambda x: self._mechanics.energy_density(e, x), ε
+        )
 
     def _regions(self, body: int) -> list[tuple[Elastic, Any]]:
-        degree = self._mechanics.varying_degree
+        degree = self._mechanics.history_degree
         return [
             (e, self._measure(self._mechanics.tagged.regions[r], degree=degree))
             for r, e in self._elastic.items()
@@ -123,7 +136,10 @@ class CuringStress:
 
     def internal_work(self, body: int, v: Any) -> Any:
         """Work of the stress of a body in a displacement v [N mm]."""
-        σ = elasticity.symmetric(list(self._stress))
+        return self._work_of(self._stress, body, v)
+
+    def _work_of(self, stress: fem.Function, body: int, v: Any) -> Any:
+        σ = elasticity.symmetric(list(stress))
         return sum(
             loads.mechanical_work(σ, elasticity.strain(v)) * dx for _, dx in self._regions(body)
         )
@@ -133,7 +149,7 @@ class CuringStress:
         mechanics, σ = self._mechanics, elasticity.symmetric(list(self._stress))
         return sum(
             ufl.inner(σ, σ)
-            / (2 * mechanics.growth[e.region] * mechanics.constant(max(e.moduli)))
+            / (2 * mechanics.growth.get(e.region, 1) * mechanics.constant(max(e.moduli)))
             * dx
             for b in self.bodies
             for e, dx in self._regions(b)
@@ -145,7 +161,7 @@ class CuringStress:
             loads.mechanical_work(self._stress_of(e, ε, 1), elasticity.strain(v)) * dx
             for e, dx in self._regions(body)
         )
-        return held - self.internal_work(body, v)
+        return held - self._work_of(self._left, body, v)
 
     def set(self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]) -> None:
         """Set degrees of cure and free strains at the end of the step, for the next `stiffen`.
@@ -154,20 +170,27 @@ class CuringStress:
             degrees: Degree of cure at the vertices of each curing region [-].
             strains: Its free strain accumulated since gelation at the vertices [-].
         """
-        self._new = {
+        self._new |= {
             r: (growth(a=degrees[r].x.array)[0], strains[r].x.array.copy())
             for r, growth in self._growth.items()
         }
 
+    def swell(self, strains: Mapping[str, fem.Function]) -> None:
+        """Set the free strains of regions that do not set, at the vertices [-]."""
+        for r, strain in strains.items():
+            if r in self._rise:
+                self._new[r] = self._old[r][0], strain.x.array.copy()
+
     def stiffen(self) -> bool:
         """Set the step's mean modulus and free strain; whether a modulus changed; collective."""
         change = 0.0
-        for r, function in self._mechanics.growth.items():
+        for r, rise in self._rise.items():
             (g0, e0), (g1, e1) = self._old[r], self._new[r]
-            mean = (g0 + g1) / 2
-            change = max(change, float(np.abs(mean - function.x.array).max(initial=0.0)))
-            function.x.array[:] = mean
-            self._rise[r].x.array[:] = e1 - e0
+            rise.x.array[:] = e1 - e0
+            if (function := self._mechanics.growth.get(r)) is not None:
+                mean = (g0 + g1) / 2
+                change = max(change, float(np.abs(mean - function.x.array).max(initial=0.0)))
+                function.x.array[:] = mean
         return bool(self._mechanics.mesh.comm.allreduce(change, MPI.MAX) > SAME)
 
     def forces(self) -> dict[int, PETSc.Vec]:
@@ -183,7 +206,7 @@ class CuringStress:
 
     @property
     def row_keys(self) -> Ints:
-        """Keys of the quadrature points of own curing cells."""
+        """Keys of the quadrature points of own cells."""
         dofs = self._stress.function_space.dofmap.list
         number = self._mechanics.mesh.topology.original_cell_index
         keys = np.full(len(self._stress.x.array) // 6, LEFT_OUT, dtype=np.int64)
@@ -203,17 +226,65 @@ class CuringStress:
         Args:
             displacements: Of each body, ghosts included.
         """
+        added, σ = self._added(displacements), self._stress.x.array.reshape(-1, 6)
+        for b in self.bodies:
+            self._before[b].x.array[:] = displacements[b].x.array
+        if c := self.creep:
+            before = σ[c.rows]
+            σ[:] = self._left.x.array.reshape(-1, 6) + added
+            c.commit(before, σ[c.rows])
+            self.relax(np.zeros_like(before), 0.0)
+        else:
+            σ += added
+        self._old = dict(self._new)
+
+    def _added(self, displacements: Sequence[fem.Function]) -> Floats:
+        """Stress that the step adds by strain and free strain at all points (n, 6) [MPa]."""
         for b in self.bodies:
             self._step[b].x.array[:] = displacements[b].x.array - self._before[b].x.array
-            self._before[b].x.array[:] = displacements[b].x.array
+        added = np.zeros((len(self._stress.x.array) // 6, 6))
         for region, expression in self._increments.items():
             cells = self._cells[region]
             if len(cells):
                 values = expression.eval(self._mechanics.mesh, cells)
                 values = values.reshape(len(cells), len(self.weights), 3, 3)
-                dofs = self._stress.function_space.dofmap.list[cells]
-                self._stress.x.array.reshape(-1, 6)[dofs] += values[..., ROWS, COLUMNS]
-        self._old = dict(self._new)
+                added[self._stress.function_space.dofmap.list[cells]] = values[..., ROWS, COLUMNS]
+        return added
+
+    # Creep
+
+    def trial(self, displacements: Sequence[fem.Function]) -> Floats:
+        """Stress at the points that creep, as if nothing crept in the step (n, 6) [MPa]."""
+        assert self.creep is not None
+        σ = self._stress.x.array.reshape(-1, 6) + self._added(displacements)
+        return np.asarray(σ[self.creep.rows])
+
+    def relax(self, taken: Floats, length: float) -> None:
+        """Set the stress that creep takes in a step of some cycles or seconds (n, 6) [MPa]."""
+        assert self.creep is not None
+        self.creep.taken, self.creep.length = taken, length
+        self._left.x.array[:] = self._stress.x.array
+        self._left.x.array.reshape(-1, 6)[self.creep.rows] -= taken
+
+    def begin(self) -> None:
+        """Return to rest, where nothing sets."""
+        self._old = {r: (g, np.zeros_like(e)) for r, (g, e) in self._old.items()}
+        self._new = dict(self._old)
+        self.go_back(self._rest)
+        if c := self.creep:
+            self.relax(np.zeros_like(c.taken), 0.0)
+
+    def state(self) -> tuple[Any, ...]:
+        """The committed state, for `go_back`."""
+        own = self._stress, *self._before.values()
+        return [f.x.array.copy() for f in own], self.creep and self.creep.state()
+
+    def go_back(self, state: tuple[Any, ...]) -> None:
+        """Return to an earlier state, with the same cure."""
+        for f, values in zip((self._stress, *self._before.values()), state[0], strict=True):
+            f.x.array[:] = values
+        if self.creep:
+            self.creep.go_back(state[1])
 
 
 def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:

@@ -1,0 +1,192 @@
+r"""Creep by strain hardening at quadrature points, exact where the stress is constant.
+
+A point of the equivalent creep strain e_0 and the trial stress s_trial ends a step of N with
+
+.. math:: s = s_{trial} - 3 G (e - e_0), \qquad e = A s^p (τ + N)^m, \qquad
+          τ = (e_0 / (A s^p))^{1/m},
+
+one equation, monotone in s: τ is when e_0 would be reached at the stress s. The flow is along the
+trial deviator. No rate appears, which would be infinite at the start (m < 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from app.mechanics.body_forms import BodyForms
+from app.scene.scene import Scene
+
+# Strain that counts as none, stress [MPa] that counts as none, least exponent m.
+NO_STRAIN, NO_STRESS, LEAST_M = 1e-30, 1e-12, 0.01
+# Newton's iterations at most, its tolerance in log s, and how far below the trial stress s may be.
+ITERATIONS, CONVERGED, DEEPEST = 60, 1e-13, 80.0
+# Shear components count twice.
+TWICE = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+
+
+def von_mises(σ: Floats) -> Floats:
+    """Equivalent stress (n,) of stresses by components (n, 6)."""
+    return np.asarray(np.sqrt(1.5 * (deviator(σ) ** 2 @ TWICE)))
+
+
+def deviator(σ: Floats) -> Floats:
+    """Stress without its mean (n, 6)."""
+    return np.asarray(σ - np.outer(σ[:, :3].mean(axis=1), [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))
+
+
+class CreepState:
+    """State of all points of this rank that creep.
+
+    Attributes:
+        rows: Number of each among all quadrature points (n,).
+        of: Slice of the points of each region.
+        strain: Equivalent creep strain (n,).
+        elapsed: Cycles or seconds so far.
+        measure, unit: Of what elapses: cycles or time.
+        dissipated: Work that creep has lost so far, on all ranks [N mm].
+        taken: Stress that creep takes in the current step (n, 6) [MPa].
+        length: Cycles or seconds of the current step.
+        row_keys: Keys of the points (n,).
+
+    Args:
+        rows: Numbers of the points by region (cells, points).
+        points: The points in the reference cell (points, 3), of some weights (points,).
+    """
+
+    saved = ("strain", "elapsed", "dissipated")
+    row_keys: Ints
+
+    def __init__(
+        self,
+        scene: Scene,
+        mechanics: BodyForms,
+        rows: Mapping[str, Ints],
+        points: Floats,
+        weights: Floats,
+    ) -> None:
+        self._mechanics, self._comm = mechanics, mechanics.mesh.comm
+        self._laws = scene.creeps
+        in_cycles = scene.creeps[0].per is None
+        self.measure, self.unit = ("cycles", "-") if in_cycles else ("time", "s")
+        elastic: dict[str, Any] = {e.region: e for e in scene.elastic}
+        self.rows = np.concatenate([rows[c.region].ravel() for c in self._laws])
+        ends = np.cumsum([0, *(rows[c.region].size for c in self._laws)])
+        self.of = {c.region: slice(*ends[k : k + 2]) for k, c in enumerate(self._laws)}
+        volumes = [mechanics.places(c.region, points, weights)[1].ravel() for c in self._laws]
+        self._volumes = np.concatenate(volumes)
+        self._shape = np.column_stack([1 - points.sum(axis=1), points])
+        n = len(self.rows)
+        self._law: dict[str, Floats] = {k: np.empty(n) for k in ("A", "p", "m0", "m1", "unit")}
+        self._modulus, self._stiff = np.empty((2, n))
+        for c in self._laws:
+            here = self.of[c.region]
+            for key in ("A", "p", "m0", "m1"):
+                self._law[key][here] = getattr(c, key)
+            self._law["unit"][here] = c.per or 1.0
+            self._modulus[here] = elastic[c.region].moduli[0]
+            self._stiff[here] = 1.5 * elastic[c.region].coefficients[1]
+        self.strain: Floats = np.zeros(n)
+        self.taken: Floats = np.zeros((n, 6))
+        self.elapsed = self.dissipated = self.length = 0.0
+
+    def elastic_strain(self, stress: Floats) -> float:
+        """Largest equivalent stress over Young's modulus; collective."""
+        found = (von_mises(stress) / self._modulus).max(initial=0.0)
+        return float(self._comm.allreduce(max(found, NO_STRAIN), MPI.MAX))
+
+    def crept(self, taken: Floats) -> Floats:
+        """Equivalent creep strain (n,) that takes a stress (n, 6) [MPa]."""
+        return von_mises(taken) / self.three_G
+
+    def numbers(self, region: str) -> dict[str, float]:
+        """Published creep strain of a region that creeps; collective."""
+        if (here := self.of.get(region)) is None:
+            return {}
+        strain, volumes = self.strain[here], self._volumes[here]
+        total, volume = self._comm.allreduce(np.array([strain @ volumes, volumes.sum()]))
+        largest = self._comm.allreduce(strain.max(initial=0.0), MPI.MAX)
+        return {"creep_strain_max": float(largest), "creep_strain_mean": float(total / volume)}
+
+    @property
+    def three_G(self) -> Floats:
+        """Three times the shear modulus at the current cure (n,) [MPa]."""
+        found = self._stiff.copy()
+        for region, here in self.of.items():
+            if (g := self._mechanics.growth.get(region)) is not None:
+                cells = self._mechanics.region_cells(region)
+                at = g.function_space.dofmap.list[cells]
+                found[here] *= (g.x.array[at] @ self._shape.T).ravel()
+        return found
+
+    def relaxed(self, trial: Floats, length: float) -> Floats:
+        """Stress that creep takes in a step, from its trial stress (n, 6) [MPa]."""
+        s, G3 = np.maximum(von_mises(trial), NO_STRESS), self.three_G
+        Δe = self._increment(s, np.asarray(length / self._law["unit"]), G3)
+        return (G3 * Δe / s)[:, None] * deviator(trial)
+
+    def _clock(self, y: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """At log stresses y: m, its slope, log τ of the strain so far, and how fast it falls."""
+        law = self._law
+        slope = law["m1"] / np.log(10)
+        m = law["m0"] + slope * y
+        slope = np.where((m > LEAST_M) & (m < 1), slope, 0.0)
+        m = np.clip(m, LEAST_M, 1.0)
+        e = np.log(np.maximum(self.strain, NO_STRAIN))
+        τ = (e - np.log(law["A"]) - law["p"] * y) / m
+        return m, slope, τ, law["p"] + slope * τ
+
+    def _increment(self, trial: Floats, N: Floats, G3: Floats) -> Floats:
+        """Creep strain of a step (n,): the root of log(s + 3 G Δe(s)) = log s_trial in y = log s.
+
+        In these terms the equation is nearly linear: Newton within bounds, halved where it leaves.
+        """
+        e = np.maximum(self.strain, NO_STRAIN)
+        goal, N = np.log(trial), np.log(N)
+        y, low, high = goal, goal - DEEPEST, goal
+        for _ in range(ITERATIONS):
+            m, slope, τ, falls = self._clock(y)
+            w = N - τ
+            g = np.logaddexp(0.0, w)
+            Δe = e * np.expm1(m * g)
+            total = np.exp(y) + G3 * Δe
+            f = np.log(total) - goal
+            low, high = np.where(f < 0, y, low), np.where(f < 0, high, y)
+            share = np.exp(-np.logaddexp(0.0, -w))
+            by_y = np.exp(y) + G3 * e * np.exp(m * g) * (slope * g + share * falls)
+            new = y - f * total / by_y
+            new = np.where((new > low) & (new < high), new, (low + high) / 2)
+            new = np.where(np.abs(f) < CONVERGED, y, new)
+            if np.array_equal(new, y):
+                break
+            y = new
+        return Δe
+
+    def first(self, stress: Floats, part: float) -> float:
+        """Cycles or seconds after which creep is a part of the elastic strain; collective."""
+        s = np.maximum(von_mises(stress), NO_STRESS)
+        m, _, τ, _ = self._clock(np.log(s))
+        e = np.maximum(self.strain, NO_STRAIN)
+        N = np.exp(τ) * np.expm1(np.log1p(part * s / self._modulus / e) / m) * self._law["unit"]
+        return float(self._comm.allreduce(N.min(initial=np.inf), MPI.MIN))
+
+    def commit(self, before: Floats, after: Floats) -> None:
+        """Commit the current step, between two stresses (n, 6) [MPa]; collective."""
+        self.strain = self.strain + self.crept(self.taken)
+        strain = 1.5 * self.taken / self.three_G[:, None]
+        work = self._volumes * ((before + after) / 2 * strain @ TWICE)
+        self.dissipated += float(self._comm.allreduce(work.sum()))
+        self.elapsed += self.length
+
+    def state(self) -> tuple[Floats, float, float]:
+        """What is committed."""
+        return self.strain, self.elapsed, self.dissipated
+
+    def go_back(self, state: tuple[Floats, float, float]) -> None:
+        """Return to an earlier state."""
+        self.strain, self.elapsed, self.dissipated = state

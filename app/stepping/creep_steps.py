@@ -1,0 +1,178 @@
+"""Creep of a stage under constant loads: steps in cycles or seconds, as long as their error allows.
+
+The stiffness stays elastic, creep being a free strain. Within a step the stress that creep takes,
+the forces that it leaves and the displacements follow one another until they agree. Each step is
+solved whole and in two halves. Their difference is its error; twice what creep takes in the halves
+less what it takes in the whole is of second order, and is kept.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from mpi4py import MPI
+
+import numpy as np
+
+from app.arrays import Floats
+from app.errors import ConvergenceError
+from app.numerics.newton import NewtonResult
+from app.numerics.remedies import solve
+from app.scene.scene import Stage
+from app.soundness.failure import explain
+from app.stepping.load_steps import LoadStepper
+
+# The most solves of a step, and the part of its tolerance by which strains may still change at its
+# end. Mostly three solves suffice: Anderson's acceleration saves 8 % of them (measured).
+SOLVES, SETTLED = 40, 0.02
+# Share of the tolerance that steps aim at, limits of their growth, and the error of a failure.
+AIM, LEAST, MOST, FAILED = 0.8, 0.2, 10.0, 16.0
+
+
+class _FailedError(Exception):
+    """A solve has not converged, or creep and displacements do not agree."""
+
+
+@dataclass
+class CreepStepper:
+    """Steps of creep beside load steps.
+
+    Attributes:
+        load_stepper: Takes the loads of a stage to their end, then commits steps of creep.
+    """
+
+    saved: ClassVar = ("_done", "_length")
+
+    load_stepper: LoadStepper
+
+    def __post_init__(self) -> None:
+        """Begin: what is done of the stage, and the length of the next step, 0 before the first."""
+        self._done = self._length = 0.0
+        self._problem, self._solver = self.load_stepper.problem, self.load_stepper.solver
+        history, creep = self._problem.history, self._problem.creep
+        assert history is not None and creep is not None
+        self._history, self._creep = history, creep
+        self._spent: list[NewtonResult] = []
+
+    def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
+        """Load at once, then creep; in equal steps if the stage is not adaptive.
+
+        Raises:
+            ConvergenceError: A step fails however short it is.
+        """
+        if not self._length:
+            self.load_stepper.run_stage(k, stage, checkpoint_point)
+            first = self._creep.first(self._stress(), stage.creep_tolerance)
+            self._length = first if stage.adaptive else stage.creep / stage.increments
+        failures = 0
+        while self._done < stage.creep:
+            started, left = clock.perf_counter(), stage.creep - self._done
+            h = left if self._length > 0.999 * left else self._length
+            try:
+                error, failures = self._step(stage, h), 0
+            except _FailedError:
+                error, failures = FAILED, failures + 1
+                if failures > stage.max_cut_backs or not stage.adaptive:
+                    text = explain(self._problem, self._solver, self._spent[-1]).text
+                    raise ConvergenceError(text(stage.name, self._part(stage), [])) from None
+            if stage.adaptive:
+                growth = AIM / math.sqrt(error) if error else MOST
+                self._length = h * min(max(growth, LEAST), MOST)
+                if error > 1.0:
+                    self.load_stepper.total.rejected += 1
+                    continue
+            self._done = stage.creep if h == left else self._done + h
+            time = k + self._part(stage)
+            self._problem.set_time(time)
+            self.load_stepper.commit(stage, time, self._outcome(), started, h == left)
+            checkpoint_point()
+        self._done = self._length = 0.0
+
+    def _part(self, stage: Stage) -> float:
+        """Part of the stage that is done: its second half is the creep, by its logarithm."""
+        log = math.log1p(self._done) / math.log1p(stage.creep)
+        return stage.loaded + (1 - stage.loaded) * log if self._done < stage.creep else 1.0
+
+    def _outcome(self) -> NewtonResult:
+        """The last solve, with the iterations of all that the step took."""
+        newton = sum(o.iterations for o in self._spent)
+        krylov = sum(o.linear_iterations for o in self._spent)
+        return replace(self._spent[-1], iterations=newton, linear_iterations=krylov)
+
+    def _stress(self) -> Floats:
+        """Stress of the current displacements, as if nothing crept in the step (n, 6) [MPa]."""
+        return self._history.trial(self._problem.displacements())
+
+    def _size(self, taken: Floats) -> float:
+        """Largest creep strain that takes a stress (n, 6) [MPa]; collective."""
+        found = float(self._creep.crept(taken).max(initial=0.0))
+        return float(self._problem.comm.allreduce(found, MPI.MAX))
+
+    def _step(self, stage: Stage, h: float) -> float:
+        """Solve a step, not yet committed; its error over the tolerance; collective.
+
+        Raises:
+            _FailedError: The state is then that before the step, as it is where the error is large.
+        """
+        x, contact, self._spent = self._solver.x.copy(), self._problem.contact, []
+        state, points = self._history.state(), contact.state if contact else None
+        scale = stage.creep_tolerance * self._creep.elastic_strain(self._stress())
+
+        def back() -> None:
+            self._history.go_back(state)
+            if contact and points:
+                contact.state = points
+
+        solved = False
+        try:
+            whole = self._settle(h, scale)
+            x.copy(self._solver.x)
+            self._problem.update_displacements(*self._solver.u_and_q())
+            halves = np.zeros_like(whole)
+            for _ in range(2):
+                halves += self._settle(h / 2, scale)
+                u, q = self._solver.u_and_q()
+                self._problem.commit(self._problem.trial(u, q) if q is not None else None)
+            error = self._size(halves - whole) / scale
+            if error <= 1.0 or not stage.adaptive:
+                back()
+                self._solve(2 * halves - whole, h)
+                solved = True
+        finally:
+            if not solved:
+                back()
+                x.copy(self._solver.x)
+                self._problem.update_displacements(*self._solver.u_and_q())
+        return error
+
+    def _settle(self, h: float, scale: float) -> Floats:
+        """Solve a step from the committed state; returns the stress that creep takes; collective.
+
+        Raises:
+            _FailedError: As `_solve`; strains have not settled, relative to a scale.
+        """
+        taken = self._creep.relaxed(self._stress(), h)
+        for _ in range(SOLVES):
+            self._solve(taken, h)
+            before, taken = taken, self._creep.relaxed(self._stress(), h)
+            if self._size(taken - before) <= SETTLED * scale:
+                return taken
+        raise _FailedError
+
+    def _solve(self, taken: Floats, h: float) -> None:
+        """Solve for a stress that creep takes in a step (n, 6) [MPa]; collective.
+
+        Raises:
+            _FailedError: Newton's method has not converged.
+        """
+        self._history.relax(taken, h)
+        self._problem.update_stiffness()
+        self._spent.append(solve(self._solver))
+        self.load_stepper.total.count(self._spent[-1])
+        if not self._spent[-1].converged:
+            raise _FailedError
+        self._problem.update_displacements(*self._solver.u_and_q())

@@ -1,0 +1,143 @@
+"""Creep: its equation at a point, restarts within a stage, units of time, what it dissipates."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from app.mechanics.creep import CreepState, deviator, von_mises
+from tests import restarted, support
+from tests.support import TWO_BLOCKS
+
+LAW = {"A": 7.985e-7, "p": 1.9063, "m0": 0.4113, "m1": -0.1160}
+# A stem that is pushed into creeping cement, unloaded for the rest: friction, contact and history.
+STEM = """
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
+  length: 24 mm, taper: 1.5 deg, sector: quarter}
+mesh: {order: 2, size: 6 mm, far_size: 8 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3, status: unverified,
+    creep: {A: 7.985e-7, p: 1.9063, m0: 0.4113, m1: -0.1160, stresses: [3 MPa, 11 MPa]}}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.1}
+supports:
+  symmetry_x: {kind: roller, boundary: symmetry_x, axis: x}
+  symmetry_y: {kind: roller, boundary: symmetry_y, axis: y}
+  table: {kind: roller, boundary: bone_bottom, axis: z}
+loads:
+  push: {kind: force, boundary: stem_top, force: [0 N, 0 N, -400 N], history: [1, 1, 0.1, 1]}
+stages:
+  - {name: stand}
+  - {name: walk, creep_cycles: 1.0e+5}
+  - {name: rest, creep_cycles: 1.0e+5}
+  - {name: stance}
+output: {fields: false}
+"""
+# A block on another of the same material, between rollers and a load.
+BAR = (
+    TWO_BLOCKS
+    + """
+regions:
+  lower: &bar
+    youngs_modulus: 2200 MPa
+    poisson_ratio: 0.3
+    creep: {A: 1.0e-6, p: 2, m0: 0.4, per: 1 s}
+  upper: *bar
+supports:
+  left: {kind: roller, boundary: x_min, axis: x}
+  front: {kind: roller, boundary: y_min, axis: y}
+  floor: {kind: roller, boundary: bottom, axis: z}
+loads:
+  push: {kind: pressure, boundary: top, pressure: 10 MPa}
+stages: [{name: hold, creep_time: 1 day}]
+output: {fields: false}
+"""
+)
+
+
+def at_points(strain: float, n: int) -> CreepState:
+    """Points of one strain so far, in a state of its own."""
+    state = object.__new__(CreepState)
+    state._law = {key: np.full(n, value) for key, value in LAW.items()} | {"unit": np.ones(n)}
+    state._stiff, state.of, state.strain = np.full(n, 2538.0), {}, np.full(n, strain)
+    return state
+
+
+@pytest.mark.parametrize("strain", [0.0, 1e-9, 1e-4, 1e-2])
+@pytest.mark.parametrize("cycles", [1.0, 1e3, 1e7])
+def test_the_equation_of_a_point_is_solved(strain: float, cycles: float) -> None:
+    """By bisection of its own, in s, over all stresses of cement; flow is along the deviator."""
+    sizes = np.array([0.01, 0.3, 5.0, 50.0])
+    σ = sizes[:, None] * np.array([[1.0, -0.2, 0.4, 0.3, 0.0, -0.5]])
+    taken = at_points(strain, len(sizes)).relaxed(σ, cycles)
+    A, p, m0, m1 = LAW.values()
+
+    def left(s: float, trial: float) -> float:
+        m = m0 + m1 * math.log10(s)
+        a = A * s**p
+        crept = a * ((strain / a) ** (1 / m) + cycles) ** m - strain
+        return trial - 3 * 846.0 * crept - s
+
+    for row, trial, stress in zip(taken, von_mises(σ), σ, strict=True):
+        s = brentq(left, 1e-3 * trial, trial, args=(trial,), xtol=1e-14, rtol=1e-14)
+        assert von_mises(row[None])[0] == pytest.approx(trial - s, rel=1e-6, abs=1e-13)
+        assert row / np.linalg.norm(row) == pytest.approx(
+            (deviator(stress[None]) / np.linalg.norm(deviator(stress[None])))[0]
+        )
+
+
+def test_a_run_goes_on_within_its_creep(tmp_path: Path) -> None:
+    """From within and between stages that creep, on to a stance; balances close; work is lost."""
+    path, checkpoints = restarted.whole(STEM, tmp_path)
+    s = support.summary(tmp_path / "whole")
+    assert max(s["balance"].values()) < 1e-9 and s["solver"]["rejected_steps"] is not None
+    table = restarted.rows(tmp_path / "whole")
+    named = {name: np.array([float(r[k]) for r in table[1:]]) for k, name in enumerate(table[0])}
+    lost = np.diff(named["creep dissipation [N mm]"])
+    assert lost.min() >= -1e-10 * lost.max() and s["creep"]["dissipation"] > 0
+    assert s["creep"]["cycles"] == 2e5 and named["creep cycles [-]"][-1] == 2e5
+    subsided = named["stem subsidence [mm]"]
+    assert np.diff(subsided[named["time [-]"] < 2]).min() > 0
+    assert any("source was not read" in note for note in s["notes"])
+    assert any("measured from 3 to 11 MPa" in note for note in s["notes"])
+    middle = [k for k, time in enumerate(named["time [-]"]) if 1.6 < time < 1.9 or time == 3.5]
+    for k in middle[::2]:
+        restarted.assert_same(restarted.on(path, tmp_path, checkpoints[k]), tmp_path / "whole")
+
+
+def test_time_in_any_unit(tmp_path: Path) -> None:
+    """A day by a law per second or per hour: A t^m; at order 2 as well."""
+    seconds = 86400.0
+    expected = 1e-6 * 10**2 * seconds**0.4
+    per_hour = f"{{A: {1e-6 * 3600**0.4!r}, p: 2, m0: 0.4, per: 1 hour}}"
+    for k, changes in enumerate(
+        (
+            (),
+            tuple(f"regions.{r}.creep={per_hour}" for r in ("lower", "upper")),
+            ("mesh.order=2",),
+        )
+    ):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        s = support.run(BAR, folder, *changes).summary
+        for region in ("lower", "upper"):
+            found = s["regions"][region]
+            assert found["creep_strain_max"] == pytest.approx(expected, rel=1e-3)
+            assert found["creep_strain_mean"] == pytest.approx(expected, rel=1e-3)
+        assert s["creep"] == {
+            "time": seconds,
+            "dissipation": pytest.approx(10 * expected * 6 * 4 * 4, rel=1e-3),
+        }
+        assert not any("measured" in note for note in s["notes"])
+
+
+def test_a_case_that_never_creeps_has_nothing_of_it() -> None:
+    """A law alone costs nothing: neither points nor forms; the stages decide."""
+    problem, _ = support.assemble(support.case(BAR, "stages=[{name: hold}]"))
+    assert problem.scene.creeps == () and problem.history is None and not problem.mechanics.history
