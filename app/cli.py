@@ -24,7 +24,7 @@ from typing import Any
 from app.command_line.commands import dispatch
 from app.command_line.parser import parser
 from app.command_line.streams import painted, silence
-from app.errors import AloneError, EnvironmentProblem, MantleError, together
+from app.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
 from app.system import ranks
 from app.system.folders import settle_cache
 from app.system.ranks import rank
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if (message := settle_cache()) and rank() == 0:
             print(f"mantle: {message}", file=sys.stderr)
         for name in filter(None, os.environ.get("MANTLE_EXTENSIONS", "").split(",")):
-            import_module(name)  # laws, loads and quantities of other packages
+            _extend(name)
         return dispatch(list(sys.argv[1:] if arguments is None else arguments))
     except MantleError as error:
         return _leave(error)
@@ -115,6 +115,25 @@ def _world() -> Any:
     if mpi is None or not mpi.Is_initialized() or mpi.Is_finalized():
         return None
     return mpi.COMM_WORLD if mpi.COMM_WORLD.size > 1 else None
+
+
+def _extend(name: str) -> None:
+    """Import laws, loads and quantities of another package.
+
+    Raises:
+        InputError: It cannot be imported.
+    """
+    try:
+        import_module(name)
+    except Exception as error:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{at.filename}:{at.lineno}"
+        if isinstance(error, SyntaxError) and error.filename:
+            place = f"{error.filename}:{error.lineno}:{error.offset}"
+        raise InputError(
+            f"{place}: MANTLE_EXTENSIONS: '{name}' cannot be imported: "
+            f"{type(error).__name__}: {error}"
+        ) from error
 
 
 def _abort(code: int) -> None:

@@ -32,7 +32,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as replace_state
-from functools import reduce
+from functools import partial, reduce
 from itertools import combinations
 from typing import Any
 
@@ -69,18 +69,29 @@ class Response:
 
     Attributes:
         force: Interface force per area (3,), of contact P(S) [MPa].
-        slope: Generalized derivative (3, 3) by the trial force S [-], or by the gap [MPa/mm].
+        by_multiplier: Its generalized derivative by the multiplier (3, 3) [-]; None: it has none.
+        by_jump: Its generalized derivative by the jump (3, 3) [MPa/mm]; None: it is a function of
+            the trial force S, and this is r times the other.
         pressures: Pressure of each face, positive in compression [MPa].
         status: OPEN, STICK or SLIP, as a number.
         history: History variables after a converged step, by name.
+        slip: Irreversible tangential motion, 0 where open (3,) [mm]. None: of contact, the
+            tangential motion while it touches; of a law without multiplier, none.
+        stored: Stored energy per area [N/mm]; None: none.
+        dissipated: Energy per area that a step dissipates [N/mm]; None: of contact, friction; of a
+            law without multiplier, none.
         energy: Augmented Lagrangian per area [N/mm], with the starred force still frozen.
     """
 
     force: Expr
-    slope: Expr
+    by_multiplier: Expr | None
+    by_jump: Expr | None
     pressures: Expr
     status: Expr
     history: Mapping[str, Expr] = field(default_factory=dict)
+    slip: Expr | None = None
+    stored: Expr | None = None
+    dissipated: Expr | None = None
     energy: Expr | None = None
 
 
@@ -121,9 +132,9 @@ def contact_law(
     r"""Law of a contact point with one to three faces (eq. 65; eq. 57 with F = 0).
 
     Args:
-        F: Multiplier (3,) [MPa]. The penalty method is the same law with F fixed at the friction
-            force of the last converged state, zero at first; `mechanics.contact` also solves it
-            otherwise.
+        F: Multiplier (3,) [MPa], of an elastic layer in series as `mechanics.contact` tells. The
+            penalty method is the same law with F fixed at the friction force of the last converged
+            state, zero at first.
         jump: Displacement of the slave minus that of the master (3,) [mm].
         gap: Vector g with g . n the initial gap of each face (3,) [mm]; negative interferes.
         jump_old: Jump of the last converged state (3,) [mm].
@@ -150,16 +161,38 @@ def contact_law(
 
     force = replace(expand_derivatives(diff(energy, d)), {S_star: S})
     slope = expand_derivatives(diff(force, f))
-    pressures = as_vector(
-        [
-            _choose(live, lambda k, f=f: live[k].pressure(f))  # type: ignore[misc]
-            for f in range(len(normals))
-        ]
-    )
-    status = _choose(live, lambda k: live[k].status())
+    pressures, status = _state(live, len(normals))
     # The labels of variables differ from run to run; without them compiled laws are found again.
     force, slope, pressures, status = map(strip_variables, (force, slope, pressures, status))
-    return Response(force, slope, pressures, status, energy=energy)
+    return Response(force, slope, None, pressures, status, energy=energy)
+
+
+def projected(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> Response:
+    """The law P of a trial force, with its state: what laws of layers and cohesion are made of.
+
+    Faces that S presses touch, at S = 0 too, where a point sticks: a law that opens there would
+    have no stiffness at rest, and bodies that nothing else holds would fly off.
+
+    Args:
+        S: Trial force (3,) [MPa], whose normal part is projected.
+        dS: Trial force whose tangential part is, S where they are the same (3,) [MPa].
+        normals: Unit normals of the faces, from master to slave, each (3,).
+        μ: Friction coefficient [-]; None without friction.
+    """
+    states = _states(S, dS, normals, μ)
+
+    def carried(k: int) -> Any:
+        t = states[k]
+        normal = _combine(components(S, [normals[f] for f in t.faces]), t.faces, normals)
+        if t.sticks is None:
+            return normal
+        size = sqrt(conditional(t.sticks, 1, inner(t.tangential, t.tangential)))
+        return normal + conditional(t.sticks, 1, t.radius / size) * t.tangential
+
+    each = [carried(k) for k in range(len(states))]
+    force = as_vector([_choose(states, partial(lambda i, k: each[k][i], i)) for i in range(3)])
+    pressures, status = _state(states, len(normals))
+    return Response(force, None, None, pressures, status)
 
 
 def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[_Touching]:
@@ -179,6 +212,15 @@ def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[
     radius, sticks = _friction(μ, p, last.tangential)
     jammed = replace_state(last, pressures=p, radius=radius, sticks=sticks, condition=None)
     return [*states, replace_state(nothing, condition=apart), jammed]
+
+
+def _state(states: Sequence[_Touching], faces: int) -> tuple[Expr, Expr]:
+    """Pressures of the faces and status of a point."""
+    pressures = [
+        _choose(states, lambda k, f=f: states[k].pressure(f))  # type: ignore[misc]
+        for f in range(faces)
+    ]
+    return as_vector(pressures), _choose(states, lambda k: states[k].status())
 
 
 def _choose(states: Sequence[_Touching], value: Callable[[int], Any]) -> Any:

@@ -207,6 +207,7 @@ add_quantity(
     _interface("dissipation", "N mm", order=MOTION, history=True),
     _interface("dissipation_min", "N mm", history=True),
     _interface("contact_work", "N mm", history=True),
+    _interface("stored_energy", "N mm", history=True),
     _region("von_mises_max", "MPa", label="von Mises max", peak=True),
     _region("von_mises_p99", "MPa", label="von Mises p99", order=STRESS, headline=True),
     _region("hoop_p99", "MPa", order=STRESS),

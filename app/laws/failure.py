@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator
 
 from app.laws.values import Source
 from app.schema.section import MAPPING, Kinds, Name, Pair, Section, fail
@@ -51,10 +51,6 @@ class FatigueLaw(Section):
     source: Source = None
     """Where it is from."""
 
-    def damage(self, s: Any) -> Any:
-        """Damage 1/N of a cycle with a largest stress s, not negative [MPa]."""
-        raise NotImplementedError
-
 
 class Power(FatigueLaw):
     """A line over the logarithms of both: log10 N = intercept - slope log10 (s / MPa)."""
@@ -66,7 +62,7 @@ class Power(FatigueLaw):
     """Decades of N that a decade of s takes."""
 
     def damage(self, s: Any) -> Any:
-        """1/N."""
+        """Damage 1/N of a cycle with a largest stress s, not negative [MPa]."""
         return s**self.slope / 10.0**self.intercept
 
 
@@ -80,7 +76,7 @@ class Logarithmic(FatigueLaw):
     """Fall of the stress for each decade of N."""
 
     def damage(self, s: Any) -> Any:
-        """1/N."""
+        """Damage 1/N of a cycle with a largest stress s, not negative [MPa]."""
         return 10.0 ** ((s - self.strength) / self.fall) * (s > 0)
 
 
@@ -117,18 +113,8 @@ class Fatigue(Section):
         SOME,
     ]
     """S-N laws side by side, by name; a life is told as the band over all of them."""
-    mean_stress: Literal["none", "goodman"] = "none"
-    """How the mean stress counts: by the range alone, or by Goodman's line to the strength."""
-    tensile_strength: Modulus | None = None
-    """Strength at which Goodman's line ends."""
-
-    @model_validator(mode="after")
-    def _line_ends(self) -> Fatigue:
-        if (self.mean_stress == "goodman") != (self.tensile_strength is not None):
-            fail(
-                "is needed by `mean_stress: goodman`, and by nothing else", at=("tensile_strength",)
-            )
-        return self
+    goodman: Modulus | None = None
+    """Strength at which Goodman's line ends; without it the mean stress does not count."""
 
     def equivalent(self, law: FatigueLaw, most: Any, least: Any) -> Any:
         r"""Largest stress s of the cycle of a law that does the damage of a cycle [MPa].
@@ -141,7 +127,7 @@ class Fatigue(Section):
         is infinite without the rule: s (1 - R) is then the range. ``most`` and ``least`` are the
         tensions of the cycle, not negative [MPa].
         """
-        strength = self.tensile_strength or float("inf")
+        strength = self.goodman or float("inf")
         left = 1.0 - (most + least) / 2 / strength
         range_ = most - least
         below = (1.0 - law.ratio) * (left * (left > 0)) + range_ * (1.0 + law.ratio) / 2 / strength

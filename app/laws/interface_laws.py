@@ -9,24 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import model_validator
 
 from app.laws.thermal import Conductance, FrictionHeating, PressureConductance
-from app.laws.values import History, LengthField
-from app.schema.section import Extensible, Kinds, fail
+from app.laws.values import History, LengthField, field
+from app.schema.expressions import Varying
+from app.schema.section import Extensible, Kinds, Section, fail
 from app.schema.units import NonNegativeNumber, PositiveStiffness
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
-    from app.arrays import Floats
+    from app.arrays import Field, Floats
     from forms.contact import Response
-
-    # Stiffness of the trial force (n,) [MPa/mm], fraction of the multiplier in it (n,) [-].
-    TrialForce = tuple[Floats | float, Floats | float]
 
 # Default ratio of the augmentation to the stiffness against a jump.
 USUAL_AUGMENTATION = 0.2
@@ -46,6 +44,8 @@ class AtPoint:
         r: Stiffness of the trial force [MPa/mm].
         values: Constants of the law, by name.
         history: History variables of the last converged state, by name.
+        live: 1, or 0 where the history is frozen: in the first solve of a step, so that no cold
+            iterate damages a point.
     """
 
     F: Expr
@@ -57,6 +57,18 @@ class AtPoint:
     r: Expr
     values: Mapping[str, Expr]
     history: Mapping[str, Expr]
+    live: Expr
+
+    def updated(self, history: Mapping[str, Expr]) -> dict[str, Expr]:
+        """History variables after the step, or the old ones where they are frozen."""
+        from ufl import as_vector, conditional, gt
+
+        def one(new: Expr, old: Expr) -> Expr:
+            if not old.ufl_shape:
+                return conditional(gt(self.live, 0.5), new, old)
+            return as_vector([one(new[i], old[i]) for i in range(len(old))])
+
+        return {name: one(history[name], old) for name, old in self.history.items()}
 
 
 class InterfaceLaw(Extensible):
@@ -66,8 +78,6 @@ class InterfaceLaw(Extensible):
         can_part: Whether the sides can move apart at all: then the interface has unknown jumps.
         can_open: Whether they can part without resistance.
         augmented: Whether its multiplier is found exactly, whatever the augmentation.
-        by_trial_force: Whether its slope is by the trial force F + r (jump + gap), else by the gap,
-            without the multiplier F.
         history: Shapes of what it remembers at a point, by name: () a scalar, (3,) a vector.
     """
 
@@ -76,7 +86,6 @@ class InterfaceLaw(Extensible):
     can_part: ClassVar[bool] = True
     can_open: ClassVar[bool] = False
     augmented: ClassVar[bool] = False
-    by_trial_force: ClassVar[bool] = True
     history: ClassVar[Mapping[str, tuple[int, ...]]] = {}
 
     conductance: Conductance | None = None
@@ -107,33 +116,50 @@ class InterfaceLaw(Extensible):
         return getattr(self, "gap", 0.0), getattr(self, "gap_history", None)
 
     @property
-    def values(self) -> Mapping[str, float]:
-        """Numbers of the law, which may differ between laws of the same form."""
-        return {name: v for name, v in self._own().items() if isinstance(v, float)}
+    def layer(self) -> tuple[float, float] | None:
+        """Stiffness across and along an elastic layer in series [MPa/mm]; None without."""
+        return None
+
+    @property
+    def values(self) -> Mapping[str, float | str]:
+        """Numbers of the law, or expressions; they may differ between laws of one form."""
+        return {name: v for name, v in self._own().items() if self._varies(name, v)}
 
     @property
     def form(self) -> Hashable:
         """Key of compiled code shared by laws: the class, and fields that are no numbers."""
-        return type(self), *((n, v) for n, v in self._own().items() if not isinstance(v, float))
+        return type(self), *((n, v) for n, v in self._own().items() if not self._varies(n, v))
 
     def _own(self) -> dict[str, Any]:
         """Fields added by the subclass."""
         names = type(self).model_fields.keys() - InterfaceLaw.model_fields
         return {name: getattr(self, name) for name in sorted(names)}
 
+    def _varies(self, name: str, value: object) -> bool:
+        return isinstance(value, float) or self._mark(name) is not None
+
+    def _mark(self, name: str) -> Varying | None:
+        known = type(self).model_fields.get(name)
+        marks = (m for m in (known.metadata if known else ()) if isinstance(m, Varying))
+        return next(marks, None)
+
+    def fields(self, interface: str) -> dict[str, Field]:
+        """The values (n,) at points of an interface, by name."""
+        key = f"interfaces.{interface}."
+        return {n: field(key + n, v, self._mark(n)) for n, v in self.values.items()}
+
     def response(self, at: AtPoint) -> Response:
         """Force and derivative of the law."""
         raise NotImplementedError
 
-    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
-        """Stiffness of the trial force (n,) [MPa/mm], fraction of the multiplier in it (n,) [-].
+    def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
+        """Stiffness r of the trial force (n,) [MPa/mm].
 
         Args:
             met: Stiffness per area against the jump of each point (n,) [MPa/mm].
             factor: Default ratio of the augmentation to that.
-            softening: Share to which the solver reduces the stiffness.
         """
-        return softening * (factor * met), float(self.by_trial_force)
+        return factor * met
 
 
 class Bonded(InterfaceLaw):
@@ -157,6 +183,7 @@ class Unilateral(InterfaceLaw):
     """Unilateral contact with Coulomb friction, however it is enforced (`forms.contact`)."""
 
     can_open: ClassVar[bool] = True
+    augmented: ClassVar[bool] = True
 
     friction_coefficient: NonNegativeNumber
     """Coulomb's coefficient; 0 for none."""
@@ -180,7 +207,7 @@ class Unilateral(InterfaceLaw):
         return "contact", self.friction > 0
 
     @property
-    def values(self) -> Mapping[str, float]:
+    def values(self) -> Mapping[str, float | str]:
         """The friction coefficient."""
         return {"μ": self.friction} if self.friction > 0 else {}
 
@@ -192,40 +219,45 @@ class Unilateral(InterfaceLaw):
         return contact_law(*state, at.normals, at.values.get("μ"), at.r)
 
 
+class Compliance(Section):
+    """An elastic layer in series with contact."""
+
+    normal: PositiveStiffness
+    """Pressure per approach."""
+    tangential: PositiveStiffness
+    """Shear per elastic shift."""
+
+
 class Coulomb(Unilateral):
     """Unilateral contact with Coulomb friction, exactly: augmented Lagrangian."""
 
-    augmented: ClassVar[bool] = True
-
     kind: Literal["contact"] = "contact"
+    compliance: Compliance | None = None
+    """Elastic layer in series with contact; none by default. Slip is what is not elastic."""
     augmentation: PositiveStiffness | None = None
     """Augmentation parameter r, chosen by default; results do not depend on it."""
 
-    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
-        """With the given augmentation, or the default."""
-        full = factor * met if self.augmentation is None else self.augmentation
-        return softening * full, 1.0
+    @property
+    def layer(self) -> tuple[float, float] | None:
+        """The stiffnesses of `compliance`."""
+        return (c.normal, c.tangential) if (c := self.compliance) else None
+
+    def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
+        """The given augmentation, or the default."""
+        return factor * met if self.augmentation is None else self.augmentation
 
 
 class Penalty(Unilateral):
-    """Unilateral contact with Coulomb friction by penalty: it penetrates by pressure / penalty."""
-
-    # A penalty ε is exact contact of D - (F - F_old) / ε: S = F + r (D - (F - F_old) / ε) yields it
-    # for any r. With the usual r = ε, S does not depend on F. A smaller r converges as easily as
-    # without penalty, to the same solution.
+    """Contact through an elastic layer as stiff along as across: it penetrates."""
 
     kind: Literal["penalty"] = "penalty"
     penalty: PositiveStiffness
     """Pressure per penetration."""
 
-    def trial_force(self, met: Floats, factor: float, softening: float) -> TrialForce:
-        """At most the penalty: above it, the multiplier enters with a negative sign."""
-        import numpy as np
-
-        if softening == 1.0:
-            return self.penalty, 0.0
-        softer = np.minimum(softening * USUAL_AUGMENTATION * met, self.penalty)
-        return softer, 1.0 - softer / self.penalty
+    @property
+    def layer(self) -> tuple[float, float]:
+        """The penalty twice."""
+        return self.penalty, self.penalty
 
 
 class Traction(InterfaceLaw):
@@ -234,23 +266,33 @@ class Traction(InterfaceLaw):
     A subclass declares its keys, which stand for UFL scalars in `traction`, its formula.
     """
 
-    by_trial_force: ClassVar[bool] = False
-
     def traction(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
         """Force per area that resists a gap (3,) [MPa].
 
         Args:
             gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
             normals: Unit normals of the point's faces, from master to slave, each (3,).
-            history: Variables of the last converged state, by name.
+            history: History variables at the gap, as `remembered` returns them, by name.
         """
         raise NotImplementedError
 
     def remembered(
         self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]
     ) -> Mapping[str, Expr]:
-        """History variables after a converged step, by name (`history`)."""
+        """History variables at a gap, by name, from those of the last converged state."""
         return {}
+
+    def stored(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
+        """Stored energy per area [N/mm]; none by default."""
+        return None
+
+    def dissipated(self, new: Mapping[str, Expr], old: Mapping[str, Expr]) -> Expr:
+        """Energy per area that a step dissipates [N/mm], by its history; none by default."""
+        return None
+
+    def slip(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
+        """Irreversible tangential motion (3,) [mm]; none by default."""
+        return None
 
     def status(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
         """State of a point: OPEN, STICK or SLIP of `forms.contact`, or numbers from 3 of its own.
@@ -267,19 +309,28 @@ class Traction(InterfaceLaw):
         """Force and its derivative by the gap."""
         from ufl import as_ufl, as_vector, diff, variable
         from ufl.algorithms import expand_derivatives, strip_variables
+        from ufl.core.expr import Expr
 
         from forms.contact import Response, components
 
         law = self.model_copy(update=dict(at.values))
         gap = variable(at.jump + at.gap)
-        force = law.traction(gap, at.normals, at.history)
-        slope = expand_derivatives(diff(force, gap))
-        pressures = as_vector([-p for p in components(force, at.normals)])
-        status = as_ufl(law.status(gap, at.normals, at.history))
-        history = law.remembered(gap, at.normals, at.history)
-        stripped = {name: strip_variables(e) for name, e in history.items()}
-        force, slope, pressures, status = map(strip_variables, (force, slope, pressures, status))
-        return Response(force, slope, pressures, status, stripped)
+        history = at.updated(law.remembered(gap, at.normals, at.history))
+        here = gap, at.normals, history
+        force = law.traction(*here)
+        found = Response(
+            force=force,
+            by_multiplier=None,
+            by_jump=expand_derivatives(diff(force, gap)),
+            pressures=as_vector([-p for p in components(force, at.normals)]),
+            status=as_ufl(law.status(*here)),
+            slip=law.slip(*here),
+            stored=law.stored(*here),
+            dissipated=law.dissipated(history, at.history),
+        )
+        plain = {n: strip_variables(e) for n, e in vars(found).items() if isinstance(e, Expr)}
+        history = {n: strip_variables(e) for n, e in history.items()}
+        return replace(found, **plain, history=history)
 
 
 Interface = Annotated[InterfaceLaw, Kinds()]

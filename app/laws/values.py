@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, PrivateAttr
+from pydantic_core import PydanticCustomError
 
 from app.errors import InputError
 from app.schema.expressions import Varying, evaluate
@@ -16,6 +17,9 @@ from app.schema.units import Dimension, Number
 if TYPE_CHECKING:
     from app.arrays import Field, Floats
 
+StiffnessField = Annotated[
+    float | str, Varying(Dimension("MPa/mm", "a stiffness per area", "100 MPa/mm", above=0.0))
+]
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
 # How sure values are, and where they are from.
 Status = Literal["measured", "assumed", "unverified"] | None
@@ -68,8 +72,11 @@ T = TypeVar("T")
 OverTime = Annotated[tuple[T, ...], ITEMS, AfterValidator(rising("time"))]
 
 
-def field(key: str, value: float | str | Field) -> Field:
-    """A value or an expression of a key as a function of points (n, 3): shape (n,)."""
+def field(key: str, value: float | str | Field, mark: Varying | None = None) -> Field:
+    """A value or an expression of a key as a function of points (n, 3): shape (n,).
+
+    Values are within the bounds of a mark, if any.
+    """
     if callable(value):
         return value
 
@@ -79,8 +86,14 @@ def field(key: str, value: float | str | Field) -> Field:
         if not isinstance(value, str):
             return np.full(len(x), value)
         try:
-            return evaluate(value, x)
-        except InputError as error:
+            found = evaluate(value, x)
+            if mark is not None and len(found):
+                for k in {int(found.argmin()), int(found.argmax())}:
+                    place = ", ".join(f"{c:g}" for c in x[k])
+                    bounds, shown = mark.constant, f"{found[k]:g} at ({place}) mm"
+                    bounds.check(found[k], shown, bounds.unit)
+            return found
+        except (InputError, PydanticCustomError) as error:
             raise InputError(f"{key}: {error}") from error
 
     return at

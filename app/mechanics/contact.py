@@ -84,11 +84,19 @@ class TrialState:
         nearly = gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None]
         return np.asarray((self.law.pressures > 0) | nearly)
 
-    def sliding(self, motion: Floats) -> Floats:
-        """Tangential part of a motion where points touch, 0 where they are open (n, 3) [mm].
+    def slip(self, friction: Floats) -> Floats:
+        """Irreversible tangential motion, under friction (n, 3) [MPa]: (n, 3) [mm].
 
-        That of the whole jump is the slip, d_T of eq. 3. It is a state: it has no history.
+        That of contact, d_T of eq. 3 without what is elastic, is a state: it has no history.
         """
+        slid = self.sliding(self.jump - self._elastic(friction))
+        return np.where(self.contact.law.slides[:, None], slid, self.law.told["slip"])
+
+    def _elastic(self, friction: Floats) -> Floats:
+        return np.einsum("pij,pj->pi", self.contact.law.compliance, friction)
+
+    def sliding(self, motion: Floats) -> Floats:
+        """Tangential part of a motion where points touch, 0 where they are open (n, 3) [mm]."""
         touching = (self.contact.law.can_open & (self.law.status != OPEN))[:, None]
         along = self.contact.own.tangential(motion, self._closed(motion))
         return np.where(touching, along, 0.0)
@@ -105,21 +113,28 @@ class TrialState:
 
         Contact without tension does no work in its total gap (jump and initial gap; a changing gap
         does work in the jump), so ``contact_work`` is the error of load steps in which points close
-        or open. For a penalty it is the energy of its springs, r/2 g^2 per area, which is released
-        when they open; their tangential part is not slip and is subtracted from the dissipation.
+        or open. In it is the energy of a layer across, which is released when it opens.
         """
         c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.own.weight
         step, opening = self.jump - old.jump, self.jump + c.gap
         force = c.forces(self.equilibrium)
         normal = np.einsum("pk,pki->pi", law.pressures, c.own.normals)
-        dissipated = weight * np.einsum("pi,pi->p", *self.rubbing())
+        friction = force + normal
+        told, slip = law.told, self.slip(friction)
+        rubbed = np.einsum("pi,pi->p", *self.rubbing())
+        dissipated = weight * (told["dissipated"] + rubbed)
+        soft = np.einsum("pi,pij,pj->p", force, c.law.compliance, force) / 2
+        slid = self.sliding(step - self._elastic(friction - old.friction))
+        slid = np.where(c.law.slides[:, None], slid, slip - old.slip)
         pushed = np.einsum("pi,pi->p", old.force - old.friction - normal, opening - old.opening) / 2
         return ContactState(
             jump=self.jump.copy(),
             force=force,
-            friction=force + normal,
+            friction=friction,
             opening=opening,
-            path=old.path + np.linalg.norm(self.sliding(step), axis=1),
+            slip=slip,
+            path=old.path + np.linalg.norm(slid, axis=1),
+            stored=weight * (told["stored"] + soft),
             dissipation=old.dissipation + dissipated,
             least=np.minimum(old.least, dissipated),
             contact_work=old.contact_work + weight * pushed,
@@ -254,14 +269,17 @@ class ContactInterfaces:
         The default augmentation is ``augmentation_factor`` times the local stiffness per area.
         """
         self._contacts = contacts
-        laws = [c.law for c in contacts]
-        self.law.begin(laws, augmentation_factor, self.coupling.local_stiffness())
-        full = np.zeros(len(self.points.weight))
-        for i, c in enumerate(contacts):
+        fields = [{"gap": c.gap, **c.values} for c in contacts]
+        values = {name: np.zeros(len(self.points.weight)) for every in fields for name in every}
+        for i, every in enumerate(fields):
             # On every rank at all points, so that an error is raised on every rank.
             here = self.points.interface == i
-            full[here] = c.gap(self.points.x[here])
-        self._full_gap = full[self.own.rows]
+            for name, at in every.items():
+                values[name][here] = at(self.points.x[here])
+        own = {name: full[self.own.rows] for name, full in values.items()}
+        self._full_gap = own["gap"]
+        laws = [c.law for c in contacts]
+        self.law.begin(laws, own, augmentation_factor, self.coupling.local_stiffness())
         self.set_time(0.0)
         self.state: ContactState = ContactState.at_rest(self.gap, self.law.history)
 
@@ -297,10 +315,15 @@ class ContactInterfaces:
                 tied |= here
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
 
-    def augmentation(self, trial: bool = False) -> dict[str, float]:
+    def augmentation(self) -> dict[str, float]:
         """As `PointLaw.augmentation`, by the name of the interface; collective."""
-        values = self.law.augmentation(trial)
+        values = self.law.augmentation()
         return {self._contacts[i].name: value for i, value in values.items()}
+
+    def freeze(self, on: bool) -> bool:
+        """Hold the history of the laws at its last state, or let it go on; whether there is any."""
+        self.law.frozen = on and bool(self.law.history)
+        return bool(self.law.history)
 
     def usual_augmentation(self) -> float:
         """As `PointLaw.usual_augmentation`; collective."""
@@ -329,8 +352,8 @@ class ContactInterfaces:
             return TrialState(self, e, jump, self.evaluate(e, jump))
         law = self.evaluate(-self.own.weight[:, None] * known, jump)
         change = self.forces(e) - self.own.project_free(known)
-        change = self.law.multiplier_share[:, None] * change
-        force = law.force + np.einsum("pij,pj->pi", law.jacobian, change)
+        by_force = law.by_multiplier @ self.law.multiplier_share
+        force = law.force + np.einsum("pij,pj->pi", by_force, change)
         return TrialState(self, e, jump, replace(law, force=force))
 
     def forces(self, e: Floats) -> Floats:
@@ -338,9 +361,13 @@ class ContactInterfaces:
         return self.own.project_free(-e / self.own.weight[:, None])
 
     def multiplier(self, e: Floats) -> Floats:
-        """Multiplier part of the trial force (n, 3) [MPa]; of a penalty the last friction alone."""
-        share = self.law.multiplier_share[:, None]
-        return share * self.forces(e) + (1 - share) * self.state.friction
+        """Multiplier part of the trial force (n, 3) [MPa].
+
+        An elastic layer of compliance C is exact contact of D - C (F - F_old), across without
+        F_old: S = F + r (D - C (F - F_old)) yields it for any r.
+        """
+        F, layers = self.forces(e), np.eye(3) - self.law.multiplier_share
+        return F - np.einsum("pij,pj->pi", layers, F - self.state.friction)
 
     def evaluate(self, e: Floats, q: Floats) -> PointForces:
         """The laws at own points for equilibrium and jumps."""
@@ -357,7 +384,7 @@ class ContactInterfaces:
         """Blocks (n, 3, 3) that multiply [C^T, D], and those added to D, in the Jacobian rows."""
         held, weight = self.own.projector, self.own.weight
         free = np.eye(3) - held
-        P, by_jump = free @ law.jacobian @ free, free @ law.by_jump @ free
+        P = free @ law.by_multiplier @ self.law.multiplier_share @ free
+        by_jump = free @ law.by_jump @ free
         scale = (self.law.stiffness * weight)[:, None, None]
-        times = free - self.law.multiplier_share[:, None, None] * P
-        return times, weight[:, None, None] * by_jump + scale * held
+        return free - P, weight[:, None, None] * by_jump + scale * held

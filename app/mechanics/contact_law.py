@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -19,7 +19,7 @@ from ufl.core.expr import Expr
 
 from app.arrays import Floats, Ints
 from app.laws import interface_laws
-from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, InterfaceLaw
+from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, InterfaceLaw, Unilateral
 from app.mechanics.contact_points import ContactState, OwnPoints
 from app.numerics import pointwise
 from app.numerics.pointwise import Pointwise
@@ -27,6 +27,8 @@ from app.system.timing import Timing
 from forms import contact
 from forms.contact import STICK
 
+# What a law may tell of a point, with its shape.
+TOLD: dict[str, tuple[int, ...]] = {"slip": (3,), "stored": (), "dissipated": ()}
 # The modules that define a law, beside its own: a change of their text makes it another law.
 SOURCES = (contact, interface_laws, pointwise, sys.modules[__name__])
 
@@ -37,20 +39,25 @@ class PointForces:
 
     Attributes:
         force: Interface force per area (n, 3) [MPa].
-        jacobian: Its generalized derivative by the trial force, or its replacement: the part of a
-            change of the jump that is resisted (n, 3, 3) [-].
+        by_multiplier: Its generalized derivative by the multiplier (n, 3, 3) [-].
         by_jump: Its generalized derivative by the jump (n, 3, 3) [MPa/mm].
+        resisted: Part of a change of the jump that is resisted (n, 3, 3) [-]: of contact, the first
+            derivative.
         pressures: Pressure on each face, positive in compression (n, 3) [MPa].
         status: OPEN, STICK or SLIP (n,).
         history: New values of the history variables of the laws, by name: (n, ...).
+        told: Slip (n, 3) [mm], stored energy and dissipation of the step (n,) [N/mm] of laws that
+            tell them, by name, 0 elsewhere.
     """
 
     force: Floats
-    jacobian: Floats
+    by_multiplier: Floats
     by_jump: Floats
+    resisted: Floats
     pressures: Floats
     status: Ints
-    history: Mapping[str, Floats] = field(default_factory=dict)
+    history: Mapping[str, Floats]
+    told: Mapping[str, Floats]
 
 
 # Rows of points with the same number of faces and laws of the same form, with their compiled law.
@@ -66,19 +73,30 @@ class PointLaw:
         tied: Points that stick whatever their law (n,).
         default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
         stiffness: The one in force (n,) [MPa/mm].
-        multiplier_share: Part of the equilibrium force in the trial force: 1 for an
-            augmentation (n,).
+        compliance: That of the elastic layer in series (n, 3, 3) [mm/MPa].
+        multiplier_share: Factor of the equilibrium force in the trial force (n, 3, 3): 1 without
+            a layer.
+        slides: Whether contact tells the slip, or the law does (n,).
+        frozen: Whether the history of the laws is held at its last state.
     """
+
+    frozen = False
 
     def __init__(self, comm: MPI.Comm, own: OwnPoints, timing: Timing) -> None:
         self._comm, self._own, self._timing = comm, own, timing
         self._known: dict[tuple[Hashable, ...], list[Group]] = {}
 
-    def begin(self, laws: Sequence[InterfaceLaw], factor: float, local_stiffness: Floats) -> None:
+    def begin(
+        self,
+        laws: Sequence[InterfaceLaw],
+        values: Mapping[str, Floats],
+        factor: float,
+        local_stiffness: Floats,
+    ) -> None:
         """Set the laws of a run, compiled once for all of the same form; collective.
 
-        The default augmentation is ``factor`` times the local stiffness (as of `update_stiffness`)
-        per area.
+        Their constants have values at own points (n,). The default augmentation is ``factor`` times
+        the local stiffness (as of `update_stiffness`) per area.
         """
         own, forms = self._own, tuple(law.form for law in laws)
         if forms not in self._known:
@@ -87,14 +105,19 @@ class PointLaw:
         self._factor, self._groups = factor, self._known[forms]
         self._laws = [(law, own.interface == i) for i, law in enumerate(laws)]
         for rows, law, compiled in self._groups:
-            for name in law.values:
-                each = np.array([other.values.get(name, 0.0) for other in laws])
-                compiled.set(**{name: each[own.interface[rows]]})
+            constants: dict[str, Any] = {name: values[name][rows] for name in law.values}
+            compiled.set(**constants)
         self.history = {k: shape for law in laws for k, shape in law.history.items()}
         self.can_open = np.array([law.can_open for law in laws])[own.interface]
         self.frictional = np.array([law.friction > 0 for law in laws])[own.interface]
+        self.slides = np.array([isinstance(law, Unilateral) for law in laws])[own.interface]
         self.tied = np.zeros(len(own), dtype=bool)
         self._scale = 1.0
+        self._softest = np.array([min(law.layer or (np.inf,)) for law in laws])[own.interface]
+        self.compliance = np.zeros((len(own), 3, 3))
+        for law, here in self._laws:
+            if law.layer is not None:
+                self.compliance[here] = _compliance(own.normals[here], own.faces[here], *law.layer)
         self.update_stiffness(local_stiffness)
 
     def _compiled(self, laws: Sequence[InterfaceLaw]) -> list[Group]:
@@ -120,25 +143,24 @@ class PointLaw:
             local_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
         self._point_stiffness = np.linalg.eigvalsh(local_stiffness)[:, 0] / self._own.weight
-        self.default_stiffness = self._trial_force(1.0)[0]
+        self.default_stiffness = self._softest.copy()
+        for law, here in self._laws:
+            # Above a layer's own, the multiplier would enter with a negative sign.
+            r = law.trial_stiffness(self._point_stiffness[here], self._factor)
+            self.default_stiffness[here] = np.minimum(r, self._softest[here])
         self.scale_augmentation(self._scale)
 
     def scale_augmentation(self, factor: float) -> None:
         """Multiply the default augmentation by a factor, until the next call."""
         self._scale = factor
-        self.stiffness, self.multiplier_share = self._trial_force(factor)
-
-    def _trial_force(self, softening: float) -> tuple[Floats, Floats]:
-        stiffness, share = np.zeros((2, len(self._own)))
-        for law, here in self._laws:
-            met = self._point_stiffness[here]
-            stiffness[here], share[here] = law.trial_force(met, self._factor, softening)
-        return stiffness, share
+        self.stiffness = factor * self.default_stiffness
+        layers = self.stiffness[:, None, None] * self.compliance
+        self.multiplier_share = np.eye(3) - layers
 
     def usual_augmentation(self) -> float:
         """Default augmentation over the one in the case, in the mean; collective."""
         here = np.array([law.augmented for law, _ in self._laws])[self._own.interface]
-        usual = USUAL_AUGMENTATION * self._point_stiffness[here]
+        usual = np.minimum(USUAL_AUGMENTATION * self._point_stiffness, self._softest)[here]
         own = np.array_equal(usual, self.default_stiffness[here])
         if self._comm.allreduce(own, MPI.LAND):
             return 1.0
@@ -146,17 +168,12 @@ class PointLaw:
         total, count = self._comm.allreduce(np.array([logs, here.sum()]), MPI.SUM)
         return float(np.exp(total / count)) if count else 1.0
 
-    def augmentation(self, trial: bool) -> dict[int, float]:
-        """Augmentation or penalty of each interface that can open [MPa/mm]; collective.
-
-        Args:
-            trial: Return the stiffness that penalties are solved with, not their own.
-        """
+    def augmentation(self) -> dict[int, float]:
+        """Augmentation of each interface that can open [MPa/mm]; collective."""
         values = {}
         for i, (law, here) in enumerate(self._laws):
             if law.can_open:
-                stiffness = self.stiffness if law.augmented or trial else self.default_stiffness
-                local = float(stiffness[here].max(initial=0.0))
+                local = float(self.stiffness[here].max(initial=0.0))
                 values[i] = float(self._comm.allreduce(local, MPI.MAX))
         return values
 
@@ -173,29 +190,39 @@ class PointLaw:
             "gap": gap,
             "old": own.project_free(state.jump),
             "r": r,
+            "live": np.full(n, float(not self.frozen)),
         }
         out = PointForces(
-            np.zeros((n, 3)),
-            np.zeros((n, 3, 3)),
-            np.zeros((n, 3, 3)),
-            np.zeros((n, 3)),
-            np.zeros(n, dtype=np.int64),
-            {name: values.copy() for name, values in state.own.items()},
+            force=np.zeros((n, 3)),
+            by_multiplier=np.zeros((n, 3, 3)),
+            by_jump=np.zeros((n, 3, 3)),
+            resisted=np.zeros((n, 3, 3)),
+            pressures=np.zeros((n, 3)),
+            status=np.zeros(n, dtype=np.int64),
+            history={name: values.copy() for name, values in state.own.items()},
+            told={name: np.zeros((n, *shape)) for name, shape in TOLD.items()},
         )
         for rows, law, compiled in self._groups:
             known = inputs | {name: state.own[name] for name in law.history}
-            f, slope, p, s, *left = compiled(None, **{k: v[rows] for k, v in known.items()})
+            values = compiled(None, **{k: v[rows] for k, v in known.items()})
+            found = dict(zip(compiled.outputs, values, strict=True))
             stiffness = r[rows, None, None]
-            out.force[rows] = f
-            if law.by_trial_force:
-                out.jacobian[rows], out.by_jump[rows] = slope, stiffness * slope
-            else:
-                out.jacobian[rows] = slope @ np.linalg.inv(slope + stiffness * np.eye(3))
-                out.by_jump[rows] = slope
+            out.force[rows] = found["force"]
+            slope = found.get("by_multiplier", 0.0)
+            out.by_multiplier[rows] = slope
+            along = out.by_jump[rows] = (
+                found["by_jump"] if "by_jump" in found else stiffness * slope
+            )
+            out.resisted[rows] = slope
+            if "by_jump" in found:
+                out.resisted[rows] = along @ np.linalg.inv(along + stiffness * np.eye(3))
+            p = found["pressures"]
             out.pressures[rows, : p.shape[1]] = p
-            out.status[rows] = np.rint(s).astype(np.int64)
-            for name, values in zip(law.history, left, strict=True):
-                out.history[name][rows] = values
+            out.status[rows] = np.rint(found["status"]).astype(np.int64)
+            for name in law.history:
+                out.history[name][rows] = found[f"new {name}"]
+            for name in TOLD.keys() & found.keys():
+                out.told[name][rows] = found[name]
         if self.tied.any():
             self._tie(out, force, jump + gap, state.jump)
         return out
@@ -205,7 +232,7 @@ class PointLaw:
         slid = own.tangential(old, np.ones((len(own), 3), dtype=bool))
         trial = force + self.stiffness[:, None] * (opening - slid)
         out.force[tied] = own.project_free(trial)[tied]
-        out.jacobian[tied] = np.eye(3)
+        out.by_multiplier[tied] = out.resisted[tied] = np.eye(3)
         out.by_jump[tied] = (self.stiffness[:, None, None] * np.eye(3))[tied]
         out.status[tied] = STICK
 
@@ -215,16 +242,19 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     faces = [f"normal_{k}" for k in range(normals.shape[1])]
     vectors = ["force", "jump", "gap", "old", "star", *faces]
 
-    def build(x: dict[str, Expr]) -> tuple[Expr, ...]:
+    def build(x: dict[str, Expr]) -> dict[str, Expr]:
         values = {name: x[name] for name in law.values}
         history = {name: x[name] for name in law.history}
         state = (x["force"], x["jump"], x["gap"], x["old"], x["star"])
-        at = AtPoint(*state, [x[f] for f in faces], x["r"], values, history)
-        found = law.response(at)
-        left = [as_ufl(found.history[name]) for name in law.history]
-        return found.force, found.slope, found.pressures, found.status, *left
+        found = law.response(
+            AtPoint(*state, [x[f] for f in faces], x["r"], values, history, x["live"])
+        )
+        slopes = ("force", "by_multiplier", "by_jump", "pressures", "status")
+        told = {name: getattr(found, name) for name in (*slopes, *TOLD)}
+        told |= {f"new {name}": as_ufl(e) for name, e in found.history.items()}
+        return {name: e for name, e in told.items() if e is not None}
 
-    sizes = dict.fromkeys(vectors, 3) | dict.fromkeys((*law.values, "r"), 1)
+    sizes = dict.fromkeys(vectors, 3) | dict.fromkeys((*law.values, "r", "live"), 1)
     sizes |= {name: int(np.prod(shape)) for name, shape in law.history.items()}
     module = sys.modules[type(law).__module__]
     known = getattr(module, "__file__", None) is not None
@@ -233,6 +263,16 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     constant: dict[str, Any] = {f: normals[:, k] for k, f in enumerate(faces)}
     compiled.set(**constant)
     return compiled
+
+
+def _compliance(normals: Floats, faces: Ints, across: float, along: float) -> Floats:
+    """Compliance (n, 3, 3) [mm/MPa] of a layer with two stiffnesses [MPa/mm].
+
+    Faces share the area of a point: their stiffnesses are averaged.
+    """
+    across_all = np.einsum("pki,pkj->pij", normals, normals)
+    mean = across_all / np.maximum(faces, 1)[:, None, None]
+    return np.linalg.inv(along * np.eye(3) + (across - along) * mean)
 
 
 def gap_vectors(normals: Floats, faces: Ints, gap: Floats) -> Floats:

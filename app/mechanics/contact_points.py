@@ -70,8 +70,10 @@ class ContactState:
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
         friction: Friction part of the force (n, 3) [MPa].
         opening: Jump plus initial gap (n, 3) [mm].
+        slip: Irreversible tangential motion, 0 where open (n, 3) [mm].
         path: Length of the path of sliding in contact (n,) [mm].
-        dissipation: Friction dissipation so far (n,) [N mm].
+        stored: Energy stored by laws of interfaces (n,) [N mm].
+        dissipation: Dissipation so far (n,) [N mm].
         least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening so far (n,) [N mm].
         work: Work of the whole interface force in the jump so far (n,) [N mm].
@@ -82,7 +84,9 @@ class ContactState:
     force: Floats
     friction: Floats
     opening: Floats
+    slip: Floats
     path: Floats
+    stored: Floats
     dissipation: Floats
     least: Floats
     contact_work: Floats
@@ -94,7 +98,7 @@ class ContactState:
         """Unloaded state, for a gap (n, 3) and the shapes of the laws' history."""
         zero, none = np.zeros_like(gap), np.zeros(len(gap))
         own = {name: np.zeros((len(gap), *shape)) for name, shape in history.items()}
-        return cls(zero, zero, zero, gap, none, none, none, none, none, own)
+        return cls(zero, zero, zero, gap, zero, none, none, none, none, none, none, own)
 
 
 def prescribed_jump(points: ContactPoints, number: int, support: Support) -> Floats:

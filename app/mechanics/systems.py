@@ -199,7 +199,7 @@ class ContactSystem(BondedSystem):
         if self._coarse_version != version:
             self._coarse, self._coarse_version = sliding_motions(self._problem), version
         allowing = np.eye(3) - self.contact.own.projector
-        self._coarse.update(allowing @ free_directions(self.trial.law.jacobian) @ allowing)
+        self._coarse.update(allowing @ free_directions(self.trial.law.resisted) @ allowing)
         return self._coarse
 
     @property

@@ -41,6 +41,8 @@ from app import files
 from app.arrays import Floats, Ints
 from app.system import folders, form_cache
 
+# What is compiled: expressions by name or in order, from inputs by name.
+Build = Callable[[dict[str, Expr]], Mapping[str, Expr] | Sequence[Expr]]
 # Names that ffcx gives.
 MODULE, SYMBOL = re.compile(r"libffcx_expressions_[0-9a-f]+"), re.compile(r"expression_[0-9a-f]+")
 
@@ -54,22 +56,27 @@ class Kernel:
         symbol: Name of the expression in it.
         inputs: Names of the coefficients, in the order of the code.
         shapes: Shapes of the expressions.
+        outputs: Their names, or numbers.
     """
 
     module: str
     symbol: str
     inputs: tuple[str, ...]
     shapes: tuple[tuple[int, ...], ...]
+    outputs: tuple[str, ...]
 
 
 class Pointwise:
     """Compiled expressions of named inputs at the points of one rank; made collectively.
 
+    Attributes:
+        outputs: Names of the expressions, or their numbers.
+
     Args:
         comm: Communicator on which the expressions are compiled once and shared.
         n: Number of points of this rank.
         sizes: Inputs by name: 1 for a scalar, 3 for a vector.
-        build: Returns the expressions, from the inputs by name.
+        build: Returns the expressions, by name or in order, from the inputs by name.
         note: Path of the note of the compiled code (`note_of`); without one the expressions
             are built at every start.
     """
@@ -79,7 +86,7 @@ class Pointwise:
         comm: MPI.Comm,
         n: int,
         sizes: Mapping[str, int],
-        build: Callable[[dict[str, Expr]], Sequence[Expr]],
+        build: Build,
         note: Path | None = None,
     ) -> None:
         cells = max(n, 1)
@@ -110,15 +117,15 @@ class Pointwise:
             [],
             None,
         )
-        self._shapes = kernel.shapes
+        self._shapes, self.outputs = kernel.shapes, kernel.outputs
         self._size = sum(math.prod(shape) for shape in kernel.shapes)
 
-    def _compile(
-        self, comm: MPI.Comm, build: Callable[[dict[str, Expr]], Sequence[Expr]]
-    ) -> tuple[Kernel, Any, ModuleType]:
+    def _compile(self, comm: MPI.Comm, build: Build) -> tuple[Kernel, Any, ModuleType]:
         """Compile all expressions into one kernel, which evaluates common terms once."""
-        every = build(dict(self._inputs))
-        together = ufl.as_vector([c for e in every for c in _components(e)])
+        built = build(dict(self._inputs))
+        if not isinstance(built, Mapping):
+            built = {str(k): e for k, e in enumerate(built)}
+        together = ufl.as_vector([c for e in built.values() for c in _components(e)])
         options = {"scalar_type": np.float64}
         symbol, module, _ = jit.ffcx_jit(comm, (together, np.array([[0.5]])), options)
         used = extract_coefficients(together)
@@ -130,7 +137,8 @@ class Pointwise:
                 names[used[symbol.original_coefficient_positions[i]]]
                 for i in range(symbol.num_coefficients)
             ),
-            shapes=tuple(e.ufl_shape for e in every),
+            shapes=tuple(e.ufl_shape for e in built.values()),
+            outputs=tuple(built),
         )
         return kernel, symbol, module
 
@@ -194,7 +202,8 @@ def find(comm: MPI.Comm, note: Path | None) -> tuple[Kernel, Any, ModuleType] | 
 
 def _load(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None:
     shapes = tuple(tuple(int(k) for k in shape) for shape in noted["shapes"])
-    kernel = Kernel(noted["module"], noted["symbol"], tuple(noted["inputs"]), shapes)
+    names = tuple(noted["inputs"]), shapes, tuple(noted["outputs"])
+    kernel = Kernel(noted["module"], noted["symbol"], *names)
     if not (MODULE.fullmatch(kernel.module) and SYMBOL.fullmatch(kernel.symbol)):
         return None
     folder = Path(jit.get_options()["cache_dir"])

@@ -32,6 +32,11 @@ def solve(solver: Solver) -> NewtonResult:
         contact.scale_augmentation(solver.augmentation)
     runs = [solver.linear_step()]
     start = solver.x.copy() if contact else solver.x
+    if contact and contact.freeze(True):
+        runs.append(solver.run())
+        contact.freeze(False)
+        if not solver.converged:
+            start.copy(solver.x)
     runs.append(solver.run())
     solver.x.copy(solver.first_state)
     tried: list[tuple[str, float]] = []
@@ -163,5 +168,5 @@ def failure_text(solver: Solver) -> str:
 
 
 def _values(contact: Contact) -> str:
-    found = contact.augmentation(trial=True).values()
+    found = contact.augmentation().values()
     return f" (up to {max(found):.3g} MPa/mm)" if found else ""

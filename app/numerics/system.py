@@ -58,8 +58,11 @@ class Contact(Protocol):
     def scale_augmentation(self, factor: float) -> None:
         """Set the multiple of the case's augmentation."""
 
-    def augmentation(self, trial: bool = False) -> dict[str, float]:
+    def augmentation(self) -> dict[str, float]:
         """Augmentation in force on each interface [MPa/mm]; collective."""
+
+    def freeze(self, on: bool) -> bool:
+        """Freeze the history of laws, or let it go on; whether there is any."""
 
     def usual_augmentation(self) -> float:
         """Default augmentation over the one in the case; collective."""

@@ -32,6 +32,7 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
     """Names of the numbers to show of cases, most important first."""
     found: dict[str, None] = {}
     for case in cases:
+        found |= {f"{law}.damage_p99": None for law in case.summary.get("fatigue", {})}
         for name in case.summary.get("interfaces", {}):
             found |= {f"{name}.{q}_{part}": None for q, part in PERCENTILES.items()}
     for case in cases:

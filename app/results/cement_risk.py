@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -35,9 +36,11 @@ from meshes.distribute import TaggedMesh
 
 DEGREE = 9
 # Distance from edges within which numbers are apart [mm], and the angle by which such an edge turns
-# in: more than facets of a round stem do on coarse meshes.
+# in: more than straight facets of a round stem do.
 NEAR, TURN = 1.0, math.radians(60)
-_FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
+CORNERS = np.vstack([np.zeros(3), np.eye(3)])
+# Vertices of a cell at the ends of each edge, and the two others.
+EDGES = np.array([(*e, *({0, 1, 2, 3} - {*e})) for e in combinations(range(4), 2)])
 Borders = Callable[[Floats], dict[str, Floats]]
 
 
@@ -62,15 +65,12 @@ class CementRisk:
         # Stress at the points in the last valley, or at the end of the stage before (n, 3, 3).
         self._valley: Floats | None = None
         # By law: damage a year and largest equivalent stress [MPa] at the points (n, 2).
-        self._found: dict[str, Floats] = {}
-
-    @property
-    def row_keys(self) -> Ints:
-        """Keys of the points of the region that tires."""
-        cells = self._stresses.cells.get(self._tires, np.zeros(0, dtype=np.int64))
-        count = len(self._stresses.shares.get(self._tires, ()))
-        numbers = self._tagged.mesh.topology.original_cell_index[cells]
-        return np.asarray(numbers[:, None] * count + np.arange(count)).ravel()
+        laws = case.fatigue.laws if case.fatigue else ()
+        number = problem.tagged.mesh.topology.original_cell_index
+        at = number[self._stresses.cells[self._tires]] if laws else np.zeros(0, dtype=np.int64)
+        count = len(self._stresses.shares[self._tires]) if laws else 1
+        self.row_keys: Ints = (at[:, None] * count + np.arange(count)).ravel()
+        self._found = {name: np.zeros((len(self.row_keys), 2)) for name in laws}
 
     # Fatigue
 
@@ -95,9 +95,8 @@ class CementRisk:
         assert self._fatigue
         for name, law in self._fatigue.laws.items():
             s = self._fatigue.equivalent(law, most, least)
-            damage, before = self._found.get(name, np.zeros((len(s), 2))).T
-            both = damage + cycles * law.damage(s), np.maximum(before, s)
-            self._found[name] = np.column_stack(both)
+            self._found[name][:, 0] += cycles * law.damage(s)
+            self._found[name][:, 1] = np.maximum(self._found[name][:, 1], s)
 
     def fatigue(self) -> dict[str, Any]:
         """Published numbers by law, of activities so far; collective."""
@@ -176,34 +175,28 @@ def tensions(peak: Floats, valley: Floats) -> tuple[Floats, Floats]:
 
 
 def turning_in(tagged: TaggedMesh, region: str) -> Floats:
-    """Edges at which a region turns in by more than `TURN` (e, 2, 3) [mm], on all ranks."""
-    geometry = tagged.mesh.geometry
+    """Edges at which a region turns in by more than `TURN` (e, 2, 3) [mm], on all ranks.
+
+    The angles of its cells in the middle of an edge add up to a half turn where its surface is
+    smooth, and to a whole one inside.
+    """
+    mesh = tagged.mesh
     own = tagged.cell_tags.find(tagged.regions[region])
-    nodes = geometry.dofmap[own[own < tagged.mesh.topology.index_map(3).size_local], :4]
-    local = geometry.input_global_indices[nodes], geometry.x[nodes]
-    numbers, x = (
-        np.concatenate(part) for part in zip(*tagged.mesh.comm.allgather(local), strict=True)
-    )
-    every = numbers[:, _FACES].reshape(-1, 3)
-    order = np.argsort(every, axis=1)
-    every = np.take_along_axis(every, order, axis=1)
-    _, first, count = np.unique(every, axis=0, return_index=True, return_counts=True)
-    outer = first[count == 1]  # faces of the surface
-    corners = np.take_along_axis(x[:, _FACES].reshape(-1, 3, 3), order[..., None], axis=1)[outer]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inner = x.reshape(-1, 3)[outer] - corners[:, 0]  # face k is opposite vertex k
-    normal *= -np.sign(np.einsum("fi,fi->f", normal, inner))[:, None]
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # The faces of each edge: the third corner of one is outside the other where it turns in.
-    ends = np.array([(0, 1), (0, 2), (1, 2)])
-    pairs = every[outer][:, ends].reshape(-1, 2)
-    rows = np.lexsort(pairs.T)
-    twins = np.flatnonzero((pairs[rows][1:] == pairs[rows][:-1]).all(axis=1))
-    a, b = rows[twins], rows[twins + 1]
-    third = corners[b // 3, 2 - b % 3] - corners[a // 3, 0]
-    turned = np.einsum("ei,ei->e", normal[a // 3], normal[b // 3]) < math.cos(TURN)
-    inward = turned & (np.einsum("ei,ei->e", third, normal[a // 3]) > 0)
-    return np.asarray(corners[a[inward, None] // 3, ends[a[inward] % 3]])
+    nodes = mesh.geometry.dofmap[own[own < mesh.topology.index_map(3).size_local]]
+    element = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
+    _, *dN = element.tabulate(1, CORNERS[EDGES[:, :2]].mean(axis=1))
+    J = np.einsum("cni,jen->ceij", mesh.geometry.x[nodes], np.array(dN))
+    along, *across = np.einsum("ceij,ekj->keci", J, CORNERS[EDGES[:, 1:]] - CORNERS[EDGES[:, :1]])
+    n = np.cross(along, np.array(across))
+    n /= np.linalg.norm(n, axis=3, keepdims=True)
+    angle = np.arccos(np.clip(np.einsum("eci,eci->ce", n[0], n[1]), -1.0, 1.0)).ravel()
+    ends = nodes[:, EDGES[:, :2]].reshape(-1, 2)
+    local = angle, mesh.geometry.input_global_indices[ends], mesh.geometry.x[ends]
+    angle, pairs, x = (np.concatenate(p) for p in zip(*mesh.comm.allgather(local), strict=True))
+    pairs.sort(axis=1)
+    _, first, edge = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    turn = np.bincount(edge.ravel(), angle) - math.pi
+    return np.asarray(x[first[(turn > TURN) & (turn < math.pi - 1e-3)]])
 
 
 def distance(x: Floats, edges: Floats) -> Floats:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -159,8 +158,12 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
     asked = [Verdict(summary["accuracy"])] if "accuracy" in summary else []
-    clauses += [_fatigue(laws)] if (laws := summary.get("fatigue")) else []
-    clauses += _growing_risk(summary)
+    if laws := summary.get("fatigue"):
+        clauses.append(Verdict(f"fatigue: {life(laws)}", "doubtful"))
+    unsettled = summary.get("error", {}).get("unsettled", {})
+    for name, q in summary.get("regions", {}).items():
+        if "failure_risk" in q:
+            clauses.append(_strength(name, q, unsettled))
     return [*clauses, *_physiology(summary), _mesh_and_step(summary), *asked]
 
 
@@ -180,34 +183,32 @@ def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         yield Verdict(f"physiology: {'; '.join(clauses)}", "doubtful")
 
 
-def life(laws: Mapping[str, Mapping[str, Any]]) -> tuple[float, float] | None:
-    """Band of the life of 99 % of a region [years], over laws and errors; None if none is known."""
+def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
+    """Band of the life of a region, over laws and errors; no year without it."""
     known = [(q["damage_p99"], q.get("damage_p99_error") or 0.0) for q in laws.values()]
-    if len(known) < 2 and not known[0][1]:
-        return None
     most, least = max(d + e for d, e in known), min(d - e for d, e in known)
-    return 1 / most if most else math.inf, 1 / least if least > 0 else math.inf
-
-
-def _fatigue(laws: Mapping[str, Mapping[str, Any]]) -> Verdict:
-    """Life of a region: a band over laws and errors, or none."""
     mesh = any("damage_p99_error" in q for q in laws.values())
     text = f"over {', '.join(laws)}{' and mesh' * mesh}"
-    if ends := life(laws):
-        short, long = (f"{year:.2g}" if year < math.inf else "endless" for year in ends)
-        text = f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
-    else:
-        text = f"no year without a band ({text}): name another law, or --error"
-    return Verdict(f"fatigue: {text}", "doubtful")
+    if len(known) < 2 and not mesh:
+        return f"no year without a band ({text}): name another law, or --error"
+    short, long = (f"{float(f'{1 / d:.2g}'):g}" if d > 0 else "endless" for d in (most, least))
+    return f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
 
 
-def _growing_risk(summary: Mapping[str, Any]) -> Iterator[Verdict]:
-    """Risks that grow with every mesh, as at edges that turn in."""
-    for name, values in summary.get("error", {}).get("unsettled", {}).items():
-        if name.endswith("failure_risk") and values[0][1] > values[1][1]:
-            on = ", ".join(f"{risk:.2g} at {size:g} mm" for size, risk in values)
-            text = f"{name} grows with the mesh ({on}): it may have no limit"
-            yield Verdict(f"strength: {text}", "doubtful")
+def _strength(name: str, q: Mapping[str, Any], unsettled: Mapping[str, Any]) -> Verdict:
+    """Probability that a region and its parts fail, and where it grows with every mesh."""
+    texts, tone = [], ""
+    for part in ("", *(p for p in quantities.PARTS if p in q)):
+        own, key = q[part] if part else q, f"{name}_{part}" if part else name
+        text = f"{100 * own['failure_probability']:.2g} %{f' at its {part}' * bool(part)}"
+        (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))
+        if fine > coarse:
+            text += (
+                f" (R grows from {coarse:.2g} at {size:g} mm to {fine:.2g}: it may have no limit)"
+            )
+            tone = "doubtful"
+        texts.append(text)
+    return Verdict(f"strength: {name} breaks with a probability of {', '.join(texts)}", tone)
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:
@@ -258,7 +259,7 @@ def peaks(summary: Mapping[str, Any]) -> list[Verdict]:
     """Peaks that change most with the mesh, with their values on every mesh solved."""
     lines = []
     for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
-        if q := quantities.get(name):
+        if (q := quantities.get(name)) and q.unit != "-":  # a risk is told with the strength
             on = [f"{name} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
             lines.append(
                 ", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others])

@@ -51,16 +51,17 @@ class ContactSamples:
         weight: Area (n,) [mm2].
         gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
         opening: Opening of the point, the largest of its faces (n,) [mm].
-        slip: Tangential part of the motion where the point touches, else 0 (n, 3) [mm].
+        slip: Irreversible tangential motion, 0 where the point is open (n, 3) [mm].
         path: Length of the path of sliding in contact (n,) [mm].
         motion: Displacement of the second side as declared against the first (n, 3) [mm].
         pressure: Normal force per area, positive in compression (n,) [MPa].
         shear: Friction per area (n,) [MPa].
         force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
         status: State (n,).
-        dissipation: Dissipated by friction (n,) [N mm].
+        dissipation: Dissipated by friction and damage (n,) [N mm].
         least: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
+        stored: Energy stored by layers and cohesion (n,) [N mm].
         own: History variables of the laws, by name: (n, ...).
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
 
@@ -88,14 +89,14 @@ class ContactSamples:
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
         sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[own.interface][:, None]
-        self.slip, self.path = whole(sign * trial.sliding(trial.jump)), whole(history.path)
+        self.slip, self.path = whole(sign * history.slip), whole(history.path)
         self.motion = whole(sign * trial.jump)
         self.pressure = whole(_pressure(trial.law.pressures, own.normals))
         self.shear = whole(np.linalg.norm(history.friction, axis=1))
         self.force = whole(-sign * history.force)
         self.status = whole(np.where(own.faces > 0, trial.law.status, STICK))
         self.dissipation, self.least = whole(history.dissipation), whole(history.least)
-        self.contact_work = whole(history.contact_work)
+        self.contact_work, self.stored = whole(history.contact_work), whole(history.stored)
         self.own = {name: whole(values) for name, values in history.own.items()}
         self.sizes = {
             "gap": np.maximum(self.gap, 0.0),
@@ -136,6 +137,7 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
         "dissipation": float(s.dissipation[at].sum()),
         "dissipation_min": float(s.least[at].min()),
         "contact_work": float(s.contact_work[at].sum()),
+        "stored_energy": float(s.stored[at].sum()),
         **computed("interfaces", s, at),
     }
     if wanted:

@@ -6,6 +6,7 @@ solver. Absent parts are empty tuples.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -41,6 +42,7 @@ class Interface:
         history: Amplitudes of the gap at the ends of the stages, or empty (`laws.values.gap_at`).
         turned: Whether the master is the second side as declared.
         slave_share: Fraction of the friction heat that enters the slave side.
+        values: Constants of the law (n,) at points, by name.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Interface:
     history: tuple[float, ...] = ()
     turned: bool = False
     slave_share: float = 0.0
+    values: Mapping[str, Field] = dataclasses.field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -219,6 +222,7 @@ def _interface(
         history=tuple(history or ()),
         turned=turned,
         slave_share=slave_share,
+        values=law.fields(name),
     )
 
 

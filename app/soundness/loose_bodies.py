@@ -214,7 +214,7 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
     contact, names = trial.contact, problem.bodies.names
     x = contact.points.x
     centre, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
-    B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.jacobian)
+    B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.resisted)
     R = rigid_modes((contact.own.x - centre) / size)
     A = _assembled(
         problem, contact, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R)
@@ -351,7 +351,7 @@ def _against_spread(
     """Resistance of contact to rigid motions R (p, 3, 6), and that of the spread of normals."""
     contact, points = trial.contact, trial.contact.points
     r = np.where(trial.law.status == OPEN, 0.0, contact.law.stiffness * contact.own.weight)
-    B = trial.law.jacobian
+    B = trial.law.resisted
     # Friction holds a touching point, though no stiffness shows it while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
     spread = spread_of_normals(points.x, points.normals, points.triangles)[contact.own.rows]

@@ -124,7 +124,7 @@ class ContactHeat:
         slip = np.linalg.norm(trial.jump - contact.state.jump, axis=1)
         # Forces are those of equilibrium, of bodies that may have moved far.
         met = contact.coupling.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
-        stiffness = law.multiplier_share * met + law.stiffness * contact.own.weight
+        stiffness = met + law.stiffness * contact.own.weight
         force = stiffness * np.linalg.norm(trial.jump, axis=1)
         power = np.where(self.rubbing, force * slip, 0.0) / self._h
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
@@ -144,17 +144,18 @@ class ContactHeat:
         given = force / contact.law.stiffness[:, None]
         by_equilibrium, by_jump = self._rows(slip - given, trial)
         scale = np.where(self.rubbing, 1 / self._h, 0.0)[:, None]
-        lost = (contact.law.multiplier_share / contact.own.weight)[:, None] * given
+        share = contact.law.multiplier_share / contact.own.weight[:, None, None]
+        lost = np.einsum("pi,pij->pj", given, share)
         return scale * (by_equilibrium - lost), scale * (by_jump + force)
 
     def _rows(self, along: Floats, trial: TrialState) -> tuple[Floats, Floats]:
         """Derivatives of the force along directions (n, 3): by -e/W (multiplier share), by q."""
         by_force, by_jump = (
             np.asarray(np.einsum("pi,pij->pj", along, derivative))
-            for derivative in (trial.law.jacobian, trial.law.by_jump)
+            for derivative in (trial.law.by_multiplier, trial.law.by_jump)
         )
-        share = self._contact.law.multiplier_share / self._contact.own.weight
-        return -share[:, None] * by_force, by_jump
+        share = self._contact.law.multiplier_share / self._contact.own.weight[:, None, None]
+        return -np.einsum("pi,pij->pj", by_force, share), by_jump
 
 
 def _heats(

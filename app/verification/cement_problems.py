@@ -44,11 +44,10 @@ def cement_problems() -> Iterator[Check]:
     # Goodman's line to 40 MPa: only the stairs do not come from zero.
     a, level = stairs / 2 / (1 - (3.3 + 0.33) / 80), 40.0
     goodman = (*spectrum[::2], (5e4, 2 * a / (1 + a / level)))
-    line = ("fatigue.mean_stress=goodman", "fatigue.tensile_strength=40 MPa")
     for name, cycles, changes in (
         ("levels", spectrum[::2], ("fatigue.spectrum.stairs=null",)),
         ("spectrum", spectrum, ()),
-        ("goodman", goodman, line),
+        ("goodman", goodman, ("fatigue.goodman=40 MPa",)),
     ):
         laws = {
             "power": sum(n / 10**8.77 * x**4.68 for n, x in cycles),

@@ -126,6 +126,7 @@ SHORT = (
 HEATING = "interfaces.lower_upper={kind: contact, friction_coefficient: 0.3, friction_heating: 0.3}"
 GRUEN = ("mesh.size=6 mm", "mesh.order=1", "stages.0.increments=1", "output.error=false")
 EXACT = "solver.tolerance=1e-12"
+TIRING = "fatigue={region: corner, spectrum: {load: 1e6}, laws: {m: {kind: murphy_2000}}}"
 STATES = ("open_fraction", "stick_fraction", "slip_fraction")
 Summaries = dict[str, dict[str, Any]]
 
@@ -148,6 +149,7 @@ CASES: dict[str, tuple[str, tuple[str, ...], dict[int, tuple[str, ...]]]] = {
     "fibres": ("verification/fibre_ring.yaml", ("mesh.size=1 mm",), {1: (), 2: ()}),
     "gruen zones": ("stance.yaml", (*GRUEN, EXACT, "output.fields=false"), {1: (), 2: ()}),
     "setting": (SETTING, (EXACT,), {1: (), 3: ()}),
+    "tiring": ("verification/corner.yaml", ("mesh.size=2 mm", TIRING), {1: (), 3: ()}),
     "corrected": (SETTING, (*SHORT, EXACT), {1: (), 3: ()}),
 }
 

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import mantle
@@ -16,14 +17,14 @@ from tests import support
 LAYER = '''
 from typing import Literal
 from mantle import Traction
-from app.schema.units import PositiveStiffness
+from app.laws.values import StiffnessField
 
 
 class ElasticLayer(Traction):
     """A thin elastic layer: traction = stiffness times the displacement between its sides."""
 
     kind: Literal["elastic_layer"] = "elastic_layer"
-    stiffness: PositiveStiffness
+    stiffness: StiffnessField
     """Traction per displacement."""
 
     def traction(self, gap, normals, history):
@@ -67,6 +68,28 @@ def test_a_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
     assert fields.at_interface("lower_upper", "gap").max() == pytest.approx(3 / 50, rel=1e-6)
 
 
+def test_constants_of_a_law_vary_in_space(tmp_path: Path) -> None:
+    """A rigid block on a bed of springs k = 50 (1 + x/8): its tilt by hand; refused where k < 0."""
+    rigid = "upper: {rigid: true, tissue: other}"
+    case = CASE.replace("50 MPa/mm", "50 * (1 + x / 8)").replace("size: 2 mm", "size: 1 mm")
+    case = case.replace("upper: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}", rigid)
+    summary, _ = run(tmp_path, LAYER, case)
+    found = summary["interfaces"]["lower_upper"]
+    assert summary["balance"]["force"] < 1e-9
+    # An opening a + b s over s in [-2, 2] mm: force 3 MPa x 16 mm2, no moment.
+    at = found["gap_max_at"][0]  # an edge of the block: the soft one
+    s = np.linspace(-2, 2, 5)
+    k = 4 * np.array([0.5, 1, 1, 1, 0.5]) * 50 * (1 + (at + 2 + s) / 8)
+    a, b = np.linalg.solve([[k.sum(), k @ s], [k @ s, k @ s**2]], [48, 0])
+    assert found["gap_mean"] == pytest.approx(a, rel=2e-3)
+    assert found["gap_max"] == pytest.approx(a - 2 * b, rel=2e-3)
+    done = support.extended(
+        tmp_path, LAYER, CASE.replace("50 MPa/mm", "50 * (1 - x)"), "run", "case.yaml", "-o", "bad"
+    )
+    assert done.returncode == 2
+    assert "interfaces.lower_upper.stiffness: " in done.stderr and "must be positive" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("change", "code", "words"),
     [
@@ -81,6 +104,18 @@ def test_a_law_from_outside_is_checked_as_the_others(
     done = support.extended(tmp_path, LAYER, CASE.replace(*change), "check", "case.yaml")
     assert done.returncode == code
     assert words in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("program", "place"),
+    [("import numpy\nimport nothing_of_this_name\n", ":2"), ("x = (\n", ":1:5")],
+)
+def test_an_extension_that_cannot_be_imported_is_named(
+    tmp_path: Path, program: str, place: str
+) -> None:
+    done = support.extended(tmp_path, program, CASE, "check", "case.yaml")
+    assert done.returncode == 2
+    assert f"own_package.py{place}: MANTLE_EXTENSIONS: 'own_package'" in done.stderr
 
 
 # A layer that the largest opening so far softens: history at each point.
@@ -103,16 +138,13 @@ class WornLayer(Traction):
     """Opening at which half of it is left."""
 
     def traction(self, gap, normals, history):
-        return self.stiffness / (1 + self._most(gap, normals, history) / self.length) * gap
+        return self.stiffness / (1 + history["most"] / self.length) * gap
 
     def remembered(self, gap, normals, history):
-        return {"most": self._most(gap, normals, history)}
+        return {"most": max_value(history["most"], dot(gap, normals[0]))}
 
     def status(self, gap, normals, history):
-        return conditional(gt(self._most(gap, normals, history), self.length / 4), 3, 1)
-
-    def _most(self, gap, normals, history):
-        return max_value(history["most"], dot(gap, normals[0]))
+        return conditional(gt(history["most"], self.length / 4), 3, 1)
 '''
 
 
