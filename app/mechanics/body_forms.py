@@ -99,7 +99,7 @@ class BodyForms:
         swelling: Thermal strain of each expanding elastic region, at the vertices [-].
         growth: Modulus of each curing region over its final one, at the vertices [-].
         remodels: Regions that remodel.
-        density: Their density at all vertices of this rank, ghosts too (n, r) [g/cm3]; None: none.
+        density, density_at_start: At all vertices of this rank, ghosts too (n, r) [g/cm3].
         history: Regions whose stress is history.
         history_degree: Degree of its quadrature. Creep needs positive weights and no more points
             than stresses that a cell can have: more would lock, as its volume stays the same.
@@ -125,7 +125,8 @@ class BodyForms:
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
         bone = [e for e in scene.elastic if e._remodelling]
         self.remodels = tuple(e.region for e in bone)
-        self.density: Any = np.array([self._density(e) for e in bone]).T if bone else None
+        self.density_at_start: Any = np.array([self._density(e) for e in bone]).T if bone else None
+        self.density: Any = self.density_at_start.copy() if bone else None
         self._relative = {e.region: self._relative_stiffness(e) for e in scene.elastic if e.varies}
         self.springs = [self.constant(f.stiffness) for f in scene.foundations]
         self._amplitude = {
@@ -212,7 +213,9 @@ class BodyForms:
         at, weights = (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
         x, volumes = self.places(e.region, at, weights)
         if remodels:
-            values = modulus(remodels.law, self.density_at(e.region, at)) / e.moduli[0]
+            values = (
+                modulus(remodels.law, self.density_at(e.region, at, self.density)) / e.moduli[0]
+            )
         else:
             values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
         values = values.reshape(volumes.shape)
@@ -220,15 +223,10 @@ class BodyForms:
 
     def _density(self, e: Elastic) -> Floats:
         """Density of a region's modulus in the case at all vertices, within its bounds (n,)."""
-        law, x = e._remodelling, self.vertex_places
+        law, x = e._remodelling, self.scalars.tabulate_dof_coordinates()
         assert law is not None
         E = e.moduli[0] * everywhere(self.mesh.comm, lambda: e.relative_stiffness(x))
         return np.asarray(np.clip(density(law.law, E), *law.density))
-
-    @property
-    def vertex_places(self) -> Floats:
-        """Positions of the vertices of this rank, ghosts too (n, 3) [mm]."""
-        return np.asarray(self.scalars.tabulate_dof_coordinates())
 
     def vertices(self, region: str) -> NDArray[np.int32]:
         """Vertices of a region's own cells (cells, 4), as numbered in `scalars`."""
@@ -242,9 +240,9 @@ class BodyForms:
         total.scatter_forward()
         return np.array(total.array)
 
-    def density_at(self, region: str, points: Floats) -> Floats:
-        """Density at points of a region's own cells (cells, points) [g/cm3]."""
-        own = self.density[:, self.remodels.index(region)]
+    def density_at(self, region: str, points: Floats, density: Floats) -> Floats:
+        """A density at the vertices (n, r) at points of a region's own cells (cells, points)."""
+        own = density[:, self.remodels.index(region)]
         return np.asarray(own[self.vertices(region)] @ hats(points).T)
 
     def follow_density(self) -> None:

@@ -209,7 +209,7 @@ class MechanicalFields:
         σ, s, m = np.zeros((cells, len(COMPONENTS))), self._stresses, self._problem.mechanics
         for region, own in s.cells.items():
             σ[own] = _components(s.mean(region))
-        density = {r: m.density_at(r, CENTRE)[:, 0] for r in m.remodels}
+        density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.remodels}
         found = _named(σ) | (self._risk.damage(cells) if self._risk else {})
         for name, parts in {"youngs_modulus": s.varying_moduli(), "density": density}.items():
             for region, values in parts.items():

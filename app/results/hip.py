@@ -221,12 +221,14 @@ def by_zone(
         r: _integrals(problem, stresses, r, zones, stresses.energy_density(r), 1.0) for r in regions
     }
     result: dict[str, Zone] = {}
+    changes = bone_change(problem, stresses, zones)
     for zone in zones.numbers:
         volumes = {r: float(volume[zone]) for r, (_, volume) in sums.items()}
         volumes = {r: v for r, v in volumes.items() if v > LEAST * sum(volumes.values())}
         density = {r: float(sums[r][0][zone]) / v for r, v in volumes.items()}
         numbers = {"strain_energy_density": density, "volume": volumes, "interfaces": {}}
-        result[str(zone)] = numbers
+        change = {"bone_mass_change": changes[zone]} if changes[zone] else {}
+        result[str(zone)] = numbers | change
     if samples is not None:
         where = zones.at(samples.x)
         for i, contact in enumerate(problem.scene.contacts):
@@ -237,13 +239,17 @@ def by_zone(
     return result
 
 
-def bone_mass(problem: Problem, stresses: Stresses, zones: Zones) -> Floats:
-    """Mass of the regions that remodel by zone, zone 0 outside of all (r, z) [g]; collective."""
-    m, points = problem.mechanics, stresses.points
-    found = (
-        _integrals(problem, stresses, r, zones, m.density_at(r, points[r])) for r in m.remodels
-    )
-    return 1e-3 * np.concatenate([*found])
+def bone_change(problem: Problem, stresses: Stresses, zones: Zones) -> dict[int, dict[str, float]]:
+    """Relative change of the mass of bone since the start by zone, of ``all`` and by region."""
+    m, mass = problem.mechanics, []
+    for density in (m.density_at_start, m.density) if m.remodels else ():
+        at = {r: m.density_at(r, stresses.points[r], density) for r in m.remodels}
+        mass.append([_integrals(problem, stresses, r, zones, rho)[0] for r, rho in at.items()])
+    rows = [("all", *map(sum, mass)), *zip(m.remodels, *mass, strict=True)] if mass else []
+    return {
+        z: {name: float(after[z] / before[z] - 1) for name, before, after in rows if before[z]}
+        for z in zones.numbers
+    }
 
 
 def _integrals(

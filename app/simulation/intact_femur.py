@@ -46,13 +46,13 @@ def carried(intact: Remodeller, ours: BodyForms) -> Floats:
     found: Any = intact.stimulus([(k, k + 1.0) for k in cases])
     if found is None:
         raise ConvergenceError("remodelling.intact: a load case of it cannot be solved")
-    carried = []
+    x, to = (m.scalars.tabulate_dof_coordinates() for m in (forms, ours))
+    columns = []
     for region, values in zip(forms.remodels, found.T, strict=True):
-        own, comm = forms.vertices(region), forms.mesh.comm
-        corners = np.concatenate(comm.allgather(forms.vertex_places[own]))
-        known = np.concatenate(comm.allgather(values[own]))
-        carried.append(interpolated(corners, known, ours.vertex_places))
-    return np.array(carried).T
+        own = forms.vertices(region)
+        corners, known = (forms.mesh.comm.allgather(v[own]) for v in (x, values))
+        columns.append(interpolated(np.concatenate(corners), np.concatenate(known), to))
+    return np.column_stack(columns)
 
 
 def interpolated(corners: Floats, values: Floats, x: Floats) -> Floats:

@@ -27,7 +27,7 @@ from app.numerics.system import System
 from app.results.balance import Balance
 from app.results.cement_risk import CementRisk
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
-from app.results.hip import StemMotion, bone_mass, by_zone, of_femur
+from app.results.hip import StemMotion, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples, Surface
 from app.results.stresses import Stresses, bonds
 from app.scene.scene import Scene, Stage, build_scene
@@ -90,10 +90,6 @@ class Mechanical:
                 borders, every = zones.borders(points.x), range(len(points.triangles))
                 self.surfaces = [Surface(points, i, borders) for i in every]
         self.stresses = Stresses(problem, timing, geometry.is_around_z, depth)
-        # Mass of bone by zone, before it remodels [g].
-        self.start: Floats | None = None
-        if self.zones and problem.mechanics.remodels:
-            self.start = bone_mass(problem, self.stresses, self.zones)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
@@ -107,21 +103,6 @@ class Mechanical:
         """Fill the unknowns with the restored displacement and jumps; collective."""
         self.problem.take_up(*self.solver.u_and_q())
         self.stresses.follow_density()
-
-    def bone_change(self) -> dict[int, dict[str, float]]:
-        """Relative change of the mass of bone by zone, ``all`` and by region; collective."""
-        if self.start is None or self.zones is None:
-            return {}
-        now, names = (
-            bone_mass(self.problem, self.stresses, self.zones),
-            self.problem.mechanics.remodels,
-        )
-        pairs = ([m.sum(axis=0), *m] for m in (self.start, now))
-        rows = [*zip(("all", *names), *pairs, strict=True)]
-        return {
-            z: {name: float(b[z] / a[z] - 1) for name, a, b in rows if a[z]}
-            for z in self.zones.numbers
-        }
 
     def balance(self, about: NDArray[np.float64]) -> Balance:
         """Balances of the model at rest, with moments about a fixed point (3,) [mm]; collective."""
@@ -393,8 +374,6 @@ class Model:
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
         if (m := self.mechanics) and m.zones:
             found["gruen"] = by_zone(m.problem, m.stresses, samples, m.zones)
-            for zone, change in m.bone_change().items():
-                found["gruen"][str(zone)]["bone_mass_change"] = change
         return found
 
     def relative(self, case: Case) -> dict[str, Any]:

@@ -49,7 +49,7 @@ class Remodeller:
             case gives it.
     """
 
-    saved = ("_progress", "_speed", "mass", "seconds", "steps", "rejected")
+    saved = ("_progress", "_speed", "mass", "seconds", "steps")
 
     def __init__(
         self, stepper: LoadStepper, stresses: Any, reference: Callable[[], Floats | None]
@@ -66,7 +66,7 @@ class Remodeller:
         # Change of the density in time at the last step's end [g/(cm3 s)], if it is known.
         self._speed: Floats | None = None
         self.mass = {"start": self.present, "added": 0.0, "cut": 0.0}
-        self.seconds, self.steps, self.rejected = 0.0, 0, 0
+        self.seconds, self.steps = 0.0, 0
 
     @property
     def row_keys(self) -> dict[str, Any]:
@@ -148,7 +148,9 @@ class Remodeller:
         problem, m, law = self.problem, self.mechanics, self._law
         self._cases = [(k, i + 1.0) for i in problem.scene.load_cases]
         if (K := self._intact()) is None:
-            given = field("remodelling.stimulus", law.stimulus or 0.0)(m.vertex_places)
+            given = field("remodelling.stimulus", law.stimulus or 0.0)(
+                m.scalars.tabulate_dof_coordinates()
+            )
             K = np.broadcast_to(given[:, None], self._volume.shape)
         self._reference = K
         least = float(self._reference[self._volume > 0].min(initial=np.inf))
@@ -233,7 +235,7 @@ class Remodeller:
                     self.seconds, self.steps = self.seconds + T * part, self.steps + 1
                     p.step, p.done = max(factor * part, p.step if reach == goal else 0.0), reach
                     return end
-            self.rejected += 1
+            self._stepper.total.rejected += 1
             p.step = min(factor, 0.9) * part
         why = explain(self.problem, self._stepper.solver, self._outcome)
         raise ConvergenceError(why.text(stage.name, p.done, [p.step]))
@@ -242,5 +244,4 @@ class Remodeller:
         """Published numbers of the state last committed; collective."""
         mass = self.mass | {"end": self.present}
         mass["audit"] = (mass["end"] - sum(self.mass.values())) / mass["start"]
-        counts = {"steps": self.steps, "rejected": self.rejected}
-        return {"seconds": self.seconds, **counts, "mass": mass}
+        return {"seconds": self.seconds, "steps": self.steps, "mass": mass}
