@@ -217,13 +217,16 @@ def warnings(case: Case) -> list[str]:
     if case.geometry.has_gruen_zones and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
             messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
-    laws = case.fatigue.laws.items() if case.fatigue else ()
-    messages += [f"fatigue.laws.{n}: {x.source}" for n, x in laws if MEMORY in str(x.source)]
+    laws: list[tuple[str, Any]] = [(f"regions.{n}", r) for n, r in case.regions.items()]
+    laws += [
+        (f"fatigue.laws.{n}", x) for n, x in (case.fatigue.laws if case.fatigue else {}).items()
+    ]
+    messages += [f"{n}: {x.source}" for n, x in laws if MEMORY in str(x.source)]
     if case.remodelling and not case.remodelling.lazy_zone:
         text = (
-            "of parallel columns all but one vanish where the modulus rises faster than the density"
+            "remodelling.lazy_zone is 0: of parallel columns all but one vanish where the modulus"
         )
-        messages.append(f"remodelling.lazy_zone is 0: {text}, and results depend on the mesh")
+        messages.append(f"{text} rises faster than the density, and results depend on the mesh")
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         messages += _far_off(f"heat.{name}", condition, limits)
