@@ -56,8 +56,8 @@ def stress_rows() -> list[Check]:
     """Checks of ``mantle stress``, with the stiff problems of ``mantle verify``."""
     stiff = [p for p in heat_problems() if p.group == "stiff"]
     heat = [replace(p, name=p.name.replace("stiff", "heat", 1), group="heat") for p in stiff]
-    rows = [*extremes(), *invariants(), *densities()]
-    return [*rows, *heat, *condensed(rows)]
+    rows = [*extremes(), *invariants()]
+    return [*rows, *densities(), *heat, *condensed(rows)]
 
 
 # The checks of each command.
