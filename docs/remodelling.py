@@ -28,7 +28,7 @@ MEASURED = {"1": (-0.020,), "7": (-0.115, -0.129)}
 
 
 def seen_from_the_front(axes: Any, run: Run) -> Any:
-    """Change of the density along anterior-posterior lines [g/cm2], as radiographs would show it."""
+    """Change of the density along lines of sight from anterior [g/cm2], as in radiographs."""
     change = run.on_cells("density") - run.on_cells("density", "stance")
     shares = np.random.default_rng(0).dirichlet(np.ones(4), POINTS)
     x = np.einsum("pn,cni->cpi", shares, run.points[run.cells[:, :4]])[..., [0, 2]].reshape(-1, 2)
