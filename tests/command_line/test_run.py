@@ -532,6 +532,17 @@ def check_history(s: dict[str, Any], steps: int = 3) -> None:
         )
 
 
+def check_bone(s: dict[str, Any]) -> None:
+    """Bone goes where the stem shields the cortex, and comes where it ends."""
+    mass, zones = s["remodelling"]["mass"], s["gruen"]
+    assert abs(mass["audit"]) < 1e-10 and s["remodelling"]["seconds"] == pytest.approx(2 * 31557600)
+    assert (
+        zones["6"]["bone_mass_change"]["cortical_bone"]
+        < -0.005
+        < zones["3"]["bone_mass_change"]["all"]
+    )
+
+
 STANCE = ["mesh.size=6 mm", "stages.0.increments=1", "output.error=false"]
 
 
@@ -576,6 +587,7 @@ SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = 
         check_fatigue,
         ["mesh.size=10 mm", "output.error=false", "stages.0.cycles=1", "stages.4.cycles=1"],
     ),
+    "remodelling.yaml": (check_bone, ["mesh.size=10 mm", "mesh.order=1", "stages.1.increments=1"]),
     "creep_taper.yaml": (check_creep, ["mesh.size=8 mm", "variations={}"]),
     "life.yaml": (
         check_creep,
