@@ -52,13 +52,13 @@ class Patches(Section):
         # Cubes of space, cut by the surface; the shift keeps their faces off planes of meshes.
         shift = (0.6180339887, 0.7548776662, 0.5698402910)
         cubes = np.floor(x / self.patch + shift).astype(np.int64).astype(np.uint64)
-        chance = np.full(len(x), self.seed, dtype=np.uint64)
+        chance: Any = np.full(len(x), self.seed, dtype=np.uint64)
         for cube in cubes.T:  # SplitMix64 (Steele, Lea and Flood 2014)
             chance = (chance ^ cube) + np.uint64(0x9E3779B97F4A7C15)
             chance = (chance ^ (chance >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
             chance = (chance ^ (chance >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
             chance ^= chance >> np.uint64(31)
-        return (chance / 2.0**64 < self.share).astype(np.float64)
+        return np.where(chance / 2.0**64 < self.share, 1.0, 0.0)
 
 
 # Of an area: 30 %, an expression that gives 0 to 1, or patches.
