@@ -38,10 +38,7 @@ def test_process_zone_is_as_wide_as_the_ring_between_bond_and_crack() -> None:
     for width in (4, 8):
         front = np.clip((x[..., 1] + 5) / width, 0, 1)
         assert zone(x, front, area) == pytest.approx(width, abs=cell / 2)
-
-
-def test_process_zone_without_slope_is_the_surface() -> None:
-    x, area = disc(4)
+    # Without a slope it is the surface.
     assert zone(x, np.zeros(x.shape[:2]), area) == 0
     assert zone(x, np.full(x.shape[:2], 0.3), area) == pytest.approx(40 * np.sqrt(2))
 
@@ -80,10 +77,3 @@ def test_finish_gives_strength_in_shear_and_leaves_the_rest() -> None:
 def test_finish_without_energy_is_refused(name: str) -> None:
     with pytest.raises(InputError, match="stem and cement none is known: give it"):
         law(f"{SATIN.replace('satin', name)}}}")
-
-
-@pytest.mark.parametrize("unbonded", ["{share: 0.1}", "{share: 1.2, patch: 5 mm}", "{patch: 5 mm}"])
-def test_patches_that_are_none_are_refused(unbonded: str) -> None:
-    text = SATIN.replace("satin", "precoated")
-    with pytest.raises(InputError, match=r"interfaces\.stem_cement\.unbonded"):
-        law(f"{text}, {ENERGIES}, unbonded: {unbonded}}}")
