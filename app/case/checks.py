@@ -115,26 +115,25 @@ def _stages(case: Any) -> Iterable[Fault]:
         if history is not None and len(history) != len(names):
             wanted = f"{len(names)}, one for the end of each stage ({', '.join(names)})"
             yield Fault(path, f"has {len(history)} values; expected {wanted}")
+    spectrum = case.fatigue.spectrum if case.fatigue else ()
+    used: list[tuple[Path, str]] = [(("fatigue", "spectrum", name), name) for name in spectrum]
     for _, name, support in _entries(case, "supports"):
-        for i, stage in enumerate(getattr(support, "stages", None) or ()):
-            if stage not in names:
-                text = f"'{stage}' is not one of {', '.join(names)}{did_you_mean(stage, names)}"
-                yield Fault(("supports", name, "stages", i), text)
+        stages = enumerate(getattr(support, "stages", None) or ())
+        used += [(("supports", name, "stages", i), stage) for i, stage in stages]
+    for path, stage in used:
+        if stage not in names:
+            text = f"'{stage}' is not one of {', '.join(names)}{did_you_mean(stage, names)}"
+            yield Fault(path, text)
 
 
 def _fatigue(case: Any) -> Iterable[Fault]:
-    """Fatigue of a region that does not deform, by stages that are not there or take time."""
-    if (fatigue := case.fatigue) is None:
-        return
-    elastic = [name for name, region in (case.regions or {}).items() if isinstance(region, Elastic)]
-    if case.regions and fatigue.region not in elastic and None not in case.regions.values():
-        text = f"'{fatigue.region}' is not one of the elastic regions {', '.join(elastic)}"
-        yield Fault(("fatigue", "region"), text + did_you_mean(fatigue.region, elastic))
-    stages = [stage.name for stage in case.stages or () if not stage.takes_time]
-    for name in fatigue.spectrum if case.stages else ():
-        if name not in stages:
-            text = f"'{name}' is not one of the stages without a duration: {', '.join(stages)}"
-            yield Fault(("fatigue", "spectrum", name), text + did_you_mean(name, stages))
+    """Fatigue of a region that does not deform."""
+    regions = case.regions or {}
+    elastic = [name for name, region in regions.items() if isinstance(region, Elastic)]
+    if case.fatigue and elastic and (name := case.fatigue.region) not in elastic:
+        if regions.get(name, name) is not None:  # else it is invalid
+            text = f"'{name}' is not one of the elastic regions {', '.join(elastic)}"
+            yield Fault(("fatigue", "region"), text + did_you_mean(name, elastic))
 
 
 def _accuracy(case: Any) -> Iterable[Fault]:

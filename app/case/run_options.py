@@ -119,8 +119,8 @@ class SolverOptions(Section):
     max_iterations: units.PositiveInteger = 40
     """Largest number of Newton iterations in a step."""
     linear: Literal["auto", "direct", "multigrid", "condensed"] = "auto"
-    """Linear solver: factors, multigrid, or at second order the bodies condensed onto the jumps of
-    contact; `auto` takes what is foreseen to be fastest."""
+    """Linear solver: factors, multigrid, or the bodies condensed onto the jumps of contact; `auto`
+    takes what is foreseen to be fastest."""
     petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc), MAPPING] = Field(
         default_factory=dict
     )

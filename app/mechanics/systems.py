@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("mantle")
 
 # Estimated time over that of a Krylov method from which no factors are analysed.
-HOPELESS = 2.0
+HOPELESS = 1.3
 
 
 def mechanical(
@@ -160,8 +160,7 @@ class ContactSystem(BondedSystem):
         foreseen = self._solves, bool(problem.scene.cures), self._memory, comm.size
         choice = SolverChoice(problem.scene.order, *sizes, *foreseen)
         found: Condensed | None = None
-        near = choice.order > 1 and choice.condensed < HOPELESS * choice.krylov
-        if linear == "condensed" or near:
+        if linear == "condensed" or choice.condensed < HOPELESS * choice.krylov:
             from app.numerics.condensed import Condensed, available  # scipy: few need it
 
             if available(comm):

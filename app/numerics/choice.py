@@ -80,11 +80,8 @@ class SolverChoice:
         return self.needed < MEMORY * self.memory
 
     def condenses(self, linear: str) -> bool:
-        """Whether it is condensed; ``linear`` is auto, condensed or another method.
-
-        At first order it saves little, and in small cases alone.
-        """
-        less = linear == "auto" and self.order > 1 and self.condensed < self.krylov
+        """Whether it is condensed; ``linear`` is auto, condensed or another method."""
+        less = linear == "auto" and self.condensed < self.krylov
         return self.fits and (less or linear == "condensed")
 
     def words(self, condensed: bool) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import basix
@@ -24,6 +24,7 @@ from meshes.contact_facets import QUADRATURE, surface
 
 # Components of a symmetric tensor, in the order of `elasticity.symmetric`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+FINE = 9  # a degree whose weights are all positive, as those of 7 are not
 
 
 class Stresses:
@@ -37,7 +38,8 @@ class Stresses:
     Args:
         around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
         depth: Distance of points (n, 3) below a neck cut, above which a stem is a neck [mm].
-        degree: Of polynomials that the points integrate exactly; by default that of energies.
+        fine: Regions, where not all, whose points are exact to degree `FINE` instead of to that of
+            energies.
     """
 
     def __init__(
@@ -46,21 +48,22 @@ class Stresses:
         timing: Timing,
         around_z: bool = False,
         depth: Field | None = None,
-        degree: int | None = None,
+        fine: Collection[str] = (),
     ) -> None:
         self._problem, self._timing, self._around_z = problem, timing, around_z
         self._depth = depth
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
         usual = 4 * (problem.scene.order - 1)
-        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree or usual)
+        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, FINE if fine else usual)
         self._points, weights = (np.asarray(a) for a in quadrature)
-        elastic, mechanics = problem.scene.elastic, problem.mechanics
+        elastic = [e for e in problem.scene.elastic if e.region in fine or not fine]
+        mechanics = problem.mechanics
         self.cells = {e.region: mechanics.region_cells(e.region) for e in elastic}
         self.points: dict[str, Floats] = dict.fromkeys(self.cells, self._points)
         self.shares: dict[str, Floats] = dict.fromkeys(self.cells, weights / weights.sum())
         # Stress that is history is known at the points where it was summed.
         self._history = {r: problem.history for r in mechanics.history if problem.history}
-        for region, history in self._history.items() if degree is None else ():
+        for region, history in self._history.items() if not fine else ():
             self.points[region] = history.points
             self.shares[region] = history.weights / history.weights.sum()
         # Stiffness over its largest at the points, where it varies.

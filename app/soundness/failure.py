@@ -238,9 +238,8 @@ def explain(
     trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
     free = pulled_off(problem, contact) if scales else []
-    # Remedies may end anywhere.
     free = free or loose_bodies.free_bodies(problem, trial)
-    free = free or loose_bodies.free_bodies(problem, first)
+    free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
     friction = [] if free else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
     places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]

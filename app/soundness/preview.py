@@ -217,8 +217,11 @@ def warnings(case: Case) -> list[str]:
     if case.geometry.has_gruen_zones and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
             messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
-    laws = case.fatigue.laws.items() if case.fatigue else ()
-    messages += [f"fatigue.laws.{n}: {x.source}" for n, x in laws if MEMORY in str(x.source)]
+    laws: list[tuple[str, Any]] = [(f"regions.{n}", r) for n, r in case.regions.items()]
+    laws += [
+        (f"fatigue.laws.{n}", x) for n, x in (case.fatigue.laws if case.fatigue else {}).items()
+    ]
+    messages += [f"{n}: {x.source}" for n, x in laws if MEMORY in str(x.source)]
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         messages += _far_off(f"heat.{name}", condition, limits)
