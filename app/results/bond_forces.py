@@ -7,7 +7,6 @@ cells at the interface count as traction.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.mechanics.problem import Problem
+from app.results.cement_risk import Borders
 from app.results.interface_numbers import Surface, failing, normal_pressure
 from app.results.stresses import Stresses
 from app.scene.bodies import Bodies, contact_facets
@@ -46,9 +46,7 @@ class _Place:
 class BondForces:
     """Failure indices of bonded interfaces whose strength is known."""
 
-    def __init__(
-        self, problem: Problem, stresses: Stresses, borders: Callable[[Floats], dict[str, Floats]]
-    ) -> None:
+    def __init__(self, problem: Problem, stresses: Stresses, borders: Borders | None) -> None:
         self._problem, self._stresses, self._borders = problem, stresses, borders
         self._places: dict[str, _Place] = {}
 
@@ -111,7 +109,7 @@ class BondForces:
         nodes = np.unique(entries.row // 3)
         of = self._stresses.cells
         cells = tuple({r: self._cells(r, nodes) for r in side if r in of} for side in sides)
-        surface = Surface(points, 0, self._borders(points.x))
+        surface = Surface(points, 0, self._borders(points.x) if self._borders else {})
         points = replace(points, bodies=np.full_like(points.bodies, body))
         return _Place(points, entries, nodes, cells, surface)
 

@@ -87,8 +87,7 @@ class Mechanical:
                 borders, every = zones.borders(points.x), range(len(points.triangles))
                 self.surfaces = [Surface(points, i, borders) for i in every]
         self.stresses = Stresses(problem, timing, geometry.is_around_z, depth)
-        borders = self.zones.borders if self.zones else lambda x: {}
-        self.bonds = BondForces(problem, self.stresses, borders)
+        self.bonds = BondForces(problem, self.stresses, self.zones and self.zones.borders)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
