@@ -84,10 +84,11 @@ class Mechanical:
             self.zones, depth = (zones := Zones(geometry)), zones.depth
             if problem.contact:
                 points = problem.contact.points
-                borders, every = zones.borders(points.x), range(len(points.triangles))
-                self.surfaces = [Surface(points, i, borders) for i in every]
+                levels, every = zones.borders(points.x), range(len(points.triangles))
+                self.surfaces = [Surface(points, i, levels) for i in every]
         self.stresses = Stresses(problem, timing, geometry.is_around_z, depth)
-        self.bonds = BondForces(problem, self.stresses, self.zones and self.zones.borders)
+        borders = self.zones.borders if self.zones else None
+        self.bonds = BondForces(problem, self.stresses, borders)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
