@@ -32,7 +32,7 @@ Parts = Sequence["Surface"]
 MICROMOTION = 0.030  # mm: where biology reacts
 
 
-def _pressure(pressures: Floats, normals: Floats) -> Floats:
+def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
     """Normal force per area (n,) [MPa], from those of the faces of each point (n, 3).
 
     Negative is tension, possible for laws that cannot open.
@@ -44,34 +44,38 @@ def _pressure(pressures: Floats, normals: Floats) -> Floats:
 class ContactSamples:
     """Contact points of all ranks, in canonical order, on every rank.
 
-    One row per point for vectors, one per point and face for what belongs to a face.
+        One row per point for vectors, one per point and face for what belongs to a face.
 
-    Attributes:
-        interface: Interface of each point (n,).
-        x: Position (n, 3) [mm].
-        weight: Area (n,) [mm2].
-        gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
-        opening: Opening of the point, the largest of its faces (n,) [mm].
-        slip: Irreversible tangential motion, 0 where the point is open (n, 3) [mm].
-        path: Length of the path of sliding in contact (n,) [mm].
-        motion: Displacement of the second side as declared against the first (n, 3) [mm].
-        pressure: Normal force per area, positive in compression (n,) [MPa].
-        shear: Friction per area (n,) [MPa].
-        force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
-        status: State (n,).
-        dissipation: Dissipated by friction and damage (n,) [N mm].
-        least: Smallest dissipation of any step, 0 at most (n,) [N mm].
-        contact_work: Work of the pressures in the opening (n,) [N mm].
-        stored: Energy stored by layers and cohesion (n,) [N mm].
-        own: History variables of the laws, by name: (n, ...).
-        contacts: The interfaces.
-        facet_sizes: Mean length of the edges of their facets [mm].
-        sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
+        Attributes:
+            interface: Interface of each point (n,).
+            x: Position (n, 3) [mm].
+            weight: Area (n,) [mm2].
+            gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
+            opening: Opening of the point, the largest of its faces (n,) [mm].
+            slip: Irreversible tangential motion, 0 where the point is open (n, 3) [mm].
+            path: Length of the path of sliding in contact (n,) [mm].
+            motion: Displacement of the second side as declared against the first (n, 3) [mm].
+            pressure: Normal force per area, positive in compression (n,) [MPa].
+            shear: Friction per area (n,) [MPa].
+            force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
+            status: State (n,).
+            dissipation: Dissipated by friction and damage (n,) [N mm].
+            least: Smallest dissipation of any step, 0 at most (n,) [N mm].
+            contact_work: Work of the pressures in the opening (n,) [N mm].
+            stored: Energy stored by layers and cohesion (n,) [N mm].
+            own: History variables of the laws, by name: (n, ...).
+    <<<<<<< HEAD
+            contacts: The interfaces.
+            facet_sizes: Mean length of the edges of their facets [mm].
+    =======
+            index: Failure index (n,) of interfaces whose strength is known, by their numbers.
+    >>>>>>> main
+            sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
 
-    Args:
-        since: Jumps of own points at the last valley of the loads (n, 3) [mm]: ``inducible``
-            sizes are those of the way since then.
-        parts: Surface of each interface; by default undivided.
+        Args:
+            since: Jumps of own points at the last valley of the loads (n, 3) [mm]: ``inducible``
+                sizes are those of the way since then.
+            parts: Surface of each interface; by default undivided.
     """
 
     def __init__(
@@ -94,7 +98,7 @@ class ContactSamples:
         sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[own.interface][:, None]
         self.slip, self.path = whole(sign * history.slip), whole(history.path)
         self.motion = whole(sign * trial.jump)
-        self.pressure = whole(_pressure(trial.law.pressures, own.normals))
+        self.pressure = whole(normal_pressure(trial.law.pressures, own.normals))
         self.shear = whole(np.linalg.norm(history.friction, axis=1))
         self.force = whole(-sign * history.force)
         self.status = whole(np.where(own.faces > 0, trial.law.status, STICK))
@@ -108,6 +112,10 @@ class ContactSamples:
             "motion": np.linalg.norm(self.motion, axis=1),
             "pressure": self.pressure,
             "shear": self.shear,
+        }
+        laws = enumerate(c.law for c in contacts)
+        self.index = {
+            i: law.strength.index(self.pressure, self.shear) for i, law in laws if law.strength
         }
         if since is not None:
             way = whole(trial.jump - since)
@@ -135,7 +143,8 @@ class ContactSamples:
 def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[str, Any]:
     """Numbers of an interface and its parts; the wanted ones of its main part if not all."""
     at, surface = s.interface == i, s.surfaces[i]
-    parts = {part: _of_part(s, surface, part, wanted) for part in ([""] if wanted else surface.at)}
+    index, names = s.index.get(i), [""] if wanted else surface.at
+    parts = {part: _of_part(s, surface, part, wanted, index) for part in names}
     main = parts.pop("") | {
         "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
         "dissipation": float(s.dissipation[at].sum()),
@@ -152,7 +161,7 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
 
 
 def _of_part(
-    s: ContactSamples, surface: Surface, part: str, wanted: set[str] | None
+    s: ContactSamples, surface: Surface, part: str, wanted: set[str] | None, index: Floats | None
 ) -> dict[str, Any]:
     """Sizes of motion and tractions, states, area and force of a part of an interface."""
     at = surface.at[part]
@@ -175,8 +184,26 @@ def _of_part(
         found[f"{name}_fraction"] = float(weight[s.status[at] == state].sum() / weight.sum())
     found["area"] = field.whole
     found["force"] = lambda: [field.whole * surface.field(f, part).mean() for f in s.force.T]
+    if index is not None:
+        found |= failing(surface, index, s.x, part)
     asked = ((key, value) for key, value in found.items() if not wanted or key in wanted)
     return {key: value() if callable(value) else value for key, value in asked}
+
+
+def failing(surface: Surface, index: Floats, x: Floats, part: str) -> dict[str, Any]:
+    """Failure indices (n,) of a part of an interface: percentile, share of the area beyond 1.
+
+    The load factor is by how much a traction proportional to it would have to grow until the first
+    hundredth of the area fails.
+    """
+    field, at = surface.field(index, part), surface.at[part]
+    k, p99 = int(np.argmax(index[at])), field.percentile()
+    return {
+        "failure_index_max": float(index[at][k]),
+        "failure_index_p99": p99,
+        "failure_index_max_at": x[at][k].tolist(),
+        "strength_fraction": field.area_above(1.0) / (field.whole or 1.0),
+    } | ({"failure_load_factor": 1 / p99} if p99 > 0 else {})
 
 
 class Surface:
