@@ -44,38 +44,35 @@ def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
 class ContactSamples:
     """Contact points of all ranks, in canonical order, on every rank.
 
-        One row per point for vectors, one per point and face for what belongs to a face.
+    One row per point for vectors, one per point and face for what belongs to a face.
 
-        Attributes:
-            interface: Interface of each point (n,).
-            x: Position (n, 3) [mm].
-            weight: Area (n,) [mm2].
-            gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
-            opening: Opening of the point, the largest of its faces (n,) [mm].
-            slip: Irreversible tangential motion, 0 where the point is open (n, 3) [mm].
-            path: Length of the path of sliding in contact (n,) [mm].
-            motion: Displacement of the second side as declared against the first (n, 3) [mm].
-            pressure: Normal force per area, positive in compression (n,) [MPa].
-            shear: Friction per area (n,) [MPa].
-            force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
-            status: State (n,).
-            dissipation: Dissipated by friction and damage (n,) [N mm].
-            least: Smallest dissipation of any step, 0 at most (n,) [N mm].
-            contact_work: Work of the pressures in the opening (n,) [N mm].
-            stored: Energy stored by layers and cohesion (n,) [N mm].
-            own: History variables of the laws, by name: (n, ...).
-    <<<<<<< HEAD
-            contacts: The interfaces.
-            facet_sizes: Mean length of the edges of their facets [mm].
-    =======
-            index: Failure index (n,) of interfaces whose strength is known, by their numbers.
-    >>>>>>> main
-            sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
+    Attributes:
+        interface: Interface of each point (n,).
+        x: Position (n, 3) [mm].
+        weight: Area (n,) [mm2].
+        gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
+        opening: Opening of the point, the largest of its faces (n,) [mm].
+        slip: Irreversible tangential motion, 0 where the point is open (n, 3) [mm].
+        path: Length of the path of sliding in contact (n,) [mm].
+        motion: Displacement of the second side as declared against the first (n, 3) [mm].
+        pressure: Normal force per area, positive in compression (n,) [MPa].
+        shear: Friction per area (n,) [MPa].
+        force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
+        status: State (n,).
+        dissipation: Dissipated by friction and damage (n,) [N mm].
+        least: Smallest dissipation of any step, 0 at most (n,) [N mm].
+        contact_work: Work of the pressures in the opening (n,) [N mm].
+        stored: Energy stored by layers and cohesion (n,) [N mm].
+        own: History variables of the laws, by name: (n, ...).
+        contacts: The interfaces.
+        facet_sizes: Mean length of the edges of their facets [mm].
+        index: Failure index (n,) of interfaces whose strength is known, by their numbers.
+        sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
 
-        Args:
-            since: Jumps of own points at the last valley of the loads (n, 3) [mm]: ``inducible``
-                sizes are those of the way since then.
-            parts: Surface of each interface; by default undivided.
+    Args:
+        since: Jumps of own points at the last valley of the loads (n, 3) [mm]: ``inducible``
+            sizes are those of the way since then.
+        parts: Surface of each interface; by default undivided.
     """
 
     def __init__(

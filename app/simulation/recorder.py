@@ -218,12 +218,9 @@ class Recorder:
         columns = [c for c in TABLE["interfaces"].values() if c.history]
         for name, q in (self.samples.history if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns if c.key in q}
-<<<<<<< HEAD
-=======
         for name, q in m.bonds.numbers().items() if m else ():
             own = [c for c in TABLE["bonds"].values() if c.history]
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in own}
->>>>>>> main
         return row
 
     def _row(self, step: LoadStep) -> None:
