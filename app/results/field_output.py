@@ -19,6 +19,7 @@ from dolfinx import fem, la
 from app.arrays import Floats, Ints
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import ENDS, node_keys
+from app.results.bond_forces import BondForces
 from app.results.cement_risk import CementRisk
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS, Exposure
@@ -182,10 +183,12 @@ class HeatFields:
 class MechanicalFields:
     """Displacement, stress, and contact quantities."""
 
-    def __init__(self, problem: Problem, stresses: Stresses, risk: CementRisk | None) -> None:
+    def __init__(
+        self, problem: Problem, stresses: Stresses, risk: CementRisk | None, bonds: BondForces
+    ) -> None:
         self._problem, self._stresses, self._risk = problem, stresses, risk
+        self._bonds = bonds
         self.bodies, self.space = problem.bodies, problem.space
-        self._moduli = stresses.varying_moduli()
         index_map = self.space.dofmap.index_map
         # Stress times volume, and volume, at the nodes of a body.
         self._sums = la.vector(index_map, len(COMPONENTS) + 1)
@@ -202,18 +205,23 @@ class MechanicalFields:
             points = self._problem.contact.points
             rows = _contact_rows(points, self.space, self.bodies, nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
-                point |= _interface(contact, samples, rows[i])
+                point |= _interface(contact, samples, rows[i], i)
+        for name, (points, index) in self._bonds.indices().items():
+            (at,) = _contact_rows(points, self.space, self.bodies, nodes)
+            point[f"{name}_failure_index"] = _along(at, index)
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
-        """Mean stress, Young's modulus where it varies, 0 elsewhere [MPa], and damage."""
-        σ, E = np.zeros((cells, len(COMPONENTS))), np.zeros(cells)
-        for region, own in self._stresses.cells.items():
-            σ[own] = _components(self._stresses.mean(region))
-        for region, moduli in self._moduli.items():
-            E[self._stresses.cells[region]] = moduli
-        damage = self._risk.damage(cells) if self._risk else {}
-        return _named(σ) | ({"youngs_modulus": E} if self._moduli else {}) | damage
+        """Mean stress, Young's modulus where it varies [MPa], density of bone, and damage."""
+        σ, s, m = np.zeros((cells, len(COMPONENTS))), self._stresses, self._problem.mechanics
+        for region, own in s.cells.items():
+            σ[own] = _components(s.mean(region))
+        density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.remodels}
+        found = _named(σ) | (self._risk.damage(cells) if self._risk else {})
+        for name, parts in {"youngs_modulus": s.varying_moduli(), "density": density}.items():
+            for region, values in parts.items():
+                found.setdefault(name, np.zeros(cells))[s.cells[region]] = values
+        return found
 
     def _nodal_stress(self, nodes: OutputNodes) -> Floats:
         """Stress at the nodes (n, 6) [MPa]: the mean of the body's cells there, by volume.
@@ -241,6 +249,8 @@ class MechanicalFields:
             found[at] = mean[:, :-1] / np.where(mean[:, -1:] > 0, mean[:, -1:], 1.0)
         return found
 
+
+CENTRE = np.full((1, 3), 0.25)  # of the reference cell
 
 # Components of a symmetric tensor in VTK's order: XX, YY, ZZ, XY, YZ, XZ.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
@@ -301,7 +311,7 @@ def _along(rows: Ints, values: Floats) -> Floats:
     return out
 
 
-def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
+def _interface(contact: Interface, s: ContactSamples, rows: Ints, i: int) -> dict[str, Floats]:
     """Fields of an interface at the grid's nodes: zero away from it, status -1.
 
     They are linear along edges. In the middle of one the status is the more mobile of its ends:
@@ -315,6 +325,8 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
         **{"pressure": s.pressure, "shear": s.shear},
     }
+    if (index := s.index.get(i)) is not None:
+        fields["failure_index"] = index
     found = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}
     return found | {f"{contact.name}_status": status}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import meshes
+from app.arrays import Floats
 from app.case.case import Case
 from app.errors import on_root
 from app.heat.implicit_step import ImplicitStep
@@ -24,6 +25,7 @@ from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results.balance import Balance
+from app.results.bond_forces import BondForces
 from app.results.cement_risk import CementRisk
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import StemMotion, by_zone, of_femur
@@ -45,6 +47,9 @@ from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
 from meshes.pieces import Parts
+
+if TYPE_CHECKING:
+    from app.stepping.remodelling import Remodeller
 
 log = logging.getLogger("mantle")
 
@@ -83,9 +88,11 @@ class Mechanical:
             self.zones, depth = (zones := Zones(geometry)), zones.depth
             if problem.contact:
                 points = problem.contact.points
-                borders, every = zones.borders(points.x), range(len(points.triangles))
-                self.surfaces = [Surface(points, i, borders) for i in every]
+                levels, every = zones.borders(points.x), range(len(points.triangles))
+                self.surfaces = [Surface(points, i, levels) for i in every]
         self.stresses = Stresses(problem, timing, geometry.is_around_z, depth)
+        borders = self.zones.borders if self.zones else None
+        self.bonds = BondForces(problem, self.stresses, borders)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
@@ -98,6 +105,7 @@ class Mechanical:
     def restored(self) -> None:
         """Fill the unknowns with the restored displacement and jumps; collective."""
         self.problem.take_up(*self.solver.u_and_q())
+        self.stresses.follow_density()
 
     def balance(self, about: NDArray[np.float64]) -> Balance:
         """Balances of the model at rest, with moments about a fixed point (3,) [mm]; collective."""
@@ -152,6 +160,7 @@ class Model:
             self.notes = on_root(comm, lambda: found and well_posedness.judge(case, found)) or []
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
+            self.remodeller: Remodeller | None = None
             self.mechanics = self._mechanics()
             self.risk = self._risk()
             self.thermal = self._heat()
@@ -183,8 +192,9 @@ class Model:
         if not self.scene.elastic:
             return None
         case, like = self._case, None
-        for model in self._others if not self.scene.cures else ():
-            if (m := model.mechanics) is None:
+        changes = self.scene.cures or self.scene.remodelling
+        for model in self._others if not changes else ():
+            if (m := model.mechanics) is None or m.problem.mechanics.remodels:
                 continue
             if model.deforms_like(case):
                 m.begin(self.scene, case.solver.augmentation_factor, case.solver.tolerance)
@@ -224,7 +234,7 @@ class Model:
         """Groups of fields to be written: mechanics, heat."""
         groups: list[FieldGroup] = []
         if m := self.mechanics:
-            groups.append(MechanicalFields(m.problem, m.stresses, self.risk))
+            groups.append(MechanicalFields(m.problem, m.stresses, self.risk, m.bonds))
         if t := self.thermal:
             groups.append(HeatFields(t.heating, t.record, self._case.geometry.interface_sides))
         return groups
@@ -272,8 +282,13 @@ class Model:
             elif load_stepper:
                 beside = SolvedAfterHeat(load_stepper, t.heating)
             heat_stepper = HeatStepper(t.heating, beside, on_accepted)
+        if load_stepper and m and self.scene.remodelling:
+            from app.stepping.remodelling import Remodeller  # few runs need it
+
+            self.remodeller = Remodeller(load_stepper, m.stresses, self._intact)
         steppers = self._steppers = load_stepper, heat_stepper, creep_stepper
-        run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume())
+        steps = self.remodeller
+        run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume(), steps)
         total = Summary()
         for part in steppers[:2]:
             if part is not None:
@@ -289,6 +304,7 @@ class Model:
             "heat_stepper": heat_stepper,
             "load_stepper": load_stepper,
             "creep_stepper": creep_stepper,
+            "remodeller": self.remodeller,
         }
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
@@ -299,6 +315,21 @@ class Model:
         if case is None:
             return (m.neighbours,)
         return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
+
+    def _intact(self) -> Floats | None:
+        """Stimulus of the intact femur (n, r) [J/g], if it is asked for; collective."""
+        law, m = self.scene.remodelling, self.mechanics
+        if not (law and law.intact and m):
+            return None
+        from app.simulation.intact_femur import carried, intact_case
+        from app.stepping.remodelling import Remodeller
+
+        forms, timing = m.problem.mechanics, self._timing.of("intact femur")
+        case, comm = intact_case(self._case, forms.remodels), self.tagged.mesh.comm
+        other = Model(case, comm, self.options, timing, self.stop, judged=False).mechanics
+        assert other is not None
+        loads = LoadStepper(other.problem, other.solver, _nothing, _nothing)
+        return carried(Remodeller(loads, other.stresses, _nothing), forms)
 
     def _cheaper(self, case: Case) -> LoadStepper:
         other = self._other(case, self._timing.of("cheaper model"))
@@ -322,6 +353,8 @@ class Model:
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := bonds(m.problem, m.stresses):
                 numbers["bonds"] = found
+                for name, own in m.bonds.numbers().items():
+                    found[name] |= own
             if creep := m.problem.creep:
                 numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
             if self.risk:
@@ -332,6 +365,8 @@ class Model:
             numbers["stem"] = m.stem(self._case.side)
             if found := of_femur(m.problem, self._case):
                 numbers["femur"] = found
+            if self.remodeller:
+                numbers["remodelling"] = self.remodeller.summary()
         if t := self.thermal:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}
             if t.cure:
