@@ -52,8 +52,9 @@ from ufl import (
     sqrt,
     variable,
 )
-from ufl.algorithms import expand_derivatives, strip_variables
+from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
+from ufl.variable import Variable
 
 # A face counts as open when the gap it keeps exceeds minus this fraction of |S|/r, so that the sign
 # of a rounding error does not decide.
@@ -80,6 +81,11 @@ class Response:
         stored: Stored energy per area [N/mm]; None: none.
         dissipated: Energy per area that a step dissipates [N/mm]; None: of contact, friction; of a
             law without multiplier, none.
+        spent: Its part that breaks the interface, by which steps are controlled.
+        spent_by_jump: The derivative of that by the jump (3,) [MPa].
+        share: Share of the area where there is contact besides, with friction on that share; where
+            it is 0 there is none [-]. None: nowhere.
+        share_by_jump: Its derivative by the jump (3,) [1/mm].
         energy: Augmented Lagrangian per area [N/mm], with the starred force still frozen.
     """
 
@@ -92,6 +98,10 @@ class Response:
     slip: Expr | None = None
     stored: Expr | None = None
     dissipated: Expr | None = None
+    spent: Expr | None = None
+    spent_by_jump: Expr | None = None
+    share: Expr | None = None
+    share_by_jump: Expr | None = None
     energy: Expr | None = None
 
 
@@ -159,11 +169,9 @@ def contact_law(
     square = _choose(live, carried)
     energy = (square - inner(f, f)) / (2 * r)
 
-    force = replace(expand_derivatives(diff(energy, d)), {S_star: S})
-    slope = expand_derivatives(diff(force, f))
+    force = replace(derivative(energy, d), {S_star: S})
+    slope = derivative(force, f)
     pressures, status = _state(live, len(normals))
-    # The labels of variables differ from run to run; without them compiled laws are found again.
-    force, slope, pressures, status = map(strip_variables, (force, slope, pressures, status))
     return Response(force, slope, None, pressures, status, energy=energy)
 
 
@@ -212,6 +220,11 @@ def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[
     radius, sticks = _friction(μ, p, last.tangential)
     jammed = replace_state(last, pressures=p, radius=radius, sticks=sticks, condition=None)
     return [*states, replace_state(nothing, condition=apart), jammed]
+
+
+def derivative(value: Any, by: Variable) -> Expr:
+    """Derivative by a variable, algebra done."""
+    return expand_derivatives(diff(value, by))
 
 
 def _state(states: Sequence[_Touching], faces: int) -> tuple[Expr, Expr]:

@@ -30,6 +30,9 @@ class Stage(Section):
     """Time that the stage takes; by default none, and temperatures stay as they are."""
     steady: Truth = False
     """Whether the stage goes to the steady state of the temperature."""
+    fracture_step: units.FractureEnergy | None = None
+    """Energy that the damage of interfaces may use up in a load step. Where a step would use more,
+    the load is found for which it uses that; it may fall. By default steps follow the load."""
     cycles: units.PositiveInteger = 1
     """How often loads, gaps and supports reach their values of the end of the stage. Between, they
     go back to `valley`; `increments` are those of each way."""

@@ -9,16 +9,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import model_validator
 
 from app.laws.thermal import Conductance, FrictionHeating, PressureConductance
-from app.laws.values import History, LengthField, field
+from app.laws.values import (
+    FractureEnergyField,
+    History,
+    LengthField,
+    ShareField,
+    StiffnessField,
+    StrengthField,
+    field,
+)
 from app.schema.expressions import Varying
 from app.schema.section import Extensible, Kinds, Section, fail
-from app.schema.units import NonNegativeNumber, PositiveStiffness
+from app.schema.units import MixingExponent, NonNegativeNumber, PositiveStiffness
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
@@ -121,6 +129,11 @@ class InterfaceLaw(Extensible):
         return None
 
     @property
+    def beside(self) -> Coulomb | None:
+        """Contact on the share of the area that the law leaves; None without."""
+        return None
+
+    @property
     def values(self) -> Mapping[str, float | str]:
         """Numbers of the law, or expressions; they may differ between laws of one form."""
         return {name: v for name, v in self._own().items() if self._varies(name, v)}
@@ -147,6 +160,9 @@ class InterfaceLaw(Extensible):
         """The values (n,) at points of an interface, by name."""
         key = f"interfaces.{interface}."
         return {n: field(key + n, v, self._mark(n)) for n, v in self.values.items()}
+
+    def check(self, at: Mapping[str, Floats]) -> None:
+        """Refuse values (n,) at points that do not go together."""
 
     def response(self, at: AtPoint) -> Response:
         """Force and derivative of the law."""
@@ -260,6 +276,74 @@ class Penalty(Unilateral):
         return self.penalty, self.penalty
 
 
+class Cohesive(InterfaceLaw):
+    """Bond that breaks, in tension, shear and between, and rubs where it is broken."""
+
+    can_open: ClassVar[bool] = True
+    augmented: ClassVar[bool] = True
+    history: ClassVar[Mapping[str, tuple[int, ...]]] = {"damage": (), "spent": ()}
+
+    kind: Literal["cohesive"] = "cohesive"
+    friction_coefficient: NonNegativeNumber
+    """Coulomb's coefficient of the broken interface; 0 for none."""
+    stiffness: StiffnessField
+    """Traction per displacement of the bond, in tension and shear."""
+    tensile_strength: StrengthField
+    """Largest tension."""
+    shear_strength: StrengthField
+    """Largest shear."""
+    tensile_energy: FractureEnergyField
+    """Fracture energy per area in tension."""
+    shear_energy: FractureEnergyField
+    """Fracture energy per area in shear."""
+    mixing_exponent: MixingExponent = 2.0
+    """Exponent of Benzeggagh and Kenane between the two energies."""
+    softening: Literal["linear", "exponential"] = "linear"
+    """How traction falls with the jump."""
+    unbonded: ShareField = 0.0
+    """Share of the area that has never been bonded."""
+
+    def bond(self, x: Mapping[str, Expr]) -> dict[str, Expr]:
+        """Damage of the bond, as of `forms.cohesion.bond`."""
+        from ufl import variable
+
+        from forms.cohesion import Cohesion, bond
+
+        law = Cohesion(
+            K=x["stiffness"],
+            N=x["tensile_strength"],
+            S=x["shear_strength"],
+            G_I=x["tensile_energy"],
+            G_II=x["shear_energy"],
+            η=x["mixing_exponent"],
+            unbonded=x["unbonded"],
+            exponential=self.softening == "exponential",
+        )
+        return bond(law, variable(x["opened"]), variable(x["slid"]), x, x["live"])
+
+    @property
+    def form(self) -> Hashable:
+        """Its softening."""
+        return "cohesive", self.softening
+
+    @property
+    def beside(self) -> Coulomb:
+        """Contact of what is broken."""
+        return Coulomb(friction_coefficient=self.friction_coefficient)
+
+    def check(self, at: Mapping[str, Floats]) -> None:
+        """Refuse a stiffness with which the bond cannot soften."""
+        for mode in ("tensile", "shear"):
+            least = at[f"{mode}_strength"] ** 2 / at[f"{mode}_energy"]
+            if (low := at["stiffness"] < least).any():
+                k = int(low.argmax())
+                fail(
+                    f"{at['stiffness'][k]:g} MPa/mm is too soft for {mode} strength and energy: "
+                    f"expected at least strength^2 / energy = {least[k]:g} MPa/mm",
+                    at=("stiffness",),
+                )
+
+
 class Traction(InterfaceLaw):
     """A law whose force is an explicit function of the gap: layers, cohesion.
 
@@ -307,30 +391,26 @@ class Traction(InterfaceLaw):
 
     def response(self, at: AtPoint) -> Response:
         """Force and its derivative by the gap."""
-        from ufl import as_ufl, as_vector, diff, variable
-        from ufl.algorithms import expand_derivatives, strip_variables
-        from ufl.core.expr import Expr
+        from ufl import as_ufl, as_vector, variable
 
-        from forms.contact import Response, components
+        from forms.contact import Response, components, derivative
 
         law = self.model_copy(update=dict(at.values))
         gap = variable(at.jump + at.gap)
         history = at.updated(law.remembered(gap, at.normals, at.history))
         here = gap, at.normals, history
         force = law.traction(*here)
-        found = Response(
+        return Response(
             force=force,
             by_multiplier=None,
-            by_jump=expand_derivatives(diff(force, gap)),
+            by_jump=derivative(force, gap),
             pressures=as_vector([-p for p in components(force, at.normals)]),
             status=as_ufl(law.status(*here)),
             slip=law.slip(*here),
             stored=law.stored(*here),
             dissipated=law.dissipated(history, at.history),
+            history=history,
         )
-        plain = {n: strip_variables(e) for n, e in vars(found).items() if isinstance(e, Expr)}
-        history = {n: strip_variables(e) for n, e in history.items()}
-        return replace(found, **plain, history=history)
 
 
 Interface = Annotated[InterfaceLaw, Kinds()]

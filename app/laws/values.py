@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 from app.errors import InputError
 from app.schema.expressions import Varying, evaluate
 from app.schema.section import ITEMS, Section, Text, fail
-from app.schema.units import Dimension, Number
+from app.schema.units import Dimension, Number, Part
 
 if TYPE_CHECKING:
     from app.arrays import Field, Floats
@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 StiffnessField = Annotated[
     float | str, Varying(Dimension("MPa/mm", "a stiffness per area", "100 MPa/mm", above=0.0))
 ]
+StrengthField = Annotated[float | str, Varying(Dimension("MPa", "a strength", "2 MPa", above=0.0))]
+FractureEnergyField = Annotated[
+    float | str, Varying(Dimension("N/mm", "an energy per area", "100 J/m^2", above=0.0))
+]
+# Of an area: 30 %, or an expression that gives 0 to 1.
+ShareField = Annotated[float | str, Varying(Part())]
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
 # How sure values are, and where they are from.
 Status = Literal["measured", "assumed", "unverified"] | None

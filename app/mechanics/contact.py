@@ -69,7 +69,7 @@ class TrialState:
         force = law.force + np.einsum("pk,pki->pi", law.pressures, c.own.normals)
         missing = c.multiplier(self.equilibrium) - force
         slip = self.jump - c.state.jump + missing / c.law.stiffness[:, None]
-        slides = (c.law.frictional & (law.status == SLIP))[:, None]
+        slides = (c.law.frictional & c.law.slides & (law.status == SLIP))[:, None]
         closed = self._closed(slip)
         force, slip = (np.where(slides, c.own.tangential(v, closed), 0.0) for v in (force, slip))
         return force, slip
@@ -271,11 +271,12 @@ class ContactInterfaces:
         self._contacts = contacts
         fields = [{"gap": c.gap, **c.values} for c in contacts]
         values = {name: np.zeros(len(self.points.weight)) for every in fields for name in every}
-        for i, every in enumerate(fields):
+        for i, (c, every) in enumerate(zip(contacts, fields, strict=True)):
             # On every rank at all points, so that an error is raised on every rank.
             here = self.points.interface == i
             for name, at in every.items():
                 values[name][here] = at(self.points.x[here])
+            c.law.check({name: values[name][here] for name in c.values})
         own = {name: full[self.own.rows] for name, full in values.items()}
         self._full_gap = own["gap"]
         laws = [c.law for c in contacts]

@@ -19,18 +19,21 @@ from ufl.core.expr import Expr
 
 from app.arrays import Floats, Ints
 from app.laws import interface_laws
-from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, InterfaceLaw, Unilateral
+from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, Cohesive, InterfaceLaw, Unilateral
 from app.mechanics.contact_points import ContactState, OwnPoints
 from app.numerics import pointwise
 from app.numerics.pointwise import Pointwise
 from app.system.timing import Timing
-from forms import contact
-from forms.contact import STICK
+from forms import cohesion, contact
+from forms.contact import OPEN, SLIP, STICK
 
 # What a law may tell of a point, with its shape.
-TOLD: dict[str, tuple[int, ...]] = {"slip": (3,), "stored": (), "dissipated": ()}
+TOLD: dict[str, tuple[int, ...]] = {
+    **{"slip": (3,), "stored": (), "dissipated": (), "spent": ()},
+    **{"spent_by_jump": (3,), "share": (), "share_by_jump": (3,)},
+}
 # The modules that define a law, beside its own: a change of their text makes it another law.
-SOURCES = (contact, interface_laws, pointwise, sys.modules[__name__])
+SOURCES = (cohesion, contact, interface_laws, pointwise, sys.modules[__name__])
 
 
 @dataclass(frozen=True)
@@ -46,8 +49,8 @@ class PointForces:
         pressures: Pressure on each face, positive in compression (n, 3) [MPa].
         status: OPEN, STICK or SLIP (n,).
         history: New values of the history variables of the laws, by name: (n, ...).
-        told: Slip (n, 3) [mm], stored energy and dissipation of the step (n,) [N/mm] of laws that
-            tell them, by name, 0 elsewhere.
+        told: Slip (n, 3) [mm], stored energy, dissipation of the step and its part by damage (n,)
+            [N/mm] with derivative (n, 3) of laws that tell them, by name, 0 elsewhere.
     """
 
     force: Floats
@@ -60,8 +63,9 @@ class PointForces:
     told: Mapping[str, Floats]
 
 
-# Rows of points with the same number of faces and laws of the same form, with their compiled law.
-Group = tuple[Ints, InterfaceLaw, Pointwise]
+# Rows of points with the same number of faces and laws of the same form, with their compiled law
+# and that of contact besides.
+Group = tuple[Ints, InterfaceLaw, Pointwise, Pointwise | None]
 
 
 class PointLaw:
@@ -104,13 +108,14 @@ class PointLaw:
                 self._known[forms] = self._compiled(laws)
         self._factor, self._groups = factor, self._known[forms]
         self._laws = [(law, own.interface == i) for i, law in enumerate(laws)]
-        for rows, law, compiled in self._groups:
+        for rows, law, compiled, _ in self._groups:
             constants: dict[str, Any] = {name: values[name][rows] for name in law.values}
             compiled.set(**constants)
         self.history = {k: shape for law in laws for k, shape in law.history.items()}
         self.can_open = np.array([law.can_open for law in laws])[own.interface]
         self.frictional = np.array([law.friction > 0 for law in laws])[own.interface]
         self.slides = np.array([isinstance(law, Unilateral) for law in laws])[own.interface]
+        self._bonds = values.get("stiffness", np.zeros(len(own)))
         self.tied = np.zeros(len(own), dtype=bool)
         self._scale = 1.0
         self._softest = np.array([min(law.layer or (np.inf,)) for law in laws])[own.interface]
@@ -128,7 +133,10 @@ class PointLaw:
         for m, k in sorted(set().union(*self._comm.allgather(here))):
             rows = np.flatnonzero((own.faces == m) & (form == k))
             law = next(law for law in laws if law.form == forms[k])
-            groups.append((rows, law, _compile(self._comm, own.normals[rows, :m], law)))
+            normals = own.normals[rows, :m]
+            other = law.beside
+            beside = None if other is None else _compile(self._comm, normals, other)
+            groups.append((rows, law, _compile(self._comm, normals, law), beside))
         return groups
 
     # Stiffness of the trial force
@@ -202,10 +210,13 @@ class PointLaw:
             history={name: values.copy() for name, values in state.own.items()},
             told={name: np.zeros((n, *shape)) for name, shape in TOLD.items()},
         )
-        for rows, law, compiled in self._groups:
+        for rows, law, compiled, beside in self._groups:
             known = inputs | {name: state.own[name] for name in law.history}
-            values = compiled(None, **{k: v[rows] for k, v in known.items()})
-            found = dict(zip(compiled.outputs, values, strict=True))
+            known = {k: v[rows] for k, v in known.items()}
+            if isinstance(law, Cohesive):
+                found = self._bond(rows, compiled, known)
+            else:
+                found = compiled.named(**known)
             stiffness = r[rows, None, None]
             out.force[rows] = found["force"]
             slope = found.get("by_multiplier", 0.0)
@@ -215,7 +226,9 @@ class PointLaw:
             )
             out.resisted[rows] = slope
             if "by_jump" in found:
-                out.resisted[rows] = along @ np.linalg.inv(along + stiffness * np.eye(3))
+                sizes, axes = np.linalg.eigh((along + along.transpose(0, 2, 1)) / 2)
+                sizes = np.maximum(sizes, 0.0) / (np.abs(sizes) + r[rows, None])
+                out.resisted[rows] = (axes * sizes[:, None, :]) @ axes.transpose(0, 2, 1)
             p = found["pressures"]
             out.pressures[rows, : p.shape[1]] = p
             out.status[rows] = np.rint(found["status"]).astype(np.int64)
@@ -223,9 +236,92 @@ class PointLaw:
                 out.history[name][rows] = found[f"new {name}"]
             for name in TOLD.keys() & found.keys():
                 out.told[name][rows] = found[name]
+            if beside is not None:
+                if law.friction > 0:
+                    known["μ"] = law.friction * out.told["share"][rows]
+                names = (*inputs, "μ") if law.friction > 0 else inputs
+                self._touch(rows, beside, {name: known[name] for name in names}, out)
         if self.tied.any():
             self._tie(out, force, jump + gap, state.jump)
         return out
+
+    def _bond(
+        self, rows: Ints, compiled: Pointwise, inputs: Mapping[str, Floats]
+    ) -> dict[str, Floats]:
+        """Force of a bond, its derivative by the jump, and what it tells."""
+        D, n = inputs["jump"] + inputs["gap"], self._own.normals[rows]
+        duals = np.linalg.pinv(n).transpose(0, 2, 1)
+        a = np.einsum("pki,pi->pk", duals, D)
+        opens = a > 0
+        # Derivatives of what is pressed, opened and slid, each a part of the jump.
+        pressed_by, opened_by = (
+            np.einsum("pk,pki,pkj->pij", side, n, duals) for side in (~opens, opens)
+        )
+        slid_by = np.eye(3) - pressed_by - opened_by
+        pressed, opened, slid = (
+            np.einsum("pij,pj->pi", part, D) for part in (pressed_by, opened_by, slid_by)
+        )
+        squares = {"opened": (opened**2).sum(axis=1), "slid": (slid**2).sum(axis=1)}
+        names = ("damage", "spent", "live")
+        found = compiled.named(**squares, **{name: inputs[name] for name in names})
+
+        def gradient(name: str) -> Floats:
+            across = np.einsum("pi,pij->pj", opened, opened_by)
+            along = np.einsum("pi,pij->pj", slid, slid_by)
+            by = found[f"{name} by opened"], found[f"{name} by slid"]
+            return 2 * by[0][:, None] * across + 2 * by[1][:, None] * along
+
+        K, parted = self._bonds[rows], opened + slid
+        left = K * (1 - found["broken"])
+        touches = found["before"] > 0
+        spring = np.where(touches, 0.0, K)
+        force = left[:, None] * parted + spring[:, None] * pressed
+        by_jump = (
+            left[:, None, None] * (np.eye(3) - pressed_by) + spring[:, None, None] * pressed_by
+        )
+        by_jump -= K[:, None, None] * parted[:, :, None] * gradient("broken")[:, None, :]
+        stored = left * (parted**2).sum(axis=1) + spring * (pressed**2).sum(axis=1)
+        return {
+            "force": force,
+            "by_jump": by_jump,
+            "pressures": -np.einsum("pki,pi->pk", duals, force),
+            "status": np.full(len(rows), STICK),
+            "stored": stored / 2,
+            "dissipated": found["used"],
+            "spent": found["used"],
+            "spent_by_jump": gradient("used"),
+            "share": np.where(touches, found["broken"], 0.0),
+            "share_by_jump": touches[:, None] * gradient("broken"),
+            **{name: found[name] for name in ("new damage", "new spent")},
+        }
+
+    def _touch(
+        self, rows: Ints, contact: Pointwise, inputs: dict[str, Floats], out: PointForces
+    ) -> None:
+        """Add contact where a bond is broken: F = T + P(F - T + r D), with T the bond's force."""
+        T, by_D, told = out.force[rows], out.by_jump[rows], out.told
+        inputs["force"] = inputs["force"] - T
+        found = contact.named(**inputs)
+        P, slope, p = found["force"], found["by_multiplier"], found["pressures"]
+        on, share = told["share"][rows] > 0, told["share"][rows]
+        friction = P + np.einsum("pk,pki->pi", p, self._own.normals[rows, : p.shape[1]])
+        status = np.rint(found["status"]).astype(np.int64)
+        rubs = on & (status == SLIP)
+        added = slope @ (inputs["r"][:, None, None] * np.eye(3) - by_D)
+        # The disc of friction grows with the broken share.
+        grown = np.where(rubs, 1 / np.where(on, share, 1.0), 0.0)[:, None, None]
+        added += grown * friction[:, :, None] * told["share_by_jump"][rows][:, None, :]
+        slid = inputs["jump"] - inputs["old"] + (inputs["force"] - P) / inputs["r"][:, None]
+        here = rows[on]
+        out.force[here] += P[on]
+        out.by_multiplier[here] = slope[on]
+        out.by_jump[here] += added[on]
+        out.pressures[here, : p.shape[1]] += p[on]
+        out.status[here] = status[on]
+        told["dissipated"][rows] += np.where(rubs, np.einsum("pi,pi->p", friction, slid), 0.0)
+        told["slip"][here] = (inputs["jump"] + inputs["gap"])[on]
+        told["slip"][:] = self._own.tangential(told["slip"], out.pressures > 0)
+        told["slip"][rows[status == OPEN]] = 0.0
 
     def _tie(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
         own, tied = self._own, self.tied
@@ -243,6 +339,8 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     vectors = ["force", "jump", "gap", "old", "star", *faces]
 
     def build(x: dict[str, Expr]) -> dict[str, Expr]:
+        if isinstance(law, Cohesive):
+            return law.bond(x)
         values = {name: x[name] for name in law.values}
         history = {name: x[name] for name in law.history}
         state = (x["force"], x["jump"], x["gap"], x["old"], x["star"])
@@ -255,11 +353,15 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
         return {name: e for name, e in told.items() if e is not None}
 
     sizes = dict.fromkeys(vectors, 3) | dict.fromkeys((*law.values, "r", "live"), 1)
+    if isinstance(law, Cohesive):
+        sizes = dict.fromkeys((*law.values, "opened", "slid", "live"), 1)
     sizes |= {name: int(np.prod(shape)) for name, shape in law.history.items()}
     module = sys.modules[type(law).__module__]
     known = getattr(module, "__file__", None) is not None
     note = pointwise.note_of(f"{law.form} {len(faces)}", (*SOURCES, module)) if known else None
     compiled = Pointwise(comm, len(normals), sizes, build, note)
+    if isinstance(law, Cohesive):
+        return compiled
     constant: dict[str, Any] = {f: normals[:, k] for k, f in enumerate(faces)}
     compiled.set(**constant)
     return compiled

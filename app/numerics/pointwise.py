@@ -34,7 +34,7 @@ import ufl
 from dolfinx import fem, jit
 from dolfinx.cpp.fem import create_expression_float64
 from dolfinx.mesh import create_mesh
-from ufl.algorithms import extract_coefficients
+from ufl.algorithms import extract_coefficients, strip_variables
 from ufl.core.expr import Expr
 
 from app import files
@@ -125,7 +125,9 @@ class Pointwise:
         built = build(dict(self._inputs))
         if not isinstance(built, Mapping):
             built = {str(k): e for k, e in enumerate(built)}
-        together = ufl.as_vector([c for e in built.values() for c in _components(e)])
+        # The labels of variables differ from run to run; without them the code is found again.
+        every = [strip_variables(e) for e in built.values()]
+        together = ufl.as_vector([c for e in every for c in _components(e)])
         options = {"scalar_type": np.float64}
         symbol, module, _ = jit.ffcx_jit(comm, (together, np.array([[0.5]])), options)
         used = extract_coefficients(together)
@@ -151,6 +153,10 @@ class Pointwise:
             size = space.dofmap.index_map_bs
             array = function.x.array.reshape(-1, size)
             array[space.dofmap.list[cells, 0]] = np.reshape(value, (-1, size))
+
+    def named(self, **values: Floats) -> dict[str, Floats]:
+        """As a call, at all points, by name."""
+        return dict(zip(self.outputs, self(None, **values), strict=True))
 
     def __call__(self, rows: Ints | None = None, **values: Floats) -> list[Floats]:
         """Set inputs; return the values of the expressions (n, ...) at all points or some rows."""

@@ -134,7 +134,7 @@ class Varying(Scalar):
         # "0.02 mm" is a length and "0.02" one without its unit; "0.02 * x" is an expression.
         if not isinstance(value, str) or (
             (match := NUMBER.fullmatch(value))
-            and (not match[2] or match[2][0].isalpha() or match[2][0] == "°")
+            and (not match[2] or match[2][0].isalpha() or match[2][0] in "°%")
         ):
             return self.constant.read(value)
         try:

@@ -17,7 +17,7 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache, partial
 from typing import Annotated, Any
@@ -251,6 +251,37 @@ class AbsoluteTemperature(Dimension):
 
 
 @dataclass(frozen=True)
+class Part(Dimension):
+    """Marks a share: a bare number from 0 to 1, or per cent."""
+
+    unit: str = "-"
+    what: str = "a share"
+    example: str = "7.7 %"
+    at_least: float | None = field(default=0.0, kw_only=True)
+    at_most: float | None = field(default=1.0, kw_only=True)
+
+    def read(self, value: object) -> float:
+        """The share.
+
+        Raises:
+            PydanticCustomError: Not a number, or not from 0 to 1.
+        """
+        found = _part(value)
+        match = NUMBER.fullmatch(found) if isinstance(found, str) else None
+        if isinstance(found, bool) or not (isinstance(found, int | float) or match):
+            fail(f"{show(value)} is not {self.what} such as '{self.example}'")
+        if match and match[2]:
+            fail(f"{show(value)}: a share has no unit but %")
+        result = float(match[1]) if match else float(found)  # type: ignore[arg-type]
+        self.check(result, show(value))
+        return result
+
+    def write(self, value: float) -> str:
+        """The share as a bare number."""
+        return repr(value)
+
+
+@dataclass(frozen=True)
 class Plain(_Bounded):
     """Marks a float or int field as dimensionless: a bare, finite number; not text, not a bool."""
 
@@ -321,6 +352,7 @@ Density = Annotated[float, Dimension("tonne/mm^3", "a density", "1100 kg/m^3", a
 SpecificHeat = Annotated[float, _specific_heat]
 ExpansionCoefficient = Annotated[float, _expansion]
 HeatDensity = Annotated[float, _heat]
+FractureEnergy = Annotated[float, Dimension("N*mm", "an energy", "0.5 N mm", above=0.0)]
 ConductancePerArea = Annotated[float, _conductance(at_least=0.0)]
 FilmCoefficient = Annotated[float, _conductance(above=0.0)]
 ConductancePerPressure = Annotated[float, _per_pressure("100 W/(m^2 K MPa)", above=0.0)]
@@ -330,6 +362,7 @@ ActivationEnergy = Annotated[float, _per_amount(at_least=0.0)]
 Number = Annotated[float, Plain()]
 PositiveNumber = Annotated[float, Plain(above=0.0)]
 NonNegativeNumber = Annotated[float, Plain(at_least=0.0)]
+MixingExponent = Annotated[float, Plain(at_least=1.0)]
 Share = Annotated[float, Plain(at_least=0.0, at_most=1.0)]
 PositivePart = Annotated[float, Plain(above=0.0, at_most=1.0), BeforeValidator(_part), _EITHER]
 PositiveInteger = Annotated[int, Plain(integer=True, at_least=1)]

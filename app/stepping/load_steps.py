@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from petsc4py import PETSc
+
 from app.errors import ConvergenceError, Reason
 from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Extrapolation, Predictor, same
@@ -21,6 +23,7 @@ from app.numerics.remedies import solve
 from app.scene.scene import Stage
 from app.soundness.failure import explain, proportional
 from app.soundness.loose_bodies import held_by_facets, runaway
+from app.stepping.energy_control import HALVINGS, by_energy, overshoot, spent
 
 EASY_ITERATIONS = 8
 GROWTH = 2.0
@@ -81,12 +84,18 @@ class Progress:
     Attributes:
         step: Next step, as a part of the path; 0 if no path has been begun.
         done: Completed part of the path.
+        energy: Fracture energy of the next step where the load follows it, 0 where it is given.
+        most: Largest part of the path that has been reached.
+        handed: Part of the path at which no step of given energy was found, last.
         cuts: Number of halvings of the step minus that of its increases since.
     """
 
     step: float = 0.0
     done: float = 0.0
     cuts: int = 0
+    energy: float = 0.0
+    most: float = 0.0
+    handed: float = -1.0
 
     def goal(self, whole: float) -> float:
         """End of the current increment, which a shortened step does not exceed."""
@@ -184,7 +193,8 @@ class LoadStepper:
             started, goal = clock.perf_counter(), progress.goal(whole)
             start, predictors = solver.x.copy(), self.predictors
             halved: list[float] = []
-            while True:
+            begun: float | None = None
+            while not progress.energy:
                 reach = progress.reach(goal)
                 time = begin + reach * (end - begin)
                 set_load(reach)
@@ -194,10 +204,18 @@ class LoadStepper:
                 predicted = predictors and not same(start, solver.x)
                 outcome = solve(solver)
                 self.total.count(outcome)
-                if outcome.converged:
+                most = stage.fracture_step or math.inf
+                if outcome.converged and spent(problem, solver) <= most:
                     break
                 self.total.rejected += 1
                 start.copy(solver.x)
+                if most < math.inf:
+                    path = progress.done, reach
+                    begun = overshoot(problem, solver, most, path, set_load)
+                    if begun is not None:
+                        progress.energy = most
+                        continue
+                    start.copy(solver.x)
                 predictors = ()
                 # From rest, without gaps, smaller steps fail alike.
                 scales = not start.norm() and proportional(solver, set_load, reach)
@@ -211,9 +229,60 @@ class LoadStepper:
                 halved.append(progress.step)
                 how = f"step halved to {progress.step:.4g} of stage '{stage.name}'"
                 self.on_trouble(f"{why.short}; {how}")
+            if progress.energy:
+                self._by_energy(stage, whole, set_load, (begin, end), progress, (start, begun))
+                checkpoint_point()
+                continue
             self.commit(stage, time, outcome, started, reach == goal)
             progress.advance(reach, whole, outcome.iterations <= EASY_ITERATIONS)
             checkpoint_point()
+
+    def _by_energy(
+        self,
+        stage: Stage,
+        whole: float,
+        set_load: Callable[[float], None],
+        times: tuple[float, float],
+        progress: Progress,
+        first: tuple[PETSc.Vec, float | None],
+    ) -> None:
+        """Take a step of given fracture energy from a state, and the part of the path of a guess.
+
+        It hands back to load steps where it is a long one, or where nothing more can break.
+        """
+        problem, solver, started = self.problem, self.solver, clock.perf_counter()
+        (start, begun), energy, most = first, progress.energy, stage.fracture_step or 0.0
+        while energy > most / 2**HALVINGS:
+            at = progress.done if begun is None else begun
+            outcome, reach = by_energy(problem, solver, energy, at, set_load)
+            self.total.count(outcome)
+            if outcome.converged:
+                break
+            start.copy(solver.x)
+            self.total.rejected += 1
+            energy, begun = energy / 2, None
+        else:
+            if progress.handed != progress.done:
+                progress.energy, progress.step, progress.handed = 0.0, whole, progress.done
+                return
+            raise ConvergenceError(
+                f"stage '{stage.name}' at {100 * progress.done:.3g} % of it: no state was found in "
+                f"which interfaces have used up {energy:.3g} N mm more; the load has reached "
+                f"{100 * max(progress.most, progress.done):.3g} % of the stage\n"
+                "  what to change: a shorter `fracture_step`, a finer mesh, or a smaller load, if "
+                "what holds is broken"
+            )
+        longer = reach - progress.done >= whole
+        if reach >= 1.0:
+            start.copy(solver.x)
+            progress.energy, progress.step = 0.0, 1.0 - progress.done
+            return
+        passed = math.floor(reach / whole) > math.floor(progress.done / whole)
+        progress.done, progress.most = reach, max(progress.most, reach)
+        progress.energy = 0.0 if longer else min(2 * energy, most)
+        if longer:
+            progress.step = whole
+        self.commit(stage, times[0] + reach * (times[1] - times[0]), outcome, started, passed)
 
     def commit(
         self, stage: Stage, time: float, outcome: NewtonResult, started: float, whole: bool

@@ -1,0 +1,152 @@
+"""Cohesion at one point: energies, onset, crooked paths, unloading, slopes."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from app.arrays import Floats
+from app.laws.interface_laws import Cohesive
+from app.mechanics.contact_law import PointForces, PointLaw
+from app.mechanics.contact_points import ContactState, OwnPoints
+from app.system.timing import Timing
+
+K, N, S, G_I, G_II, ETA = 1e4, 2.0, 4.0, 0.1, 0.5, 2.0
+HISTORY: dict[str, tuple[int, ...]] = {"damage": (), "spent": ()}
+
+
+class Points:
+    """Points of a law, led along given jumps; forces are those of equilibrium with the law."""
+
+    def __init__(
+        self, n: int, softening: str = "linear", faces: int = 1, μ: float = 0.0, free: float = 0.0
+    ) -> None:
+        normals, tensors = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+        normals[:, :faces] = np.eye(3)[::-1][:faces]
+        number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
+        interface, x, given = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.full(n, faces)
+        own = OwnPoints(number, interface, x, sides, given, normals, np.ones(n), tensors)
+        law = Cohesive.model_validate(
+            {
+                "kind": "cohesive",
+                "friction_coefficient": μ,
+                "stiffness": f"{K} MPa/mm",
+                "tensile_strength": f"{N} MPa",
+                "shear_strength": f"{S} MPa",
+                "tensile_energy": f"{G_I} N/mm",
+                "shear_energy": f"{G_II} N/mm",
+                "mixing_exponent": ETA,
+                "softening": softening,
+                "unbonded": f"{100 * free} %",
+            }
+        )
+        self.law = PointLaw(MPI.COMM_SELF, own, Timing())
+        values = {name: np.full(n, float(v)) for name, v in law.values.items()}
+        self.law.begin([law], values, 1.0, tensors + 1e3 * np.eye(3))
+        self.state = ContactState.at_rest(np.zeros((n, 3)), HISTORY)
+        self.force, self.work, self.spent = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
+        self.least = 0.0
+
+    def at(self, force: Floats, jump: Floats) -> PointForces:
+        """The law at a trial state."""
+        return self.law.evaluate(force, jump, np.zeros_like(jump), self.state)
+
+    def lead(self, jump: Floats) -> PointForces:
+        """Go to a jump and commit it."""
+        force, step = self.force, jump - self.state.jump
+        for _ in range(3):  # the multiplier: nothing is pressed
+            found = self.at(force, jump)
+            force = found.force
+        self.work = self.work + np.einsum("pi,pi->p", (force + self.force) / 2, step)
+        used = found.told["dissipated"]
+        self.least, self.spent = min(self.least, used.min()), self.spent + used
+        self.force, self.state.jump, self.state.own = force, jump, dict(found.history)
+        return found
+
+
+@pytest.mark.parametrize("softening", ["linear", "exponential"])
+def test_five_mixtures_use_up_the_energy_of_benzeggagh_and_kenane(softening: str) -> None:
+    """Work and dissipation G = G_I + (G_II - G_I) B^η; peak on the quadric of the strengths."""
+    angle = np.linspace(0, np.pi / 2, 5)
+    towards = np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
+    points, peak = Points(5, softening), np.zeros(5)
+    end = {"linear": 0.3, "exponential": 2.5}[softening]
+    for size in (*np.linspace(1e-6, 0.01, 200), *np.geomspace(0.01, end, 300)[1:]):
+        points.lead(size * towards)
+        peak = np.maximum(peak, np.linalg.norm(points.force, axis=1))
+    B = np.sin(angle) ** 2
+    np.testing.assert_allclose(points.spent, G_I + (G_II - G_I) * B**ETA, rtol=1e-5)
+    np.testing.assert_allclose(points.work, points.spent, rtol=5e-3)  # trapezoidal
+    np.testing.assert_allclose(peak, 1 / np.sqrt((1 - B) / N**2 + B / S**2), rtol=1e-2)
+    assert points.least >= 0
+
+
+def test_unloading_goes_to_the_origin_and_pressure_does_no_damage() -> None:
+    points, along = Points(1), np.array([[0.0, 0.0, 1.0]])
+    points.lead(0.04 * along)
+    kept, d = points.force.copy(), points.state.own["damage"].copy()
+    assert 0 < d[0] < 1
+    half = points.lead(0.02 * along)
+    np.testing.assert_allclose(half.force, kept / 2, rtol=1e-9)
+    assert half.told["dissipated"] == 0 and half.history["damage"] == d
+    new = Points(1)
+    pressed = new.lead(-0.01 * along)
+    np.testing.assert_allclose(pressed.force, -0.01 * K * along)
+    assert pressed.history["damage"] == 0
+
+
+def test_crooked_paths_never_give_energy_back() -> None:
+    """Opened then sheared, sheared then opened, with unloading between: work between both G."""
+    rng = np.random.default_rng(3)
+    points = Points(40)
+    corners = np.abs(rng.normal(size=(6, 40, 3))) * [0.06, 0.0, 0.03]
+    corners[-1] = [0.4, 0.0, 0.4]
+    last = np.zeros((40, 3))
+    for corner in corners:
+        for part in np.linspace(0, 1, 60)[1:]:
+            points.lead(last + part * (corner - last))
+        last = corner
+    assert points.least >= -1e-16
+    assert (points.state.own["damage"] == 1).all()
+    assert (points.spent > G_I * (1 - 1e-9)).all() and (points.spent < G_II * (1 + 1e-9)).all()
+
+
+def test_a_broken_point_rubs_and_an_unbonded_share_does_from_the_start() -> None:
+    """Friction μ p of the broken share, and the rest of the bond in series with nothing."""
+    points = Points(2, μ=0.4, free=1.0)
+    pressed = np.tile([0.0, 0.0, -3.0], (2, 1))
+    out = points.at(pressed, np.tile([0.5, 0.0, 0.0], (2, 1)))
+    np.testing.assert_allclose(out.force[:, 0], 0.4 * 3.0, rtol=1e-9)
+    np.testing.assert_allclose(out.told["dissipated"], 0.4 * 3.0 * (0.5 - 1.2 / 1000), rtol=1e-9)
+    share = Points(1, μ=0.4, free=0.25)
+    slid = share.at(pressed[:1], np.array([[1e-4, 0.0, 0.0]]))
+    assert slid.force[0, 0] == pytest.approx(0.75 * K * 1e-4, abs=0.25 * 0.4 * 3.0 + 1e-9)
+
+
+@pytest.mark.parametrize("faces", [1, 2, 3])
+@pytest.mark.parametrize("softening", ["linear", "exponential"])
+def test_both_slopes_are_derivatives(faces: int, softening: str) -> None:
+    """Central differences at points that are whole, damaged, broken, open, stuck and sliding."""
+    n, rng = 300, np.random.default_rng(faces)
+    points = Points(n, softening, faces, μ=0.4)
+    damage = np.where(np.arange(n) < 80, 0.0, rng.uniform(0, 1, n))
+    points.state.own = {"damage": damage, "spent": 0.3 * damage}
+    points.state.jump = 1e-3 * rng.normal(size=(n, 3))
+    jump, force = 3e-3 * rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
+    base = points.at(force, jump)
+    for of_jump, slope, size in ((True, base.by_jump, 1e-8), (False, base.by_multiplier, 1e-4)):
+        step = size * rng.normal(size=(n, 3))
+        up, down = (
+            points.at(force + k * step * (not of_jump), jump + k * step * of_jump) for k in (1, -1)
+        )
+        linear = np.einsum("pij,pj->pi", slope, step)
+        error = np.abs((up.force - down.force) / 2 - linear).max(axis=1)
+        smooth = (up.status == down.status) & (np.abs(up.force - down.force).max(axis=1) < 1)
+        assert smooth.mean() > 0.95
+        assert np.quantile(error[smooth], 0.98) < 1e-6 * max(np.abs(linear).max(), 1e-9)
+        spent = (up.told["spent"] - down.told["spent"]) / 2
+        if of_jump:
+            expected = np.einsum("pi,pi->p", base.told["spent_by_jump"], step)
+            assert np.quantile(np.abs(spent - expected), 0.98) < 1e-6 * np.abs(expected).max()
