@@ -1,4 +1,4 @@
-"""Damage of an interface that breaks, and the size of the zone in which it does.
+"""Size of the zone in which an interface breaks.
 
 With w the spent part of the fracture energy, the zone is where 0 < w < 1. By the co-area formula
 the integral of the slope of w is its largest value times the mean length of its contours: the area
@@ -9,45 +9,15 @@ of the zone over that length is how wide it is,
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from app.arrays import Floats
-from app.laws.interface_laws import Cohesive
 from app.results.percentiles import SurfaceField
-from app.scene.scene import Interface
-
-if TYPE_CHECKING:
-    from app.results.interface_numbers import ContactSamples
 
 # Part of the energy at which a point counts as broken: exponential softening never ends.
 BROKEN = 0.99
 # Fewest elements over a process zone that resolve it.
 RESOLVED = 3
-
-
-def numbers(s: ContactSamples, i: int, contact: Interface, facet: float) -> dict[str, float]:
-    """Areas [mm2], mean damage and process zone of a cohesive interface; of others none.
-
-    ``facet`` is the size of its facets [mm].
-    """
-    if not isinstance(contact.law, Cohesive):
-        return {}
-    at, surface = s.interface == i, s.surfaces[i]
-    never = contact.values["unbonded"](s.x[at])
-    bonded, spent, weight = s.weight[at] * (1 - never), s.own["spent"][at], s.weight[at]
-    w = np.zeros(len(at))
-    w[at] = np.where(never < 1, spent, 0.0)
-    length = zone(surface.corners, w[surface.triangles], surface.area)
-    return {
-        "unbonded_fraction": float(weight @ never / weight.sum()),
-        "area_damaged": float(bonded[spent > 0].sum()),
-        "area_broken": float(bonded[spent >= BROKEN].sum()),
-        "damage_mean": float(bonded @ s.own["damage"][at] / max(bonded.sum(), 1e-300)),
-        "zone_length": length,
-        "zone_elements": length / facet,
-    }
 
 
 def zone(x: Floats, w: Floats, area: Floats) -> float:
