@@ -302,7 +302,7 @@ def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
     for name, found in numbers["regions"].items():
         creep = getattr(case.regions[name], "creep", None)
         if "creep_strain_max" in found and case.mesh.order == 1:
-            notes.append(f"region '{name}' creeps at constant volume: linear cells lock; order 2 not")
+            notes.append(f"region '{name}' creeps and keeps its volume: linear cells lock")
         low, high = (creep and creep.stresses) or (0.0, math.inf)
         if "creep_strain_max" in found and not low <= found["von_mises_p99"] <= high:
             notes.append(
