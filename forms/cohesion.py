@@ -106,7 +106,8 @@ def bond(c: Cohesion, opened: Any, slid: Any, old: Mapping[str, Any], live: Any)
     damage = conditional(loading, damage, old["damage"])
     # Where the mixture changes, more damage may be a smaller part of another energy.
     spent = c.spent(m, m_0, G)
-    spent = conditional(And(loading, gt(spent, old["spent"])), spent, old["spent"])
+    more = ge(spent, old["spent"] - LOADING)
+    spent = conditional(And(loading, more), spent, old["spent"])
     broken, before = (c.unbonded + (1 - c.unbonded) * d for d in (damage, old["damage"]))
     used = (1 - c.unbonded) * G * (spent - old["spent"])
     told = {"broken": broken, "used": used}

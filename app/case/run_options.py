@@ -53,6 +53,8 @@ class Stage(Section):
             fail("a steady stage takes no `duration`", at=("duration",))
         if self.cycles > 1 and self.takes_time:
             fail("a stage that takes time has no cycles", at=("cycles",))
+        if self.fracture_step and self.takes_time:
+            fail("loads of a stage that takes time follow it", at=("fracture_step",))
         if self.creep_cycles and self.creep_time:
             fail("creep is in cycles or in time; leave one out", at=("creep_time",))
         if self.creep and (self.takes_time or self.cycles > 1):
