@@ -27,6 +27,7 @@ from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import Bonded, Interface
 from app.laws.loads import AnyLoad
 from app.laws.materials import Region
+from app.laws.remodelling import Remodelling
 from app.laws.supports import AnySupport
 from app.schema import section, yaml_file
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text
@@ -73,6 +74,8 @@ class Case(Section):
     """Sources, fluxes and given temperatures."""
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)
     """The loading history."""
+    remodelling: Remodelling | None = None
+    """How bone follows its load in the stages that remodel it."""
     time: TimeOptions | None = None
     """How stages that take time are divided into steps; only where there is heat."""
     fatigue: Fatigue | None = None

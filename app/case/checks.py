@@ -10,6 +10,7 @@ from typing import Any
 
 from app.case.quantities import of_run
 from app.errors import Reason
+from app.laws.densities import density
 from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
 from app.laws.interface_laws import Cohesive
 from app.laws.materials import Conductor, Elastic, Rigid
@@ -22,7 +23,7 @@ def cross_check(case: Any) -> list[Fault]:
     faults = [*_held(case), *_side(case), *_heat(case), *_creep(case)]
     if case.geometry is not None:
         faults += [*_names(case), *_mesh(case), *_rigid(case), *_accuracy(case)]
-        faults += _fatigue(case)
+        faults += [*_fatigue(case), *_remodelling(case)]
     if case.stages is not None:
         faults += _stages(case)
     return faults
@@ -197,6 +198,39 @@ def _side(case: Any) -> Iterable[Fault]:
             "are those of the mirrored right one"
         )
         yield Fault(("side",), text)
+
+
+def _remodelling(case: Any) -> Iterable[Fault]:
+    """Stages without section and reverse; load cases and regions that remodelling lacks."""
+    law, stages = case.remodelling, case.stages or ()
+    timed = [i for i, stage in enumerate(stages) if stage.remodels]
+    if law is None:
+        for i in timed:
+            text = "how bone remodels is missing or wrong; expected a section `remodelling`"
+            yield Fault(("stages", i, "remodels"), text)
+        return
+    if stages and not timed:
+        yield Fault(("stages",), "nothing remodels; expected `remodels: 2 years` in some stage")
+    before = [s.name for s in stages[: timed[0] if timed else None] if not s.takes_time]
+    for j, name in enumerate(law.load_cases):
+        if stages and name not in before:
+            text = f"'{name}' is no stage before; expected one of {', '.join(before)}"
+            yield Fault(("remodelling", "load_cases", j), text + did_you_mean(name, before))
+    regions, tissues = case.regions or {}, case.geometry.tissues
+    bone = [n for n, r in regions.items() if r and (r.tissue or tissues.get(n)) == "bone"]
+    for name in law.regions or bone:
+        region = regions.get(name)
+        cures = getattr(getattr(region, "thermal", None), "cure", None)
+        if not isinstance(region, Elastic) or region.eigenstrains or cures:
+            text = f"{name} cannot; expected elastic regions without eigenstrains that do not set"
+            yield Fault(("remodelling", "regions"), text)
+        elif not region.image:
+            E, (low, high) = getattr(region, "youngs_modulus", None), law.density
+            moduli = [v for _, v in E] if isinstance(E, tuple) else region.moduli[:1]
+            for rho in density(law.law, moduli):
+                if not low <= rho <= high:
+                    text = f"has {rho:.4g} g/cm3 by `remodelling.law`; expected {low:g} to {high:g}"
+                    yield Fault(("regions", name), text)
 
 
 def _creep(case: Any) -> Iterable[Fault]:

@@ -38,6 +38,9 @@ class Stage(Section):
     go back to `valley`; `increments` are those of each way."""
     valley: units.Share = 0.1
     """What is left between two cycles of the change that the stage brings."""
+    remodels: units.PositiveTime | None = None
+    """Time in which bone remodels under the load cases of `remodelling`; its steps are chosen by
+    their error, and fields are written at the end of each of `increments` equal parts."""
 
     creep_cycles: units.PositiveNumber | None = None
     """Cycles for which regions creep, at the loads of the end of the stage, their peak. Loads come
@@ -51,10 +54,15 @@ class Stage(Section):
     def _one_end(self) -> Stage:
         if self.steady and self.duration is not None:
             fail("a steady stage takes no `duration`", at=("duration",))
-        if self.cycles > 1 and self.takes_time:
+        if self.cycles > 1 and (self.takes_time or self.remodels):
             fail("a stage that takes time has no cycles", at=("cycles",))
+<<<<<<< HEAD
         if self.fracture_step and self.takes_time:
             fail("loads of a stage that takes time follow it", at=("fracture_step",))
+=======
+        if self.takes_time and self.remodels:
+            fail("takes the time of heat; expected no `duration`, no `steady`", at=("remodels",))
+>>>>>>> main
         if self.creep_cycles and self.creep_time:
             fail("creep is in cycles or in time; leave one out", at=("creep_time",))
         if self.creep and (self.takes_time or self.cycles > 1):

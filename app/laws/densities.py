@@ -59,6 +59,37 @@ class DensityLaw(Section):
     """Each from a density on: that density, a, b and c."""
 
 
+Law = Annotated[
+    Annotated[Literal["morgan_neck", "keyak", "carter_hayes"], Tag(TAG + "known")]
+    | Annotated[DensityLaw, Tag(TAG + "own")],
+    Discriminator(lambda law: TAG + ("known" if isinstance(law, str) else "own")),
+]
+
+
+def table_of(law: str | DensityLaw) -> tuple[str, Table]:
+    """Kind of density of a law, and its ranges."""
+    return LAWS[law] if isinstance(law, str) else (law.density, law.ranges)
+
+
+def modulus(law: str | DensityLaw, density: Any) -> Any:
+    """Young's modulus [MPa] at densities of the law's kind [g/cm3]."""
+    import numpy as np
+
+    rho = np.maximum(density, LEAST)
+    start, a, b, c = np.transpose(table_of(law)[1])
+    k = np.maximum(np.searchsorted(start, rho) - 1, 0)
+    return a[k] + b[k] * rho ** c[k]
+
+
+def density(law: str | DensityLaw, modulus: Any) -> Any:
+    """Density [g/cm3] at Young's moduli [MPa], of a law that rises."""
+    import numpy as np
+
+    start, a, b, c = np.transpose(table_of(law)[1])
+    k = np.maximum(np.searchsorted(a + b * np.maximum(start, LEAST) ** c, modulus) - 1, 0)
+    return ((modulus - a[k]) / b[k]) ** (1 / c[k])
+
+
 class ImageModulus(Section):
     """Young's modulus by the density in an image."""
 
@@ -69,11 +100,7 @@ class ImageModulus(Section):
     of numpy."""
     calibration: Calibration
     """What makes densities of CT numbers: the line of a phantom."""
-    law: Annotated[
-        Annotated[Literal["morgan_neck", "keyak", "carter_hayes"], Tag(TAG + "known")]
-        | Annotated[DensityLaw, Tag(TAG + "own")],
-        Discriminator(lambda law: TAG + ("known" if isinstance(law, str) else "own")),
-    ]
+    law: Law
     """Modulus by density: `morgan_neck`, `keyak`, `carter_hayes`, or a law of one's own."""
     per_cell: Truth = False
     """Whether it is the mean over each cell, as other programs read it; it always is at first
@@ -108,28 +135,15 @@ class ImageModulus(Section):
 
         return images.read(self.density)
 
-    @property
-    def _law(self) -> tuple[str, Table]:
-        return LAWS[self.law] if isinstance(self.law, str) else (self.law.density, self.law.ranges)
-
     def densities(self, numbers: Any) -> dict[str, Any]:
         """Densities of CT numbers [g/cm3], by kind."""
         qct = self.calibration.offset + self.calibration.slope * numbers
         ash = ASH_SLOPE * qct + ASH_OFFSET
         return {"qct": qct, "ash": ash, "apparent": ash / ASH_PART}
 
-    def modulus(self, density: Any) -> Any:
-        """Young's modulus [MPa] at densities of the law's kind [g/cm3]."""
-        import numpy as np
-
-        rho = np.maximum(density, LEAST)
-        start, a, b, c = np.transpose(self._law[1])
-        k = np.maximum(np.searchsorted(start, rho) - 1, 0)
-        return a[k] + b[k] * rho ** c[k]
-
     def modulus_of(self, numbers: Any) -> Any:
         """Young's modulus of CT numbers [MPa]."""
-        return self.modulus(self.densities(numbers)[self._law[0]])
+        return modulus(self.law, self.densities(numbers)[table_of(self.law)[0]])
 
     @property
     def largest(self) -> float:
@@ -148,10 +162,10 @@ class ImageModulus(Section):
         """Moduli at three densities, at the densest voxels, and below the surface of a patient."""
         import numpy as np
 
-        dense, kind = self.image.dense, self._law[0]
+        dense, kind = self.image.dense, table_of(self.law)[0]
         at, moduli = (
             ", ".join(f"{v:{f}}" for v in values)
-            for values, f in ((SHOWN, "g"), (self.modulus(list(SHOWN)), ",.0f"))
+            for values, f in ((SHOWN, "g"), (modulus(self.law, list(SHOWN)), ",.0f"))
         )
         found = ", ".join(f"{rho:.2f} {of}" for of, rho in self.densities(dense).items())
         told = {

@@ -16,6 +16,7 @@ from app.laws.creep import Creep
 from app.laws.densities import ImageModulus
 from app.laws.failure import Weibull
 from app.laws.fibres import Fibre, FibreDirection
+from app.laws.remodelling import Remodelling
 from app.laws.thermal import Thermal
 from app.laws.values import History, Named, Source, Status, Table, rising
 from app.schema.section import ITEMS, TAG, Kinds, Pair, Section, Text, fail, show
@@ -117,6 +118,8 @@ class Elastic(Material):
     # The image that gives the stiffness, if one does; where points of the model are in it.
     image: ClassVar[ImageModulus | None] = None
     _places: Any = None
+    # How the region remodels, if it does.
+    _remodelling: Remodelling | None = None
 
     @property
     def moduli(self) -> tuple[float, ...]:
@@ -134,11 +137,13 @@ class Elastic(Material):
     @property
     def varies(self) -> bool:
         """Whether the stiffness depends on the place."""
-        return False
+        return self._remodelling is not None
 
     def relative_stiffness(self, x: Floats) -> Floats:
-        """Stiffness at points (n, 3) [mm] over that of `coefficients` (n,), where it varies."""
-        raise NotImplementedError
+        """Stiffness by the case at points (n, 3) [mm] over that of `coefficients` (n,)."""
+        import numpy as np
+
+        return np.ones(len(x))
 
     def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
         """Strain energy density ψ(ε) [MPa]; coefficients are UFL constants or expressions."""
@@ -199,7 +204,7 @@ class Isotropic(Elastic):
     @property
     def varies(self) -> bool:
         """Whether Young's modulus is a table or from an image."""
-        return not isinstance(self.youngs_modulus, float)
+        return not isinstance(self.youngs_modulus, float) or self._remodelling is not None
 
     def relative_stiffness(self, x: Floats) -> Floats:
         """E(x) over the largest E."""
@@ -207,6 +212,8 @@ class Isotropic(Elastic):
 
         if self.image:
             return np.asarray(self.image.at(x, self._places) / self.moduli[0])
+        if isinstance(self.youngs_modulus, float):
+            return super().relative_stiffness(x)
         heights, moduli = np.transpose(np.asarray(self.youngs_modulus))
         return np.asarray(np.interp(x[:, 2], heights, moduli) / self.moduli[0])
 

@@ -18,7 +18,7 @@ import basix
 import basix.ufl
 import numpy as np
 import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import default_scalar_type, fem, la
 from dolfinx.fem import IntegralType, compute_integration_domains
 from dolfinx.fem.forms import CompiledForm
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
@@ -28,6 +28,7 @@ from ufl.core.expr import Expr
 
 from app.arrays import Field, Floats
 from app.errors import InputError, everywhere
+from app.laws.densities import density, modulus
 from app.laws.loads import Patch
 from app.laws.materials import Elastic
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates, facets_by_body
@@ -97,6 +98,8 @@ class BodyForms:
         springs: Stiffness of each elastic foundation.
         swelling: Thermal strain of each expanding elastic region, at the vertices [-].
         growth: Modulus of each curing region over its final one, at the vertices [-].
+        remodels: Regions that remodel.
+        density, density_at_start: At all vertices of this rank, ghosts too (n, r) [g/cm3].
         history: Regions whose stress is history.
         history_degree: Degree of its quadrature. Creep needs positive weights and no more points
             than stresses that a cell can have: more would lock, as its volume stays the same.
@@ -105,7 +108,7 @@ class BodyForms:
         InputError: A load acts on nothing, or nothing can carry its moment.
     """
 
-    saved = ("growth",)
+    saved = ("growth", "density")
 
     def __init__(self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, timing: Timing) -> None:
         self.scene, self.tagged, self.bodies = scene, tagged, bodies
@@ -120,6 +123,10 @@ class BodyForms:
         self._facets: Domains = []
         self._surface = self._surface_measure()
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
+        bone = [e for e in scene.elastic if e._remodelling]
+        self.remodels = tuple(e.region for e in bone)
+        self.density_at_start: Any = np.array([self._density(e) for e in bone]).T if bone else None
+        self.density: Any = self.density_at_start.copy() if bone else None
         self._relative = {e.region: self._relative_stiffness(e) for e in scene.elastic if e.varies}
         self.springs = [self.constant(f.stiffness) for f in scene.foundations]
         self._amplitude = {
@@ -201,17 +208,53 @@ class BodyForms:
         At the first order, where strains are constant in a cell, its mean over the cell (cells, 1).
         """
         mean = self.scene.order == 1 or (e.image and e.image.per_cell)
+        remodels = e._remodelling
         rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
         at, weights = (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
         x, volumes = self.places(e.region, at, weights)
-        values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
+        if remodels:
+            values = (
+                modulus(remodels.law, self.density_at(e.region, at, self.density)) / e.moduli[0]
+            )
+        else:
+            values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
         values = values.reshape(volumes.shape)
         return np.average(values, axis=1, weights=volumes, keepdims=True) if mean else values
 
-    def _relative_stiffness(self, e: Elastic) -> fem.Function:
+    def _density(self, e: Elastic) -> Floats:
+        """Density of a region's modulus in the case at all vertices, within its bounds (n,)."""
+        law, x = e._remodelling, self.scalars.tabulate_dof_coordinates()
+        assert law is not None
+        E = e.moduli[0] * everywhere(self.mesh.comm, lambda: e.relative_stiffness(x))
+        return np.asarray(np.clip(density(law.law, E), *law.density))
+
+    def vertices(self, region: str) -> NDArray[np.int32]:
+        """Vertices of a region's own cells (cells, 4), as numbered in `scalars`."""
+        return self.scalars.dofmap.list[self.region_cells(region)]
+
+    def vertex_sums(self, vertices: NDArray[np.int32], values: Any) -> Floats:
+        """Sums of the values of all ranks at vertices of this one, ghosts too (n,); collective."""
+        total = la.vector(self.scalars.dofmap.index_map)
+        np.add.at(total.array, vertices, values)
+        total.scatter_reverse(la.InsertMode.add)
+        total.scatter_forward()
+        return np.array(total.array)
+
+    def density_at(self, region: str, points: Floats, density: Floats) -> Floats:
+        """A density at the vertices (n, r) at points of a region's own cells (cells, points)."""
+        own = density[:, self.remodels.index(region)]
+        return np.asarray(own[self.vertices(region)] @ hats(points).T)
+
+    def follow_density(self) -> None:
+        """Set the moduli of regions that remodel to those of their densities; collective."""
+        for e in self.scene.elastic:
+            if e._remodelling:
+                self._relative_stiffness(e, self._relative[e.region])
+
+    def _relative_stiffness(self, e: Elastic, g: fem.Function | None = None) -> fem.Function:
         """Stiffness over its largest at the points of the quadrature."""
         element = basix.ufl.quadrature_element("tetrahedron", degree=self._degree(e))
-        g = fem.Function(fem.functionspace(self.mesh, element))
+        g = g or fem.Function(fem.functionspace(self.mesh, element))
         points, _ = basix.make_quadrature(basix.CellType.tetrahedron, self._degree(e))
         rows = g.function_space.dofmap.list[self.region_cells(e.region)]
         g.x.array[rows] = self.relative_stiffness(e, np.asarray(points))
@@ -239,7 +282,8 @@ class BodyForms:
         return own(degree=self._degree(e)) if varies else own
 
     def _degree(self, e: Elastic) -> int:
-        return IMAGE_DEGREE if e.image and self.scene.order > 1 else self.varying_degree
+        by_density = e.image or e._remodelling
+        return IMAGE_DEGREE if by_density and self.scene.order > 1 else self.varying_degree
 
     def elastic_strain(self, e: Elastic, v: Any) -> Any:
         """Strain of a displacement minus the region's eigenstrains and its swelling."""
@@ -288,7 +332,7 @@ class BodyForms:
         x, _ = facet_coordinates(self.tagged, boundary_facets(self.tagged, boundary))
         rule = basix.make_quadrature(basix.CellType.triangle, MOMENT_DEGREE)
         points, weights = (np.asarray(a) for a in rule)
-        L = np.column_stack([1 - points.sum(axis=1), points])
+        L = hats(points)
         _, size = surface(x, L)
         at = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
 
@@ -344,6 +388,11 @@ class BodyForms:
         """Compile a form, counting the time."""
         with self._timing.phase("compile", "forces"):
             return fem.form(form)
+
+
+def hats(points: Floats) -> Floats:
+    """Linear functions of the vertices at points of the reference simplex (p, vertices)."""
+    return np.column_stack([1 - points.sum(axis=1), points])
 
 
 def assembled_vector(form: fem.Form) -> PETSc.Vec:

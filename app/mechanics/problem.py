@@ -133,6 +133,7 @@ class Problem:
         self.set_stage(stage, self.stiffness.K.createVecRight())
         if self.mechanics.growth:
             self._renew()
+        self.follow_density()
         self.set_time(self.time)
 
     def take_up(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
@@ -203,6 +204,15 @@ class Problem:
             self._renew()
         self.forces.set_eigenforces("history", self.history.forces())
         self.set_time(self.time)
+
+    def follow_density(self) -> None:
+        """Update moduli and matrices where regions remodel; collective."""
+        if self.mechanics.remodels:
+            self.mechanics.follow_density()
+            if self.thermal_strain:
+                self.thermal_strain.assemble()
+                self.forces.set_eigenforces("heat", self.thermal_strain.forces())
+            self._renew()
 
     def impose(self, u: PETSc.Vec) -> None:
         """Set the constrained unknowns of a displacement to their current values."""

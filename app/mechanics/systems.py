@@ -157,7 +157,7 @@ class ContactSystem(BondedSystem):
         if not self._solves or linear not in ("auto", "condensed"):
             return None
         sizes = problem.stiffness.K.getSize()[0], self.contact.coupling.D.getSize()[0]
-        foreseen = self._solves, bool(problem.scene.cures), self._memory, comm.size
+        foreseen = self._solves, problem.scene.stiffens, self._memory, comm.size
         choice = SolverChoice(problem.scene.order, *sizes, *foreseen)
         found: Condensed | None = None
         if linear == "condensed" or choice.condensed < HOPELESS * choice.krylov:

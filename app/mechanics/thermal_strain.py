@@ -31,12 +31,16 @@ class ThermalStrain:
         self._mechanics = mechanics
         self._terms = [x for x in scene.expansions if x.region in mechanics.swelling]
         self.body = {x.region: bodies.of_region[x.region] for x in self._terms}
-        elastic = {e.region: e for e in scene.elastic}
+        self._elastic = {e.region: e for e in scene.elastic}
+        self.assemble()
+
+    def assemble(self) -> None:
+        """Assemble the forces of unit strain at the present moduli; collective."""
         # Where stress is history free strain is a part of it.
         self._forces = {
-            x.region: _forces(mechanics, elastic[x.region])
+            x.region: _forces(self._mechanics, self._elastic[x.region])
             for x in self._terms
-            if x.region not in mechanics.history
+            if x.region not in self._mechanics.history
         }
 
     def set(self, temperatures: Mapping[str, fem.Function]) -> dict[int, PETSc.Vec]:
@@ -45,13 +49,16 @@ class ThermalStrain:
         Args:
             temperatures: Values at the vertices of each expanding region [K], ghosts included.
         """
-        parts: dict[int, PETSc.Vec] = {}
         for x in self._terms:
             e = self._mechanics.swelling[x.region]
             e.x.array[:] = x.expansion * (temperatures[x.region].x.array - x.reference)
-            if (G := self._forces.get(x.region)) is None:
-                continue
-            body = self.body[x.region]
+        return self.forces()
+
+    def forces(self) -> dict[int, PETSc.Vec]:
+        """Nodal forces of the present thermal strain on each body [N]."""
+        parts: dict[int, PETSc.Vec] = {}
+        for region, G in self._forces.items():
+            e, body = self._mechanics.swelling[region], self.body[region]
             nodal = G.createVecRight()
             nodal.array[:] = e.x.array[: nodal.getLocalSize()]
             parts.setdefault(body, G.createVecLeft())

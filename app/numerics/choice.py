@@ -27,7 +27,7 @@ class SolverChoice:
         order: Of the displacement.
         size, jumps: Unknowns of displacement, and jumps.
         solves: Number of solves.
-        setting: Whether a region sets, so that the bodies are factored for each.
+        setting: Whether the stiffness changes, so that the bodies are factored for each.
         memory: Of a rank [byte].
         ranks: Number of ranks, which share the work of a Krylov method alone.
         factors: Operations and entries of the factors of A'; estimated if they are not known.

@@ -198,15 +198,13 @@ def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
 def _strength(name: str, q: Mapping[str, Any], unsettled: Mapping[str, Any]) -> Verdict:
     """Probability that a region and its parts fail, and where it grows with every mesh."""
     texts, tone = [], ""
-    for part in ("", *(p for p in quantities.PARTS if p in q)):
+    for part in ("", *(p for p in quantities.PARTS if "failure_risk" in q.get(p, {}))):
         own, key = q[part] if part else q, f"{name}_{part}" if part else name
         text = f"{100 * own['failure_probability']:.2g} %{f' at its {part}' * bool(part)}"
         (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))
         if fine > coarse:
-            text += (
-                f" (R grows from {coarse:.2g} at {size:g} mm to {fine:.2g}: it may have no limit)"
-            )
-            tone = "doubtful"
+            grown = f"from {coarse:.2g} at {size:g} mm to {fine:.2g}"
+            text, tone = f"{text} (R grows {grown}: it may have no limit)", "doubtful"
         texts.append(text)
     return Verdict(f"strength: {name} breaks with a probability of {', '.join(texts)}", tone)
 

@@ -185,7 +185,6 @@ class MechanicalFields:
     def __init__(self, problem: Problem, stresses: Stresses, risk: CementRisk | None) -> None:
         self._problem, self._stresses, self._risk = problem, stresses, risk
         self.bodies, self.space = problem.bodies, problem.space
-        self._moduli = stresses.varying_moduli()
         index_map = self.space.dofmap.index_map
         # Stress times volume, and volume, at the nodes of a body.
         self._sums = la.vector(index_map, len(COMPONENTS) + 1)
@@ -206,14 +205,16 @@ class MechanicalFields:
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
-        """Mean stress, Young's modulus where it varies, 0 elsewhere [MPa], and damage."""
-        σ, E = np.zeros((cells, len(COMPONENTS))), np.zeros(cells)
-        for region, own in self._stresses.cells.items():
-            σ[own] = _components(self._stresses.mean(region))
-        for region, moduli in self._moduli.items():
-            E[self._stresses.cells[region]] = moduli
-        damage = self._risk.damage(cells) if self._risk else {}
-        return _named(σ) | ({"youngs_modulus": E} if self._moduli else {}) | damage
+        """Mean stress, Young's modulus where it varies [MPa], density of bone, and damage."""
+        σ, s, m = np.zeros((cells, len(COMPONENTS))), self._stresses, self._problem.mechanics
+        for region, own in s.cells.items():
+            σ[own] = _components(s.mean(region))
+        density = {r: m.density_at(r, CENTRE, m.density)[:, 0] for r in m.remodels}
+        found = _named(σ) | (self._risk.damage(cells) if self._risk else {})
+        for name, parts in {"youngs_modulus": s.varying_moduli(), "density": density}.items():
+            for region, values in parts.items():
+                found.setdefault(name, np.zeros(cells))[s.cells[region]] = values
+        return found
 
     def _nodal_stress(self, nodes: OutputNodes) -> Floats:
         """Stress at the nodes (n, 6) [MPa]: the mean of the body's cells there, by volume.
@@ -241,6 +242,8 @@ class MechanicalFields:
             found[at] = mean[:, :-1] / np.where(mean[:, -1:] > 0, mean[:, -1:], 1.0)
         return found
 
+
+CENTRE = np.full((1, 3), 0.25)  # of the reference cell
 
 # Components of a symmetric tensor in VTK's order: XX, YY, ZZ, XY, YZ, XZ.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.arrays import Floats, Ints
-from app.case.case import read_geometry
 from app.errors import InputError
 from app.results.vtkhdf import QUADRATIC_NODES
 from app.schema import yaml_file
@@ -98,6 +97,7 @@ class Run(Results):
         points: Positions of the nodes (n, 3) [mm]; nodes on an interface are there once per body.
         cells: Nodes of the cells (m, 4 or 10), in VTK's order.
         region: Number of the region of each cell (m,), from 1.
+        regions: Number of each region by its name.
         times: Times of the written steps; stage k runs from k to k + 1.
         contacts: Names of the interfaces that have contact points.
         point_fields: Names of the fields on points.
@@ -115,11 +115,13 @@ class Run(Results):
             width = len(root["Connectivity"]) // len(root["Types"])
             self.cells: Ints = root["Connectivity"][:].reshape(-1, width)
             self.region: Ints = root["CellData/region"][:].astype(np.int64)
+            names = root["FieldData/region_names"].asstr()[:]
+            self.regions = {name: number for number, name in enumerate(names, 1)}
             self.times: Floats = root["Steps/Values"][:]
             self.point_fields = tuple(root["PointData"])
             self.cell_fields = tuple(root["CellData"])
-        names = [n for n in self.point_fields if n.endswith("_status")]
-        self.contacts = tuple(n.removesuffix("_status") for n in names)
+        named = [n for n in self.point_fields if n.endswith("_status")]
+        self.contacts = tuple(n.removesuffix("_status") for n in named)
 
     @cached_property
     def written_stages(self) -> list[str]:
@@ -127,13 +129,6 @@ class Run(Results):
         names = [stage["name"] for stage in self.case["stages"]]
         written = {ceil(time - 1e-9) - 1 for time in self.times}
         return [name for k, name in enumerate(names) if k in written]
-
-    @cached_property
-    def regions(self) -> dict[str, int]:
-        """Number of each region by its name, as `region` has it."""
-        geometry = read_geometry(self.case, self.folder)
-        names = geometry.region_names if geometry else ()
-        return {name: number for number, name in enumerate(names, 1)}
 
     def on_points(self, name: str, step: int | str = -1) -> Floats:
         """A field on the nodes at a written step (n,) or (n, k), by its name in the file."""

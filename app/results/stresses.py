@@ -68,6 +68,7 @@ class Stresses:
             self.shares[region] = history.weights / history.weights.sum()
         # Stiffness over its largest at the points, where it varies.
         self._relative: dict[str, Floats] = {}
+        self.follow_density(every=True)
         self._places: dict[str, tuple[Floats, Floats]] = {}
         self._moduli: dict[str, Floats] = {}
         # Regions share the form of their strain, but for those with free strain.
@@ -75,14 +76,18 @@ class Stresses:
         self._moved = fem.Function(problem.space)
         self._strain = self._expression(elasticity.strain(self._moved))
         for e in elastic:
-            if e.varies:
-                points = self.points[e.region]
-                self._relative[e.region] = mechanics.relative_stiffness(e, points)
             if e.region not in mechanics.history and (
                 e.eigenstrains or e.region in mechanics.swelling
             ):
                 displacement = problem.displacements()[problem.bodies.of_region[e.region]]
                 self._own[e.region] = self._expression(mechanics.elastic_strain(e, displacement))
+
+    def follow_density(self, every: bool = False) -> None:
+        """Update the stiffness of regions that remodel, or of `every` one that varies."""
+        for e in self._problem.scene.elastic:
+            if e.varies and (every or e._remodelling):
+                points = self.points[e.region]
+                self._relative[e.region] = self._problem.mechanics.relative_stiffness(e, points)
 
     def _expression(self, ε: Expr) -> fem.Expression:
         with self._timing.phase("compile", "stress"):

@@ -24,6 +24,7 @@ from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import InterfaceLaw
 from app.laws.loads import Load
 from app.laws.materials import Elastic, Rigid
+from app.laws.remodelling import Remodelling
 from app.laws.supports import Foundation, Support
 from app.laws.thermal import Thermal
 from app.laws.values import field
@@ -86,6 +87,7 @@ class Scene:
     friction_heat: tuple[Interface, ...] = ()
     expansions: tuple[Thermal, ...] = ()
     cures: tuple[Cure, ...] = ()
+    remodelling: Remodelling | None = None
     creeps: tuple[Creep, ...] = ()
     time: TimeOptions | None = None
     coupled: bool = False
@@ -97,13 +99,29 @@ class Scene:
         elastic = {e.region: max(e.moduli) for e in self.elastic}
         return elastic | {r.region: math.inf for r in self.rigid}
 
+    @property
+    def stiffens(self) -> bool:
+        """Whether the stiffness changes from solve to solve."""
+        return bool(self.cures or self.remodelling)
+
+    @property
+    def load_cases(self) -> list[int]:
+        """Stages that are the load cases of remodelling."""
+        names = [stage.name for stage in self.stages]
+        return [names.index(n) for n in self.remodelling.load_cases] if self.remodelling else []
+
     def holds(self, support: Support, stage: int) -> bool:
         """Whether a support is active in a stage."""
         return support.stages is None or self.stages[stage].name in support.stages
 
     def load_time(self, time: float) -> float:
-        """Time without cycles, at which the histories of loads have their value of a time."""
+        """Time without cycles, at which the histories of loads have their value of a time.
+
+        In a stage that remodels bone it is the end of the last load case.
+        """
         k = max(math.ceil(time) - 1, 0)
+        if self.remodelling and self.stages[k].remodels:
+            return float(self.load_cases[-1] + 1)
         return k + self.stages[k].reached(time - k)
 
     def last_turn(self, time: float) -> float:
@@ -117,8 +135,11 @@ def build_scene(case: Case) -> Scene:
     """Build the scene of a case."""
     regions: Mapping[str, Any] = case.regions
     elastic = tuple(r.named(n) for n, r in regions.items() if isinstance(r, Elastic))
+    law = case.remodelling
     for e in elastic:
         e._places = case.geometry.in_image
+        if law and e.region in (law.regions or case.of_tissue("bone")):
+            e._remodelling = law
     moduli = {e.region: max(e.moduli) for e in elastic}
     thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
     interfaces = [
@@ -146,6 +167,7 @@ def build_scene(case: Case) -> Scene:
         coupled=bool(rubbing) or any(i.law.conductances[1] > 0 for i in conducting),
         expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
         cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
+        remodelling=law,
         creeps=tuple(
             creep.named(e.region)
             for e in elastic

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import meshes
+from app.arrays import Floats
 from app.case.case import Case
 from app.errors import on_root
 from app.heat.implicit_step import ImplicitStep
@@ -45,6 +46,9 @@ from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
 from meshes.pieces import Parts
+
+if TYPE_CHECKING:
+    from app.stepping.remodelling import Remodeller
 
 log = logging.getLogger("mantle")
 
@@ -98,6 +102,7 @@ class Mechanical:
     def restored(self) -> None:
         """Fill the unknowns with the restored displacement and jumps; collective."""
         self.problem.take_up(*self.solver.u_and_q())
+        self.stresses.follow_density()
 
     def balance(self, about: NDArray[np.float64]) -> Balance:
         """Balances of the model at rest, with moments about a fixed point (3,) [mm]; collective."""
@@ -152,6 +157,7 @@ class Model:
             self.notes = on_root(comm, lambda: found and well_posedness.judge(case, found)) or []
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
+            self.remodeller: Remodeller | None = None
             self.mechanics = self._mechanics()
             self.risk = self._risk()
             self.thermal = self._heat()
@@ -183,8 +189,9 @@ class Model:
         if not self.scene.elastic:
             return None
         case, like = self._case, None
-        for model in self._others if not self.scene.cures else ():
-            if (m := model.mechanics) is None:
+        changes = self.scene.cures or self.scene.remodelling
+        for model in self._others if not changes else ():
+            if (m := model.mechanics) is None or m.problem.mechanics.remodels:
                 continue
             if model.deforms_like(case):
                 m.begin(self.scene, case.solver.augmentation_factor, case.solver.tolerance)
@@ -272,8 +279,13 @@ class Model:
             elif load_stepper:
                 beside = SolvedAfterHeat(load_stepper, t.heating)
             heat_stepper = HeatStepper(t.heating, beside, on_accepted)
+        if load_stepper and m and self.scene.remodelling:
+            from app.stepping.remodelling import Remodeller  # few runs need it
+
+            self.remodeller = Remodeller(load_stepper, m.stresses, self._intact)
         steppers = self._steppers = load_stepper, heat_stepper, creep_stepper
-        run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume())
+        steps = self.remodeller
+        run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume(), steps)
         total = Summary()
         for part in steppers[:2]:
             if part is not None:
@@ -289,6 +301,7 @@ class Model:
             "heat_stepper": heat_stepper,
             "load_stepper": load_stepper,
             "creep_stepper": creep_stepper,
+            "remodeller": self.remodeller,
         }
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
@@ -299,6 +312,21 @@ class Model:
         if case is None:
             return (m.neighbours,)
         return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
+
+    def _intact(self) -> Floats | None:
+        """Stimulus of the intact femur (n, r) [J/g], if it is asked for; collective."""
+        law, m = self.scene.remodelling, self.mechanics
+        if not (law and law.intact and m):
+            return None
+        from app.simulation.intact_femur import carried, intact_case
+        from app.stepping.remodelling import Remodeller
+
+        forms, timing = m.problem.mechanics, self._timing.of("intact femur")
+        case, comm = intact_case(self._case, forms.remodels), self.tagged.mesh.comm
+        other = Model(case, comm, self.options, timing, self.stop, judged=False).mechanics
+        assert other is not None
+        loads = LoadStepper(other.problem, other.solver, _nothing, _nothing)
+        return carried(Remodeller(loads, other.stresses, _nothing), forms)
 
     def _cheaper(self, case: Case) -> LoadStepper:
         other = self._other(case, self._timing.of("cheaper model"))
@@ -332,6 +360,8 @@ class Model:
             numbers["stem"] = m.stem(self._case.side)
             if found := of_femur(m.problem, self._case):
                 numbers["femur"] = found
+            if self.remodeller:
+                numbers["remodelling"] = self.remodeller.summary()
         if t := self.thermal:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}
             if t.cure:

@@ -21,6 +21,7 @@ from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
 from app.results.cycles import Cycles
+from app.results.hip import bone_change
 from app.results.interface_numbers import ContactSamples
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import Stage
@@ -159,6 +160,11 @@ class Recorder:
             columns = [q for key, q in TABLE["stem"].items() if q.history and key in moved]
             self._mechanical = self._row_of(step, balance)
             self._mechanical |= {f"stem {q.key} [{q.unit}]": moved[q.key] for q in columns}
+            if r := self._model.remodeller:
+                self._mechanical |= {"remodelled [s]": r.seconds, "bone mass [g]": r.present}
+                zones = bone_change(m.problem, m.stresses, m.zones) if m.zones else {}
+                changes = {f"zone {z} bone mass change [-]": v["all"] for z, v in zones.items()}
+                self._mechanical |= changes
             self._turn(step, {q.key: moved[q.key] for q in columns}, trial)
             # The steps of heat, which come more often, have the rows of stages that take time.
             if not self._stage.takes_time:

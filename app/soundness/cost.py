@@ -25,8 +25,8 @@ EDGES_PER_CELL = 1.22
 PRICE, LATER = 1.3e-4, 0.05
 # Heat: seconds of a time step, and per temperature; time steps of a stage, and of cement that sets.
 TIME_STEP, HEAT, HEAT_STEPS, SETTING_STEPS = 0.05, 3e-5, 35, 95
-# Solves of a stage that creeps.
-CREEP = 150
+# Solves of a stage that creeps, and that remodels bone for each load case.
+CREEP, REMODELLING = 150, 60
 # Factors of runs with errors, of the mechanics and with heat;
 # seconds of start and page; of meshing, per cell.
 WITH_ERRORS, WITH_HEAT_ERRORS, START, MESHING = 1.25, 2.5, 2.6, 1e-4
@@ -146,7 +146,7 @@ def _choice(
     case: Case, size: _Size, runs: int, available: float = math.inf
 ) -> tuple[SolverChoice, bool]:
     """The choice of the linear solver of mechanics, and whether bodies are condensed."""
-    number, sets = runs * max(1, sum(solves(case))), bool(build_scene(case).cures)
+    number, sets = runs * max(1, sum(solves(case))), build_scene(case).stiffens
     sizes = case.mesh.order, 3 * size.nodes, 3 * size.jumps
     choice = SolverChoice(*sizes, number, sets, available)
     may = bool(size.jumps and contact_solves(case))
@@ -160,6 +160,8 @@ def solves(case: Case) -> tuple[int, int]:
     moments = HEAT_STEPS * timed + SETTING_STEPS * (sets and timed > 0)
     steps = sum(stage.increments * stage.ways for stage in case.stages if not stage.duration)
     steps += CREEP * sum(1 for stage in case.stages if stage.creep)
+    if law := case.remodelling:
+        steps += REMODELLING * len(law.load_cases) * sum(1 for s in case.stages if s.remodels)
     if _proportional(case):
         steps -= case.stages[0].increments - 1  # the first step tells the others
     return steps, moments

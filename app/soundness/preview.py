@@ -222,6 +222,11 @@ def warnings(case: Case) -> list[str]:
         (f"fatigue.laws.{n}", x) for n, x in (case.fatigue.laws if case.fatigue else {}).items()
     ]
     messages += [f"{n}: {x.source}" for n, x in laws if MEMORY in str(x.source)]
+    if case.remodelling and not case.remodelling.lazy_zone:
+        text = (
+            "remodelling.lazy_zone is 0: of parallel columns all but one vanish where the modulus"
+        )
+        messages.append(f"{text} rises faster than the density, and results depend on the mesh")
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         messages += _far_off(f"heat.{name}", condition, limits)

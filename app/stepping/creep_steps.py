@@ -66,7 +66,8 @@ class CreepStepper:
         """
         if not self._length:
             self.load_stepper.run_stage(k, stage, checkpoint_point)
-            first = self._creep.first(self._stress(), stage.creep_tolerance)
+            # At constant stress the first step would be exact whatever its length.
+            first = self._creep.first(self._stress(), 10 * stage.creep_tolerance)
             self._length = first if stage.adaptive else stage.creep / stage.increments
         failures = 0
         while self._done < stage.creep:

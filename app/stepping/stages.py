@@ -1,14 +1,18 @@
-"""The outer loop: stages of a scene, by load steps, time steps of heat or steps of creep."""
+"""The outer loop: stages of a scene, by steps of loads, heat or creep, or as bone remodels."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 from app.scene.scene import Stage
 from app.stepping.creep_steps import CreepStepper
 from app.stepping.heat_steps import HeatStepper
 from app.stepping.load_steps import LoadStepper
+
+if TYPE_CHECKING:
+    from app.stepping.remodelling import Remodeller
 
 
 def run_stages(
@@ -19,6 +23,7 @@ def run_stages(
     begin: Callable[[Stage], None] = lambda stage: None,
     checkpoint_point: Callable[[int], None] = lambda k: None,
     first: int = 0,
+    remodeller: Remodeller | None = None,
 ) -> None:
     """Run a model through its stages, from one in which the steppers have been restored.
 
@@ -30,6 +35,7 @@ def run_stages(
         if load_stepper is not None:
             load_stepper.problem.set_stage(k, load_stepper.solver.u_and_q()[0])
         timed = heat_stepper if stage.takes_time else load_stepper
-        stepper = creep_stepper if stage.creep else timed
+        slow = creep_stepper if stage.creep else remodeller if stage.remodels else None
+        stepper = slow or timed
         if stepper is not None:
             stepper.run_stage(k, stage, partial(checkpoint_point, k))

@@ -7,14 +7,14 @@ per area in N/mm.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
 
 from app.arrays import Floats
 from app.results.reading import Run
-from app.verification.check import Check, Sample, problem
+from app.verification.check import Check, CheckRun, Sample, problem
 from app.verification.measures import relative
 
 # Of cohesive_bar.yaml: strengths, fracture energies, exponent of the mixture, area, stiffness.
@@ -93,6 +93,17 @@ def beams(run: Run) -> Sample:
     return Sample(found.error if easy else math.inf, found.value, found.reference, note)
 
 
+def converged(runs: Sequence[Run]) -> Sample:
+    """Energy used up by the whole turn [N mm], and the turn of half of it, against a finer mesh."""
+    used = [column(run, "dissipation [N mm]") for run in runs]
+    half = [
+        np.interp(used[1][-1] / 2, u, run.history["time [-]"])
+        for u, run in zip(used, runs, strict=True)
+    ]
+    energy = relative(float(used[0][-1]), float(used[1][-1]))
+    return Sample(max(energy.error, abs(half[0] / half[1] - 1)), energy.value, energy.reference)
+
+
 def balanced(run: Run) -> Sample:
     """Balance of energy of each step, and the least that a step used up, over all of it."""
     used = column(run, "dissipation [N mm]")
@@ -135,5 +146,14 @@ def cohesion_problems() -> Iterator[Check]:
     )
     what = "J of a double cantilever beam turned apart [N/mm], relative"
     yield problem("cohesive_beams", what, "cohesive_beams", beams, 0.01)
+    what = "energy used up by a turn, and the turn of half of it, 2 mm against 1 mm, relative"
+    case = "verification/cohesive_beams.yaml"
+    yield Check(
+        "cohesive_mesh",
+        what,
+        (CheckRun(case, ("mesh.size=2 mm",)), CheckRun(case)),
+        converged,
+        0.02,
+    )
     what = "balance of energy over its work, and least dissipation of a step"
     yield problem("cohesive_balance", what, "cohesive_beams", balanced, 1e-6)

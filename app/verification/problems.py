@@ -17,6 +17,7 @@ from app.verification.closed_forms_cohesion import cohesion_problems
 from app.verification.closed_forms_creep import creep_problems
 from app.verification.heat_problems import heat_problems
 from app.verification.measures import BONE, CEMENT, SLICE, TITANIUM
+from app.verification.remodelling_problems import remodelling_problems
 from app.verification.validation import validation
 
 # Some of each kind, each some seconds.
@@ -37,7 +38,7 @@ def problems() -> list[Check]:
     what = "friction beyond which a particle has several equilibria, relative"
     klarbring = Check("klarbring", what, (), measures.klarbring, 1e-9)
     every = [*(check for kind in kinds for check in kind()), klarbring, *heat_problems()]
-    every += [*cement_problems(), *creep_problems(), *cohesion_problems()]
+    every += [*cement_problems(), *creep_problems(), *remodelling_problems(), *cohesion_problems()]
     every = [replace(p, tier="quick") if p.name in QUICK else p for p in every]
     return [*every, *validation()]
 

@@ -128,7 +128,8 @@ def test_damage_is_told_as_a_band(tmp_path: Path) -> None:
 
 def test_growing_risk_is_told() -> None:
     told = {"a_edge.failure_risk": [[1, 3e-3], [2, 1e-3]], "a.failure_risk": [[1, 1e-3], [2, 3e-3]]}
-    q = {"failure_probability": 2e-3, "edge": {"failure_probability": 0.031}}
+    q = {"failure_probability": 2e-3, "edge": {"failure_risk": 0.03, "failure_probability": 0.031}}
+    q["neck"] = {"von_mises_max": 1.0}  # of a stem
     line = closing_lines._strength("a", q, told)
     expected = (
         "0.2 %, 3.1 % at its edge (R grows from 0.001 at 2 mm to 0.003: it may have no limit)"

@@ -11,7 +11,8 @@ from scipy.optimize import brentq
 
 from app.mechanics.creep import CreepState, deviator, von_mises
 from tests import restarted, support
-from tests.support import TWO_BLOCKS
+from tests.command_line.test_run import COARSE
+from tests.support import CONFIGS, TWO_BLOCKS
 
 LAW = {"A": 7.985e-7, "p": 1.9063, "m0": 0.4113, "m1": -0.1160}
 # A stem that is pushed into creeping cement, unloaded for the rest: friction, contact and history.
@@ -140,3 +141,16 @@ def test_a_case_that_never_creeps_has_nothing_of_it() -> None:
     """A law alone costs nothing: neither points nor forms; the stages decide."""
     problem, _ = support.assemble(support.case(BAR, "stages=[{name: hold}]"))
     assert problem.scene.creeps == () and problem.history is None and not problem.mechanics.history
+
+
+@pytest.mark.slow
+def test_a_life_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
+    """Setting, cooling, ten years of walking, in which it is interrupted, and a stance."""
+    coarse = COARSE["life.yaml"]
+    path, checkpoints = restarted.whole((CONFIGS / "life.yaml").read_text(), tmp_path, *coarse)
+    names, *table = restarted.rows(tmp_path / "whole")
+    time = [float(row[names.index("time [-]")]) for row in table]
+    k = next(k for k, t in enumerate(time) if 2.8 < t < 2.99)
+    again = restarted.on(path, tmp_path, checkpoints[k], *coarse)
+    restarted.assert_same(again, tmp_path / "whole", 1e-5, 1e-7)
+    assert support.summary(again)["creep"]["cycles"] == 1e7

@@ -94,7 +94,7 @@ def test_constants_of_a_law_vary_in_space(tmp_path: Path) -> None:
     ("change", "code", "words"),
     [
         (("50 MPa/mm", "50 MPa"), 2, "interfaces.lower_upper.stiffness"),
-        (("elastic_layer", "elastic_layers"), 2, "bonded, contact, penalty, elastic_layer"),
+        (("elastic_layer", "elastic_layers"), 2, "penalty, cohesive, elastic_layer"),
         (("", ""), 0, "elastic_layer"),
     ],
 )

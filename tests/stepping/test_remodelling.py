@@ -1,0 +1,241 @@
+"""Bone that remodels: equal cases, what stays as it is, restarts; bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.case.case import load
+from app.errors import InputError
+from app.results.reading import Run
+from app.scene.scene import build_scene
+from app.simulation.intact_femur import interpolated
+from app.simulation.session import run
+from app.soundness.preview import warnings
+from tests import restarted, support
+from tests.scene.test_graded_modulus import PULLED, bar
+
+CASE = support.CONFIGS / "verification" / "remodelling.yaml"
+SHORT = "stages.1.remodels=2 s"
+# Bone below metal: pressed, then pushed, both from day to day.
+RUBBED = (
+    support.TWO_BLOCKS
+    + """
+regions:
+  lower: {youngs_modulus: 64 MPa, poisson_ratio: 0.3, tissue: bone}
+  upper: {youngs_modulus: 2 GPa, poisson_ratio: 0.3}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 0.3}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+  bed: {kind: foundation, boundary: top, stiffness: 1 MPa/mm}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 3 MPa}
+  push: {kind: force, boundary: upper_x_max, force: [-9 N, 0 N, 0 N], history: [0, 1, 1, 0]}
+stages:
+  - {name: press}
+  - {name: push, increments: 2}
+  - {name: time, remodels: 3 s, increments: 2}
+  - {name: release}
+remodelling:
+  law: {density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, 2]]}
+  load_cases: [press, push]
+  stimulus: 0.1 J/g
+  rate: 6 g^2/(cm^6 MPa s)
+  lazy_zone: 0.35
+  density: [0.01 g/cm^3, 1.74 g/cm^3]
+"""
+)
+
+
+def solved(folder: Path, *overrides: str, case: Path = CASE) -> Run:
+    """Run a case; its results."""
+    folder.mkdir()
+    run(load(case, [*overrides, "output.report=false"]), folder)
+    return Run(folder)
+
+
+def end(folder: Path, *overrides: str) -> float:
+    """Even density at the end of the block [g/cm3]."""
+    rho = solved(folder, *overrides).on_cells("density")
+    assert np.ptp(rho) < 1e-9
+    return float(rho[0])
+
+
+def test_what_is_above_the_largest_density_is_set_to_it(tmp_path: Path) -> None:
+    """Copies of the law in circulation set it to the least one."""
+    found = solved(tmp_path / "a", "loads.press.pressure=40 MPa")
+    assert np.all(found.on_cells("density") == 1.74)
+    mass = found.summary["remodelling"]["mass"]
+    assert mass["cut"] < 0 < mass["added"] and abs(mass["audit"]) < 1e-10
+    assert mass["end"] == pytest.approx(1.74e-3) == found.history["bone mass [g]"][-1]
+    assert found.history["remodelled [s]"][-1] == pytest.approx(30.0)
+
+
+def test_the_mean_of_energies_is_not_the_energy_of_the_mean(tmp_path: Path) -> None:
+    """A load and its opposite: as each alone. With half of it, the mean of 1 and 1/4 of it."""
+    reverse = "stages=[{name: press}, {name: pull}, {name: time, remodels: 2 s}]"
+    both = "remodelling.load_cases=[press, pull]"
+    alone = end(tmp_path / "alone", SHORT)
+    for name, factor, as_if in (("pull", -1.0, 3.0), ("half", 0.5, 3 * (5 / 8) ** 0.5)):
+        factors = f"loads.press.history=[1, {factor}, 0]"
+        found = end(tmp_path / name, reverse, both, factors)
+        same = (
+            alone
+            if as_if == 3
+            else end(tmp_path / "as", SHORT, f"loads.press.pressure={as_if} MPa")
+        )
+        assert found == pytest.approx(same, abs=1e-9)
+
+
+def test_other_units(tmp_path: Path) -> None:
+    other = {
+        "stimulus": "250 J/kg",
+        "rate": "60 kg^2/(m^6 Pa min)",
+        "density": "[10 kg/m^3, 1740 kg/m^3]",
+        "tolerance": "10 kg/m^3",
+    }
+    a = load(CASE).config.remodelling
+    b = load(
+        CASE, [f"remodelling.{key}={value}" for key, value in other.items()]
+    ).config.remodelling
+    assert a == b
+
+
+def test_bone_as_it_was_stays(tmp_path: Path) -> None:
+    """The intact case is the same: nothing changes; under a tenth of its load bone goes."""
+    text = CASE.read_text()
+    intact = tmp_path / "intact.yaml"
+    intact.write_text(
+        text[: text.index("remodelling:")].replace("  - {name: time, remodels: 30 s}\n", "")
+    )
+    reference = ("remodelling.stimulus=", f"remodelling.intact={intact}", SHORT)
+    grid = "regions.bone.youngs_modulus=[[0 mm, 16 MPa], [1 mm, 64 MPa]]"
+    intact.write_text(intact.read_text().replace("64 MPa", "[[0 mm, 16 MPa], [1 mm, 64 MPa]]"))
+    same = solved(tmp_path / "same", *reference, grid).summary["remodelling"]
+    assert same["mass"]["added"] == 0.0 and same["mass"]["end"] == same["mass"]["start"]
+    less = solved(tmp_path / "less", *reference, grid, "loads.press.pressure=0.3 MPa")
+    assert less.summary["remodelling"]["mass"]["added"] < -1e-5
+    # By a run's folder; and what the intact case lacks is told.
+    folder = tmp_path / "run"
+    folder.mkdir()
+    run(load(intact), folder)
+    again = solved(
+        tmp_path / "again", *reference[::2], f"remodelling.intact={folder}/case.yaml", grid
+    )
+    assert again.summary["remodelling"] == same
+    with pytest.raises(
+        InputError, match=r"remodelling.intact: .* has no stage stroll; it has press"
+    ):
+        stages = "stages=[{name: stroll}, {name: time, remodels: 2 s}]"
+        solved(tmp_path / "x", *reference, stages, "remodelling.load_cases=[stroll]")
+
+
+def test_bone_at_loads_and_clamps_is_frozen(tmp_path: Path) -> None:
+    found = solved(
+        tmp_path / "a",
+        SHORT,
+        "remodelling.frozen=",
+        "mesh.size=0.2 mm",
+        "supports.floor={kind: fixed, boundary: bottom}",
+    )
+    z, rho = found.points[found.cells][:, :, 2], found.on_cells("density")
+    at_ends = np.isclose(z, 0) | np.isclose(z, 1)
+    assert rho[at_ends.all(axis=1)] == pytest.approx(0.8, abs=1e-14)
+    assert np.all(rho[~at_ends.any(axis=1)] < 0.75)
+
+
+def test_a_long_filter_makes_one_stimulus(tmp_path: Path) -> None:
+    """That of the mean energy per mass: the density stays even where the load is not."""
+    plate = CASE.with_name("plate.yaml")
+    shares = []
+    for name, length in (("none", ""), ("long", "100 mm")):
+        r = solved(tmp_path / name, SHORT, f"remodelling.filter={length}", case=plate)
+        shares.append(float(np.ptp(r.on_cells("density"))))
+    assert shares[1] < 1e-3 * shares[0]
+
+
+def test_density_is_the_field_of_the_modulus() -> None:
+    """A modulus that varies in the case is that of its density, linear between vertices."""
+    text = (
+        PULLED
+        + """
+stages: [{name: pull}, {name: time, remodels: 1 s}]
+remodelling: {load_cases: [pull], stimulus: 1 J/g, rate: 1 g^2/(cm^6 MPa s), lazy_zone: 0.5,
+  law: {density: apparent, ranges: [[0 g/cm^3, 0 MPa, 1 GPa, 1]]},
+  density: [0.1 g/cm^3, 1 g/cm^3]}
+"""
+    )
+    for order in (1, 2):
+        K = [
+            support.assemble(support.case(t, f"mesh.order={order}"), bar(20))[0].stiffness.K
+            for t in (PULLED, text)
+        ]
+        assert (K[0] - K[1]).norm() < 1e-12 * K[0].norm()
+
+
+def test_values_of_another_mesh() -> None:
+    """Linear within its cells, and those of its border beyond."""
+    rng = np.random.default_rng(0)
+    corners = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype=float)
+    values = corners @ [1.0, 2.0, 3.0] + 4
+    x = rng.dirichlet([1, 1, 1, 1], 20)[:, 1:]
+    assert interpolated(corners, values, x) == pytest.approx(x @ [1.0, 2.0, 3.0] + 4)
+    assert interpolated(corners, values, np.array([[2.0, 0, 0]])) == pytest.approx([5.0])
+
+
+def test_restart_in_the_middle(tmp_path: Path) -> None:
+    case, files = restarted.whole(RUBBED, tmp_path)
+    whole = support.summary(tmp_path / "whole")
+    assert whole["remodelling"]["steps"] > 3 and max(whole["balance"].values()) < 1e-9
+    for file in files[2:-1:2]:
+        restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, file))
+
+
+def test_no_lazy_zone_is_told() -> None:
+    assert not warnings(load(CASE).config)
+    (note,) = warnings(load(CASE, ["remodelling.lazy_zone=0"]).config)
+    assert note.startswith("remodelling.lazy_zone is 0: of parallel columns all but one vanish")
+
+
+def test_scenes_without_it_have_none_of_it() -> None:
+    scene = build_scene(load(support.CONFIGS / "blocks.yaml").config)
+    assert scene.remodelling is None and not any(e.varies for e in scene.elastic)
+
+
+LAW = "remodelling.law={density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, "
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ("remodelling.density=[2 g/cm^3, 1 g/cm^3]", r"\.density: 2 is not below 1 g/cm3"),
+        ("remodelling.stimulus=", r"remodelling: needs a reference: expected intact"),
+        ("remodelling.stimulus=0 J/g", r"stimulus: 0 J/g must be positive"),
+        ("remodelling.rate=-1 g^2/(cm^6 MPa s)", r"rate: .* must be positive"),
+        ("remodelling.lazy_zone=1.5", r"lazy_zone: 1.5 must be at most 1"),
+        ("remodelling.intact=nowhere.yaml", r"intact: no such file: .*nowhere.yaml"),
+        ("remodelling.load_cases=[stride]", r"load_cases\[0\]: 'stride' is no stage before"),
+        ("remodelling.load_cases=[time]", r"load_cases\[0\]: 'time' is no stage before"),
+        ("remodelling.regions=[skin]", r"remodelling.regions: skin cannot; expected elastic"),
+        (f"{LAW}-1]]}}", r"law: does not rise between the bounds"),
+        (
+            "regions.bone.youngs_modulus=1 GPa",
+            r"regions.bone: has 3.162 g/cm3 .*; expected 0.01 to",
+        ),
+        ("remodelling=", r"stages\[1\].remodels: how bone remodels is missing or wrong"),
+        ("stages=[{name: press}]", r"stages: nothing remodels"),
+        ("stages.1.duration=1 s", r"remodels: takes the time of heat"),
+        ("stages.1.cycles=2", r"cycles: a stage that takes time has no cycles"),
+    ],
+)
+def test_bad_input(overrides: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        load(CASE, [overrides])
+
+
+def test_a_stimulus_that_vanishes_somewhere(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"remodelling.stimulus: -0.5 J/g somewhere"):
+        solved(tmp_path / "x", "remodelling.stimulus=x - 0.5")
