@@ -56,13 +56,10 @@ class Stage(Section):
             fail("a steady stage takes no `duration`", at=("duration",))
         if self.cycles > 1 and (self.takes_time or self.remodels):
             fail("a stage that takes time has no cycles", at=("cycles",))
-<<<<<<< HEAD
         if self.fracture_step and self.takes_time:
             fail("loads of a stage that takes time follow it", at=("fracture_step",))
-=======
         if self.takes_time and self.remodels:
             fail("takes the time of heat; expected no `duration`, no `steady`", at=("remodels",))
->>>>>>> main
         if self.creep_cycles and self.creep_time:
             fail("creep is in cycles or in time; leave one out", at=("creep_time",))
         if self.creep and (self.takes_time or self.cycles > 1):
