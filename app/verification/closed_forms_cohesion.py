@@ -36,20 +36,21 @@ def column(run: Run, name: str) -> Floats:
     return np.asarray(run.history[f"lower_upper {name}"])
 
 
-def breaks(run: Run, mixture: float = 0.0) -> Sample:
+def breaks(run: Run, mixture: float = 0.0, strength: float = N, whole: float = G_I) -> Sample:
     """A point led to its end in one direction: what it has used up, and its traction on the way.
 
     With linear softening the traction is on the quadric of the strengths, shrunk by the part of the
-    energy that is used up.
+    energy that is used up. Strength and energy are those in tension.
     """
-    used = column(run, "dissipation [N mm]") / (energy(mixture) * AREA)
+    used = column(run, "dissipation [N mm]") / (whole / G_I * energy(mixture) * AREA)
     pull = np.maximum(-column(run, "pressure_p95 [MPa]"), 0)  # a sheared block tips and presses
-    shear = column(run, "shear_p95 [MPa]")
-    left = np.hypot(pull / N, shear / S)
+    left = np.hypot(pull / strength, column(run, "shear_p95 [MPa]") / S)
     softens = (used > 0) & (used < 1 - 1e-9)
-    off = np.abs(left + used - 1)[softens].max(initial=0.0 if softens.sum() > 5 else math.inf)
-    note = f"mixture {mixture:.2g}: traction off by {off:.1e} of the strength"
-    return Sample(max(float(off), abs(used[-1] - 1)), used[-1], 1.0, note)
+    off = float(np.abs(left + used - 1)[softens].max(initial=0.0))
+    solver = run.summary["solver"]
+    note = f"traction off by {off:.1e} of the strength in {softens.sum()} steps, "
+    note += f"{solver['rejected_steps']} of {solver['steps']} failed"
+    return Sample(max(off, abs(used[-1] - 1)), used[-1], 1.0, note)
 
 
 def unloads(run: Run) -> Sample:
