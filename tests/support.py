@@ -239,6 +239,7 @@ def solve(
 
 def run(text: str, folder: Path, *overrides: str) -> Results:
     """Run a case of a folder as the command does, in this process: its results."""
+    folder.mkdir(exist_ok=True)
     path = folder / "case.yaml"
     path.write_text(text)
     return mantle.run(load(path, overrides), folder / "out")

@@ -236,10 +236,18 @@ add_quantity(
         for side in ("lateral", "medial")
         for level in GAUGES
     ),
-    Quantity("bonds", "strength_fraction", "-", "%", 0),
+    Quantity("bonds", "strength_fraction", "-", "%", 0, history=True),
     *(Quantity("bonds", f"normal_{how}", "MPa") for how in ("mean", "max")),
     *(Quantity("bonds", f"shear_{how}", "MPa") for how in ("mean", "max")),
+    _interface("strength_fraction", "-", "%", 0, history=True),
 )
+for _section in ("interfaces", "bonds"):
+    _index = partial(Quantity, _section, unit="-", digits=3)
+    add_quantity(
+        _index("failure_index_max", label="failure index, max", peak=True),
+        _index("failure_index_p99", label="failure index, p99", order=TRACTION, history=True),
+        _index("failure_load_factor", label="load factor of failure", order=TRACTION),
+    )
 _heated = partial(Quantity, "thermal.regions", order=HEAT, digits=1)
 _dose = partial(Quantity, "thermal.regions", order=DOSE, digits=1)
 _between = partial(Quantity, "thermal.interfaces", order=HEAT, digits=1)

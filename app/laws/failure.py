@@ -8,7 +8,7 @@ from pydantic import AfterValidator
 
 from app.laws.values import Source
 from app.schema.section import MAPPING, Kinds, Name, Pair, Section, fail
-from app.schema.units import Dimension, Modulus, Number, Plain, PositiveNumber
+from app.schema.units import Dimension, Modulus, Number, Plain, PositiveNumber, PositiveStress
 
 MEMORY = "from memory: check"
 SOME = AfterValidator(lambda entries: entries or fail("is empty; expected at least one"))
@@ -39,6 +39,20 @@ def _rising(ends: tuple[float, float]) -> tuple[float, float]:
 
 
 Measured = Annotated[tuple[Strength, Strength], Pair("[7 MPa, 25 MPa]"), AfterValidator(_rising)]
+
+
+class InterfaceStrength(Section):
+    """Strength of an interface in tension and in shear."""
+
+    tension: PositiveStress
+    """Normal traction that it stands alone."""
+    shear: PositiveStress
+    """Shear traction that it stands alone."""
+
+    def index(self, pressure: Any, shear: Any) -> Any:
+        """Failure index, 1 where it fails; pressure negative in tension, and shear [MPa]."""
+        tension = -pressure * (pressure < 0)
+        return ((tension / self.tension) ** 2 + (shear / self.shear) ** 2) ** 0.5
 
 
 class FatigueLaw(Section):

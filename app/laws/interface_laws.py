@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import model_validator
 
+from app.laws.failure import InterfaceStrength
 from app.laws.thermal import Conductance, FrictionHeating, PressureConductance
 from app.laws.values import (
     FractureEnergyField,
@@ -98,6 +99,8 @@ class InterfaceLaw(Extensible):
 
     conductance: Conductance | None = None
     """Power per area and temperature jump; perfect (no jump) by default."""
+    strength: InterfaceStrength | None = None
+    """Tension and shear that it stands, for its failure index: numbers and a map, no law."""
 
     @property
     def conductances(self) -> tuple[float, float, float]:

@@ -310,9 +310,12 @@ TABLES: dict[str, dict[str, str]] = {
         "largest flux": "heat_flux_max",
     },
 }
+FAILING = "failure_load_factor"
 SENTENCES = {
     "bonds": "{name}, bonded: {strength_fraction} of its area above its strength; "
     "normal {normal_mean} (mean), shear {shear_mean}",
+    "strength": "{name}: a hundredth of its area fails at {failure_load_factor} of this load; "
+    "failure index {failure_index_p99} (p99), {failure_index_max} (max)",
     "cure": "{name} has set to {degree_min} .. {degree_max}{reached}; fastest rate {rate_max}",
     "stem": "stem against bone: subsidence {subsidence}, retroversion {retroversion}, "
     "varus {varus}",
@@ -327,6 +330,8 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
     for section in ("interfaces", "regions"):
         yield from _table(section, rows[section])
     yield from (_sentence("bonds", *row) for row in rows["bonds"].items())
+    strong = (row for row in (rows["interfaces"] | rows["bonds"]).items() if FAILING in row[1])
+    yield from (_sentence("bonds", *row, text="strength") for row in strong)
     for section in ("fatigue", "thermal.regions", "thermal.interfaces"):
         yield from _table(section, rows[section])
     yield from _necrosis(rows["thermal.regions"])
@@ -375,7 +380,7 @@ def _necrosis(regions: Rows) -> list[str]:
     return layout.table(head, rows, units).splitlines() if bones else []
 
 
-def _sentence(section: str, name: str, numbers: Mapping[str, Any]) -> str:
+def _sentence(section: str, name: str, numbers: Mapping[str, Any], text: str = "") -> str:
     own = [(key, q) for key, q in TABLE[section].items() if not q.vector]
     texts = {key: f"{q.text(numbers)} {q.shown}".removesuffix(" -") for key, q in own}
     reached = (
@@ -383,4 +388,4 @@ def _sentence(section: str, name: str, numbers: Mapping[str, Any]) -> str:
         for part in (50, 90)
         if numbers.get(f"time_{part}") is not None
     )
-    return SENTENCES[section].format(name=name, reached="".join(reached), **texts)
+    return SENTENCES[text or section].format(name=name, reached="".join(reached), **texts)

@@ -19,6 +19,7 @@ from dolfinx import fem, la
 from app.arrays import Floats, Ints
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import ENDS, node_keys
+from app.results.bond_forces import BondForces
 from app.results.cement_risk import CementRisk
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS, Exposure
@@ -182,8 +183,11 @@ class HeatFields:
 class MechanicalFields:
     """Displacement, stress, and contact quantities."""
 
-    def __init__(self, problem: Problem, stresses: Stresses, risk: CementRisk | None) -> None:
+    def __init__(
+        self, problem: Problem, stresses: Stresses, risk: CementRisk | None, bonds: BondForces
+    ) -> None:
         self._problem, self._stresses, self._risk = problem, stresses, risk
+        self._bonds = bonds
         self.bodies, self.space = problem.bodies, problem.space
         index_map = self.space.dofmap.index_map
         # Stress times volume, and volume, at the nodes of a body.
@@ -201,7 +205,10 @@ class MechanicalFields:
             points = self._problem.contact.points
             rows = _contact_rows(points, self.space, self.bodies, nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
-                point |= _interface(contact, samples, rows[i])
+                point |= _interface(contact, samples, rows[i], i)
+        for name, (points, index) in self._bonds.indices().items():
+            (at,) = _contact_rows(points, self.space, self.bodies, nodes)
+            point[f"{name}_failure_index"] = _along(at, index)
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
@@ -304,7 +311,7 @@ def _along(rows: Ints, values: Floats) -> Floats:
     return out
 
 
-def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
+def _interface(contact: Interface, s: ContactSamples, rows: Ints, i: int) -> dict[str, Floats]:
     """Fields of an interface at the grid's nodes: zero away from it, status -1.
 
     They are linear along edges. In the middle of one the status is the more mobile of its ends:
@@ -318,6 +325,8 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, F
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
         **{"pressure": s.pressure, "shear": s.shear},
     }
+    if (index := s.index.get(i)) is not None:
+        fields["failure_index"] = index
     found = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}
     return found | {f"{contact.name}_status": status}
 

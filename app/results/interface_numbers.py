@@ -31,7 +31,7 @@ Parts = Sequence["Surface"]
 MICROMOTION = 0.030  # mm: where biology reacts
 
 
-def _pressure(pressures: Floats, normals: Floats) -> Floats:
+def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
     """Normal force per area (n,) [MPa], from those of the faces of each point (n, 3).
 
     Negative is tension, possible for laws that cannot open.
@@ -63,6 +63,7 @@ class ContactSamples:
         contact_work: Work of the pressures in the opening (n,) [N mm].
         stored: Energy stored by layers and cohesion (n,) [N mm].
         own: History variables of the laws, by name: (n, ...).
+        index: Failure index (n,) of interfaces whose strength is known, by their numbers.
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
 
     Args:
@@ -91,7 +92,7 @@ class ContactSamples:
         sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[own.interface][:, None]
         self.slip, self.path = whole(sign * history.slip), whole(history.path)
         self.motion = whole(sign * trial.jump)
-        self.pressure = whole(_pressure(trial.law.pressures, own.normals))
+        self.pressure = whole(normal_pressure(trial.law.pressures, own.normals))
         self.shear = whole(np.linalg.norm(history.friction, axis=1))
         self.force = whole(-sign * history.force)
         self.status = whole(np.where(own.faces > 0, trial.law.status, STICK))
@@ -105,6 +106,10 @@ class ContactSamples:
             "motion": np.linalg.norm(self.motion, axis=1),
             "pressure": self.pressure,
             "shear": self.shear,
+        }
+        laws = enumerate(c.law for c in contacts)
+        self.index = {
+            i: law.strength.index(self.pressure, self.shear) for i, law in laws if law.strength
         }
         if since is not None:
             way = whole(trial.jump - since)
@@ -131,7 +136,8 @@ class ContactSamples:
 def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[str, Any]:
     """Numbers of an interface and its parts; the wanted ones of its main part if not all."""
     at, surface = s.interface == i, s.surfaces[i]
-    parts = {part: _of_part(s, surface, part, wanted) for part in ([""] if wanted else surface.at)}
+    index, names = s.index.get(i), [""] if wanted else surface.at
+    parts = {part: _of_part(s, surface, part, wanted, index) for part in names}
     main = parts.pop("") | {
         "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
         "dissipation": float(s.dissipation[at].sum()),
@@ -147,7 +153,7 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
 
 
 def _of_part(
-    s: ContactSamples, surface: Surface, part: str, wanted: set[str] | None
+    s: ContactSamples, surface: Surface, part: str, wanted: set[str] | None, index: Floats | None
 ) -> dict[str, Any]:
     """Sizes of motion and tractions, states, area and force of a part of an interface."""
     at = surface.at[part]
@@ -170,8 +176,26 @@ def _of_part(
         found[f"{name}_fraction"] = float(weight[s.status[at] == state].sum() / weight.sum())
     found["area"] = field.whole
     found["force"] = lambda: [field.whole * surface.field(f, part).mean() for f in s.force.T]
+    if index is not None:
+        found |= failing(surface, index, s.x, part)
     asked = ((key, value) for key, value in found.items() if not wanted or key in wanted)
     return {key: value() if callable(value) else value for key, value in asked}
+
+
+def failing(surface: Surface, index: Floats, x: Floats, part: str) -> dict[str, Any]:
+    """Failure indices (n,) of a part of an interface: percentile, share of the area beyond 1.
+
+    The load factor is by how much a traction proportional to it would have to grow until the first
+    hundredth of the area fails.
+    """
+    field, at = surface.field(index, part), surface.at[part]
+    k, p99 = int(np.argmax(index[at])), field.percentile()
+    return {
+        "failure_index_max": float(index[at][k]),
+        "failure_index_p99": p99,
+        "failure_index_max_at": x[at][k].tolist(),
+        "strength_fraction": field.area_above(1.0) / (field.whole or 1.0),
+    } | ({"failure_load_factor": 1 / p99} if p99 > 0 else {})
 
 
 class Surface:

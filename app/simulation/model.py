@@ -25,6 +25,7 @@ from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results.balance import Balance
+from app.results.bond_forces import BondForces
 from app.results.cement_risk import CementRisk
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import StemMotion, by_zone, of_femur
@@ -87,9 +88,11 @@ class Mechanical:
             self.zones, depth = (zones := Zones(geometry)), zones.depth
             if problem.contact:
                 points = problem.contact.points
-                borders, every = zones.borders(points.x), range(len(points.triangles))
-                self.surfaces = [Surface(points, i, borders) for i in every]
+                levels, every = zones.borders(points.x), range(len(points.triangles))
+                self.surfaces = [Surface(points, i, levels) for i in every]
         self.stresses = Stresses(problem, timing, geometry.is_around_z, depth)
+        borders = self.zones.borders if self.zones else None
+        self.bonds = BondForces(problem, self.stresses, borders)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
@@ -231,7 +234,7 @@ class Model:
         """Groups of fields to be written: mechanics, heat."""
         groups: list[FieldGroup] = []
         if m := self.mechanics:
-            groups.append(MechanicalFields(m.problem, m.stresses, self.risk))
+            groups.append(MechanicalFields(m.problem, m.stresses, self.risk, m.bonds))
         if t := self.thermal:
             groups.append(HeatFields(t.heating, t.record, self._case.geometry.interface_sides))
         return groups
@@ -350,6 +353,8 @@ class Model:
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := bonds(m.problem, m.stresses):
                 numbers["bonds"] = found
+                for name, own in m.bonds.numbers().items():
+                    found[name] |= own
             if creep := m.problem.creep:
                 numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
             if self.risk:

@@ -209,14 +209,18 @@ class Recorder:
             "moment balance [-]": balance.moment,
             "energy balance [-]": balance.energy,
         }
-        if (m := self._model.mechanics) and (creep := m.problem.creep):
+        m = self._model.mechanics
+        if m and (creep := m.problem.creep):
             row[f"creep {creep.measure} [{creep.unit}]"] = creep.elapsed
             row["creep dissipation [N mm]"] = creep.dissipated
         for name, u in self._displacements().items():
             row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
         columns = [c for c in TABLE["interfaces"].values() if c.history]
         for name, q in (self.samples.history if self.samples else {}).items():
-            row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
+            row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns if c.key in q}
+        for name, q in m.bonds.numbers().items() if m else ():
+            own = [c for c in TABLE["bonds"].values() if c.history]
+            row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in own}
         return row
 
     def _row(self, step: LoadStep) -> None:

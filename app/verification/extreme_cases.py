@@ -52,7 +52,7 @@ def _augmentation() -> Iterator[Check]:
 
 
 def _penalty() -> Iterator[Check]:
-    """An error of order -1 in the penalty."""
+    """An error of order -1 in the penalty, or in the stiffness of a layer."""
 
     def law(μ: float, penalty: float, gap: str = "") -> str:
         return f"{{kind: penalty, friction_coefficient: {μ}, penalty: {penalty!r} MPa/mm{gap}}}"
@@ -66,6 +66,15 @@ def _penalty() -> Iterator[Check]:
         penalized = (run(case, f"interfaces.stem_cement={law(μ, r, gap)}") for r in values)
         judge = partial(judges.unpenalized, penalties=values, name="stem_cement")
         yield row(f"penalty/order -1/{at}", (*penalized, run(case)), judge, 0.05)
+    layer = "interfaces.stem_cement.compliance={{normal: {0!r} MPa/mm, tangential: {0!r} MPa/mm}}"
+    soft = {k: run(STEM, layer.format(k)) for k in map(_power, range(9))}
+    for k, one in soft.items():
+        # A wedge held by soft springs comes out by millimetres: not small.
+        refusal = Reason.LOOSE_BODY if k < 100 else None
+        yield row(f"layer/stem/{k:g}", one, judges.lawful, 1e-8, refusal)
+    values = tuple(soft)[4:]
+    judge = partial(judges.unpenalized, penalties=values, name="stem_cement")
+    yield row("layer/order -1/stem", (*(soft[k] for k in values), run(STEM)), judge, 0.05)
 
 
 _RINGS = (

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
 from app.errors import Reason
+from app.laws.interface_laws import InterfaceLaw
 from app.results.reading import Run
 from app.verification import closed_forms as exact
 from app.verification.check import Sample, worst
@@ -111,14 +112,17 @@ def lawful(runs: Sequence[Run]) -> Sample:
         peak = float(p.max())
         if not peak:
             continue
-        off[f"friction of {name}"] = float((t - _friction(run, name) * p).max()) / peak
+        off[f"friction of {name}"] = float((t - _law(run, name).friction * p).max()) / peak
         off[f"pressure across a gap of {name}"] = float((p * gap).max()) / (peak * moved)
-        off[f"penetration of {name}"] = q["penetration_max"] / moved
+        if layer := _law(run, name).layer:  # of one stiffness across and along
+            off[f"layer of {name}"] = float(np.abs(p + layer[0] * np.minimum(gap, 0)).max()) / peak
+        else:
+            off[f"penetration of {name}"] = q["penetration_max"] / moved
         lost = abs(q["dissipation"]) or 1.0
         off[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / lost
     most = _worst(off)
     limits = {n: q.get("critical_friction", np.inf) for n, q in run.summary["interfaces"].items()}
-    beyond = ", ".join(n for n, limit in limits.items() if _friction(run, n) > limit)
+    beyond = ", ".join(n for n, limit in limits.items() if _law(run, n).friction > limit)
     if beyond and Reason.NOT_UNIQUE not in Reason.within(run.log):
         return Sample(np.inf, note=f"friction beyond the critical one of {beyond} and no warning")
     warned = f"; warns that {beyond} may have several solutions" if beyond else ""
@@ -129,10 +133,10 @@ def _worst(errors: Mapping[str, float]) -> Sample:
     return worst([Sample(error, note=what) for what, error in errors.items()])
 
 
-def _friction(run: Run, name: str) -> float:
+def _law(run: Run, name: str) -> InterfaceLaw:
     from app.case.case import load
 
-    return load(run.folder / "case.yaml").config.interfaces[name].friction
+    return load(run.folder / "case.yaml").config.interfaces[name]
 
 
 def nothing_moves(runs: Sequence[Run]) -> Sample:

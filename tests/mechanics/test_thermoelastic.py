@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
+from app.results.bond_forces import BondForces
 from app.results.stresses import bonds
 from tests import support
 from tests.heated import Heated, expanding
@@ -147,7 +148,10 @@ def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
 
     No bond stands that, none fails at an eighth of it.
     """
-    cold = Heated.make(CYLINDERS, expanding(cement=80e-6), f"mesh.curved={curved}")
+    strong = "{kind: bonded, strength: {tension: 1.35 MPa, shear: 2.25 MPa}}"
+    laws = (f"interfaces.{name}={strong}" for name in ("stem_cement", "cement_bone"))
+    cold = Heated.make(CYLINDERS, expanding(cement=80e-6), f"mesh.curved={curved}", *laws)
+    forces = BondForces(cold.problem, cold.stresses, None).numbers
     for fall, fraction in ((40.0, 1.0), (5.0, 0.0)):
         cold.solve({"cement": 300.0 - fall})
         found = bonds(cold.problem, cold.stresses)
@@ -158,6 +162,11 @@ def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
             assert numbers["normal_max"] == pytest.approx(exact, rel=0.1)
             assert numbers["shear_max"] < 0.1 * exact
             assert numbers["strength_fraction"] == fraction
+            # By equilibrium: surer than by the stress of the cells.
+            found_by_forces = forces()[name]
+            for key in ("failure_index_max", "failure_index_p99"):
+                assert found_by_forces[key] == pytest.approx(exact / 1.35, rel=0.6 * tolerance)
+            assert found_by_forces["strength_fraction"] == pytest.approx(fraction)
     assert found["stem_cement"]["area"] == pytest.approx(np.pi * 3 * 0.5, rel=2e-2)
 
 

@@ -163,6 +163,83 @@ def test_a_law_remembers(tmp_path: Path) -> None:
     assert set(fields.at_interface("lower_upper", "status")) == {-1, 3}
 
 
+# The layer of `compliance` in series with contact, by the slot of a law.
+CONTACT_LAYER = '''
+from typing import Literal
+from ufl import Identity, conditional, diff, dot, eq, inner, inv, outer, variable
+from ufl.algorithms import expand_derivatives, strip_variables
+from mantle import InterfaceLaw
+from app.laws.values import StiffnessField
+from app.schema.units import NonNegativeNumber
+from forms.contact import OPEN, Response, projected
+
+
+class ContactLayer(InterfaceLaw):
+    """Contact and friction on an elastic layer."""
+
+    can_open = True
+    history = {"slid": (3,)}
+
+    kind: Literal["contact_layer"] = "contact_layer"
+    coefficient: NonNegativeNumber
+    """Of friction."""
+    normal: StiffnessField
+    """Pressure per approach."""
+    tangential: StiffnessField
+    """Shear per elastic shift."""
+
+    def response(self, at):
+        v, gap, old = at.values, variable(at.jump + at.gap), at.history["slid"]
+        across = sum(outer(n, n) for n in at.normals) / len(at.normals)
+        K = v["tangential"] * Identity(3) + (v["normal"] - v["tangential"]) * across
+        law = projected(K * gap, K * (gap - old), at.normals, v["coefficient"])
+        elastic = inv(K) * law.force
+        history = at.updated({"slid": gap - elastic})
+        slid, since = (v - dot(v, at.normals[0]) * at.normals[0] for v in (history["slid"], old))
+        told = {
+            "force": law.force,
+            "by_jump": expand_derivatives(diff(law.force, gap)),
+            "pressures": law.pressures,
+            "status": law.status,
+            "slip": conditional(eq(law.status, OPEN), 0, 1) * slid,
+            "stored": inner(law.force, elastic) / 2,
+            "dissipated": inner(law.force, slid - since),
+        }
+        plain = {name: strip_variables(e) for name, e in told.items()}
+        history = {name: strip_variables(e) for name, e in history.items()}
+        return Response(by_multiplier=None, history=history, **plain)
+'''
+
+
+def test_the_layer_of_contact_from_outside_is_the_layer(tmp_path: Path) -> None:
+    """Pressed, pushed until parts slip and open, and pushed back: the same numbers."""
+    assert CONTACT_LAYER.count("\n") <= 60
+    push = "{kind: displacement, boundary: top, x: 0.04 mm, y: 0 mm, history: [0, 1, -0.2]}"
+    press = "{kind: displacement, boundary: top, z: -0.01 mm, history: [1, 1, 0.4]}"
+    stages = "[{name: press}, {name: push, increments: 2}, {name: back, increments: 2}]"
+    case = CASE.replace("size: 2 mm}", "size: 1 mm}").partition("loads:")[0]
+    case = case.replace("bottom}}", f"bottom}}, push: {push}, press: {press}}}")
+    case += f"stages: {stages}\nsolver: {{tolerance: 1.0e-12}}\n"
+    own = "kind: contact_layer, coefficient: 0.3, normal: 150 MPa/mm, "
+    own += "tangential: 130 MPa/mm"
+    built_in = "kind: contact, friction_coefficient: 0.3, "
+    built_in += "compliance: {normal: 150 MPa/mm, tangential: 130 MPa/mm}"
+    found = []
+    for name, law in (("own", own), ("built_in", built_in)):
+        text = case.replace("kind: elastic_layer, stiffness: 50 MPa/mm", law)
+        (tmp_path / name).mkdir()
+        run(tmp_path / name, CONTACT_LAYER, text)
+        found.append(mantle.read(tmp_path / name / "out"))
+    one, two = (r.summary["interfaces"]["lower_upper"] for r in found)
+    assert 0.1 < two["open_fraction"] + two["slip_fraction"] and two["dissipation"] > 0
+    for key, value in two.items():
+        if not key.endswith("_at") and key not in ("contact_work", "critical_friction"):
+            assert one[key] == pytest.approx(value, rel=1e-7, abs=1e-9), key
+    for name in ("gap", "slip", "pressure", "shear", "status"):
+        maps = [r.fields.at_interface("lower_upper", name) for r in found]
+        assert support.difference(*maps) < 1e-7
+
+
 # A traction over a boundary, which no load of the program is.
 WIND = '''
 from typing import Literal

@@ -1,0 +1,67 @@
+r"""Draw the picture of docs/theory.md on the strength of the bond of cement and bone.
+
+./mantle run configs/interface_strength.yaml -o out/strength
+./mantle shell -c 'python3 docs/strength.py out/strength'
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import mantle
+from app.arrays import Floats
+from app.results.reading import Run
+from app.system.style import COLOURS, grid, panels
+
+FIGURE = Path(__file__).with_name("interface_strength.png")
+MOST = 6.0  # times the stance, at the end
+BONDS = {"bonded": "rigid", "layer_150": "150 MPa/mm", "layer_30": "30 MPa/mm"}
+
+
+def first_failure(run: Run, rows: list[int]) -> Floats:
+    """Multiple of the stance at which nodes begin to fail, infinite where they do not (n,)."""
+    if "cement_bone_damage" not in run.point_fields:
+        with np.errstate(divide="ignore"):
+            multiple = MOST / run.at_interface("cement_bone", "failure_index")[rows]
+        return np.where(multiple > MOST, np.inf, multiple)
+    damage = [run.at_interface("cement_bone", "damage", k)[rows] for k in range(len(run.times))]
+    multiples = MOST * np.append(run.times, np.inf)
+    return np.asarray(multiples[np.argmax([*(d > 0 for d in damage), damage[0] >= 0], axis=0)])
+
+
+def main(folder: Path) -> None:
+    """Share of the interface that fails over the load, and where it fails first."""
+    runs = {name: mantle.read(folder / name).fields for name in BONDS}
+    layer = runs["layer_150"]
+    nodes = np.flatnonzero(layer.areas("cement_bone"))
+    area = layer.areas("cement_bone")[nodes]
+    figure, (share, *maps) = panels(4, 4, 3.0, 3.6)
+    for k, (name, run) in enumerate(runs.items()):
+        place = {tuple(x): row for row, x in enumerate(run.points.round(6))}
+        at = first_failure(run, [place[tuple(x)] for x in layer.points[nodes].round(6)])
+        at_load = np.linspace(0, MOST, 121 if name == "bonded" else 13)
+        failed = [100 * area[at <= load].sum() / area.sum() for load in at_load]
+        share.plot(at_load, failed, color=COLOURS[k], label=BONDS[name])
+        x, y, z = layer.points[nodes].T
+        angle, fails = np.degrees(np.arctan2(y, x)), np.isfinite(at)
+        maps[k].scatter(angle[~fails], z[~fails], c="0.85", s=22, marker="s")
+        drawn = maps[k].scatter(
+            angle[fails], z[fails], c=at[fails], s=22, marker="s", cmap="inferno", vmin=0, vmax=MOST
+        )
+        maps[k].set_title(BONDS[name], fontsize=11, loc="left")
+        maps[k].set_xticks([-180, -90, 0, 90, 180], ["lat.", "post.", "med.", "ant.", "lat."])
+    maps[0].set_ylabel("height z (mm)")
+    figure.colorbar(drawn, ax=maps, label="begins to fail at (times the stance)")
+    share.set_xlabel("load (times the stance)")
+    share.set_ylabel("failing part of the interface (%)")
+    share.set_ylim(bottom=0)
+    share.legend(frameon=False, title="bond")
+    grid(share)
+    figure.savefig(FIGURE, dpi=110)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,89 @@
+"""Failure index of interfaces: bonded ones by equilibrium, others by their points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests import support
+
+STRENGTH = "strength: {tension: 1.35 MPa, shear: 2.25 MPa}"
+# Two bars of unlike moduli, one on the other.
+BARS = f"""
+geometry: {{kind: blocks, blocks: [{{name: one, size: [4 mm, 4 mm, 4 mm]}},
+                                  {{name: two, size: [4 mm, 4 mm, 4 mm]}}]}}
+mesh: {{size: 2 mm}}
+regions:
+  one: {{youngs_modulus: 2 GPa, poisson_ratio: 0, tissue: other}}
+  two: {{youngs_modulus: 20 GPa, poisson_ratio: 0, tissue: other}}
+interfaces: {{one_two: {{kind: bonded, {STRENGTH}}}}}
+"""
+CONTACT = f"interfaces.one_two={{kind: contact, friction_coefficient: 5, {STRENGTH}}}"
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize(("pull", "shear"), [(1.3, 0.0), (2.7, 0.0), (-9.0, 2.0), (1.0, 4.0)])
+def test_a_bond_pulled_and_sheared(tmp_path: Path, order: int, pull: float, shear: float) -> None:
+    """Uniform tractions: strains by modulus, the displacement given on the surface all around."""
+    below, above = f"min(z, 4) * {1 / 2e3}", f"max(z - 4, 0) * {1 / 20e3}"
+    along = f"({below} + {above})"
+    given = f"x: '{2 * shear} * {along}', y: 0 mm, z: '{pull} * {along}'"
+    faces = ("bottom", "top", "x_min", "x_max", "y_min", "y_max")
+    held = [f"{f}: {{kind: displacement, boundary: {f}, {given}}}" for f in faces]
+    supports = f"supports={{{', '.join(held)}}}"
+    results = support.run(BARS, tmp_path, f"mesh.order={order}", supports)
+    index = np.hypot(max(pull, 0.0) / 1.35, shear / 2.25)
+    found = results.summary["bonds"]["one_two"]
+    assert found["failure_index_max"] == pytest.approx(index, rel=1e-9)
+    map_ = results.fields.at_interface("one_two", "failure_index")
+    assert map_.max() == pytest.approx(index, rel=1e-6)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_bond_has_the_tractions_of_contact_that_sticks(tmp_path: Path, order: int) -> None:
+    """Edges, unlike sides, rollers on the rim, a region in two bodies: by the multiplier."""
+    supports = (
+        "{base: {kind: fixed, boundary: bottom}, cut: {kind: roller, boundary: y_min, axis: y}}"
+    )
+    press = "{kind: force, boundary: top, force: [30 N, 10 N, -160 N]}"
+    changes = (f"mesh.order={order}", f"supports={supports}", f"loads.press={press}")
+    bonded = support.run(BARS, tmp_path / "bonded", *changes)
+    sticks = support.run(BARS, tmp_path / "sticks", *changes, CONTACT)
+    assert sticks.summary["interfaces"]["one_two"]["stick_fraction"] == 1.0
+    maps = [r.fields.at_interface("one_two", "failure_index") for r in (bonded, sticks)]
+    one, two = (np.sort(values[values > 0]) for values in maps)
+    assert two == pytest.approx(np.repeat(one, 2), rel=1e-6)  # nodes of each body
+    numbers = bonded.summary["bonds"]["one_two"], sticks.summary["interfaces"]["one_two"]
+    for key in ("failure_index_max", "failure_index_p99", "failure_load_factor"):
+        assert numbers[0][key] == pytest.approx(numbers[1][key], rel=1e-9)
+        assert numbers[0][key] > 0
+    last = bonded.history["one_two failure_index_p99 [-]"][-1]
+    assert last == numbers[0]["failure_index_p99"] == pytest.approx(1 / numbers[0][key], rel=1e-12)
+
+
+def test_the_load_factor_is_where_a_hundredth_fails(tmp_path: Path) -> None:
+    """A bond under a moment: loaded by its factor, a hundredth of it is beyond its strength."""
+    supports = "supports={base: {kind: fixed, boundary: bottom}}"
+    bent = "loads.bent={{kind: force, boundary: top, force: '[1, 0, 4] N', history: [{}]}}"
+    first = support.run(BARS, tmp_path / "one", supports, bent.format(1.0))
+    found = first.summary["bonds"]["one_two"]
+    assert found["strength_fraction"] == 0.0
+    factor = bent.format(found["failure_load_factor"])
+    again = support.run(BARS, tmp_path / "two", supports, factor)
+    found = again.summary["bonds"]["one_two"]
+    assert found["failure_index_p99"] == pytest.approx(1.0, rel=1e-9)
+    assert found["strength_fraction"] == pytest.approx(0.01, rel=1e-6)
+
+
+def test_without_strength_there_is_none(tmp_path: Path) -> None:
+    load = "loads.press={kind: pressure, boundary: top, pressure: 1 MPa}"
+    base = "supports={base: {kind: fixed, boundary: bottom}}"
+    for law in ("{kind: bonded}", CONTACT.partition("=")[2].replace(f", {STRENGTH}", "")):
+        results = support.run(BARS, tmp_path / law[7:10], load, base, f"interfaces.one_two={law}")
+        told = {key for q in results.summary.get("bonds", {}).values() for key in q}
+        told |= {key for q in results.summary["interfaces"].values() for key in q}
+        told |= {*results.history, *results.fields.point_fields}
+        assert "strength_fraction" not in results.summary["interfaces"].get("one_two", {})
+        assert not [name for name in told if "failure" in name]
