@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from app.errors import InputError
 from app.results.reading import Run
 from tests import restarted, support
 from tests.support import CONFIGS
@@ -36,9 +38,11 @@ def test_a_bar_snaps_back_without_a_failed_step(tmp_path: Path) -> None:
 
 
 def test_a_restart_in_the_middle_of_breaking_ends_the_same(tmp_path: Path) -> None:
-    case, files = restarted.whole(BAR, tmp_path, *TORN, "output.fields=false")
-    for k in (len(files) // 3, len(files) // 2):
-        part = restarted.on(case, tmp_path, files[k], *TORN, "output.fields=false")
+    case, files = restarted.whole(BAR, tmp_path, *TORN)
+    used = [float(v) for v in Run(tmp_path / "whole").history["lower_upper dissipation [N mm]"]]
+    assert 0 < used[1] < used[4] < used[-1] < 1.6 and len(files) == len(used)
+    for k in (1, 4):
+        part = restarted.on(case, tmp_path, files[k], *TORN)
         restarted.assert_same(tmp_path / "whole", part)
 
 
@@ -114,3 +118,16 @@ def test_cohesion_as_an_extension_has_the_same_numbers(tmp_path: Path, pull: str
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-8)
     used = np.asarray(runs[0].history["lower_upper dissipation [N mm]"])
     assert used[-1] > 1.5 and all(run.summary["balance"]["energy"] < 1e-8 for run in runs)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("stiffness=3000 - 600 * x", "stiffness: 600 MPa/mm is too soft for tensile strength"),
+        ("unbonded=x", "unbonded: 4 at (4, "),
+        ("shear_energy=0.2 - x", "shear_energy: -3.8 at (4, "),
+    ],
+)
+def test_values_at_points_are_refused(tmp_path: Path, change: str, words: str) -> None:
+    with pytest.raises(InputError, match=re.escape(f"interfaces.lower_upper.{words}")):
+        support.run(BAR, tmp_path, f"interfaces.lower_upper.{change}")
