@@ -32,17 +32,15 @@ def _bar(
 ) -> Check:
     """The bar with a stiffness ``above`` the least, in steps of a part of its energy."""
     least = 1.125 * strength**2 / energy
-    law = {
-        "stiffness": f"{above * least!r} MPa/mm",
-        "tensile_strength": f"{strength!r} MPa",
-        "shear_strength": f"{1.5 * strength!r} MPa",
-        "tensile_energy": f"{energy!r} N/mm",
-        "shear_energy": f"{2 * energy!r} N/mm",
-    }
+    law = (
+        f"stiffness={above * least!r} MPa/mm",
+        *(f"{m}_strength={k * strength!r} MPa" for m, k in (("tensile", 1), ("shear", 1.5))),
+        *(f"{m}_energy={k * energy!r} N/mm" for m, k in (("tensile", 1), ("shear", 2))),
+    )
     end = 1.5 * max(SOFT * strength + 1 / (above * least) * strength, 2 * energy / strength)
     case = run(
         "verification/cohesive_bar.yaml",
-        *(f"interfaces.lower_upper.{key}={value}" for key, value in law.items()),
+        *(f"interfaces.lower_upper.{value}" for value in law),
         f"supports.pull.z={end!r} mm",
         f"stages.0.fracture_step={AREA * energy / steps!r} N mm",
     )
