@@ -223,8 +223,8 @@ class BodyForms:
 
     def _density(self, e: Elastic) -> Floats:
         """Density of a region's modulus in the case at all vertices, within its bounds (n,)."""
-        law, x = e._remodelling, self.scalars.tabulate_dof_coordinates()
-        assert law is not None
+        law: Any = e._remodelling
+        x = self.scalars.tabulate_dof_coordinates()
         E = e.moduli[0] * everywhere(self.mesh.comm, lambda: e.relative_stiffness(x))
         return np.asarray(np.clip(density(law.law, E), *law.density))
 

@@ -21,27 +21,19 @@ def intact_case(ours: Case, regions: tuple[str, ...]) -> Case:
     Raises:
         InputError: It cannot be read, or lacks a region or a load case.
     """
-    law = ours.remodelling
-    assert law is not None and law.intact is not None
+    law: Any = ours.remodelling
     case = load(law.intact).config
-    stages = [stage.name for stage in case.stages]
-    for what, wanted, known in (
-        ("region", regions, case.regions),
-        ("stage", law.load_cases, stages),
-    ):
-        if missing := [name for name in wanted if name not in known]:
-            text = f"{law.intact} has no {what} {', '.join(missing)}; it has {', '.join(known)}"
-            raise InputError(f"remodelling.intact: {text}")
+    known = {"region": [*case.regions], "stage": [stage.name for stage in case.stages]}
+    for what, wanted in (("region", regions), ("stage", law.load_cases)):
+        if missing := [name for name in wanted if name not in known[what]]:
+            text = f"has no {what} {', '.join(missing)}; it has {', '.join(known[what])}"
+            raise InputError(f"remodelling.intact: {law.intact} {text}")
     law = law.model_copy(update={"regions": regions})
     return case.model_copy(update={"remodelling": law, "mesh": ours.mesh, "variations": {}})
 
 
 def carried(intact: Remodeller, ours: BodyForms) -> Floats:
-    """Stimulus of an intact femur at the vertices of ours (n, r) [J/g]; collective.
-
-    Raises:
-        ConvergenceError: One of its load cases cannot be solved.
-    """
+    """Stimulus of an intact femur at the vertices of ours (n, r) [J/g]; collective."""
     forms, cases = intact.mechanics, intact.problem.scene.load_cases
     found: Any = intact.stimulus([(k, k + 1.0) for k in cases])
     if found is None:

@@ -70,6 +70,8 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     if case.conducts:
         lines += ["heat", *_table(case.heat)]
     lines += ["stages", *map(_stage, case.stages)]
+    if case.remodelling:
+        lines += ["remodelling", *_entries(case.remodelling, given.get("remodelling"))]
     if case.time is not None:
         lines += ["time", *_entries(case.time, given.get("time"))]
     if case.output.probes:
@@ -81,7 +83,8 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
 
 
 def _stage(stage: Stage) -> str:
-    time = f"{stage.seconds:g} s, " if stage.seconds else "until nothing changes, " * stage.steady
+    seconds = stage.seconds or stage.remodels
+    time = f"{seconds:g} s, " if seconds else "until nothing changes, " * stage.steady
     steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
     steps += f" for each way, {stage.cycles} cycles" if stage.cycles > 1 else ""
     return f"  {stage.name}: {time}{steps}{', adaptive' if stage.adaptive else ''}"

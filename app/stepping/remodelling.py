@@ -19,6 +19,7 @@ import ufl
 
 from app.arrays import Floats
 from app.errors import ConvergenceError, InputError, MantleError
+from app.laws.remodelling import Remodelling
 from app.laws.supports import Fixed
 from app.laws.values import field
 from app.mechanics.body_forms import assembled_matrix, hats
@@ -55,9 +56,9 @@ class Remodeller:
         self, stepper: LoadStepper, stresses: Any, reference: Callable[[], Floats | None]
     ) -> None:
         self._stepper, self._stresses, self._intact = stepper, stresses, reference
-        problem, law = stepper.problem, stepper.problem.scene.remodelling
-        assert law is not None
-        self.problem, self._law, self.mechanics = problem, law, problem.mechanics
+        self.problem, self.mechanics = stepper.problem, stepper.problem.mechanics
+        law: Any = self.problem.scene.remodelling
+        self._law: Remodelling = law
         # The integrals of the hat functions of the vertices [mm3].
         self._volume = self._integrals(lambda region: 1.0)
         self._filters = [self._filter(r, law.filter) for r in self.mechanics.remodels]
@@ -153,15 +154,13 @@ class Remodeller:
             )
             K = np.broadcast_to(given[:, None], self._volume.shape)
         self._reference = K
-        least = float(self._reference[self._volume > 0].min(initial=np.inf))
-        if (least := problem.comm.allreduce(least, MPI.MIN)) <= 0:
+        least = problem.comm.allreduce(float(K[self._volume > 0].min(initial=np.inf)), MPI.MIN)
+        if least <= 0:
             raise InputError(f"remodelling.stimulus: {least:g} J/g somewhere; it must be positive")
-        held: Sequence[str] | None = law.frozen
-        if held is None:
-            held = [s.boundary for s in problem.scene.supports if isinstance(s, Fixed)]
-            held += [boundary for load in problem.scene.loads for boundary in load.boundaries]
+        clamps = [s.boundary for s in problem.scene.supports if isinstance(s, Fixed)]
+        clamps += [boundary for load in problem.scene.loads for boundary in load.boundaries]
         self._free = self._volume > 0
-        for name in held:
+        for name in clamps if law.frozen is None else law.frozen:
             f = boundary_facets(problem.tagged, name)
             nodes = m.scalars.dofmap.list[f.cells[:, None], FACET_NODES[f.local, :3]]
             self._free &= m.vertex_sums(nodes, 1.0)[:, None] == 0
@@ -207,8 +206,7 @@ class Remodeller:
     def _step(self, stage: Stage, goal: float) -> Floats:
         """Take a step that its error allows, to a goal in the stage at most; collective.
 
-        Returns:
-            Change of the density in time at its end [g/(cm3 s)].
+        Returns the change of the density in time at its end [g/(cm3 s)].
         """
         p, tolerance, (low, high) = self._progress, self._law.tolerance, self._law.density
         T, old, m = stage.remodels or 0.0, self.mechanics.density.copy(), self.mechanics

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import partial
+from itertools import product
 
 import numpy as np
 
 from app.results.reading import Run
-from app.verification.check import Check, CheckRun, Sample, each, problem
+from app.verification.check import Check, CheckRun, Sample, each, problem, row, run
 from app.verification.measures import number, relative
 
 Law = tuple[float, float, float, float]
@@ -85,36 +86,42 @@ def subsidence(run: Run) -> Sample:
     return relative(float(sunk[-1] - sunk[0]), SUBSIDENCE)
 
 
+_BAR, _MISES = "verification/creep_bar.yaml", "bar.von_mises_max"
+
+
+def _held(s: float) -> tuple[str, str]:
+    """The bar stretched to a stress and held."""
+    stretch = f"supports.end={{kind: displacement, boundary: top, z: {3 * s / E!r} mm}}"
+    return "loads={}", stretch
+
+
 def creep_problems() -> Iterator[Check]:
     """All problems of creep."""
-    stress = partial(number, name="bar.von_mises_max")
     crept = [partial(number, name="bar.creep_strain_max", reference=strain(CEMENT, 5, 1e6))] * 2
     what = "creep strain at constant stress, in three jumps and by error, relative"
     fine = "stages.0.creep_tolerance=1e-6"
     runs = [("stages.0.adaptive=false", "stages.0.increments=3", fine), (fine,)]
     yield problem("creep_constant_stress", what, "creep_bar", crept, 1e-6, runs)
 
-    def held(s: float) -> tuple[str, str]:
-        stretch = f"supports.end={{kind: displacement, boundary: top, z: {3 * s / E!r} mm}}"
-        return "loads={}", stretch
-
     norton = "regions.bar.creep={A: 1e-6, p: 4, m0: 1, per: 1 s}"
     seconds = "stages.0={name: hold, creep_time: 1 s, adaptive: false, "
     steps = tuple(
         CheckRun(
-            "verification/creep_bar.yaml",
-            (*held(10), norton, f"{seconds} increments: {n}}}"),
+            _BAR,
+            (*_held(10), norton, f"{seconds} increments: {n}}}"),
             size=1 / n,
             tier="long" if n == 80 else "quick",
         )
         for n in (10, 20, 40, 80)
     )
-    judge = each(partial(stress, reference=(1e-3 + 3 * E * 1e-6) ** (-1 / 3)), last=True)
+    judge = each(
+        partial(number, name=_MISES, reference=(1e-3 + 3 * E * 1e-6) ** (-1 / 3)), last=True
+    )
     what = "stress of a held bar by Norton's law, n = 4, in equal steps [MPa], relative"
     yield Check("creep_order", what, steps, judge, 1e-3, 2.0, rung="step (s)")
     what = "stress of a held bar, by strain hardening [MPa], relative"
-    relaxing = partial(stress, reference=relaxed(CEMENT, 10, 1e6))
-    yield problem("creep_relaxation", what, "creep_bar", relaxing, 2e-3, [held(10)])
+    relaxing = partial(number, name=_MISES, reference=relaxed(CEMENT, 10, 1e6))
+    yield problem("creep_relaxation", what, "creep_bar", relaxing, 2e-3, [_held(10)])
 
     law = f"creep={{A: {2.6 / (3 * E)!r}, p: 1, m0: 1, per: 1 s}}"
     pressure = partial(
@@ -147,3 +154,20 @@ def creep_problems() -> Iterator[Check]:
         )
     what = "subsidence of a taper by creep, against rings [mm], relative"
     yield problem("creep_taper", what, "creep_taper", subsidence, 5e-3)
+
+
+def creep_rows() -> Iterator[Check]:
+    """Rows of ``mantle stress``: stress over four decades, loaded and held; jumps over seven."""
+    for s, jump in product((0.01, 0.1, 1.0, 10.0, 50.0), (0, 1, 10, 1e3, 1e5, 1e7)):
+        load = f"loads.pull.pressure={-s} MPa"
+        stage = f"stages.0={{name: jump, creep_cycles: {jump}, adaptive: false, "
+        stage += "creep_tolerance: 1e-4}"
+        crept = partial(number, name="bar.creep_strain_max")
+        if jump:
+            judge = each(partial(crept, reference=strain(CEMENT, s, jump)))
+            yield row(f"creep/first jump/{s:g} MPa {jump:g}", run(_BAR, load, stage), judge, 1e-3)
+        else:
+            judge = each(partial(crept, reference=strain(CEMENT, s, 1e6)))
+            yield row(f"creep/loaded/{s:g} MPa", run(_BAR, load), judge, 1e-3)
+            held = each(partial(number, name=_MISES, reference=relaxed(CEMENT, s, 1e6)))
+            yield row(f"creep/held/{s:g} MPa", run(_BAR, *_held(s)), held, 5e-3)

@@ -37,6 +37,7 @@ from app.verification.check import (
     by_group,
     within,
 )
+from app.verification.closed_forms_creep import creep_rows
 from app.verification.extreme_cases import extremes
 from app.verification.extreme_cohesion import breaking
 from app.verification.heat_problems import heat_problems
@@ -58,7 +59,7 @@ def stress_rows() -> list[Check]:
     stiff = [p for p in heat_problems() if p.group == "stiff"]
     heat = [replace(p, name=p.name.replace("stiff", "heat", 1), group="heat") for p in stiff]
     rows = [*extremes(), *breaking(), *invariants()]
-    return [*rows, *densities(), *heat, *condensed(rows)]
+    return [*rows, *creep_rows(), *densities(), *heat, *condensed(rows)]
 
 
 # The checks of each command.

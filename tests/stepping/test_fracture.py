@@ -37,6 +37,14 @@ def test_a_bar_snaps_back_without_a_failed_step(tmp_path: Path) -> None:
     np.testing.assert_allclose(end, (1 - part) * 10 * 40 / 2000 + jump, rtol=1e-6)
 
 
+def test_softening_by_an_exponential_beside_what_was_never_bonded(tmp_path: Path) -> None:
+    """The load step before needs little augmentation, which would close what opens."""
+    law = ("softening=exponential", "unbonded=30 %")
+    support.run(BAR, tmp_path, *(f"interfaces.lower_upper.{change}" for change in law))
+    used = np.asarray(Run(tmp_path / "out").history["lower_upper dissipation [N mm]"])
+    assert used[-1] == pytest.approx(0.7 * 1.6, rel=1e-6)
+
+
 def test_a_restart_in_the_middle_of_breaking_ends_the_same(tmp_path: Path) -> None:
     case, files = restarted.whole(BAR, tmp_path, *TORN)
     used = [float(v) for v in Run(tmp_path / "whole").history["lower_upper dissipation [N mm]"]]
