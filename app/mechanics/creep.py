@@ -12,7 +12,6 @@ trial deviator. No rate appears, which would be infinite at the start (m < 1).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from mpi4py import MPI
 
@@ -71,28 +70,22 @@ class CreepState:
         weights: Floats,
     ) -> None:
         self._mechanics, self._comm = mechanics, mechanics.mesh.comm
-        self._laws = scene.creeps
-        in_cycles = scene.creeps[0].per is None
-        self.measure, self.unit = ("cycles", "-") if in_cycles else ("time", "s")
-        elastic: dict[str, Any] = {e.region: e for e in scene.elastic}
-        self.rows = np.concatenate([rows[c.region].ravel() for c in self._laws])
-        ends = np.cumsum([0, *(rows[c.region].size for c in self._laws)])
-        self.of = {c.region: slice(*ends[k : k + 2]) for k, c in enumerate(self._laws)}
-        volumes = [mechanics.places(c.region, points, weights)[1].ravel() for c in self._laws]
+        laws, elastic = scene.creeps, {e.region: e for e in scene.elastic}
+        self.measure, self.unit = ("cycles", "-") if laws[0].per is None else ("time", "s")
+        self.rows = np.concatenate([rows[c.region].ravel() for c in laws])
+        sizes = [rows[c.region].size for c in laws]
+        ends = np.cumsum([0, *sizes])
+        self.of = {c.region: slice(*ends[k : k + 2]) for k, c in enumerate(laws)}
+        volumes = [mechanics.places(c.region, points, weights)[1].ravel() for c in laws]
         self._volumes = np.concatenate(volumes)
         self._shape = np.column_stack([1 - points.sum(axis=1), points])
-        n = len(self.rows)
-        self._law: dict[str, Floats] = {k: np.empty(n) for k in ("A", "p", "m0", "m1", "unit")}
-        self._modulus, self._stiff = np.empty((2, n))
-        for c in self._laws:
-            here = self.of[c.region]
-            for key in ("A", "p", "m0", "m1"):
-                self._law[key][here] = getattr(c, key)
-            self._law["unit"][here] = c.per or 1.0
-            self._modulus[here] = elastic[c.region].moduli[0]
-            self._stiff[here] = 1.5 * elastic[c.region].coefficients[1]
-        self.strain: Floats = np.zeros(n)
-        self.taken: Floats = np.zeros((n, 6))
+        values = {k: [getattr(c, k) for c in laws] for k in ("A", "p", "m0", "m1")}
+        values["unit"] = [c.per or 1.0 for c in laws]
+        self._law: dict[str, Floats] = {k: np.repeat(v, sizes) for k, v in values.items()}
+        self._modulus = np.repeat([elastic[c.region].moduli[0] for c in laws], sizes)
+        self._stiff = np.repeat([1.5 * elastic[c.region].coefficients[1] for c in laws], sizes)
+        self.strain: Floats = np.zeros(ends[-1])
+        self.taken: Floats = np.zeros((ends[-1], 6))
         self.elapsed = self.dissipated = self.length = 0.0
 
     def elastic_strain(self, stress: Floats) -> float:

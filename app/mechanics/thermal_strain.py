@@ -79,11 +79,8 @@ class ThermalStrain:
             Rows of displacement and jumps, columns of temperatures and temperature jumps; None
             where the scene has no such unknowns.
         """
-        scaled = {
-            x.region: self._forces[x.region] * x.expansion
-            for x in self._terms
-            if x.region in self._forces
-        }
+        terms = [x for x in self._terms if x.region in self._forces]
+        scaled = {x.region: self._forces[x.region] * x.expansion for x in terms}
         by_jumps = {r: G.matMult(moves[r]) for r, G in scaled.items() if r in moves}
         columns = []
         for of_region in (scaled, by_jumps):

@@ -154,3 +154,23 @@ def test_a_life_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
     again = restarted.on(path, tmp_path, checkpoints[k], *coarse)
     restarted.assert_same(again, tmp_path / "whole", 1e-5, 1e-7)
     assert support.summary(again)["creep"]["cycles"] == 1e7
+
+
+def test_a_region_that_hardly_creeps_expands_and_is_loaded_as_an_elastic_one(
+    tmp_path: Path,
+) -> None:
+    """Its stress is then history: of strains and temperatures, the same as the law's."""
+    numbers = []
+    cool = ("regions.upper.thermal.cure=null", "interfaces.lower_upper.friction_coefficient=0")
+    stage = "stages[1]={name: load, increments: 2, creep_cycles: 1, adaptive: false}"
+    creeps = ("regions.upper.creep={A: 1e-20, p: 1, m0: 1}", stage, "stages[1].creep_tolerance=1")
+    for k, changes in enumerate((cool, (*cool, *creeps))):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        s = support.run(restarted.SETTING, folder, *changes).summary
+        assert max(v for name, v in s["balance"].items() if name != "heat_quadrature") < 1e-8
+        numbers.append(s)
+    for key in ("von_mises_max", "principal_min"):
+        one, other = (s["regions"]["upper"][key] for s in numbers)
+        assert one == pytest.approx(other, rel=1e-6) and abs(one) > 0.1
+    assert numbers[1]["regions"]["upper"]["creep_strain_max"] < 1e-18
