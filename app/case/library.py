@@ -18,6 +18,7 @@ ENTRY = r"^  ([\w-]+):\n(?:    .*\n)+"
 ABOUT, SOURCE, ORIGIN = "about", "source", ("status", "source")
 KINDS = {
     "materials": "a region takes one by `material: NAME`",
+    "finishes": "a cohesive interface takes one by `finish: NAME`",
     "loads": "the loads of a case are those of a name by `library: NAME` among them",
 }
 

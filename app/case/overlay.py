@@ -32,6 +32,12 @@ OF_REGION = ("thermal", "tissue", "eigenstrains")
 OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
 # Keys of a region or a load that its status and source do not tell of.
 OF_USE = {*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
+# Key that names an entry of the library, and its kind, by section.
+NAMED = {
+    "regions": ("material", "materials"),
+    "interfaces": ("finish", "finishes"),
+    "loads": ("library", "loads"),
+}
 # Keys among the loads that change all forces there, and what they are.
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
@@ -134,7 +140,7 @@ def _over(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
     match path:
         case ("loads", _, "force"):
             return _force(case, lower, upper, path)
-        case ("regions", _) | ("loads",) if isinstance(upper, dict):
+        case ("regions" | "interfaces", _) | ("loads",) if isinstance(upper, dict):
             lower, upper = _named_entry(case, lower, upper, path)
     if not isinstance(upper, dict):
         return upper
@@ -225,7 +231,7 @@ def _named_entry(
     case: CaseFile, lower: Any, upper: dict[str, Any], path: Path
 ) -> tuple[Any, dict[str, Any]]:
     """Replace the lower value by the library entry that `upper` names."""
-    key, kind = ("library", "loads") if len(path) == 1 else ("material", "materials")
+    key, kind = NAMED[str(path[0])]
     name = upper.get(key)
     if not isinstance(name, str):
         return lower, upper
@@ -237,10 +243,14 @@ def _named_entry(
             _measure(case, "body_weight", entry.pop("body_weight"))
     if kind == "loads" or not entry:
         return entry or lower, rest
-    if rest.get("kind", "conductor") not in ("conductor", own := _kind(entry, path)):
+    own, kinds = _kind(entry, path), ("conductor",) if kind == "materials" else ()
+    if rest.get("kind", own) not in (*kinds, own):
         text = f"{name} is of kind {own}; leave kind out"
         case.complaints.append(Fault((*path, "kind"), text))
-    return _material(lower if isinstance(lower, dict) else {}, entry, rest), rest
+    known = lower if isinstance(lower, dict) else {}
+    if kind == "finishes":
+        return (known if known.get("kind") == entry["kind"] else {}) | entry, rest
+    return _material(known, entry, rest), rest
 
 
 def _entry(case: CaseFile, kind: str, name: str, path: Path) -> dict[str, Any]:
@@ -262,7 +272,7 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path) -> dict[str, Any]:
             if len(case.places) > yaml_file.MOST_NODES:
                 raise InputError(f"{case.name}: {yaml_file.TOO_MANY}")
             found = {k: deepcopy(v) for k, v in entry.items() if k != library.ABOUT}
-            if kind == "materials":
+            if kind != "loads":
                 return found
             origin = {k: found.pop(k) for k in library.ORIGIN if k in found}
             return {k: origin | v if isinstance(v, dict) else v for k, v in found.items()}
@@ -390,7 +400,7 @@ def _put(case: CaseFile, holder: Any, path: Path, value: Any) -> None:
         for key in library.ORIGIN:
             case.data[str(path[0])][path[1]].pop(key, None)
     own = {p: place for p, place in case.places.items() if p[: len(path)] == path}
-    of_entry = step in ("material", "library") and path[0] in ("regions", "loads")
+    of_entry = step in ("material", "finish", "library") and path[0] in NAMED
     if (of_entry and isinstance(value, str)) or (path[0] == "loads" and step in MEASURED):
         new = _over(case, holder, {step: value}, path[:-1])
     else:

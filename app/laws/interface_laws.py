@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import model_validator
 
@@ -20,13 +20,15 @@ from app.laws.values import (
     FractureEnergyField,
     History,
     LengthField,
+    Patches,
     ShareField,
+    Source,
     StiffnessField,
     StrengthField,
     field,
 )
 from app.schema.expressions import Varying
-from app.schema.section import Extensible, Kinds, Section, fail
+from app.schema.section import Extensible, Kinds, Section, Text, fail
 from app.schema.units import MixingExponent, NonNegativeNumber, PositiveStiffness
 
 if TYPE_CHECKING:
@@ -137,7 +139,7 @@ class InterfaceLaw(Extensible):
         return None
 
     @property
-    def values(self) -> Mapping[str, float | str]:
+    def values(self) -> Mapping[str, float | str | Patches]:
         """Numbers of the law, or expressions; they may differ between laws of one form."""
         return {name: v for name, v in self._own().items() if self._varies(name, v)}
 
@@ -152,12 +154,15 @@ class InterfaceLaw(Extensible):
         return {name: getattr(self, name) for name in sorted(names)}
 
     def _varies(self, name: str, value: object) -> bool:
-        return isinstance(value, float) or self._mark(name) is not None
+        return isinstance(value, float | Patches) or self._mark(name) is not None
 
     def _mark(self, name: str) -> Varying | None:
-        known = type(self).model_fields.get(name)
-        marks = (m for m in (known.metadata if known else ()) if isinstance(m, Varying))
-        return next(marks, None)
+        if (known := type(self).model_fields.get(name)) is None:
+            return None
+        inner = (
+            m for kind in get_args(known.annotation) for m in getattr(kind, "__metadata__", ())
+        )
+        return next((m for m in (*known.metadata, *inner) if isinstance(m, Varying)), None)
 
     def fields(self, interface: str) -> dict[str, Field]:
         """The values (n,) at points of an interface, by name."""
@@ -292,19 +297,23 @@ class Cohesive(InterfaceLaw):
     stiffness: StiffnessField
     """Traction per displacement of the bond, in tension and shear."""
     tensile_strength: StrengthField
-    """Largest tension."""
+    """Largest tension; of stem and cement none is known by finish: give it."""
     shear_strength: StrengthField
     """Largest shear."""
     tensile_energy: FractureEnergyField
-    """Fracture energy per area in tension."""
+    """Fracture energy per area in tension; of stem and cement none is known: give it."""
     shear_energy: FractureEnergyField
-    """Fracture energy per area in shear."""
+    """Fracture energy per area in shear; of stem and cement none is known: give it."""
     mixing_exponent: MixingExponent = 2.0
     """Exponent of Benzeggagh and Kenane between the two energies."""
     softening: Literal["linear", "exponential"] = "linear"
     """How traction falls with the jump."""
     unbonded: ShareField = 0.0
     """Share of the area that has never been bonded."""
+    finish: Text | None = None
+    """Surface of a stem in the library (`mantle explain finishes`); other keys change it."""
+    source: Source = None
+    """Where its strength is from."""
 
     def bond(self, x: Mapping[str, Expr]) -> dict[str, Expr]:
         """Damage of the bond, as of `forms.cohesion.bond`."""

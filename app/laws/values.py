@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import AfterValidator, PrivateAttr
+from pydantic import AfterValidator, Discriminator, PrivateAttr, Tag
 from pydantic_core import PydanticCustomError
 
 from app.errors import InputError
 from app.schema.expressions import Varying, evaluate
-from app.schema.section import ITEMS, Section, Text, fail
-from app.schema.units import Dimension, Number, Part
+from app.schema.section import ITEMS, TAG, Section, Text, fail
+from app.schema.units import Dimension, NonNegativeInteger, Number, Part, PositiveLength
 
 if TYPE_CHECKING:
     from app.arrays import Field, Floats
@@ -24,8 +24,6 @@ StrengthField = Annotated[float | str, Varying(Dimension("MPa", "a strength", "2
 FractureEnergyField = Annotated[
     float | str, Varying(Dimension("N/mm", "an energy per area", "100 J/m^2", above=0.0))
 ]
-# Of an area: 30 %, or an expression that gives 0 to 1.
-ShareField = Annotated[float | str, Varying(Part())]
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
 # How sure values are, and where they are from.
 Status = Literal["measured", "assumed", "unverified"] | None
@@ -35,6 +33,40 @@ History = Annotated[tuple[Number, ...], ITEMS] | None
 # Pairs of seconds since the start of the run and multiplier.
 Course = Sequence[tuple[float, float]]
 Table = tuple[tuple[float, float], ...]
+
+
+class Patches(Section):
+    """Share of an area in patches, placed by chance: the same on every mesh."""
+
+    share: Annotated[float, Part()]
+    """Expected share of the area; the numbers of the run have the one achieved."""
+    patch: PositiveLength
+    """Size of a patch."""
+    seed: NonNegativeInteger = 0
+    """The same seed gives the same patches."""
+
+    def __call__(self, x: Floats) -> Floats:
+        """1 in patches, 0 elsewhere, at points (n, 3) [mm]: shape (n,)."""
+        import numpy as np
+
+        # Cubes of space, cut by the surface; the shift keeps their faces off planes of meshes.
+        shift = (0.6180339887, 0.7548776662, 0.5698402910)
+        cubes = np.floor(x / self.patch + shift).astype(np.int64).astype(np.uint64)
+        chance: Any = np.full(len(x), self.seed, dtype=np.uint64)
+        for cube in cubes.T:  # SplitMix64 (Steele, Lea and Flood 2014)
+            chance = (chance ^ cube) + np.uint64(0x9E3779B97F4A7C15)
+            chance = (chance ^ (chance >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            chance = (chance ^ (chance >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            chance ^= chance >> np.uint64(31)
+        return np.where(chance / 2.0**64 < self.share, 1.0, 0.0)
+
+
+# Of an area: 30 %, an expression that gives 0 to 1, or patches.
+ShareField = Annotated[
+    Annotated[float | str, Varying(Part()), Tag(TAG + "share")]
+    | Annotated[Patches, Tag(TAG + "patches")],
+    Discriminator(lambda s: TAG + ("patches" if isinstance(s, dict | Patches) else "share")),
+]
 
 
 class Named(Section):

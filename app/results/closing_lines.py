@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from app.case import quantities
-from app.case.quantities import NECROSIS, TABLE, numbers_of
+from app.case.quantities import NECROSIS, TABLE, in_print, numbers_of
 from app.errors import UnusableError
 from app.results.cycles import sentences
+from app.results.damage import RESOLVED
 from app.system import layout
 
 if TYPE_CHECKING:
@@ -155,6 +156,7 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
         clauses.append(Verdict(f"heat: {kept}", "bad" if "heat" in lost else "good"))
     if summary["interfaces"]:
         clauses.append(_contact(summary["interfaces"]))
+    clauses += [_crack(name, q) for name, q in summary["interfaces"].items() if "zone_length" in q]
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
     asked = [Verdict(summary["accuracy"])] if "accuracy" in summary else []
@@ -207,6 +209,22 @@ def _strength(name: str, q: Mapping[str, Any], unsettled: Mapping[str, Any]) -> 
             text, tone = f"{text} (R grows {grown}: it may have no limit)", "doubtful"
         texts.append(text)
     return Verdict(f"strength: {name} breaks with a probability of {', '.join(texts)}", tone)
+
+
+def _crack(name: str, q: Mapping[str, Any]) -> Verdict:
+    """What of an interface is damaged, and whether the mesh resolves the zone where it breaks."""
+    own = TABLE["interfaces"]
+    keys = ("area_damaged", "area_broken", "unbonded_fraction", "zone_length", "zone_elements")
+    damaged, broken, never, zone, elements = (own[key].text(q) for key in keys)
+    text = f"cohesion: {name} is damaged on {damaged} mm^2, of which {broken} are broken"
+    if q["unbonded_fraction"]:
+        text += f"; {never} % never held"
+    if not q["zone_length"]:
+        return Verdict(in_print(text), "good")
+    text += f"; its process zone is {zone} mm long, {elements} elements"
+    if q["zone_elements"] >= RESOLVED:
+        return Verdict(in_print(text), "good")
+    return Verdict(in_print(f"{text}: not resolved, it takes {RESOLVED}; refine"), "doubtful")
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:

@@ -19,9 +19,11 @@ import numpy as np
 
 from app.arrays import Bools, Floats, Ints
 from app.case.quantities import TABLE, computed
+from app.laws.interface_laws import Cohesive
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.results.cycles import OF_CYCLES
+from app.results.damage import BROKEN, zone
 from app.results.percentiles import SurfaceField
 from forms.contact import OPEN, SLIP, STICK
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
@@ -63,6 +65,8 @@ class ContactSamples:
         contact_work: Work of the pressures in the opening (n,) [N mm].
         stored: Energy stored by layers and cohesion (n,) [N mm].
         own: History variables of the laws, by name: (n, ...).
+        contacts: The interfaces.
+        facet_sizes: Mean length of the edges of their facets [mm].
         index: Failure index (n,) of interfaces whose strength is known, by their numbers.
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
 
@@ -114,23 +118,24 @@ class ContactSamples:
         if since is not None:
             way = whole(trial.jump - since)
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
-        self._contact, self._jump, self._names = contact, trial.jump, [c.name for c in contacts]
+        self._contact, self._jump, self.contacts = contact, trial.jump, contacts
+        self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(points, i, {}) for i in range(len(contacts))]
 
     @cached_property
     def numbers(self) -> dict[str, dict[str, Any]]:
         """Motion, tractions and states of each interface, by its name; collective."""
-        depths, sizes = overlap(self._contact, self._jump), self._contact.edge_lengths
+        depths, sizes = overlap(self._contact, self._jump), self.facet_sizes
         return {
-            name: _numbers(self, i) | depths[i] | {"facet_size": sizes[i]}
-            for i, name in enumerate(self._names)
+            c.name: _numbers(self, i) | depths[i] | {"facet_size": sizes[i]}
+            for i, c in enumerate(self.contacts)
         }
 
     @cached_property
     def history(self) -> dict[str, dict[str, Any]]:
         """The numbers of every step, those of history.csv among them."""
         wanted = {key for key, q in TABLE["interfaces"].items() if q.history} | OF_CYCLES
-        return {name: _numbers(self, i, wanted) for i, name in enumerate(self._names)}
+        return {c.name: _numbers(self, i, wanted) for i, c in enumerate(self.contacts)}
 
 
 def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[str, Any]:
@@ -144,12 +149,32 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
         "dissipation_min": float(s.least[at].min()),
         "contact_work": float(s.contact_work[at].sum()),
         "stored_energy": float(s.stored[at].sum()),
+        **_damage(s, i),
         **computed("interfaces", s, at),
     }
     if wanted:
         return main
     area = float(s.weight[at].sum()) - sum(part["area"] for part in parts.values())
     return main | {"area": area, "force": (s.weight[at] @ s.force[at]).tolist(), **parts}
+
+
+def _damage(s: ContactSamples, i: int) -> dict[str, float]:
+    """Areas [mm2], mean damage and process zone of a cohesive interface; of others none."""
+    if not isinstance(s.contacts[i].law, Cohesive):
+        return {}
+    at, surface, weight = s.interface == i, s.surfaces[i], s.weight
+    never = np.ones(len(at))
+    never[at] = s.contacts[i].values["unbonded"](s.x[at])
+    bonded, spent = weight * (1 - never), np.where(never < 1, s.own["spent"], 0.0)
+    length = zone(surface.corners, spent[surface.triangles], surface.area)
+    return {
+        "unbonded_fraction": float((weight * never)[at].sum() / weight[at].sum()),
+        "area_damaged": float(bonded[spent > 0].sum()),
+        "area_broken": float(bonded[spent >= BROKEN].sum()),
+        "damage_mean": float(bonded @ s.own["damage"] / max(bonded.sum(), 1e-300)),
+        "zone_length": length,
+        "zone_elements": length / s.facet_sizes[i],
+    }
 
 
 def _of_part(
@@ -203,6 +228,9 @@ class Surface:
 
     Attributes:
         at: Points of each part (n,) by its name, which is empty for the rest.
+        triangles: Points at the corners of each facet (f, 3).
+        corners: Their positions (f, 3, 3) [mm].
+        area: Area of each facet (f,) [mm2].
 
     Args:
         borders: Functions of all points (n,) that are not positive in a part; the first counts.
@@ -211,25 +239,25 @@ class Surface:
     def __init__(self, points: ContactPoints, i: int, borders: Mapping[str, Floats]) -> None:
         at = points.interface == i
         self.at = divided(at, borders)
-        self._triangles: Ints = points.triangles[i]
-        x = points.x[self._triangles]
+        self.triangles: Ints = points.triangles[i]
+        x = self.corners = points.x[self.triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
         area = np.linalg.norm(flat, axis=1) / 2
         # Curved facets have a little more than their corners span.
         whole = points.weight[at].sum()
-        self._area = area * (whole / area.sum()) if len(area) else area
+        self.area = area * (whole / area.sum()) if len(area) else area
         # At each corner the face of the point that this facet belongs to.
-        along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self._triangles]))
+        along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self.triangles]))
         self._face: Ints = np.argmax(along, axis=2)
-        centres = {part: own[self._triangles].mean(axis=1) for part, own in borders.items()}
+        centres = {part: own[self.triangles].mean(axis=1) for part, own in borders.items()}
         self._of = divided(np.ones(len(x), dtype=bool), centres)
 
     def field(self, values: Floats, part: str) -> SurfaceField:
         """Values at points (n,), or at the faces of points (n, 3), as a field on a part."""
-        corners = values[self._triangles]
+        corners = values[self.triangles]
         if values.ndim == 2:
             corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
-        return SurfaceField(corners[self._of[part]], self._area[self._of[part]])
+        return SurfaceField(corners[self._of[part]], self.area[self._of[part]])
 
 
 def divided(whole: Bools, levels: Mapping[str, Floats]) -> dict[str, Bools]:

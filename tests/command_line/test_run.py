@@ -556,6 +556,15 @@ def check_fatigue(summary: dict[str, Any]) -> None:
     assert summary["fatigue"].keys() == {"verdonschot", "murphy"}
 
 
+def check_debonding(summary: dict[str, Any]) -> None:
+    """A weak bond is damaged on a part of its area, and what that takes is dissipated."""
+    q = summary["interfaces"]["cement_bone"]
+    assert 0 <= q["area_broken"] < q["area_damaged"]
+    assert 0 < q["damage_mean"] < 1
+    assert 0 < q["dissipation"]
+    assert q["zone_elements"] == pytest.approx(q["zone_length"] / q["facet_size"])
+
+
 def check_creep(s: dict[str, Any]) -> None:
     """Ten years of walking; the creep of a mean point is a fraction of its elastic strain."""
     assert s["creep"]["cycles"] == 1e7 and s["creep"]["dissipation"] > 0
@@ -597,6 +606,7 @@ SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = 
         check_fatigue,
         ["mesh.size=10 mm", "output.error=false", "stages.0.cycles=1", "stages.4.cycles=1"],
     ),
+    "debonding.yaml": (check_debonding, ["mesh.size=10 mm", "stages.0.increments=4"]),
     "remodelling.yaml": (check_bone, ["mesh.size=10 mm", "mesh.order=1", "stages.1.increments=1"]),
     "creep_taper.yaml": (check_creep, ["mesh.size=8 mm", "variations={}"]),
     "life.yaml": (
@@ -657,6 +667,6 @@ def test_shipped_configuration(name: str, tmp_path: Path) -> None:
         summary = support.summary(folder) | {"name": folder.name}
         assert balanced(summary)
         exact = [q for q in summary["interfaces"].values() if not q["stored_energy"]]
-        assert all(q["penetration_max"] < 1e-9 for q in exact)  # layers yield
+        assert all(q["penetration_max"] < 1e-9 for q in exact)  # layers and bonds yield
         if check := SHIPPED[name][0]:
             check(summary)
