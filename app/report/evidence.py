@@ -6,7 +6,6 @@ these words.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +18,7 @@ from app.errors import InputError
 from app.report import page
 from app.results import closing_lines
 from app.results.reading import Results
-from app.system.folders import write_json, write_text
+from app.system.folders import read_json, write_json, write_text
 from app.system.layout import plain
 
 APPLICANT = "the applicant writes this"
@@ -62,7 +61,7 @@ def write(folders: Sequence[Path]) -> list[Path]:
     run = _finished(folders[0])
     checks = [check for folder in folders[1:] for check in _checks(folder)]
     case = load(run.folder / "case.yaml").config
-    found = factors(case, run.summary, _json(run.folder / "provenance.json"), checks)
+    found = factors(case, run.summary, read_json(run.folder / "provenance.json"), checks)
     head = {key: getattr(case, key) or APPLICANT for key in ("question", "context_of_use")}
     content = head | {"standard": "ASME V&V 40-2018", "factors": [f._asdict() for f in found]}
     write_json(run.folder / "evidence.json", content)
@@ -122,11 +121,7 @@ def _checks(folder: Path) -> list[Any]:
     files = sorted(folder.glob("verify*.json"))
     if not files:
         raise InputError(f"{folder}: holds no verify.json; mantle verify -o {folder} writes it")
-    return [check for file in files for check in _json(file)]
-
-
-def _json(path: Path) -> Any:
-    return json.loads(path.read_text(encoding="utf-8"))
+    return [check for file in files for check in read_json(file)]
 
 
 def _software(record: Mapping[str, Any]) -> Iterator[str]:
@@ -197,7 +192,7 @@ def _inputs(case: Case) -> Iterator[str]:
 def methods(folder: Path) -> Path:
     """Write ``methods.md``: a section on methods with every number from the run."""
     run = _finished(folder)
-    case, record = load(folder / "case.yaml").config, _json(folder / "provenance.json")
+    case, record = load(folder / "case.yaml").config, read_json(folder / "provenance.json")
     text = "\n\n".join(_paragraphs(case, run.summary, record))
     write_text(folder / "methods.md", text + "\n")
     return folder / "methods.md"

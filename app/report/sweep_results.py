@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from contextlib import suppress
@@ -17,6 +16,7 @@ from app.errors import InputError
 from app.results.closing_lines import UNUSABLE
 from app.results.reading import Results
 from app.schema.units import NUMBER
+from app.system.folders import read_json
 
 INTERFACES = ("cement_bone", "stem_cement")
 # Of each contact quantity: the percentile that converges, its unit for people, factor, words.
@@ -151,7 +151,7 @@ def read(folder: Path) -> SweepResults:
     """Read ``sweep.json``."""
     path = folder / "sweep.json"
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = read_json(path)
         cases = [_case(entry, folder) for entry in data["cases"]]
         known: dict[str, Any] = {
             f.name: data[f.name] for f in fields(SweepResults) if data.get(f.name)

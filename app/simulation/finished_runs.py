@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ def finished(folder: Path, case: Case) -> bool:
         done = (folder / "DONE").stat().st_mtime
         written = (folder / "case.yaml").read_text(encoding="utf-8")
         same = written == dump(case)
-        record = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+        record = folders.read_json(folder / "provenance.json")
     except (OSError, ValueError):
         return False
     same &= record.get("identity") == identity.parts()
@@ -36,14 +35,10 @@ def finished(folder: Path, case: Case) -> bool:
 def summaries(output: Path, varied: Sequence[Varied]) -> dict[int, dict[str, Any]]:
     """Summaries of the finished variations in folders below ``output``, by position."""
     return {
-        i: _summary(output / v.name)
+        i: folders.read_json(output / v.name / "summary.json")
         for i, v in enumerate(varied)
         if finished(output / v.name, v.case)
     }
-
-
-def _summary(folder: Path) -> dict[str, Any]:
-    return dict(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
 
 
 def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str = "") -> bool:
@@ -64,5 +59,5 @@ def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str
     done = done and all(finished(folder, one) for folder, one in runs.items())
     folders.prepare_run(output, force or done or bool(restart))
     if done:
-        check_usable({folder: _summary(folder) for folder in runs})
+        check_usable({at: folders.read_json(at / "summary.json") for at in runs})
     return done

@@ -162,3 +162,8 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 def write_json(path: Path, content: Any) -> None:
     """Write a value as JSON, whole or not at all."""
     write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """The value in a JSON file."""
+    return json.loads(path.read_text(encoding="utf-8"))
