@@ -141,11 +141,7 @@ def together(comm: Any) -> bool:
 
 
 def agree(comm: Any, error: MantleError) -> None:
-    """Confirm that all ranks have met an error, before any collective reaction to it.
-
-    Raises:
-        AloneError: They have not.
-    """
+    """Raise AloneError unless all ranks have met an error, before any collective reaction."""
     if not together(comm):
         raise AloneError(error) from error
 

@@ -97,11 +97,7 @@ class InterfaceNodes:
 
 
 class Probes:
-    """Temperatures or displacements at named points, by the shape functions of their cells.
-
-    Raises:
-        InputError: A point is not in its region.
-    """
+    """Temperatures or displacements at named points, by the shape functions of their cells."""
 
     def __init__(
         self,
@@ -133,9 +129,6 @@ def _locate(tagged: TaggedMesh, probed: str, probe: Probe) -> tuple[int, str, Fl
     """Cell that holds a point, its region, and the barycentric coordinates there (4,).
 
     Collective; one rank has it, the others None.
-
-    Raises:
-        InputError: The point is not in its region.
     """
     comm = tagged.mesh.comm
     tags = cell_tags(tagged)[: tagged.mesh.topology.index_map(3).size_local]

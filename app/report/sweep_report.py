@@ -22,12 +22,7 @@ OURS = ("over_*.*", "map_*.png", "shielding.png")
 
 
 def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
-    """Write the report of a sweep; its files and its cases.
-
-    Raises:
-        InputError: The folder is not that of a sweep.
-        StoppedError: The report cannot be written.
-    """
+    """Write the report of a sweep; its files and its cases."""
     sweep = read(folder)
     chosen = pictures.ends(sweep)
     drawings = folder / PICTURES

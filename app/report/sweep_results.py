@@ -152,11 +152,7 @@ class SweepResults:
 
 
 def read(folder: Path) -> SweepResults:
-    """Read ``sweep.json``.
-
-    Raises:
-        InputError: It is not there or cannot be read.
-    """
+    """Read ``sweep.json``."""
     path = folder / "sweep.json"
     try:
         data = json.loads(path.read_text(encoding="utf-8"))

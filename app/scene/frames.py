@@ -118,11 +118,7 @@ def held_at(
 def frames_of(
     scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace
 ) -> Frames | None:
-    """Find the nodes with local axes; None if there are none; collective.
-
-    Raises:
-        InputError: A boundary is not smooth, or supports are incompatible at a node.
-    """
+    """Find the nodes with local axes; None if there are none; collective."""
     supports = scene.supports
     if not any(s.normal for s in supports):
         return None
@@ -168,9 +164,6 @@ def _means(support: Support, node: Ints, normals: Floats, places: Floats) -> Flo
         node: Node of each corner of its facets (m,).
         normals: Normals there, weighted by the area of the facet (m, 3).
         places: Coordinates of the nodes (n, 3) [mm].
-
-    Raises:
-        InputError: The boundary is not smooth.
     """
     sums = np.zeros(places.shape)
     np.add.at(sums, node, normals)
@@ -207,9 +200,6 @@ def _axes(
         groups: Sets of supports active on one body in one stage.
         held: Projectors on the constrained directions of each support (n, supports, 3, 3).
         x: Coordinates of the nodes (n, 3) [mm].
-
-    Raises:
-        InputError: There are no common axes, or displacements are incompatible.
     """
     if not groups:
         return np.eye(3)[None], np.zeros((1, 1, 3), dtype=bool)

@@ -301,6 +301,8 @@ def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
             notes.append(f"fatigue.laws.{name} {text}")
     for name, found in numbers["regions"].items():
         creep = getattr(case.regions[name], "creep", None)
+        if "creep_strain_max" in found and case.mesh.order == 1:
+            notes.append(f"region '{name}' creeps and keeps its volume: linear cells lock")
         low, high = (creep and creep.stresses) or (0.0, math.inf)
         if "creep_strain_max" in found and not low <= found["von_mises_p99"] <= high:
             notes.append(

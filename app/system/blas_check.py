@@ -22,11 +22,7 @@ ROUNDING = 1e-10
 
 
 def check(comm: MPI.Comm) -> None:
-    """Compute known results; collective.
-
-    Raises:
-        EnvironmentProblem: A result is wrong, on any rank.
-    """
+    """Refuse a BLAS whose known results are wrong on any rank; collective."""
     for found in comm.allgather(problem()):
         if found is not None:
             raise found

@@ -135,6 +135,7 @@ def test_time_in_any_unit(tmp_path: Path) -> None:
             "dissipation": pytest.approx(10 * expected * 6 * 4 * 4, rel=1e-3),
         }
         assert not any("measured" in note for note in s["notes"])
+        assert any("linear cells lock" in note for note in s["notes"]) == (k < 2)
 
 
 def test_a_case_that_never_creeps_has_nothing_of_it() -> None:
