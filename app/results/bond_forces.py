@@ -114,11 +114,8 @@ class BondForces:
         p, scene, regions = self._problem, self._problem.scene, self._problem.tagged.regions
         if not p.comm.allreduce(len(facets_between(p.tagged, b.slave, b.master).cells)):
             return None
-        sides, frames, of_tag = (
-            (b.master, b.slave),
-            p.stiffness.frames,
-            -np.ones_like(p.bodies.of_tag),
-        )
+        sides, frames = (b.master, b.slave), p.stiffness.frames
+        of_tag = -np.ones_like(p.bodies.of_tag)
         for k, side in enumerate(sides):
             of_tag[[regions[region] for region in side]] = k
         apart, body = Bodies(("", ""), {}, of_tag), p.bodies.of_region[b.slave[0]]
