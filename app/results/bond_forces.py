@@ -58,18 +58,13 @@ class BondForces:
 
     def indices(self) -> dict[str, tuple[ContactPoints, Floats]]:
         """Points and their failure indices (n,) by interface; collective."""
-        found = {}
-        for b, place in self._bonds(strong=True):
-            found[b.name] = place.points, b.law.strength.index(*self._tractions(place))
-        return found
+        return {b.name: (place.points, index) for b, place, _, index in self._loaded(strong=True)}
 
     def numbers(self, strong: bool = False) -> dict[str, dict[str, Any]]:
         """Published numbers by interface, of those whose strength is known or all; collective."""
         found = {}
-        for b, place in self._bonds(strong):
-            loads, s = self._tractions(place), place.surface
-            index = (b.law.strength or CEMENT_ON_BONE).index(*loads)
-            of_parts: dict[str, dict[str, Any]] = {}
+        for b, place, loads, index in self._loaded(strong):
+            s, of_parts = place.surface, dict[str, dict[str, Any]]()
             for part in (part for part, at in s.at.items() if at.any()):
                 of_parts[part] = own = failing(s, index, place.points.x, part)
                 if not b.law.strength:
@@ -81,14 +76,17 @@ class BondForces:
             found[b.name] = of_parts.pop("", {}) | of_parts
         return found
 
-    def _bonds(self, strong: bool) -> Iterator[tuple[Interface, _Place]]:
-        """Those with facets in the mesh; of known strength, or all."""
+    def _loaded(
+        self, strong: bool
+    ) -> Iterator[tuple[Interface, _Place, tuple[Floats, Floats], Floats]]:
+        """Bonds with facets in the mesh, of known strength or all: tractions and indices."""
         for b in self._problem.scene.bonds:
             if b.law.strength or not strong:
                 if b.name not in self._places:  # all states and variations share it
                     self._places[b.name] = self._place(b)
                 if place := self._places[b.name]:
-                    yield b, place
+                    loads = self._tractions(place)
+                    yield b, place, loads, (b.law.strength or CEMENT_ON_BONE).index(*loads)
 
     def _tractions(self, place: _Place) -> tuple[Floats, Floats]:
         """Pressure, negative in tension, and shear at the points (n,) [MPa]; collective."""
@@ -114,11 +112,8 @@ class BondForces:
         p, scene, regions = self._problem, self._problem.scene, self._problem.tagged.regions
         if not p.comm.allreduce(len(facets_between(p.tagged, b.slave, b.master).cells)):
             return None
-        sides, frames, of_tag = (
-            (b.master, b.slave),
-            p.stiffness.frames,
-            -np.ones_like(p.bodies.of_tag),
-        )
+        sides, frames = (b.master, b.slave), p.stiffness.frames
+        of_tag = -np.ones_like(p.bodies.of_tag)
         for k, side in enumerate(sides):
             of_tag[[regions[region] for region in side]] = k
         apart, body = Bodies(("", ""), {}, of_tag), p.bodies.of_region[b.slave[0]]
