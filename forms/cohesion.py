@@ -67,12 +67,12 @@ class Cohesion:
         mixed = conditional(gt(B, 0), conditional(gt(B, 0), B, 1) ** self.η, 0)
         return m_0, self.G_I + (self.G_II - self.G_I) * mixed
 
-    def damage(self, m: Any, m_0: Any, G: Any) -> Any:
-        """Damage of a jump of size m beyond onset [-]."""
+    def left(self, m: Any, m_0: Any, G: Any) -> Any:
+        """1 - d of a jump of size m beyond onset: to all digits, as a stiff bond needs [-]."""
         if self.exponential:
-            return 1 - m_0 / m * exp((m_0 - m) / (G / (self.K * m_0) - m_0 / 2))
+            return m_0 / m * exp((m_0 - m) / (G / (self.K * m_0) - m_0 / 2))
         m_f = 2 * G / (self.K * m_0)
-        return conditional(ge(m, m_f), 1, m_f * (m - m_0) / (m * (m_f - m_0)))
+        return conditional(ge(m, m_f), 0, m_0 * (m_f - m) / (m * (m_f - m_0)))
 
     def spent(self, m: Any, m_0: Any, G: Any) -> Any:
         """Part of G that a jump of size m beyond onset has used up [-]."""
@@ -95,21 +95,23 @@ def bond(c: Cohesion, opened: Any, slid: Any, old: Mapping[str, Any], live: Any)
         live: 1, or 0 where damage is frozen.
 
     Returns:
-        Broken share of the area now and ``before``, energy ``used`` in the step per area [N/mm],
-        and the new history.
+        Share of the area ``left``, that broken ``before``, energy ``used`` in the step per area
+        [N/mm], and the new history.
     """
     m_0, G = c.mode(opened, slid)
     size = opened + slid
     m = sqrt(conditional(gt(size, m_0**2), size, m_0**2))
-    damage = c.damage(m, m_0, G)
-    loading = And(ge(damage, old["damage"] - LOADING), gt(live, 0.5))
-    damage = conditional(loading, damage, old["damage"])
+    left = c.left(m, m_0, G)
+    loading = And(ge(1 - left, old["damage"] - LOADING), gt(live, 0.5))
+    damage = conditional(loading, 1 - left, old["damage"])
+    left = (1 - c.unbonded) * conditional(loading, left, 1 - old["damage"])
     # Where the mixture changes, more damage may be a smaller part of another energy.
     spent = c.spent(m, m_0, G)
-    spent = conditional(And(loading, gt(spent, old["spent"])), spent, old["spent"])
-    broken, before = (c.unbonded + (1 - c.unbonded) * d for d in (damage, old["damage"]))
+    more = ge(spent, old["spent"] - LOADING)
+    spent = conditional(And(loading, more), spent, old["spent"])
+    before = c.unbonded + (1 - c.unbonded) * old["damage"]
     used = (1 - c.unbonded) * G * (spent - old["spent"])
-    told = {"broken": broken, "used": used}
+    told = {"left": left, "used": used}
     told |= {
         f"{n} by {k}": derivative(e, by)
         for n, e in told.items()

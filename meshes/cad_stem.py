@@ -54,11 +54,7 @@ def around(x: Floats) -> float:
 
 
 class CadStem:
-    """A stem as `stem_file.read` finds it.
-
-    Attributes:
-        ends: Steps above the neck cut.
-    """
+    """A stem as `stem_file.read` finds it; ``ends`` are the steps above the neck cut."""
 
     def __init__(
         self, found: dict[str, Any], ends: tuple[float, float], placed: Placement, mesh: Any

@@ -42,11 +42,7 @@ RISE = 6.0  # mm that the trochanter rises beyond the cut, across the shaft
 
 
 class Intact(FemurSurfaces):
-    """Surfaces of the intact bone, as those of the operated femur.
-
-    Attributes:
-        neck: Station at which the sphere of the head begins; beyond it nodes are on no line.
-    """
+    """Surfaces of the intact bone; beyond station ``neck``, in the head, nodes are on no line."""
 
     def _continue(self, geometry: Any) -> None:
         sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)

@@ -37,10 +37,7 @@ WRITTEN = 1 << 30  # bytes in a file
 
 @contextmanager
 def session(name: str) -> Iterator[Any]:
-    """Open gmsh silently, without its signal handler or configuration files.
-
-    Yields:
-        The gmsh module, with a model of this name.
+    """Open gmsh silently, with a model, without its signal handler or configuration files.
 
     Raises:
         GeometryError: gmsh failed; carries the last lines of its log.

@@ -26,12 +26,7 @@ SHRINK, GROW, SMOOTHINGS = 0.5, -0.53, 10
 
 @dataclass(frozen=True)
 class Image:
-    """An image in three dimensions.
-
-    Attributes:
-        values: Numbers of the voxels (i, j, k), of any type.
-        affine: Matrix (4, 4) from (i, j, k, 1) to the middle of a voxel [mm].
-    """
+    """An image: numbers of voxels (i, j, k), the matrix from (i, j, k, 1) to their middles [mm]."""
 
     values: Any
     affine: Floats

@@ -12,6 +12,7 @@ from app.case.quantities import of_run
 from app.errors import Reason
 from app.laws.densities import density
 from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
+from app.laws.interface_laws import Cohesive
 from app.laws.materials import Conductor, Elastic, Rigid
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
@@ -102,6 +103,12 @@ def _stages(case: Any) -> Iterable[Fault]:
         if name in names[:i]:
             text = f"'{name}' is the name of an earlier stage too; expected another"
             yield Fault(("stages", i, "name"), text)
+    laws = [law for _, _, law in _entries(case, "interfaces")]
+    if len(laws) == len(case.interfaces or ()) and not any(isinstance(w, Cohesive) for w in laws):
+        for i, stage in enumerate(case.stages):
+            if stage.fracture_step:
+                text = "no interface can break; expected one of kind: cohesive"
+                yield Fault(("stages", i, "fracture_step"), text)
     histories: list[tuple[Path, Any]] = [
         ((section, name, key), getattr(entry, key))
         for section, name, entry in _entries(case, "interfaces", "supports", "loads")

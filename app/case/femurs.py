@@ -217,10 +217,7 @@ class _Femur(Shape):
     def _check_section(self, z: float, where: str, offset: float) -> float:
         """Half-width of the section extrapolated linearly to a level (mm); refuse a degenerate one.
 
-        Args:
-            z: The level (mm).
-            where: The level in words.
-            offset: Thickness added around the section (mm).
+        ``where`` is the level in words, ``offset`` the thickness added around the section (mm).
         """
         part = (z - self.stem_tip_z) / (self.stem_section_z - self.stem_tip_z)
         sizes = {}

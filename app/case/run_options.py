@@ -56,6 +56,8 @@ class Stage(Section):
             fail("a steady stage takes no `duration`", at=("duration",))
         if self.cycles > 1 and (self.takes_time or self.remodels):
             fail("a stage that takes time has no cycles", at=("cycles",))
+        if self.fracture_step and self.takes_time:
+            fail("loads of a stage that takes time follow it", at=("fracture_step",))
         if self.takes_time and self.remodels:
             fail("takes the time of heat; expected no `duration`, no `steady`", at=("remodels",))
         if self.creep_cycles and self.creep_time:

@@ -259,11 +259,7 @@ class MeshOptions(Section):
         return max(1, round(length / self.size))
 
     def graded(self, length: float, part: str) -> tuple[list[float], int, float]:
-        """Divide a length (mm) into steps that grow, from the neck cut or from the plug down.
-
-        Args:
-            length: The length (mm).
-            part: ``stem`` or ``below``.
+        """Divide a length (mm) into growing steps, down from the neck cut (stem) or plug (below).
 
         Returns:
             Distances from 0 where steps grow, and the number and size of equal steps after them.

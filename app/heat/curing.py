@@ -214,12 +214,8 @@ def kinetics_of(comm: MPI.Comm, cure: Cure, nodes: int) -> Kinetics:
 def as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:
     """Errors of degrees of cure as temperatures (n,) [K], by the heat that they release.
 
-    At small degrees an error counts relative to the degree, for both grow together.
-
-    Args:
-        degree: Degrees of cure (n,).
-        error: Their errors (n,).
-        rise: Adiabatic temperature rise of the region by full cure [K].
+    At small degrees an error counts relative to the degree, for both grow together. ``rise`` is the
+    adiabatic temperature rise of the region by full cure [K].
     """
     return rise * error * np.maximum(1, _SMALL / np.maximum(degree, _SMALLEST))
 
@@ -227,11 +223,7 @@ def as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:
 def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
     """Fraction of a step's free strain reached at a fraction s of the step (n,).
 
-    Args:
-        gel: Degree of cure at gelation.
-        start: Degrees of cure at the start of the step (n,).
-        end: Degrees at its end.
-        s: Fraction of the step; the degree is linear in it.
+    The degree of cure is linear in s; ``gel`` is that at gelation.
     """
     grown = np.divide(gel - start, end - start, out=np.zeros_like(start), where=end > start)
     gelled = np.clip(grown, 0.0, 1.0)
@@ -242,11 +234,7 @@ def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
 def free_strain(comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> Pointwise:
     """Compiled stress-free strain (n,) [-] of a step from (a_old, T_old) to (a, T [K]).
 
-    Args:
-        comm: Communicator of the mesh.
-        cure: The curing region.
-        expansion: Its coefficient of thermal expansion [1/K].
-        nodes: Number of its nodes on this rank.
+    ``expansion`` is the coefficient of thermal expansion [1/K], n the ``nodes`` on this rank.
     """
     constants: dict[str, Any] = {
         "gel": cure.gel,

@@ -72,9 +72,7 @@ class HeatMatrices:
     def fill(self, K: Sequence[PETSc.Mat], added: Floats) -> None:
         """Set the linear parts; collective.
 
-        Args:
-            K: Conduction matrix of each body.
-            added: Capacity and exchange, added to the diagonals (b, n) [N mm/(s K)].
+        K is conduction by body, ``added`` capacity and exchange, on diagonals (b, n) [N mm/(s K)].
         """
         self.version += 1
         self._A.zeroEntries()

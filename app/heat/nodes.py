@@ -66,11 +66,7 @@ Side = Mapping[str, Ints]
 
 
 class InterfaceNodes:
-    """Nodes that the regions on the two sides of an interface share.
-
-    Attributes:
-        sides: The first and the second side.
-    """
+    """Nodes that the regions on the two sides of an interface share."""
 
     def __init__(
         self,

@@ -97,11 +97,7 @@ class TemperatureJumps:
         self._law.set(open=laws[:, 0], per_pressure=laws[:, 1], cap=laws[:, 2])
 
     def flux(self, τ: Floats) -> tuple[Floats, Floats, Floats]:
-        """Heat q from master to slave at own points [N/(mm s)], dq/dτ and dq/dp (n,).
-
-        Args:
-            τ: Jumps of own points (n,) [K].
-        """
+        """Heat q from master to slave [N/(mm s)] at jumps τ of own points [K], dq/dτ and dq/dp."""
         q, by_jump, by_pressure = self._law(p=self.pressure, τ=τ)
         return q, by_jump, by_pressure
 

@@ -343,14 +343,25 @@ class Cohesive(InterfaceLaw):
         """Contact of what is broken."""
         return Coulomb(friction_coefficient=self.friction_coefficient)
 
+    @model_validator(mode="after")
+    def _softens(self) -> Cohesive:
+        import numpy as np
+
+        numbers = {n: v for n, v in self.values.items() if not isinstance(v, str)}
+        self.check({name: np.array([v]) for name, v in numbers.items()})
+        return self
+
     def check(self, at: Mapping[str, Floats]) -> None:
         """Refuse a stiffness with which the bond cannot soften."""
         for mode in ("tensile", "shear"):
-            least = at[f"{mode}_strength"] ** 2 / at[f"{mode}_energy"]
-            if (low := at["stiffness"] < least).any():
+            names = ("stiffness", f"{mode}_strength", f"{mode}_energy")
+            if not at.keys() >= set(names):
+                continue
+            K, strength, G = (at[name] for name in names)
+            if (low := (least := strength**2 / G) > K).any():
                 k = int(low.argmax())
                 fail(
-                    f"{at['stiffness'][k]:g} MPa/mm is too soft for {mode} strength and energy: "
+                    f"{K[k]:g} MPa/mm is too soft for {mode} strength and energy: "
                     f"expected at least strength^2 / energy = {least[k]:g} MPa/mm",
                     at=("stiffness",),
                 )

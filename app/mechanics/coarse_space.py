@@ -24,11 +24,7 @@ SMALLER = 0.95
 
 
 def free_directions(slope: Floats) -> Floats:
-    """Orthogonal projectors on the jumps that a contact law does not resist (n, 3, 3).
-
-    Args:
-        slope: Generalized derivative P' of the law at each point (n, 3, 3).
-    """
+    """Projectors on the jumps that a law of slope P' does not resist; both (n, 3, 3)."""
     values, vectors = np.linalg.eigh(slope.transpose(0, 2, 1) @ slope)
     free = np.where(values < RESISTED**2, 1.0, 0.0)
     return np.asarray(np.einsum("pik,pk,pjk->pij", vectors, free, vectors))

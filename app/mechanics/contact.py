@@ -25,8 +25,10 @@ from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
+from pydantic_core import PydanticCustomError
 
 from app.arrays import Bools, Floats, Ints
+from app.errors import InputError
 from app.laws.values import amplitude, gap_at
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
@@ -276,7 +278,11 @@ class ContactInterfaces:
             here = self.points.interface == i
             for name, at in every.items():
                 values[name][here] = at(self.points.x[here])
-            c.law.check({name: values[name][here] for name in c.values})
+            try:
+                c.law.check({name: values[name][here] for name in c.values})
+            except PydanticCustomError as error:
+                key = ".".join(("interfaces", c.name, *(error.context or {})["at"]))
+                raise InputError(f"{key}: {error}") from error
         own = {name: full[self.own.rows] for name, full in values.items()}
         self._full_gap = own["gap"]
         laws = [c.law for c in contacts]

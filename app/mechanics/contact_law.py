@@ -268,13 +268,13 @@ class PointLaw:
             return 2 * by[0][:, None] * across + 2 * by[1][:, None] * along
 
         K, parted = self._bonds[rows], opened + slid
-        left = K * (1 - found["broken"])
+        left = K * found["left"]
         touches = found["before"] > 0
         spring = np.where(touches, 0.0, K)
         force = left[:, None] * parted + spring[:, None] * pressed
         by_jump = left[:, None, None] * (np.eye(3) - pressed_by)
         by_jump += spring[:, None, None] * pressed_by
-        by_jump -= K[:, None, None] * parted[:, :, None] * gradient("broken")[:, None, :]
+        by_jump += K[:, None, None] * parted[:, :, None] * gradient("left")[:, None, :]
         stored = left * (parted**2).sum(axis=1) + spring * (pressed**2).sum(axis=1)
         return {
             "force": force,
@@ -285,8 +285,8 @@ class PointLaw:
             "dissipated": found["used"],
             "spent": found["used"],
             "spent_by_jump": gradient("used"),
-            "share": np.where(touches, found["broken"], 0.0),
-            "share_by_jump": touches[:, None] * gradient("broken"),
+            "share": np.where(touches, 1 - found["left"], 0.0),
+            "share_by_jump": np.where(touches[:, None], -gradient("left"), 0.0),
             **{name: found[name] for name in ("new damage", "new spent")},
         }
 

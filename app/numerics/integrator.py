@@ -80,13 +80,7 @@ METHODS = {m.name: m for m in (_SDIRK4, _BACKWARD_EULER)}
 
 @dataclass(frozen=True)
 class StageStep:
-    """A solved time step.
-
-    Attributes:
-        state: State at its end.
-        error: Estimate of its error, per step.
-        slope: Rate of change at its end.
-    """
+    """A solved time step: state and rate of change at its end, and its estimated error."""
 
     state: State
     error: State
@@ -167,12 +161,7 @@ class Controller:
         return ahead[0] if dt >= ahead[0] * (1 - _NEAR) else ahead[0] / 2
 
     def judge(self, dt: float, ratio: float) -> bool:
-        """Whether a step is accepted, given its error over the tolerance; chooses the next one.
-
-        Args:
-            dt: Step that was solved [s].
-            ratio: Error over tolerance, the same on every rank.
-        """
+        """Whether a step is accepted, given its error over the tolerance; chooses the next."""
         ratio = max(ratio, 1e-10)
         factor = _SAFETY * ratio**-self._power
         if not ratio <= 1:

@@ -114,12 +114,7 @@ def on_one_rank(options: Options, ranks: int) -> Options:
 
 
 class CoarseOrder:
-    """Displacements of first order below those of second order, whose unknowns are nodal.
-
-    Attributes:
-        space: The displacements of first order.
-        size: Number of unknowns.
-    """
+    """Displacements of first order below those of second order, whose unknowns are nodal."""
 
     def __init__(self, fine: fem.FunctionSpace, constrained: Callable[[], Bools]) -> None:
         self._fine, self._constrained = fine, constrained
@@ -258,10 +253,7 @@ class Inverse:
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> int:
         """Solve with the matrix by conjugate gradients; return the iterations; collective.
 
-        Args:
-            b: Right-hand side.
-            x: Initial guess, then the solution.
-            rtol: Residual relative to that of ``b`` at which to stop.
+        x is the initial guess, then the solution; ``rtol`` the residual relative to that of b.
         """
         self.make()
         if self.outdated:

@@ -51,9 +51,7 @@ class Rows:
 def collect(value: Any, keys: Any = None) -> Any:
     """Copy the saved attributes of an object: dicts, lists, plain values, and arrays as `Rows`.
 
-    Args:
-        value: The object.
-        keys: Keys of the rows of its arrays, unless it has its own.
+    ``keys`` are those of the rows of its arrays, unless it has its own.
     """
     if isinstance(value, fem.Function):
         return _rows(_by_node(value), keys)

@@ -15,12 +15,7 @@ from app.arrays import Floats, Ints
 
 
 def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:
-    """Assign replicated points to the ranks that own their dofs.
-
-    Args:
-        comm: Communicator.
-        index_map: Index map of the dofs.
-        dof: Global dof of each point (n,).
+    """Assign replicated points, by their global dofs (n,), to the ranks that own these.
 
     Returns:
         The points of this rank, and the number of every point in the order of the ranks (n,).

@@ -33,11 +33,7 @@ def blocks(cases: Iterable[tuple[str, SweptCase]]) -> Blocks:
 
 
 def table(case: SweptCase) -> Table:
-    """Thickness of the cement, peaks of both interfaces and strain energy of the bone by zone.
-
-    Returns:
-        Titles of the columns, and the rows; no rows if the case has no zones.
-    """
+    """Cement thickness, peaks of both interfaces, strain energy of the bone by zone, if any."""
     own, cement = zones(case), (case.summary.get("mantle") or {}).get("gruen", {})
     places = [p for p in INTERFACES if any(p in z["interfaces"] for z in own.values())]
     bones = [b for b in BONES if any(b in z["strain_energy_density"] for z in own.values())]
@@ -75,11 +71,7 @@ def intact(cases: Sequence[SweptCase]) -> SweptCase | None:
 
 
 def shielding(case: SweptCase, without: SweptCase) -> dict[str, dict[str, float]]:
-    """Change of the strain energy density against the intact femur.
-
-    Returns:
-        By kind of bone and zone, relative: -0.4 is 40 % less.
-    """
+    """Relative change of the energy density against the intact femur, by kind of bone and zone."""
     found: dict[str, dict[str, float]] = {}
     before = zones(without)
     for name, zone in zones(case).items():
@@ -133,11 +125,7 @@ def shielding_picture(
 
 
 def mantles(cases: Sequence[SweptCase]) -> Table:
-    """Thickness and volume of each mantle, and the least cortex around it.
-
-    Returns:
-        Titles of the columns, and the rows; no rows where no case records them.
-    """
+    """Thickness and volume of each mantle, and the least cortex around it, where recorded."""
     keys = ("min", "p5", "median", "mean", "p95", "max")
     head = ["geometry", "mesh (mm)", "nominal (mm)", *(f"{k} (mm)" for k in keys)]
     head += ["clipped by the canal", "cement (cm³)", "least cortex (mm)"]

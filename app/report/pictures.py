@@ -72,11 +72,7 @@ def ends(sweep: SweepResults) -> Chosen:
 
 
 def maps(chosen: Chosen, folder: Path) -> tuple[list[Figure], list[str]]:
-    """Draw the maps of cases side by side, a picture for each interface.
-
-    Returns:
-        The figures, and reasons for cases without one.
-    """
+    """Draw the maps of cases, a picture for each interface; tell why cases have none."""
     drawn: list[Figure] = []
     missing: list[str] = []
     opened = []

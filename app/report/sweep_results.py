@@ -37,11 +37,7 @@ STATUSES = (CONVERGED, "not converged", "failed", "stopped", UNUSABLE)
 
 @dataclass(frozen=True)
 class Number:
-    """A number with its error.
-
-    Attributes:
-        error: Estimated error of mesh and step; None if there is no estimate.
-    """
+    """A number, and its estimated error of mesh and step, None if there is no estimate."""
 
     value: float
     error: float | None = None

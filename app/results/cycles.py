@@ -76,9 +76,7 @@ def split(spent: list[float], last: list[Turn]) -> dict[str, Any]:
 def trend(first: float, lost: list[float]) -> str:
     """Whether the dissipation per cycle ``vanishes``, ``stays``, ``falls`` or ``grows``.
 
-    Args:
-        first: Dissipation up to the first peak [N mm].
-        lost: Dissipation of each cycle after it [N mm].
+    ``first`` is that up to the first peak, ``lost`` that of each cycle after it [N mm].
     """
     if abs(lost[-1]) <= NOTHING * first:
         return "vanishes"

@@ -34,14 +34,7 @@ _GAUSS = np.polynomial.legendre.leggauss(3)
 
 
 def seconds_over(start: Floats, end: Floats, seconds: float, level: float) -> Floats:
-    """Time during which a linear temperature is at or above a level [s].
-
-    Args:
-        start: Temperatures at the start of the step (n,) [K].
-        end: At its end (n,) [K].
-        seconds: Its length [s].
-        level: The level [degC].
-    """
+    """Seconds of a step in which temperatures [K], linear in time, reach a level [degC] (n,)."""
     low, high = np.minimum(start, end) - CELSIUS - level, np.maximum(start, end) - CELSIUS - level
     share = np.divide(high, high - low, out=(high >= 0).astype(float), where=high > low)
     return np.asarray(seconds * np.clip(share, 0.0, 1.0))

@@ -66,10 +66,8 @@ class Frames:
     def support(self, places: Ints, bodies: Ints | int, order: Sequence[int]) -> Ints:
         """Support that constrains each axis of bodies at nodes, -1 where none does (m, 3).
 
-        Args:
-            places: Indices of the nodes here (m,).
-            bodies: The bodies (m,), or one.
-            order: Active supports; later ones override earlier ones.
+        ``places`` are indices of the nodes here (m,); of active supports, the ``order``, later ones
+        override earlier ones.
         """
         found = np.full((len(places), 3), -1, dtype=np.int64)
         for s in order:

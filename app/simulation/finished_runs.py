@@ -47,16 +47,10 @@ def _summary(folder: Path) -> dict[str, Any]:
 
 
 def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str = "") -> bool:
-    """Make the folder of a run, before anything is started for it.
+    """Make the folder of a run, before anything is started; whether its results are there and stay.
 
-    Args:
-        case: The case.
-        output: The run directory.
-        force: Whether results in it are replaced, also those of this very case.
-        restart: A checkpoint to restart from, ``auto`` or "".
-
-    Returns:
-        Whether all results of the case are there and stay.
+    ``force`` replaces results, also those of this very case; ``restart`` is a checkpoint to restart
+    from, ``auto`` or "".
 
     Raises:
         InputError: The case does not fit this machine, or the folder cannot be used.

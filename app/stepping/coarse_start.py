@@ -37,11 +37,7 @@ GOOD = 0.1
 
 
 class CoarseModelStart:
-    """The jumps and forces of a cheaper model as starts of this one.
-
-    Args:
-        make: Makes the cheaper model, at rest; collective.
-    """
+    """Starts from the jumps and forces of a cheaper model, which ``make`` makes at rest."""
 
     def __init__(self, problem: Problem, solver: Solver, make: Callable[[], LoadStepper]) -> None:
         assert problem.contact is not None

@@ -68,12 +68,9 @@ class CoupledSystem(ContactSystem):
         self._stage = k, stage, start
 
     def begin(self, seconds: float, h: float, work: Floats) -> None:
-        """Prepare a solve.
+        """Prepare a solve that takes h, infinite for a steady state, up to its end [s].
 
-        Args:
-            seconds: Time at its end [s].
-            h: Its length [s]; infinite for a steady state.
-            work: Initial friction work per area (n,) [N/mm].
+        ``work`` is the initial friction work per area (n,) [N/mm].
         """
         k, stage, start = self._stage
         part = 1.0 if stage.steady else min((seconds - start) / stage.seconds, 1.0)

@@ -210,6 +210,7 @@ class LoadStepper:
                 self.total.rejected += 1
                 start.copy(solver.x)
                 if most < math.inf:
+                    solver.augmentation = 1.0  # what that step needed is not for smaller ones
                     path = progress.done, reach
                     begun = overshoot(problem, solver, most, path, set_load)
                     if begun is not None:

@@ -39,6 +39,7 @@ from app.verification.check import (
 )
 from app.verification.closed_forms_creep import creep_rows
 from app.verification.extreme_cases import extremes
+from app.verification.extreme_cohesion import breaking
 from app.verification.heat_problems import heat_problems
 from app.verification.invariance_cases import condensed, invariants
 from app.verification.problems import problems
@@ -57,7 +58,7 @@ def stress_rows() -> list[Check]:
     """Checks of ``mantle stress``, with the stiff problems of ``mantle verify``."""
     stiff = [p for p in heat_problems() if p.group == "stiff"]
     heat = [replace(p, name=p.name.replace("stiff", "heat", 1), group="heat") for p in stiff]
-    rows = [*extremes(), *invariants()]
+    rows = [*extremes(), *breaking(), *invariants()]
     return [*rows, *creep_rows(), *densities(), *heat, *condensed(rows)]
 
 

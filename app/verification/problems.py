@@ -13,6 +13,7 @@ from app.verification import closed_forms as exact
 from app.verification import measures
 from app.verification.cement_problems import cement_problems
 from app.verification.check import Check, each, ladder, problem
+from app.verification.closed_forms_cohesion import cohesion_problems
 from app.verification.closed_forms_creep import creep_problems
 from app.verification.closed_forms_layer import layer_problems
 from app.verification.heat_problems import heat_problems
@@ -28,7 +29,7 @@ QUICK = {
     *("sine_p2", "layers_bonded", "heat_slab", "heat_bars", "heat_contact_resistance"),
     *("layer_cycle", "layer_turned", "layer_corner"),
     *("cure_adiabatic_23C", "cure_isothermal_23C", "cure_heat", "cure_order_backward_euler"),
-    *("creep_constant_stress", "creep_relaxation"),
+    *("creep_constant_stress", "creep_relaxation", "cohesive_bar", "cohesive_unloading"),
 }
 
 
@@ -40,6 +41,7 @@ def problems() -> list[Check]:
     klarbring = Check("klarbring", what, (), measures.klarbring, 1e-9)
     every = [*(check for kind in kinds for check in kind()), klarbring, *heat_problems()]
     every += [*cement_problems(), *creep_problems(), *layer_problems(), *remodelling_problems()]
+    every += cohesion_problems()
     every = [replace(p, tier="quick") if p.name in QUICK else p for p in every]
     return [*every, *validation()]
 

@@ -21,7 +21,7 @@ from tests import coupled, restarted, support
 from tests.command_line.test_run import COARSE
 from tests.mechanics.test_oblique import QUARTER, vector
 from tests.simulation import test_variations
-from tests.stepping import test_creep
+from tests.stepping import test_creep, test_fracture
 
 pytestmark = pytest.mark.parallel
 # Residuals are below 1e-10 of the force scale (the default of `solver.tolerance`). A jump answers a
@@ -151,6 +151,7 @@ CASES: dict[str, tuple[str, tuple[str, ...], dict[int, tuple[str, ...]]]] = {
     "gruen zones": ("stance.yaml", (*GRUEN, EXACT, "output.fields=false"), {1: (), 2: ()}),
     "setting": (SETTING, (EXACT,), {1: (), 3: ()}),
     "tiring": ("verification/corner.yaml", ("mesh.size=2 mm", TIRING), {1: (), 3: ()}),
+    "torn": ("verification/cohesive_bar.yaml", test_fracture.TORN, {1: (), 2: ()}),
     "creep": (test_creep.STEM, (EXACT,), {1: (), 2: ()}),
     "corrected": (SETTING, (*SHORT, EXACT), {1: (), 3: ()}),
 }

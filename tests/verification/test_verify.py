@@ -31,7 +31,7 @@ def test_problems_are_well_posed() -> None:
     """Unique short names; cases that exist and say how to run them; ladders that go down."""
     everything = problems()
     names = [p.name for p in everything]
-    assert len(set(names)) == len(names) == 131 + 10
+    assert len(set(names)) == len(names) == 131 + 18
     assert max(map(len, names)) <= 26
     for tier in ("default", "long"):
         for p in (p.up_to(tier) for p in everything):

@@ -1,0 +1,141 @@
+"""Steps of given fracture energy on whole cases: snap-back, restart, a law of one's own."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.errors import InputError
+from app.results.reading import Run
+from tests import restarted, support
+from tests.support import CONFIGS
+
+BAR = (CONFIGS / "verification/cohesive_bar.yaml").read_text()
+# Torn from one side.
+TORN = (
+    *(f"geometry.blocks.{k}.size=[4 mm, 4 mm, 2 mm]" for k in (0, 1)),
+    *("mesh.size=2 mm", "supports.pull.z=0.015 + 0.005 * (x - 2)"),
+    *("stages.0.increments=2", "stages.0.fracture_step=0.1 N mm", "solver.tolerance=1e-12"),
+)
+
+
+def test_a_bar_snaps_back_without_a_failed_step(tmp_path: Path) -> None:
+    """Its end goes back by N L/E less the end of softening; two iterations a step follow it."""
+    support.run(BAR, tmp_path)
+    run = Run(tmp_path / "out")
+    used = np.asarray(run.history["lower_upper dissipation [N mm]"])
+    softens, newton = (used > 0) & (used < 1.599), np.asarray(run.history["newton [-]"])
+    assert softens.sum() == 15 and newton[softens].max() <= 2
+    # The rest is the load step that failed before, and the jump when all is broken.
+    assert run.summary["solver"]["newton_iterations"] < 120
+    end = 0.4 * np.asarray(run.history["time [-]"])[softens]
+    part = used[softens] / 1.6
+    jump = 1e-3 + part * (0.02 - 1e-3)
+    np.testing.assert_allclose(end, (1 - part) * 10 * 40 / 2000 + jump, rtol=1e-6)
+
+
+def test_softening_by_an_exponential_beside_what_was_never_bonded(tmp_path: Path) -> None:
+    """The load step before needs little augmentation, which would close what opens."""
+    law = ("softening=exponential", "unbonded=30 %")
+    support.run(BAR, tmp_path, *(f"interfaces.lower_upper.{change}" for change in law))
+    used = np.asarray(Run(tmp_path / "out").history["lower_upper dissipation [N mm]"])
+    assert used[-1] == pytest.approx(0.7 * 1.6, rel=1e-6)
+
+
+def test_a_restart_in_the_middle_of_breaking_ends_the_same(tmp_path: Path) -> None:
+    case, files = restarted.whole(BAR, tmp_path, *TORN)
+    used = [float(v) for v in Run(tmp_path / "whole").history["lower_upper dissipation [N mm]"]]
+    assert 0 < used[1] < used[4] < used[-1] < 1.6 and len(files) == len(used)
+    for k in (1, 4):
+        part = restarted.on(case, tmp_path, files[k], *TORN)
+        restarted.assert_same(tmp_path / "whole", part)
+
+
+# The law of the program with linear softening, as a package of the user's.
+OWN = '''
+from typing import Literal
+from ufl import conditional, dot, ge, gt, sqrt
+from mantle import Traction
+from app.laws.values import FractureEnergyField, StiffnessField, StrengthField
+
+
+class OwnCohesion(Traction):
+    """A bond that softens, without friction."""
+
+    history = {"damage": (), "spent": (), "used": ()}
+
+    kind: Literal["own_cohesion"] = "own_cohesion"
+    stiffness: StiffnessField
+    """Traction per displacement."""
+    tensile_strength: StrengthField
+    """Largest tension."""
+    shear_strength: StrengthField
+    """Largest shear."""
+    tensile_energy: FractureEnergyField
+    """Energy in tension."""
+    shear_energy: FractureEnergyField
+    """Energy in shear."""
+
+    def traction(self, gap, normals, history):
+        return (1 - history["damage"]) * self.stiffness * gap
+
+    def remembered(self, gap, normals, history):
+        size = dot(gap, gap)
+        some = conditional(gt(size, 1e-30), size, 1e-30)
+        slid = conditional(gt(size, 1e-30), 1 - dot(gap, normals[0]) ** 2 / some, 0)
+        strength = 1 / sqrt((1 - slid) / self.tensile_strength**2 + slid / self.shear_strength**2)
+        energy = self.tensile_energy + (self.shear_energy - self.tensile_energy) * slid**2
+        onset, end = strength / self.stiffness, 2 * energy / strength
+        m = sqrt(conditional(gt(size, onset**2), size, onset**2))
+        m = conditional(gt(m, end), end, m)
+        damage = end * (m - onset) / (m * (end - onset))
+        more = ge(damage, history["damage"])
+        spent = (m - onset) / (end - onset)
+        now = {"damage": damage, "spent": spent}
+        now["used"] = history["used"] + energy * (spent - history["spent"])
+        return {name: conditional(more, now[name], history[name]) for name in history}
+
+    def stored(self, gap, normals, history):
+        return (1 - history["damage"]) * self.stiffness * dot(gap, gap) / 2
+
+    def dissipated(self, new, old):
+        return new["used"] - old["used"]
+'''
+
+
+@pytest.mark.parametrize(
+    "pull", ["x: 0 mm, y: 0 mm, z: 0.03 mm", "x: 0.03 mm, y: 0 mm, z: 0.01 mm"]
+)
+def test_cohesion_as_an_extension_has_the_same_numbers(tmp_path: Path, pull: str) -> None:
+    """Tension, and shear with it: tractions, jumps and energies of every step."""
+    text = BAR.replace("4 mm, 20 mm", "4 mm, 4 mm").replace("2 GPa", "20 GPa")
+    text = text.replace("x: 0 mm, y: 0 mm, z: 0.4 mm", pull).replace(
+        ", fracture_step: 0.1 N mm", ""
+    )
+    text = text.replace("increments: 10", "increments: 20")
+    support.run(text, tmp_path)
+    own = text.replace("kind: cohesive\n    friction_coefficient: 0.3", "kind: own_cohesion")
+    done = support.extended(tmp_path, OWN, own, "run", "case.yaml", "-o", "own")
+    assert done.returncode == 0, done.stdout + done.stderr
+    runs = [Run(tmp_path / name) for name in ("out", "own")]
+    for name in ("gap_max [mm]", "pressure_p95 [MPa]", "shear_p95 [MPa]", "dissipation [N mm]"):
+        a, b = (np.asarray(run.history[f"lower_upper {name}"]) for run in runs)
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-8)
+    used = np.asarray(runs[0].history["lower_upper dissipation [N mm]"])
+    assert used[-1] > 1.5 and all(run.summary["balance"]["energy"] < 1e-8 for run in runs)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("stiffness=3000 - 600 * x", "stiffness: 600 MPa/mm is too soft for tensile strength"),
+        ("unbonded=x", "unbonded: 4 at (4, "),
+        ("shear_energy=0.2 - x", "shear_energy: -3.8 at (4, "),
+    ],
+)
+def test_values_at_points_are_refused(tmp_path: Path, change: str, words: str) -> None:
+    with pytest.raises(InputError, match=re.escape(f"interfaces.lower_upper.{words}")):
+        support.run(BAR, tmp_path, f"interfaces.lower_upper.{change}")
