@@ -233,12 +233,8 @@ def shared(vertex: Ints) -> list[Ints]:
 def spread_of_normals(x: Floats, normals: Floats, triangles: Sequence[Ints]) -> Floats:
     """Covariance of facet normals about the normals of their points (n, 3, 3) [-].
 
-    A facet counts for the face of its point with the closest normal.
-
-    Args:
-        x: Points (n, 3).
-        normals: Unit normals of their faces (n, k, 3).
-        triangles: Points of the facets (f, 3), by interface.
+    A facet counts for the face of its point with the closest normal, of unit normals (n, k, 3).
+    ``triangles`` are the facets' points (f, 3), by interface.
     """
     total, area = np.zeros((len(x), 3, 3)), np.zeros(len(x))
     for corners in triangles:

@@ -121,11 +121,7 @@ def contact_points(
 ) -> tuple[ContactPoints, Entries]:
     """Contact points of all interfaces, and the displacement of each body due to their jumps.
 
-    Args:
-        facets: The facets of all contact interfaces.
-        holds: Constrained components at the vertices of these facets.
-        interfaces: Number of contact interfaces.
-        axes: Axes (3, 3) of components, for vertices that have their own.
+    ``interfaces`` is their number; ``axes`` (3, 3) are those of vertices that have their own.
     """
     facet = np.repeat(np.arange(len(facets.area)), 3)
     keys = np.column_stack([facets.interface[facet], facets.vertices.ravel(), facets.bodies[facet]])

@@ -55,14 +55,10 @@ def check(slurm: bool) -> None:
 def execute(
     folder: Path, cores: int, slurm: Sequence[str] | None, alone: bool, watch: Callable[[], None]
 ) -> None:
-    """Run the jobs of ``jobs.json`` by Snakemake.
+    """Run the jobs of ``jobs.json`` by Snakemake, on some cores here or by Slurm.
 
-    Args:
-        folder: Folder of the batch.
-        cores: Most cores of this machine to use.
-        slurm: Options of sbatch; None to run here.
-        alone: Whether each run has its node for itself.
-        watch: Called repeatedly; an exception from it stops the runs.
+    ``slurm`` are options of sbatch, None to run here; ``alone``: each run has its node for itself.
+    An exception from ``watch``, which is called repeatedly, stops the runs.
 
     Raises:
         KeyboardInterrupt: By SIGINT, SIGTERM or SIGHUP; running cases have saved their state.

@@ -29,10 +29,7 @@ ALLOWED = "MANTLE_ALLOW_SCRIPTS"
 def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
     """Names of the physical groups of one dimension, in the order of the file.
 
-    Args:
-        path: A ``.msh`` file of format 2.2 or 4.1, ASCII or binary, a ``.geo`` script, or a file
-            of another program.
-        dimension: 3 for volumes, 2 for surfaces.
+    It is a ``.msh`` file of format 2.2 or 4.1, a ``.geo`` script, or of another program.
 
     Raises:
         ValueError: The file is not of this format; the script does not use its parameter, or is

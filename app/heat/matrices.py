@@ -96,12 +96,10 @@ class HeatMatrices:
         self._A.getDiagonal(self._diagonal)
 
     def set(self, by_jump: Floats | None, growth: Mapping[int, Floats]) -> None:
-        """Complete the Jacobian; collective.
+        """Complete the Jacobian [N mm/(s K)]; collective.
 
-        Args:
-            by_jump: Contribution of the interfaces to the diagonal of the jumps [N mm/(s K)].
-            growth: Derivative of the heat released at own nodes by temperature, for some bodies
-                [N mm/(s K)].
+        ``by_jump`` is what interfaces add to the diagonal of the jumps, ``growth`` the derivative
+        by temperature of the heat released at own nodes, for some bodies.
         """
         if growth:
             new = self._diagonal.copy()

@@ -157,11 +157,8 @@ def frames_of(
 def _means(support: Support, node: Ints, normals: Floats, places: Floats) -> Floats:
     """Mean normals of a boundary at nodes (n, 3), zero off the boundary.
 
-    Args:
-        support: Support on the boundary.
-        node: Node of each corner of its facets (m,).
-        normals: Normals there, weighted by the area of the facet (m, 3).
-        places: Coordinates of the nodes (n, 3) [mm].
+    ``node`` is that of each corner of its facets (m,), ``normals`` are those there, weighted by the
+    facet's area (m, 3), ``places`` those of the nodes (n, 3) [mm].
     """
     sums = np.zeros(places.shape)
     np.add.at(sums, node, normals)
@@ -193,11 +190,8 @@ def _axes(
 ) -> tuple[Floats, Bools]:
     """Axes of nodes on the same supports (n, 3, 3), and whether each support constrains them.
 
-    Args:
-        supports: All supports.
-        groups: Sets of supports active on one body in one stage.
-        held: Projectors on the constrained directions of each support (n, supports, 3, 3).
-        x: Coordinates of the nodes (n, 3) [mm].
+    ``groups`` are sets of supports active on one body in one stage, ``held`` projectors on the
+    directions that each support constrains (n, supports, 3, 3), x places of the nodes (n, 3) [mm].
     """
     if not groups:
         return np.eye(3)[None], np.zeros((1, 1, 3), dtype=bool)

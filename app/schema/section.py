@@ -123,12 +123,7 @@ def _defect(text: str, at: Path) -> PydanticCustomError:
 
 
 def fail(text: str, at: Path = ()) -> NoReturn:
-    """Report a defect of the value under validation.
-
-    Args:
-        text: The defect; what is allowed.
-        at: Path of the defect below the value, if that is a mapping or a list.
-    """
+    """Report a defect of the value under validation, at a place in it; tell what is allowed."""
     raise _defect(text, at)
 
 

@@ -139,14 +139,7 @@ def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> c
     """Weights that interpolate between meshes of the same interfaces; no communication.
 
     Linear on the source's triangles: each point gets the nearest point of the nearest triangle.
-
-    Args:
-        source: Points with values.
-        target: Points without.
-        mine: Rows of the target points to interpolate to (n,).
-
-    Returns:
-        Matrix with a row for each of these and a column for each source point.
+    There is a row for each of the target points ``mine`` (n,), a column for each source point.
     """
     from scipy.sparse import csr_array  # imported late, as the next: few runs need them
 

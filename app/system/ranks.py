@@ -187,12 +187,7 @@ def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int
     """Copy the output of ranks and mpirun, without banners that repeat the application's message.
 
     mpirun takes ten lines to report the exit code of a rank; the application gives the reason in
-    one. Reports of crashes stay.
-
-    Args:
-        source: Standard error of mpirun, read to its end.
-        target: Its new place.
-        received: Signals received so far; after one, ranks ended by a signal are not reported.
+    one. Reports of crashes stay, but not of ranks ended by a signal after one was ``received``.
     """
     closing = False  # mpirun has begun to end the job; its banners leave blanks behind
     for line in source:

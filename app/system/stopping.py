@@ -32,12 +32,10 @@ def seconds(text: str) -> float:
 
 
 def signals() -> Callable[[], str]:
-    """Record signals that ask the run to stop; the run checks them between Newton iterations.
+    """Record signals that ask the run to stop; the function tells the first one's name, or "".
 
-    A second Ctrl-C, a second later or more, ends a single rank at once.
-
-    Returns:
-        A function that returns the name of the signal received so far, or "".
+    The run asks it between Newton iterations. A second Ctrl-C, a second later or more, ends a
+    single rank at once.
     """
     received: list[str] = []
     alone, first = ranks.world_size() is None, 0.0
