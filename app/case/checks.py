@@ -244,11 +244,9 @@ def _creep(case: Any) -> Iterable[Fault]:
         if stage.creep and not laws:
             yield Fault(key, "no region creeps; expected `creep` in a region")
         for name, law in laws.items() if stage.creep else ():
-            if (law.per is None) != (stage.creep_key == "creep_cycles"):
-                has, other = (
-                    ("cycles", "creep_cycles") if law.per is None else ("time", "creep_time")
-                )
-                yield Fault(key, f"the creep of {name} counts {has}; expected {other}")
+            counts = "time" if law.per else "cycles"
+            if stage.creep_key != f"creep_{counts}":
+                yield Fault(key, f"the creep of {name} counts {counts}; expected creep_{counts}")
 
 
 def quantities(case: Any, study: Any) -> Iterable[Fault]:

@@ -208,14 +208,11 @@ class BodyForms:
         At the first order, where strains are constant in a cell, its mean over the cell (cells, 1).
         """
         mean = self.scene.order == 1 or (e.image and e.image.per_cell)
-        remodels = e._remodelling
         rule = basix.make_quadrature(basix.CellType.tetrahedron, IMAGE_DEGREE)
         at, weights = (np.asarray(a) for a in rule) if mean else (points, np.ones(len(points)))
         x, volumes = self.places(e.region, at, weights)
-        if remodels:
-            values = (
-                modulus(remodels.law, self.density_at(e.region, at, self.density)) / e.moduli[0]
-            )
+        if law := e._remodelling:
+            values = modulus(law.law, self.density_at(e.region, at, self.density)) / e.moduli[0]
         else:
             values = everywhere(self.mesh.comm, lambda: e.relative_stiffness(x.reshape(-1, 3)))
         values = values.reshape(volumes.shape)

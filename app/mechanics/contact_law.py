@@ -217,14 +217,10 @@ class PointLaw:
                 found = self._bond(rows, compiled, known)
             else:
                 found = compiled.named(**known)
-            stiffness = r[rows, None, None]
             out.force[rows] = found["force"]
             slope = found.get("by_multiplier", 0.0)
-            out.by_multiplier[rows] = slope
-            along = out.by_jump[rows] = (
-                found["by_jump"] if "by_jump" in found else stiffness * slope
-            )
-            out.resisted[rows] = slope
+            out.by_multiplier[rows] = out.resisted[rows] = slope
+            along = out.by_jump[rows] = found.get("by_jump", r[rows, None, None] * slope)
             if "by_jump" in found:
                 sizes, axes = np.linalg.eigh((along + along.transpose(0, 2, 1)) / 2)
                 sizes = np.maximum(sizes, 0.0) / (np.abs(sizes) + r[rows, None])
@@ -276,9 +272,8 @@ class PointLaw:
         touches = found["before"] > 0
         spring = np.where(touches, 0.0, K)
         force = left[:, None] * parted + spring[:, None] * pressed
-        by_jump = (
-            left[:, None, None] * (np.eye(3) - pressed_by) + spring[:, None, None] * pressed_by
-        )
+        by_jump = left[:, None, None] * (np.eye(3) - pressed_by)
+        by_jump += spring[:, None, None] * pressed_by
         by_jump += K[:, None, None] * parted[:, :, None] * gradient("left")[:, None, :]
         stored = left * (parted**2).sum(axis=1) + spring * (pressed**2).sum(axis=1)
         return {

@@ -18,7 +18,7 @@ from mpi4py import MPI
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.mechanics.body_forms import BodyForms
+from app.mechanics.body_forms import BodyForms, hats
 from app.scene.scene import Scene
 
 # Strain that counts as none, stress [MPa] that counts as none, least exponent m.
@@ -78,7 +78,7 @@ class CreepState:
         self.of = {c.region: slice(*ends[k : k + 2]) for k, c in enumerate(laws)}
         volumes = [mechanics.places(c.region, points, weights)[1].ravel() for c in laws]
         self._volumes = np.concatenate(volumes)
-        self._shape = np.column_stack([1 - points.sum(axis=1), points])
+        self._shape = hats(points)
         values = {k: [getattr(c, k) for c in laws] for k in ("A", "p", "m0", "m1")}
         values["unit"] = [c.per or 1.0 for c in laws]
         self._law: dict[str, Floats] = {k: np.repeat(v, sizes) for k, v in values.items()}

@@ -1,4 +1,4 @@
-"""Tractions of bonded interfaces whose strength is known, by equilibrium of the sides.
+"""Tractions of bonded interfaces, by equilibrium of the sides: would the bond hold?
 
 What one side exerts on the other follows from the forces of its stress on their common nodes. They
 are of the points that contact would have there, and equal those of contact that sticks. Loads on
@@ -7,21 +7,27 @@ cells at the interface count as traction.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from app.arrays import Floats, Ints
+from app.laws.failure import InterfaceStrength
 from app.mechanics.problem import Problem
 from app.results.cement_risk import Borders
 from app.results.interface_numbers import Surface, failing, normal_pressure
 from app.results.stresses import Stresses
-from app.scene.bodies import Bodies, contact_facets
+from app.scene.bodies import Bodies, contact_facets, facets_between
 from app.scene.frames import held_at
 from app.scene.scene import Interface
 from meshes.contact_facets import projectors
 from meshes.contact_points import ContactPoints, Entries, contact_points
+
+# Strength of the cement-bone interface: Mann, Werner & Ayers 1999, as quoted by the paper in its
+# section 4.5.
+CEMENT_ON_BONE = InterfaceStrength.model_validate({"tension": "1.35 MPa", "shear": "2.25 MPa"})
 
 
 @dataclass(frozen=True)
@@ -44,32 +50,43 @@ class _Place:
 
 
 class BondForces:
-    """Failure indices of bonded interfaces whose strength is known."""
+    """Tractions of bonded interfaces, and failure indices of those whose strength is known."""
 
     def __init__(self, problem: Problem, stresses: Stresses, borders: Borders | None) -> None:
         self._problem, self._stresses, self._borders = problem, stresses, borders
-        self._places: dict[str, _Place] = {}
+        self._places: dict[str, _Place | None] = {}
 
     def indices(self) -> dict[str, tuple[ContactPoints, Floats]]:
         """Points and their failure indices (n,) by interface; collective."""
+        return {b.name: (place.points, index) for b, place, _, index in self._loaded(strong=True)}
+
+    def numbers(self, strong: bool = False) -> dict[str, dict[str, Any]]:
+        """Published numbers by interface, of those whose strength is known or all; collective."""
         found = {}
-        for b in self._problem.scene.bonds:
-            if b.law.strength:
-                if b.name not in self._places:  # all states and variations share it
-                    self._places[b.name] = self._place(b)
-                place = self._places[b.name]
-                found[b.name] = place.points, b.law.strength.index(*self._tractions(place))
+        for b, place, loads, index in self._loaded(strong):
+            s, of_parts = place.surface, dict[str, dict[str, Any]]()
+            for part in (part for part, at in s.at.items() if at.any()):
+                of_parts[part] = own = failing(s, index, place.points.x, part)
+                if not b.law.strength:
+                    own = of_parts[part] = {"strength_fraction": own["strength_fraction"]}
+                for name, values in (("normal", -loads[0]), ("shear", loads[1])):
+                    field = s.field(values, part)
+                    own |= {"area": field.whole, f"{name}_mean": field.mean()}
+                    own[f"{name}_max"] = float(values[s.at[part]].max())
+            found[b.name] = of_parts.pop("", {}) | of_parts
         return found
 
-    def numbers(self) -> dict[str, dict[str, Any]]:
-        """Published numbers by interface; collective."""
-        found = {}
-        for name, (points, index) in self.indices().items():
-            surface = self._places[name].surface
-            parts = [part for part, at in surface.at.items() if at.any()]
-            each = {part: failing(surface, index, points.x, part) for part in parts}
-            found[name] = each.pop("", {}) | each
-        return found
+    def _loaded(
+        self, strong: bool
+    ) -> Iterator[tuple[Interface, _Place, tuple[Floats, Floats], Floats]]:
+        """Bonds with facets in the mesh, of known strength or all: tractions and indices."""
+        for b in self._problem.scene.bonds:
+            if b.law.strength or not strong:
+                if b.name not in self._places:  # all states and variations share it
+                    self._places[b.name] = self._place(b)
+                if place := self._places[b.name]:
+                    loads = self._tractions(place)
+                    yield b, place, loads, (b.law.strength or CEMENT_ON_BONE).index(*loads)
 
     def _tractions(self, place: _Place) -> tuple[Floats, Floats]:
         """Pressure, negative in tension, and shear at the points (n,) [MPa]; collective."""
@@ -90,14 +107,13 @@ class BondForces:
         shear = force + np.einsum("pk,pki->pi", pressures, p.normals)
         return normal_pressure(pressures, p.normals), np.linalg.norm(shear, axis=1)
 
-    def _place(self, b: Interface) -> _Place:
-        """The interface as though its sides were two bodies."""
+    def _place(self, b: Interface) -> _Place | None:
+        """The interface as though its sides were two bodies, if it has facets in the mesh."""
         p, scene, regions = self._problem, self._problem.scene, self._problem.tagged.regions
-        sides, frames, of_tag = (
-            (b.master, b.slave),
-            p.stiffness.frames,
-            -np.ones_like(p.bodies.of_tag),
-        )
+        if not p.comm.allreduce(len(facets_between(p.tagged, b.slave, b.master).cells)):
+            return None
+        sides, frames = (b.master, b.slave), p.stiffness.frames
+        of_tag = -np.ones_like(p.bodies.of_tag)
         for k, side in enumerate(sides):
             of_tag[[regions[region] for region in side]] = k
         apart, body = Bodies(("", ""), {}, of_tag), p.bodies.of_region[b.slave[0]]

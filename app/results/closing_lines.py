@@ -219,12 +219,11 @@ def _crack(name: str, q: Mapping[str, Any]) -> Verdict:
     text = f"cohesion: {name} is damaged on {damaged} mm^2, of which {broken} are broken"
     if q["unbonded_fraction"]:
         text += f"; {never} % never held"
-    if not q["zone_length"]:
-        return Verdict(in_print(text), "good")
-    text += f"; its process zone is {zone} mm long, {elements} elements"
-    if q["zone_elements"] >= RESOLVED:
-        return Verdict(in_print(text), "good")
-    return Verdict(in_print(f"{text}: not resolved, it takes {RESOLVED}; refine"), "doubtful")
+    if q["zone_length"]:
+        text += f"; its process zone is {zone} mm long, {elements} elements"
+    if coarse := 0 < q["zone_elements"] < RESOLVED:
+        text += f": not resolved, it takes {RESOLVED}; refine"
+    return Verdict(in_print(text), "doubtful" if coarse else "good")
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:

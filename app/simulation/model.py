@@ -30,7 +30,7 @@ from app.results.cement_risk import CementRisk
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import StemMotion, by_zone, of_femur
 from app.results.interface_numbers import ContactSamples, Surface
-from app.results.stresses import Stresses, bonds
+from app.results.stresses import Stresses
 from app.scene.scene import Scene, Stage, build_scene
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, memory, well_posedness
@@ -351,10 +351,8 @@ class Model:
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
-            if found := bonds(m.problem, m.stresses):
+            if found := m.bonds.numbers():
                 numbers["bonds"] = found
-                for name, own in m.bonds.numbers().items():
-                    found[name] |= own
             if creep := m.problem.creep:
                 numbers["creep"] = {creep.measure: creep.elapsed, "dissipation": creep.dissipated}
             if self.risk:

@@ -218,7 +218,7 @@ class Recorder:
         columns = [c for c in TABLE["interfaces"].values() if c.history]
         for name, q in (self.samples.history if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns if c.key in q}
-        for name, q in m.bonds.numbers().items() if m else ():
+        for name, q in m.bonds.numbers(strong=True).items() if m else ():
             own = [c for c in TABLE["bonds"].values() if c.history]
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in own}
         return row

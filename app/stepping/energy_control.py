@@ -33,13 +33,11 @@ MOST, ENOUGH, SMALL = 25, 1e-6, 1e-4
 LINEAR, HALVINGS, BISECTIONS = 1e-9, 6, 40
 
 
-def spent(problem: Problem, solver: Solver) -> float:
-    """Energy that damage spends in a step to the solver's state [N mm]; collective."""
-    return _spent(problem, solver)[0]
+def spent(problem: Problem, solver: Solver) -> tuple[float, Floats]:
+    """Energy that damage spends in a step to the solver's state [N mm]; collective.
 
-
-def _spent(problem: Problem, solver: Solver) -> tuple[float, Floats]:
-    """The same, and its derivative by own jumps (3 n,) [N]."""
+    And its derivative by own jumps (3 n,) [N].
+    """
     u, q = solver.u_and_q()
     contact = problem.contact
     if contact is None or q is None or not contact.law.history:
@@ -81,7 +79,7 @@ def overshoot(
         end.copy(solver.x)
         solver.x.axpby(1.0 - high, high, start)
         solver.residual(solver.x)
-        if (found := spent(problem, solver)) == 0.0:
+        if (found := spent(problem, solver)[0]) == 0.0:
             return None
         if found <= energy:
             break
@@ -89,7 +87,7 @@ def overshoot(
         end.copy(solver.x)
         solver.x.axpby(1.0 - middle, middle, start)
         solver.residual(solver.x)
-        low, high = (middle, high) if spent(problem, solver) == 0.0 else (low, middle)
+        low, high = (middle, high) if spent(problem, solver)[0] == 0.0 else (low, middle)
     return path[0] + high * (path[1] - path[0])
 
 
@@ -124,7 +122,7 @@ def by_energy(
         f = solver.residual(x)
         by_load.axpby(-1 / h, 1 / h, f)
         f.axpy(s - at, by_load)
-        found, gradient = _spent(problem, solver)
+        found, gradient = spent(problem, solver)
         missing = found - energy
         parts = solver.measure(x, f)
         residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))

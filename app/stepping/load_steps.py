@@ -205,7 +205,7 @@ class LoadStepper:
                 outcome = solve(solver)
                 self.total.count(outcome)
                 most = stage.fracture_step or math.inf
-                if outcome.converged and spent(problem, solver) <= most:
+                if outcome.converged and spent(problem, solver)[0] <= most:
                     break
                 self.total.rejected += 1
                 start.copy(solver.x)

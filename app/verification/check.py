@@ -139,22 +139,23 @@ def ladder(
     overrides: Sequence[str],
     sizes: Sequence[float],
     order: float = 2.0,
+    rung: str = "mesh size (mm)",
 ) -> Check:
-    """A check of ``mantle verify`` whose error falls with the mesh size, by an order.
+    """A check of ``mantle verify`` whose error falls with the mesh size, or a step, by an order.
 
     Sizes go from coarse to fine, the last for the tier "long"; ``{}`` in an override stands for
-    the size.
+    the size, ``{n}`` for its inverse.
     """
     runs = tuple(
         CheckRun(
             f"verification/{case}.yaml",
-            tuple(o.format(h) for o in overrides),
+            tuple(o.format(h, n=round(1 / h)) for o in overrides),
             size=h,
             tier="long" if h == sizes[-1] else "quick",
         )
         for h in sizes
     )
-    return Check(name, what, runs, each(measure, last=True), tolerance, order)
+    return Check(name, what, runs, each(measure, last=True), tolerance, order, rung=rung)
 
 
 def run(case: str, *overrides: str, mesh: str = "") -> CheckRun:

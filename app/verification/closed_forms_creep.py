@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from app.results.reading import Run
-from app.verification.check import Check, CheckRun, Sample, each, problem, row, run
+from app.verification.check import Check, Sample, each, ladder, problem, row, run
 from app.verification.measures import number, relative
 
 Law = tuple[float, float, float, float]
@@ -104,27 +104,18 @@ def creep_problems() -> Iterator[Check]:
     yield problem("creep_constant_stress", what, "creep_bar", crept, 1e-6, runs)
 
     norton = "regions.bar.creep={A: 1e-6, p: 4, m0: 1, per: 1 s}"
-    seconds = "stages.0={name: hold, creep_time: 1 s, adaptive: false, "
-    steps = tuple(
-        CheckRun(
-            _BAR,
-            (*_held(10), norton, f"{seconds} increments: {n}}}"),
-            size=1 / n,
-            tier="long" if n == 80 else "quick",
-        )
-        for n in (10, 20, 40, 80)
-    )
-    judge = each(
-        partial(number, name=_MISES, reference=(1e-3 + 3 * E * 1e-6) ** (-1 / 3)), last=True
-    )
+    held = (o.replace("{", "{{").replace("}", "}}") for o in (*_held(10), norton))
+    second = "stages.0={{name: hold, creep_time: 1 s, adaptive: false, increments: {n}}}"
+    left = partial(number, name=_MISES, reference=(1e-3 + 3 * E * 1e-6) ** (-1 / 3))
     what = "stress of a held bar by Norton's law, n = 4, in equal steps [MPa], relative"
-    yield Check("creep_order", what, steps, judge, 1e-3, 2.0, rung="step (s)")
+    own, steps = (*held, second), (1 / 10, 1 / 20, 1 / 40, 1 / 80)
+    yield ladder("creep_order", what, "creep_bar", left, 1e-3, own, steps, rung="step (s)")
     what = "stress of a held bar, by strain hardening [MPa], relative"
     relaxing = partial(number, name=_MISES, reference=relaxed(CEMENT, 10, 1e6))
     yield problem("creep_relaxation", what, "creep_bar", relaxing, 2e-3, [_held(10)])
 
     law = f"creep={{A: {2.6 / (3 * E)!r}, p: 1, m0: 1, per: 1 s}}"
-    pressure = partial(
+    left = partial(
         number, name="stem_cement.pressure_mean", reference=shrink_fit(6, 10, 0.01, 0.3, 2)
     )
     size = [f"{key}=0.8 mm" for key in ("geometry.length", "mesh.size", "mesh.far_size")]
@@ -134,24 +125,14 @@ def creep_problems() -> Iterator[Check]:
     stage = "stages=[{name: fit, creep_time: 2 s, creep_tolerance: 2e-3}]"
     what = "pressure of a shrink fit that relaxes, two exponentials [MPa], relative"
     runs = [(*fit, *creeps, stage)]
-    yield problem("creep_shrink_fit", what, "lame_plane_strain", pressure, 2e-3, runs)
+    yield problem("creep_shrink_fit", what, "lame_plane_strain", left, 2e-3, runs)
+    stage = "stages=[{name: hold, creep_time: 20 s}]"
     for n, A in ((2, 1e-5), (4, 1e-7)):
-        material = f"creep: {{A: {A}, p: {n}, m0: 1, per: 1 s}}}}"
-        yield problem(
-            f"creep_ring_{n}",
-            f"hoop less radial stress of a ring that flows, n = {n} [MPa], relative in L2",
-            "fibre_ring",
-            partial(ring, n=n),
-            5e-3,
-            [
-                (
-                    *("mesh.order=2", "mesh.size=1 mm"),
-                    "regions.ring={youngs_modulus: 2200 MPa, poisson_ratio: 0.3, tissue: other, "
-                    + material,
-                    "stages=[{name: hold, creep_time: 20 s}]",
-                )
-            ],
-        )
+        law = f"creep: {{A: {A}, p: {n}, m0: 1, per: 1 s}}"
+        material = f"{{youngs_modulus: 2200 MPa, poisson_ratio: 0.3, tissue: other, {law}}}"
+        flows = ("mesh.order=2", "mesh.size=1 mm", f"regions.ring={material}", stage)
+        what = f"hoop less radial stress of a ring that flows, n = {n} [MPa], relative in L2"
+        yield problem(f"creep_ring_{n}", what, "fibre_ring", partial(ring, n=n), 5e-3, [flows])
     what = "subsidence of a taper by creep, against rings [mm], relative"
     yield problem("creep_taper", what, "creep_taper", subsidence, 5e-3)
 

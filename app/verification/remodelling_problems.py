@@ -17,10 +17,9 @@ LAW = "remodelling.law={{density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, 
 
 def limit(stress: float, start: float = START, lazy: float = S, exponent: float = 2.0) -> float:
     """Density at which a column under a stress [MPa] ends that comes from a start [g/cm3]."""
-    low, high = (
-        (stress**2 / (2 * C * K * f)) ** (1 / (exponent + 1)) for f in (1 + lazy, 1 - lazy)
-    )
-    return float(np.clip(start, *np.clip((low, high), *BOUNDS)))
+    zone = np.array([1 + lazy, 1 - lazy])
+    ends = (stress**2 / (2 * C * K * zone)) ** (1 / (exponent + 1))
+    return float(np.clip(start, *np.clip(ends, *BOUNDS)))
 
 
 def grown(run: Run, **expected: float) -> Sample:
@@ -66,11 +65,8 @@ def even(runs: Sequence[Run], cells: Sequence[int]) -> Sample:
 
 def remodelling_problems() -> Iterator[Check]:
     """Problems of ``mantle verify``."""
-    block, press, E = (
-        "remodelling",
-        "loads.press.pressure={} MPa",
-        "regions.{}.youngs_modulus={} MPa",
-    )
+    block, press = "remodelling", "loads.press.pressure={} MPa"
+    E = "regions.{}.youngs_modulus={} MPa"
     ends = [(3.0, START, 64), (8.0, START, 64), (3.0, 0.3, 9)]
     runs = [(press.format(p), E.format("bone", e)) for p, _, e in ends]
     judges = [partial(grown, bone=limit(p, start)) for p, start, _ in ends]

@@ -9,7 +9,6 @@ import pytest
 from dolfinx import fem
 
 from app.results.bond_forces import BondForces
-from app.results.stresses import bonds
 from tests import support
 from tests.heated import Heated, expanding
 
@@ -154,19 +153,16 @@ def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
     forces = BondForces(cold.problem, cold.stresses, None).numbers
     for fall, fraction in ((40.0, 1.0), (5.0, 0.0)):
         cold.solve({"cement": 300.0 - fall})
-        found = bonds(cold.problem, cold.stresses)
+        found = forces()
         assert cold.balance.energy < 1e-10
         for name, full in (("stem_cement", 5.696), ("cement_bone", 7.884)):
             numbers, exact = found[name], full * fall / 40
-            assert numbers["normal_mean"] == pytest.approx(exact, rel=tolerance)
-            assert numbers["normal_max"] == pytest.approx(exact, rel=0.1)
+            for key in ("normal_mean", "normal_max"):
+                assert numbers[key] == pytest.approx(exact, rel=0.6 * tolerance)
             assert numbers["shear_max"] < 0.1 * exact
-            assert numbers["strength_fraction"] == fraction
-            # By equilibrium: surer than by the stress of the cells.
-            found_by_forces = forces()[name]
+            assert numbers["strength_fraction"] == pytest.approx(fraction)
             for key in ("failure_index_max", "failure_index_p99"):
-                assert found_by_forces[key] == pytest.approx(exact / 1.35, rel=0.6 * tolerance)
-            assert found_by_forces["strength_fraction"] == pytest.approx(fraction)
+                assert numbers[key] == pytest.approx(exact / 1.35, rel=0.6 * tolerance)
     assert found["stem_cement"]["area"] == pytest.approx(np.pi * 3 * 0.5, rel=2e-2)
 
 
@@ -174,7 +170,10 @@ def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
     ("pull", "shear"), [(1.3, 0.0), (1.4, 0.0), (-9.0, 2.2), (-9.0, 2.3), (1.0, 1.4), (1.0, 1.6)]
 )
 def test_bonds_of_a_bar_that_is_pulled_and_sheared(pull: float, shear: float) -> None:
-    """Without heat: uniform strain, given at its surface; an ellipse of 1.35 and 2.25 MPa."""
+    """Without heat: uniform strain, given at its surface; an ellipse of 1.35 and 2.25 MPa.
+
+    Points that are held have no traction.
+    """
     E, ν = 2200.0, 0.3
     ε, γ = pull / E, shear * 2 * (1 + ν) / E
     given = f"x: {γ} * z - {ν * ε} * x, y: -{ν * ε} * y, z: {ε} * z".replace("--", "")
@@ -184,17 +183,23 @@ def test_bonds_of_a_bar_that_is_pulled_and_sheared(pull: float, shear: float) ->
     changes = (f"regions={{one: {one}, two: {one}}}", f"supports={{{', '.join(held)}}}")
     bar = Heated.make(BAR, lambda scene: scene, *changes)
     bar.solve({})
-    (numbers,) = bonds(bar.problem, bar.stresses).values()
-    assert numbers["normal_mean"] == pytest.approx(pull, rel=1e-9)
+    (numbers,) = BondForces(bar.problem, bar.stresses, None).numbers().values()
+    assert numbers["normal_max"] == pytest.approx(max(pull, 0.0), abs=1e-8)
     assert numbers["shear_max"] == pytest.approx(shear, abs=1e-8)
     fails = (max(pull, 0.0) / 1.35) ** 2 + (shear / 2.25) ** 2 > 1
-    assert numbers["strength_fraction"] == float(fails)
+    assert (numbers["strength_fraction"] > 0) == fails
 
 
 def test_every_bond_is_looked_at() -> None:
     cold = Heated.make(CYLINDERS, expanding())
-    assert [*bonds(cold.problem, cold.stresses)] == ["stem_cement", "cement_bone"]
+    assert [*BondForces(cold.problem, cold.stresses, None).numbers()] == [
+        "stem_cement",
+        "cement_bone",
+    ]
     parting = Heated.make(CYLINDERS, expanding(cement=80e-6), UNILATERAL[0])
-    assert [*bonds(parting.problem, parting.stresses)] == ["cement_bone"]
+    assert [*BondForces(parting.problem, parting.stresses, None).numbers()] == ["cement_bone"]
     rigid = Heated.make(CYLINDERS, expanding(cement=80e-6), "regions.stem={rigid: true}")
-    assert [*bonds(rigid.problem, rigid.stresses)] == ["stem_cement", "cement_bone"]
+    assert [*BondForces(rigid.problem, rigid.stresses, None).numbers()] == [
+        "stem_cement",
+        "cement_bone",
+    ]

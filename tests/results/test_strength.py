@@ -59,6 +59,9 @@ def test_a_bond_has_the_tractions_of_contact_that_sticks(tmp_path: Path, order: 
     for key in ("failure_index_max", "failure_index_p99", "failure_load_factor"):
         assert numbers[0][key] == pytest.approx(numbers[1][key], rel=1e-9)
         assert numbers[0][key] > 0
+    assert numbers[0]["normal_mean"] == pytest.approx(-numbers[1]["pressure_mean"], rel=1e-9)
+    assert numbers[0]["normal_max"] > numbers[0]["normal_mean"]
+    assert numbers[0]["shear_mean"] == pytest.approx(numbers[1]["shear_mean"], rel=1e-9)
     last = bonded.history["one_two failure_index_p99 [-]"][-1]
     assert last == numbers[0]["failure_index_p99"] == pytest.approx(1 / numbers[0][key], rel=1e-12)
 
@@ -75,6 +78,20 @@ def test_the_load_factor_is_where_a_hundredth_fails(tmp_path: Path) -> None:
     found = again.summary["bonds"]["one_two"]
     assert found["failure_index_p99"] == pytest.approx(1.0, rel=1e-9)
     assert found["strength_fraction"] == pytest.approx(0.01, rel=1e-6)
+
+
+@pytest.mark.parametrize(("pull", "fraction"), [(1.34, 0.0), (1.36, 1.0)])
+def test_a_bar_pulled_has_the_strength_of_cement_on_bone(
+    tmp_path: Path, pull: float, fraction: float
+) -> None:
+    changes = ("supports.base={kind: fixed, boundary: bottom}", "interfaces={}")
+    load = f"loads.up={{kind: pressure, boundary: top, pressure: {-pull} MPa}}"
+    found = support.run(BARS, tmp_path, *changes, load).summary["bonds"]["one_two"]
+    assert found["normal_mean"] == pytest.approx(pull, rel=1e-9)
+    assert found["normal_max"] == pytest.approx(pull, rel=1e-9)
+    assert found["shear_max"] == pytest.approx(0.0, abs=1e-8)
+    assert found["strength_fraction"] == fraction
+    assert found["area"] == pytest.approx(16.0)
 
 
 def test_without_strength_there_is_none(tmp_path: Path) -> None:
