@@ -141,7 +141,11 @@ def together(comm: Any) -> bool:
 
 
 def agree(comm: Any, error: MantleError) -> None:
-    """Raise AloneError unless all ranks have met an error, before any collective reaction."""
+    """Confirm that all ranks have met an error, before any collective reaction to it.
+
+    Raises:
+        AloneError: They have not.
+    """
     if not together(comm):
         raise AloneError(error) from error
 

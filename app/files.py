@@ -49,7 +49,11 @@ def clear(folder: Path, name: str = "*") -> None:
 
 
 def lock_file(path: Path) -> int:
-    """Open a lock file, made if need be; links are not followed."""
+    """Open a lock file, made if need be; links are not followed.
+
+    Raises:
+        OSError: It is a link or cannot be written.
+    """
     return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
 
 

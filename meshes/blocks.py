@@ -19,6 +19,9 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         geometry: ``blocks``, each with ``name`` and ``size`` (lx, ly, lz) [mm], the first at the
             bottom; ``tilt`` [rad] of the interface planes about y through the stack's axis.
         mesh: ``size``, ``far`` [mm], ``curved``.
+
+    Raises:
+        GeometryError: gmsh fails.
     """
     lx, ly, _ = geometry.blocks[0].size
     levels = np.concatenate([[0.0], np.cumsum([block.size[2] for block in geometry.blocks])])

@@ -26,6 +26,9 @@ def build(geometry: Any, mesh: Any) -> MeshData:
             ``taper`` [rad], the half-angle of the two cones, narrower distally, whose radii hold
             at mid height; ``sector`` full, half (y >= 0) or quarter (x, y >= 0).
         mesh: ``size``, ``far`` [mm], ``curved``.
+
+    Raises:
+        GeometryError: gmsh fails.
     """
     middle = geometry.stem_radius + geometry.cement_thickness
     radii = (geometry.stem_radius, middle, middle + geometry.bone_thickness)

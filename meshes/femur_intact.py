@@ -166,6 +166,9 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
     Boundaries are distal_cut, bone_surface, head and six muscle patches, the last two parts of
     bone_surface; notes have the head centre and layers. ``mesh`` are options of a case.
+
+    Raises:
+        GeometryError: The planned stem does not fit the canal.
     """
     surfaces = Intact(geometry.model_copy(update={"canal_widening": 0.0}), mesh)
     made = swept.mesh(surfaces, mesh.curved)

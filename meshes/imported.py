@@ -132,6 +132,9 @@ def write(data: MeshData, path: Path) -> None:
 
     Text would take five times as long and not keep every bit of the coordinates. A patch of
     several boundaries is in several groups.
+
+    Raises:
+        GeometryError: gmsh could not write it.
     """
     nodes = np.arange(1, len(data.points) + 1)
     tet, triangle = (11, 9) if data.curved else (4, 2)

@@ -63,6 +63,9 @@ def overlapping(cells: Ints) -> Ints:
 
     Cells on either side of a face see it the other way around. Where all do, volumes add up to
     the volume within the boundary. Middle nodes of a face have to be the same from either side.
+
+    Raises:
+        ValueError: A face belongs to more than two cells.
     """
     partner, faces = match_faces(cells), cell_faces(cells)
     a, b, c = faces[:, :3].T

@@ -50,6 +50,9 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
         how far it reaches lateral there, ``rounding``: height of the rounded tip [mm];
         ``around``: length of a section at 3/4 of that [mm]; ``in_file``: in the file, two
         points of the axis, the centres of head and neck's end [mm], the way to medial (5, 3).
+
+    Raises:
+        GeometryError: It is no file of one solid, or no stem.
     """
     path = request["path"]
     points, faces = _faces(request)
@@ -135,7 +138,11 @@ def _tip(x: Floats, part: float) -> float:
 
 
 def _whole(path: str, x: Floats, shoulder: float) -> Floats:
-    """Outline of the highest section of the body (r, 3) [mm]."""
+    """Outline of the highest section of the body (r, 3) [mm].
+
+    Raises:
+        GeometryError: The axis leaves the metal there or below.
+    """
     found: Floats = np.zeros(0)
     for z in np.linspace(*WHOLE, 20) * shoulder:
         try:

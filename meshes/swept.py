@@ -88,7 +88,11 @@ class Swept:
 
 
 def mesh(surfaces: FemurSurfaces, curved: bool) -> Swept:
-    """Mesh the layers; cells are curved if asked."""
+    """Mesh the layers; cells are curved if asked.
+
+    Raises:
+        GeometryError: Cells overlap: the surfaces are not nested.
+    """
     parts = surfaces.through, surfaces.segments
     body = reference_body.make(surfaces.outline(), *parts, surfaces.coarser)
     nodes, number = _grid(surfaces, body)

@@ -134,7 +134,11 @@ def run(
 
 
 def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
-    """Table of the runs with size, cost and what is done, below a title; runs nothing."""
+    """Table of the runs with size, cost and what is done, below a title; runs nothing.
+
+    Raises:
+        InputError: Any job is wrong.
+    """
     runs = runs_of(jobs, options.folder, options.cores)
     rows, wall, seen = [], 0.0, set[object]()
     for job, r in zip(jobs, runs, strict=True):
@@ -178,7 +182,11 @@ def writable(folder: Path) -> Iterator[None]:
 
 
 def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None:
-    """Write the cases and the jobs for Snakemake; delete marks of earlier attempts."""
+    """Write the cases and the jobs for Snakemake; delete marks of earlier attempts.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
     shared: dict[str, list[BatchRun]] = {}
     for r in pending:
         shared.setdefault(r.process, []).append(r)

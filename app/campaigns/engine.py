@@ -39,7 +39,11 @@ LATENCY = 60  # s after which files that a node wrote are seen here
 
 
 def check(slurm: bool) -> None:
-    """Check that Snakemake, and Slurm if asked for, are there."""
+    """Check that Snakemake, and Slurm if asked for, are there.
+
+    Raises:
+        EnvironmentProblem: Either is missing, or Snakemake has no ``--cluster``.
+    """
     if importlib.util.find_spec("snakemake") is None:
         raise EnvironmentProblem("many runs need Snakemake (Debian: snakemake)")
     for program in ("sbatch", "squeue", "scancel") if slurm else ():

@@ -131,6 +131,9 @@ def runs_of(jobs: Sequence[Job], folder: Path, cores: int | None) -> list[BatchR
 
     Runs that share a stiffness are split over several processes, each with the same matrices, so
     that all ``cores`` of this machine are busy; None on a cluster.
+
+    Raises:
+        InputError: The case of a job that was not read before is wrong.
     """
     found: dict[str, BatchRun] = {}
     ids, groups = list[str](), dict[str, dict[str, None]]()

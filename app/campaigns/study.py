@@ -70,7 +70,11 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
 
 
 def _chosen(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]:
-    """Select lines by name and keep the reference; a quick study takes two runs of each."""
+    """Select lines by name and keep the reference; a quick study takes two runs of each.
+
+    Raises:
+        InputError: No line matches.
+    """
     lines: dict[str, list[PlannedRun]] = {}
     for r in planned:
         lines.setdefault(_line(r), []).append(r)

@@ -239,6 +239,9 @@ def explained(key: str = "") -> str:
         key: As after ``--set``, without names or with the last word alone. Else a name of the
             library, ``materials`` or ``loads`` for all of them, or a part of names of keys and
             results or a word of the glossary, which are listed. Without it, the sections.
+
+    Raises:
+        InputError: There is no such key.
     """
     every = _every()
     asked = key.strip().strip(".").replace(" ", "_")

@@ -73,7 +73,11 @@ class PlannedRun(Point):
 
 
 def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[PlannedRun]]:
-    """Read a sweep, with ``--set`` options that replace values under ``set``; check every case."""
+    """Read a sweep, with ``--set`` options that replace values under ``set``; check every case.
+
+    Raises:
+        InputError: Every error of the file and its cases, at its place.
+    """
     file = yaml_file.read(path)
     for key, what in (("geometry", "case: use mantle run"), ("study", "study: use mantle study")):
         if key in file.data:
@@ -85,7 +89,11 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
 
 
 def content(file: CaseFile, model: type[Content]) -> Content:
-    """The checked content of a sweep or study file."""
+    """The checked content of a sweep or study file.
+
+    Raises:
+        InputError: Every error of the file itself.
+    """
     try:
         return model.model_validate(file.data)
     except ValidationError as error:

@@ -80,7 +80,11 @@ class HeatForms:
         return held
 
     def values(self, field: Field, nodes: Ints) -> Floats:
-        """A field at some own nodes, zero at the others (owned,); collective."""
+        """A field at some own nodes, zero at the others (owned,); collective.
+
+        Raises:
+            InputError: The field cannot be evaluated there.
+        """
         x = self.space.tabulate_dof_coordinates()[nodes]
         values = np.zeros(self.owned)
         values[nodes] = everywhere(self.comm, lambda: np.asarray(field(x), dtype=float).reshape(-1))

@@ -43,6 +43,9 @@ class HeatLoads:
         heating: Fluxes and sources, with their heat into own nodes of bodies (b, n) [N mm/s].
         exchange: Convection and perfusion.
         per_kelvin: Heat exchanged with all surroundings at own nodes (b, n) [N mm/(s K)].
+
+    Raises:
+        InputError: A boundary does not exist, or a field cannot be evaluated.
     """
 
     def __init__(self, scene: Scene, forms: HeatForms) -> None:
@@ -81,6 +84,9 @@ class FixedTemperatures:
         conditions: The conditions.
         of_body: Number of the condition at own nodes of each body, or -1 (b, n).
         base: The same for the continuous temperature (n,).
+
+    Raises:
+        InputError: A boundary does not exist, or a field cannot be evaluated.
     """
 
     def __init__(self, scene: Scene, forms: HeatForms) -> None:

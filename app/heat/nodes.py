@@ -93,7 +93,11 @@ class InterfaceNodes:
 
 
 class Probes:
-    """Temperatures or displacements at named points, by the shape functions of their cells."""
+    """Temperatures or displacements at named points, by the shape functions of their cells.
+
+    Raises:
+        InputError: A point is not in its region.
+    """
 
     def __init__(
         self,
@@ -125,6 +129,9 @@ def _locate(tagged: TaggedMesh, probed: str, probe: Probe) -> tuple[int, str, Fl
     """Cell that holds a point, its region, and the barycentric coordinates there (4,).
 
     Collective; one rank has it, the others None.
+
+    Raises:
+        InputError: The point is not in its region.
     """
     comm = tagged.mesh.comm
     tags = cell_tags(tagged)[: tagged.mesh.topology.index_map(3).size_local]

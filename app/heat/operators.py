@@ -50,6 +50,9 @@ class HeatOperators:
         cure: Heat of cure, if anything cures.
         friction: Heat of friction, if an interface has any.
         principle: The conduction matrices, corrected where necessary.
+
+    Raises:
+        InputError: The scene does not fit the mesh.
     """
 
     saved = ("principle",)

@@ -48,6 +48,9 @@ class TemperatureJumps:
 
     Args:
         held: Condition with a given temperature at own nodes of each body, or -1 (b, n).
+
+    Raises:
+        InputError: An interface has no facets on this mesh.
     """
 
     def __init__(

@@ -275,6 +275,9 @@ def _held_motions(
 
     ``rows`` are the displacements of the constrained components by the six motions (m, 6),
     ``wanted`` their values at full amplitude by each support (m,).
+
+    Raises:
+        InputError: The supports prescribe no rigid motion.
     """
     amounts = np.zeros((len(scene.supports), 6))
     if not len(rows):

@@ -57,6 +57,9 @@ def write(folders: Sequence[Path]) -> list[Path]:
 
     Args:
         folders: That of the run first; then of ``mantle verify``, also of its validation problems.
+
+    Raises:
+        InputError: The first folder has no finished run, or another one no outcomes.
     """
     run = _finished(folders[0])
     checks = [check for folder in folders[1:] for check in _checks(folder)]
@@ -190,7 +193,11 @@ def _inputs(case: Case) -> Iterator[str]:
 
 
 def methods(folder: Path) -> Path:
-    """Write ``methods.md``: a section on methods with every number from the run."""
+    """Write ``methods.md``: a section on methods with every number from the run.
+
+    Raises:
+        InputError: The folder has no finished run.
+    """
     run = _finished(folder)
     case, record = load(folder / "case.yaml").config, read_json(folder / "provenance.json")
     text = "\n\n".join(_paragraphs(case, run.summary, record))

@@ -22,7 +22,12 @@ OURS = ("over_*.*", "map_*.png", "shielding.png")
 
 
 def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
-    """Write the report of a sweep; its files and its cases."""
+    """Write the report of a sweep; its files and its cases.
+
+    Raises:
+        InputError: The folder is not that of a sweep.
+        StoppedError: The report cannot be written.
+    """
     sweep = read(folder)
     chosen = pictures.ends(sweep)
     drawings = folder / PICTURES

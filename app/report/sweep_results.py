@@ -148,7 +148,11 @@ class SweepResults:
 
 
 def read(folder: Path) -> SweepResults:
-    """Read ``sweep.json``."""
+    """Read ``sweep.json``.
+
+    Raises:
+        InputError: It is not there or cannot be read.
+    """
     path = folder / "sweep.json"
     try:
         data = read_json(path)

@@ -73,7 +73,7 @@ class Writer:
         field_steps: Number of steps in it.
 
     Raises:
-        StoppedError: The directory cannot be written, here or by any method.
+        StoppedError: The directory cannot be written.
     """
 
     saved = ("_columns", "_rows", "field_steps")
@@ -114,7 +114,11 @@ class Writer:
                 self.fields.open()
 
     def restored(self) -> None:
-        """Continue the files of a restored run; collective."""
+        """Continue the files of a restored run; collective.
+
+        Raises:
+            StoppedError: The directory cannot be written.
+        """
         self._table()
         if self.fields and self.field_steps:
             try:
@@ -125,14 +129,22 @@ class Writer:
         self._begin()
 
     def write_fields(self, time: float, samples: ContactSamples | None) -> None:
-        """Append a step to the field file; a full disk leaves earlier ones readable; collective."""
+        """Append a step to the field file; collective.
+
+        Raises:
+            StoppedError: The disk is full; earlier steps stay readable.
+        """
         if self.fields:
             with _full_disk("fields.vtkhdf"):
                 self.fields.write(time, samples)
             self.field_steps += 1
 
     def last_fields(self) -> None:
-        """Write the last written step of the fields to a file of its own; collective."""
+        """Write the last written step of the fields to a file of its own; collective.
+
+        Raises:
+            StoppedError: The disk is full.
+        """
         if self.fields:
             _write(self._comm, self.fields.close, "final.vtkhdf")
 

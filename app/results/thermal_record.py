@@ -100,6 +100,9 @@ class ThermalRecord:
         of_region: Thermal body of each region.
         interfaces: Regions on the first and second side of each interface, in the order of the
             case.
+
+    Raises:
+        InputError: A probe is not in its region.
     """
 
     saved = ("_seconds", "row", "_extremes", "regions")

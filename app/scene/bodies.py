@@ -73,7 +73,11 @@ def cell_tags(tagged: TaggedMesh) -> Ints:
 
 
 def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence[Rigid]) -> Bodies:
-    """Join regions that touch without a contact interface; collective."""
+    """Join regions that touch without a contact interface; collective.
+
+    Raises:
+        InputError: The sides of a contact interface are joined elsewhere.
+    """
     tags = cell_tags(tagged)
     names = {tag: name for name, tag in tagged.regions.items()}
     between = np.unique(np.sort(tags[_interior(tagged)[1]], axis=1), axis=0)
@@ -118,7 +122,11 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence
 
 
 def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
-    """Facets of a named boundary that this rank owns, each with its one cell."""
+    """Facets of a named boundary that this rank owns, each with its one cell.
+
+    Raises:
+        InputError: It is no boundary of this mesh: a surface inside it, or an empty one.
+    """
     mesh = tagged.mesh
     if boundary not in tagged.boundaries:
         raise InputError(
@@ -165,6 +173,9 @@ def contact_facets(
     """Facets of all contact interfaces, replicated in canonical order; collective.
 
     Jumps move the softer side, by moduli of regions, 0 if absent.
+
+    Raises:
+        InputError: An interface has no facets on this mesh.
     """
     tags, comm = cell_tags(tagged), tagged.mesh.comm
     stiffness = np.zeros(len(bodies.of_tag))

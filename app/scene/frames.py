@@ -66,8 +66,10 @@ class Frames:
     def support(self, places: Ints, bodies: Ints | int, order: Sequence[int]) -> Ints:
         """Support that constrains each axis of bodies at nodes, -1 where none does (m, 3).
 
-        ``places`` are indices of the nodes here (m,); of active supports, the ``order``, later ones
-        override earlier ones.
+        Args:
+            places: Indices of the nodes here (m,).
+            bodies: The bodies (m,), or one.
+            order: Active supports; later ones override earlier ones.
         """
         found = np.full((len(places), 3), -1, dtype=np.int64)
         for s in order:
@@ -116,7 +118,11 @@ def held_at(
 def frames_of(
     scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace
 ) -> Frames | None:
-    """Find the nodes with local axes; None if there are none; collective."""
+    """Find the nodes with local axes; None if there are none; collective.
+
+    Raises:
+        InputError: A boundary is not smooth, or supports are incompatible at a node.
+    """
     supports = scene.supports
     if not any(s.normal for s in supports):
         return None
@@ -157,8 +163,14 @@ def frames_of(
 def _means(support: Support, node: Ints, normals: Floats, places: Floats) -> Floats:
     """Mean normals of a boundary at nodes (n, 3), zero off the boundary.
 
-    ``node`` is that of each corner of its facets (m,), ``normals`` are those there, weighted by the
-    facet's area (m, 3), ``places`` those of the nodes (n, 3) [mm].
+    Args:
+        support: Support on the boundary.
+        node: Node of each corner of its facets (m,).
+        normals: Normals there, weighted by the area of the facet (m, 3).
+        places: Coordinates of the nodes (n, 3) [mm].
+
+    Raises:
+        InputError: The boundary is not smooth.
     """
     sums = np.zeros(places.shape)
     np.add.at(sums, node, normals)
@@ -190,8 +202,14 @@ def _axes(
 ) -> tuple[Floats, Bools]:
     """Axes of nodes on the same supports (n, 3, 3), and whether each support constrains them.
 
-    ``groups`` are sets of supports active on one body in one stage, ``held`` projectors on the
-    directions that each support constrains (n, supports, 3, 3), x places of the nodes (n, 3) [mm].
+    Args:
+        supports: All supports.
+        groups: Sets of supports active on one body in one stage.
+        held: Projectors on the constrained directions of each support (n, supports, 3, 3).
+        x: Coordinates of the nodes (n, 3) [mm].
+
+    Raises:
+        InputError: There are no common axes, or displacements are incompatible.
     """
     if not groups:
         return np.eye(3)[None], np.zeros((1, 1, 3), dtype=bool)

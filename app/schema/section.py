@@ -123,7 +123,15 @@ def _defect(text: str, at: Path) -> PydanticCustomError:
 
 
 def fail(text: str, at: Path = ()) -> NoReturn:
-    """Report a defect of the value under validation, at a place in it; tell what is allowed."""
+    """Report a defect of the value under validation.
+
+    Args:
+        text: The defect; what is allowed.
+        at: Path of the defect below the value, if that is a mapping or a list.
+
+    Raises:
+        PydanticCustomError: Always.
+    """
     raise _defect(text, at)
 
 
@@ -247,7 +255,11 @@ class Triple:
     number: int = 3
 
     def spread(self, value: object) -> object:
-        """The entries, before they are read."""
+        """The entries, before they are read.
+
+        Raises:
+            PydanticCustomError: Not a list, or not of this number of entries.
+        """
         words = {2: "two", 3: "three", 4: "four"}[self.number]
         value = spread_unit(value) if self.number == 3 else value
         if self.scalar and value is not None and not isinstance(value, list | tuple | dict):

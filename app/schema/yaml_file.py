@@ -96,13 +96,22 @@ class CaseFile:
     option: str = "--set "
 
     def raise_all(self, problems: Sequence[Fault]) -> None:
-        """Raise one error for problems, given or found while reading, in the order of the file."""
+        """Raise one error for all problems, in the order of the file.
+
+        Raises:
+            InputError: There is at least one problem, given or found while reading.
+        """
         if lines := sorted(map(self._locate, (*self.complaints, *problems))):
             raise InputError(list(dict.fromkeys(printable(text) for _, text in lines)))
 
     @contextmanager
     def placing(self) -> Iterator[None]:
-        """Prefix errors that begin with a key with its place in the file."""
+        """Prefix errors that begin with a key with its place in the file.
+
+        Raises:
+            InputError: One was raised within.
+            GeometryError: The same.
+        """
         try:
             yield
         except GeometryError as error:
@@ -164,7 +173,11 @@ def key_parts(key: str) -> list[str]:
 
 
 def read(path: FilePath) -> CaseFile:
-    """Read a file."""
+    """Read a file.
+
+    Raises:
+        InputError: The file cannot be read or is not YAML.
+    """
     try:
         with path.open("rb") as file:
             raw = file.read(LARGEST + 1)
@@ -192,7 +205,11 @@ def read(path: FilePath) -> CaseFile:
 
 
 def compose(text: str) -> Node | None:
-    """The nodes of a YAML text, or BadYaml; bytes that are not UTF-8 are surrogates."""
+    """The nodes of a YAML text; bytes that are not UTF-8 are surrogates.
+
+    Raises:
+        BadYaml: A syntax error.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # anchors may be redefined
@@ -253,7 +270,11 @@ class Reader:
     _count: int = 0
 
     def value(self, node: Node, path: Path = (), depth: int = 0) -> Any:
-        """Convert a node to data; BadYaml if it is too large, too deep or of no known type."""
+        """Convert a node to data.
+
+        Raises:
+            BadYaml: Too large, nested too deeply or of an unsupported type.
+        """
         self._count += 1
         if self._count > MOST_NODES or depth > DEEPEST:
             raise BadYaml(TOO_MANY, _start(node))

@@ -123,6 +123,9 @@ def find(comm: MPI.Comm, wanted: str, folder: Path, case: Case, force: bool) -> 
 
     ``wanted`` is a file, or ``auto``: the newest readable one in the run directory. ``force``
     accepts one of another configuration.
+
+    Raises:
+        InputError: It is of another configuration, or the file cannot be read.
     """
 
     def choose() -> Path | None:
@@ -201,7 +204,11 @@ class CheckpointWriter:
         self._saved, self._when = 0, clock.monotonic()
 
     def resume(self) -> int:
-        """Restore the checkpoint, if there is one; returns its stage; collective."""
+        """Restore the checkpoint, if there is one; returns its stage; collective.
+
+        Raises:
+            InputError: It is of another mesh, or of other unknowns.
+        """
         if (found := self._found) is None:
             return 0
         header = found.header

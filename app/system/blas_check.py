@@ -22,7 +22,11 @@ ROUNDING = 1e-10
 
 
 def check(comm: MPI.Comm) -> None:
-    """Refuse a BLAS whose known results are wrong on any rank; collective."""
+    """Compute known results; collective.
+
+    Raises:
+        EnvironmentProblem: A result is wrong, on any rank.
+    """
     for found in comm.allgather(problem()):
         if found is not None:
             raise found

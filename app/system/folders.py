@@ -92,6 +92,9 @@ def prepare_run(folder: Path, force: bool) -> None:
 
     Nothing is written into it: under MPI every rank comes here before the first collective call,
     and all have to see the same.
+
+    Raises:
+        InputError: It is a file, not empty or not writable.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -114,7 +117,11 @@ def prepare_run(folder: Path, force: bool) -> None:
 
 @contextmanager
 def claim(folder: Path) -> Iterator[None]:
-    """Lock a folder of results, if no other run has, for the block or until this process ends."""
+    """Lock a folder of results for the block; the end of this process frees it too.
+
+    Raises:
+        InputError: Another run has locked it.
+    """
     try:
         held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except OSError as error:

@@ -141,6 +141,9 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     Returns:
         The exit code of the first rank that failed, 0 if none did; 5 where they were stopped before
         they listened to signals, 130 where a second signal ended them, 70 where one crashed.
+
+    Raises:
+        EnvironmentProblem: There is no mpirun.
     """
     mpirun = shutil.which("mpirun")
     if mpirun is None:
