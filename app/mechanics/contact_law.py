@@ -315,7 +315,7 @@ class PointLaw:
         out.status[here] = status[on]
         told["dissipated"][rows] += np.where(rubs, np.einsum("pi,pi->p", friction, slid), 0.0)
         told["slip"][here] = (inputs["jump"] + inputs["gap"])[on]
-        told["slip"][:] = self._own.tangential(told["slip"], out.pressures > 0)
+        told["slip"][here] = self._own.tangential(told["slip"], out.pressures > 0)[here]
         told["slip"][rows[status == OPEN]] = 0.0
 
     def _tie(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
