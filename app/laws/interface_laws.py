@@ -335,8 +335,8 @@ class Cohesive(InterfaceLaw):
 
     @property
     def form(self) -> Hashable:
-        """Its softening."""
-        return "cohesive", self.softening
+        """Softening, with friction or without."""
+        return "cohesive", self.softening, self.friction > 0
 
     @property
     def beside(self) -> Coulomb:

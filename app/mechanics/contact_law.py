@@ -115,7 +115,10 @@ class PointLaw:
         self.can_open = np.array([law.can_open for law in laws])[own.interface]
         self.frictional = np.array([law.friction > 0 for law in laws])[own.interface]
         self.slides = np.array([isinstance(law, Unilateral) for law in laws])[own.interface]
-        self._bonds = values.get("stiffness", np.zeros(len(own)))
+        if any(isinstance(law, Cohesive) for law in laws):
+            self._bonds, self._friction = values["stiffness"], values["friction_coefficient"]
+            # Components of a jump along the normals.
+            self._duals = np.linalg.pinv(own.normals).transpose(0, 2, 1)
         self.tied = np.zeros(len(own), dtype=bool)
         self._scale = 1.0
         self._softest = np.array([min(law.layer or (np.inf,)) for law in laws])[own.interface]
@@ -234,7 +237,7 @@ class PointLaw:
                 out.told[name][rows] = found[name]
             if beside is not None:
                 if law.friction > 0:
-                    known["μ"] = law.friction * out.told["share"][rows]
+                    known["μ"] = self._friction[rows] * out.told["share"][rows]
                 names = (*inputs, "μ") if law.friction > 0 else inputs
                 self._touch(rows, beside, {name: known[name] for name in names}, out)
         if self.tied.any():
@@ -246,7 +249,7 @@ class PointLaw:
     ) -> dict[str, Floats]:
         """Force of a bond, its derivative by the jump, and what it tells."""
         D, n = inputs["jump"] + inputs["gap"], self._own.normals[rows]
-        duals = np.linalg.pinv(n).transpose(0, 2, 1)
+        duals = self._duals[rows]
         a = np.einsum("pki,pi->pk", duals, D)
         opens = a > 0
         # Derivatives of what is pressed, opened and slid, each a part of the jump.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from mpi4py import MPI
 
 import numpy as np
@@ -21,30 +23,39 @@ class Points:
     """Points of a law, led along given jumps; forces are those of equilibrium with the law."""
 
     def __init__(
-        self, n: int, softening: str = "linear", faces: int = 1, μ: float = 0.0, free: float = 0.0
+        self,
+        n: int,
+        softening: str = "linear",
+        faces: int = 1,
+        μ: Sequence[float] = (0.0,),
+        free: float = 0.0,
     ) -> None:
         normals, tensors = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
         normals[:, :faces] = np.eye(3)[::-1][:faces]
         number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
-        interface, x, given = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.full(n, faces)
+        interface, x, given = np.arange(n) % len(μ), np.zeros((n, 3)), np.full(n, faces)
         own = OwnPoints(number, interface, x, sides, given, normals, np.ones(n), tensors)
-        law = Cohesive.model_validate(
-            {
-                "kind": "cohesive",
-                "friction_coefficient": μ,
-                "stiffness": f"{K} MPa/mm",
-                "tensile_strength": f"{N} MPa",
-                "shear_strength": f"{S} MPa",
-                "tensile_energy": f"{G_I} N/mm",
-                "shear_energy": f"{G_II} N/mm",
-                "mixing_exponent": ETA,
-                "softening": softening,
-                "unbonded": f"{100 * free} %",
-            }
-        )
+        laws = [
+            Cohesive.model_validate(
+                {
+                    "kind": "cohesive",
+                    "friction_coefficient": own_μ,
+                    "stiffness": f"{K} MPa/mm",
+                    "tensile_strength": f"{N} MPa",
+                    "shear_strength": f"{S} MPa",
+                    "tensile_energy": f"{G_I} N/mm",
+                    "shear_energy": f"{G_II} N/mm",
+                    "mixing_exponent": ETA,
+                    "softening": softening,
+                    "unbonded": f"{100 * free} %",
+                }
+            )
+            for own_μ in μ
+        ]
         self.law = PointLaw(MPI.COMM_SELF, own, Timing())
-        values = {name: np.full(n, float(v)) for name, v in law.values.items()}
-        self.law.begin([law], values, 1.0, tensors + 1e3 * np.eye(3))
+        every = [{k: float(v) for k, v in law.values.items()} for law in laws]
+        values = {k: np.array([own[k] for own in every])[interface] for k in every[0]}
+        self.law.begin(laws, values, 1.0, tensors + 1e3 * np.eye(3))
         self.state = ContactState.at_rest(np.zeros((n, 3)), HISTORY)
         self.force, self.work, self.spent = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
         self.least = 0.0
@@ -115,12 +126,14 @@ def test_crooked_paths_never_give_energy_back() -> None:
 
 def test_a_broken_point_rubs_and_an_unbonded_share_does_from_the_start() -> None:
     """Friction μ p of the broken share, and the rest of the bond in series with nothing."""
-    points = Points(2, μ=0.4, free=1.0)
+    points = Points(2, μ=(0.4,), free=1.0)
     pressed = np.tile([0.0, 0.0, -3.0], (2, 1))
     out = points.at(pressed, np.tile([0.5, 0.0, 0.0], (2, 1)))
     np.testing.assert_allclose(out.force[:, 0], 0.4 * 3.0, rtol=1e-9)
     np.testing.assert_allclose(out.told["dissipated"], 0.4 * 3.0 * (0.5 - 1.2 / 1000), rtol=1e-9)
-    share = Points(1, μ=0.4, free=0.25)
+    each = Points(2, μ=(0.4, 0.2), free=1.0).at(pressed, np.tile([0.5, 0.0, 0.0], (2, 1)))
+    np.testing.assert_allclose(each.force[:, 0], [0.4 * 3.0, 0.2 * 3.0], rtol=1e-9)
+    share = Points(1, μ=(0.4,), free=0.25)
     slid = share.at(pressed[:1], np.array([[1e-4, 0.0, 0.0]]))
     assert slid.force[0, 0] == pytest.approx(0.75 * K * 1e-4, abs=0.25 * 0.4 * 3.0 + 1e-9)
 
@@ -130,7 +143,7 @@ def test_a_broken_point_rubs_and_an_unbonded_share_does_from_the_start() -> None
 def test_both_slopes_are_derivatives(faces: int, softening: str) -> None:
     """Central differences at points that are whole, damaged, broken, open, stuck and sliding."""
     n, rng = 300, np.random.default_rng(faces)
-    points = Points(n, softening, faces, μ=0.4)
+    points = Points(n, softening, faces, μ=(0.4,))
     damage = np.where(np.arange(n) < 80, 0.0, rng.uniform(0, 1, n))
     points.state.own = {"damage": damage, "spent": 0.3 * damage}
     points.state.jump = 1e-3 * rng.normal(size=(n, 3))
