@@ -108,7 +108,7 @@ def creep_problems() -> Iterator[Check]:
     second = "stages.0={{name: hold, creep_time: 1 s, adaptive: false, increments: {n}}}"
     left = partial(number, name=_MISES, reference=(1e-3 + 3 * E * 1e-6) ** (-1 / 3))
     what = "stress of a held bar by Norton's law, n = 4, in equal steps [MPa], relative"
-    own, steps = (*held, second), (1 / 10, 1 / 20, 1 / 40, 1 / 80)
+    own, steps = (*held, second), (1 / 20, 1 / 40, 1 / 80, 1 / 160)
     yield ladder("creep_order", what, "creep_bar", left, 1e-3, own, steps, rung="step (s)")
     what = "stress of a held bar, by strain hardening [MPa], relative"
     relaxing = partial(number, name=_MISES, reference=relaxed(CEMENT, 10, 1e6))
