@@ -81,11 +81,6 @@ class Response:
         stored: Stored energy per area [N/mm]; None: none.
         dissipated: Energy per area that a step dissipates [N/mm]; None: of contact, friction; of a
             law without multiplier, none.
-        spent: Its part that breaks the interface, by which steps are controlled.
-        spent_by_jump: The derivative of that by the jump (3,) [MPa].
-        share: Share of the area where there is contact besides, with friction on that share; where
-            it is 0 there is none [-]. None: nowhere.
-        share_by_jump: Its derivative by the jump (3,) [1/mm].
         energy: Augmented Lagrangian per area [N/mm], with the starred force still frozen.
     """
 
@@ -98,10 +93,6 @@ class Response:
     slip: Expr | None = None
     stored: Expr | None = None
     dissipated: Expr | None = None
-    spent: Expr | None = None
-    spent_by_jump: Expr | None = None
-    share: Expr | None = None
-    share_by_jump: Expr | None = None
     energy: Expr | None = None
 
 

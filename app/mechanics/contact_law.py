@@ -27,7 +27,7 @@ from app.system.timing import Timing
 from forms import cohesion, contact
 from forms.contact import OPEN, SLIP, STICK
 
-# What a law may tell of a point, with its shape.
+# What a law may tell of a point, with its shape; the last four a bond that breaks.
 TOLD: dict[str, tuple[int, ...]] = {
     **{"slip": (3,), "stored": (), "dissipated": (), "spent": ()},
     **{"spent_by_jump": (3,), "share": (), "share_by_jump": (3,)},
@@ -345,8 +345,9 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
         found = law.response(
             AtPoint(*state, [x[f] for f in faces], x["r"], values, history, x["live"])
         )
-        slopes = ("force", "by_multiplier", "by_jump", "pressures", "status")
-        told = {name: getattr(found, name) for name in (*slopes, *TOLD)}
+        names = ("force", "by_multiplier", "by_jump", "pressures", "status")
+        more = ("slip", "stored", "dissipated")
+        told = {name: getattr(found, name) for name in (*names, *more)}
         told |= {f"new {name}": as_ufl(e) for name, e in found.history.items()}
         return {name: e for name, e in told.items() if e is not None}
 

@@ -12,7 +12,7 @@ two solutions with the same Jacobian J,
           δs = (\sum W w - E - g·a)/(g·b), \quad g = W \partial w/\partial x.
 
 A step begins where points are about to break further: else g is zero and J elastic. The first
-damage is therefore brought by a load step that spends no more than E.
+begins at an elastic state a little beyond the onset of damage (`overshoot`).
 """
 
 from __future__ import annotations
@@ -74,20 +74,26 @@ def overshoot(
     set_load(path[1])
     solver.run()
     contact.freeze(False)
-    end, low, high = solver.x.copy(), 0.0, 1.0
-    for _ in range(BISECTIONS):
+    end = solver.x.copy()
+
+    def at(part: float) -> float:
         end.copy(solver.x)
-        solver.x.axpby(1.0 - high, high, start)
-        solver.residual(solver.x)
-        if (found := spent(problem, solver)[0]) == 0.0:
-            return None
+        solver.x.axpby(1.0 - part, part, start)
+        solver.system.impose(solver.blocks())
+        return spent(problem, solver)[0]
+
+    low, high = 0.0, 1.0
+    if (found := at(high)) == 0.0:
+        return None
+    for _ in range(BISECTIONS):
         if found <= energy:
             break
         middle = (low + high) / 2
-        end.copy(solver.x)
-        solver.x.axpby(1.0 - middle, middle, start)
-        solver.residual(solver.x)
-        low, high = (middle, high) if spent(problem, solver)[0] == 0.0 else (low, middle)
+        if (more := at(middle)) == 0.0:
+            low = middle
+        else:
+            high, found = middle, more
+    at(high)
     return path[0] + high * (path[1] - path[0])
 
 

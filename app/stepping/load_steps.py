@@ -204,12 +204,12 @@ class LoadStepper:
                 predicted = predictors and not same(start, solver.x)
                 outcome = solve(solver)
                 self.total.count(outcome)
-                most = stage.fracture_step or math.inf
-                if outcome.converged and spent(problem, solver)[0] <= most:
+                most = stage.fracture_step
+                if outcome.converged and (most is None or spent(problem, solver)[0] <= most):
                     break
                 self.total.rejected += 1
                 start.copy(solver.x)
-                if most < math.inf:
+                if most is not None:
                     solver.augmentation = 1.0  # what that step needed is not for smaller ones
                     path = progress.done, reach
                     begun = overshoot(problem, solver, most, path, set_load)
