@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -139,7 +140,11 @@ class PointLaw:
             normals = own.normals[rows, :m]
             other = law.beside
             beside = None if other is None else _compile(self._comm, normals, other)
-            groups.append((rows, law, _compile(self._comm, normals, law), beside))
+            if isinstance(law, Cohesive):
+                compiled = _compile_bond(self._comm, len(rows), law)
+            else:
+                compiled = _compile(self._comm, normals, law)
+            groups.append((rows, law, compiled, beside))
         return groups
 
     # Stiffness of the trial force
@@ -337,8 +342,6 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     vectors = ["force", "jump", "gap", "old", "star", *faces]
 
     def build(x: dict[str, Expr]) -> dict[str, Expr]:
-        if isinstance(law, Cohesive):
-            return law.bond(x)
         values = {name: x[name] for name in law.values}
         history = {name: x[name] for name in law.history}
         state = (x["force"], x["jump"], x["gap"], x["old"], x["star"])
@@ -352,18 +355,24 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
         return {name: e for name, e in told.items() if e is not None}
 
     sizes = dict.fromkeys(vectors, 3) | dict.fromkeys((*law.values, "r", "live"), 1)
-    if isinstance(law, Cohesive):
-        sizes = dict.fromkeys((*law.values, "opened", "slid", "live"), 1)
     sizes |= {name: int(np.prod(shape)) for name, shape in law.history.items()}
-    module = sys.modules[type(law).__module__]
-    known = getattr(module, "__file__", None) is not None
-    note = pointwise.note_of(f"{law.form} {len(faces)}", (*SOURCES, module)) if known else None
+    note = _note(law, f"{law.form} {len(faces)}")
     compiled = Pointwise(comm, len(normals), sizes, build, note)
-    if isinstance(law, Cohesive):
-        return compiled
     constant: dict[str, Any] = {f: normals[:, k] for k, f in enumerate(faces)}
     compiled.set(**constant)
     return compiled
+
+
+def _compile_bond(comm: MPI.Comm, n: int, law: Cohesive) -> Pointwise:
+    """The damage of n points, whatever their faces."""
+    sizes = dict.fromkeys((*law.values, *law.history, "opened", "slid", "live"), 1)
+    return Pointwise(comm, n, sizes, law.bond, _note(law, str(law.form)))
+
+
+def _note(law: InterfaceLaw, key: str) -> Path | None:
+    module = sys.modules[type(law).__module__]
+    known = getattr(module, "__file__", None) is not None
+    return pointwise.note_of(key, (*SOURCES, module)) if known else None
 
 
 def _compliance(normals: Floats, faces: Ints, across: float, along: float) -> Floats:
