@@ -60,8 +60,9 @@ class Motion(Named):
         return np.array(self.rotation.course.at(ROTATIONS, s))
 
     def rotation_at(self, s: float, part: float = 1.0) -> Floats:
-        """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3): of `yxz` R_y(a_y) R_x(a_x) R_z(a_z).
+        """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3).
 
+        Of `yxz` it is R_y(a_y) R_x(a_x) R_z(a_z).
         ``x = about + R (X - about)``; the first letter is the outermost, its axis fixed in space.
         """
         import numpy as np
