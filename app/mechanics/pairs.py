@@ -137,8 +137,8 @@ class Surface:
     def deposit(self, points: Floats, values: Floats) -> Floats:
         """Sums at the nodes (n,) of values at points (p,), by the closest points."""
         facet, at, _ = self.closest(points)
-        shares = (at * values[:, None]).ravel()
-        return np.bincount(self.triangles[facet].ravel(), shares, len(self.x))
+        nodes, shares = self.triangles[facet].ravel(), (at * values[:, None]).ravel()
+        return np.asarray(np.bincount(nodes, shares, len(self.x)), dtype=np.float64)
 
     def sampled(self, density: Floats, quadrature: int = 12) -> tuple[Floats, Floats]:
         """Points on the facets (p, 3) and the part there of the integral of a density (n,) (p,).
@@ -181,13 +181,13 @@ def mortar(
     entries = dual[..., None] * shares.reshape(-1, q, 1, 3)
     rows = np.broadcast_to(triangles[:, None, :, None], entries.shape)
     columns = np.broadcast_to(master.triangles[facet].reshape(-1, q, 1, 3), entries.shape)
-    used = whole[rows]
-    others = np.flatnonzero(~whole)
+    used, others = whole[rows], np.flatnonzero(~whole)
     facet, shares, _ = master.closest(x[others])
     key = np.concatenate([rows[used], np.repeat(others, 3)]) * len(master.x)
     key += np.concatenate([columns[used], master.triangles[facet].ravel()])
     pair, entry = np.unique(key, return_inverse=True)
-    values = np.bincount(entry, np.concatenate([entries[used], shares.ravel()]), len(pair))
+    values: Floats = np.zeros(len(pair))
+    np.add.at(values, entry, np.concatenate([entries[used], shares.ravel()]))
     return Pairs(*np.divmod(pair, len(master.x)), values, covered, whole)
 
 
