@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
@@ -134,6 +135,11 @@ class Shape(Section):
     @property
     def interface_sides(self) -> dict[str, Sides]:
         """Regions on the two sides of each interface; none by default."""
+        return {}
+
+    @property
+    def faces(self) -> Mapping[str, tuple[str, str]]:
+        """Boundaries of the two sides of interfaces whose sides are meshed apart, by name."""
         return {}
 
     @property
