@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
@@ -138,8 +137,8 @@ class Shape(Section):
         return {}
 
     @property
-    def faces(self) -> Mapping[str, tuple[str, str]]:
-        """Boundaries of the two sides of interfaces whose sides are meshed apart, by name."""
+    def faces(self) -> dict[str, tuple[str, str]]:
+        """Boundaries of the two sides of each interface that is meshed apart; none by default."""
         return {}
 
     @property
