@@ -109,17 +109,15 @@ class HeadCup(Shape):
 
     @property
     def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
-        """Diameter of the head and thicknesses of the cup.
-
-        Chords of the two spheres of a layer cross if its thickness is below h^2 / (1.4 radius).
-        """
-        walls = {"liner_thickness": self.liner_thickness, "shell_thickness": self.shell_thickness}
-        walls = {key: thickness for key, thickness in walls.items() if thickness}
-        found = {
-            (key,): (thickness, math.sqrt(radius / thickness))
-            for (key, thickness), radius in zip(walls.items(), self.cup_radii, strict=False)
-        }
-        return {("head_diameter",): (self.head_diameter, ROUND), **found}
+        """Diameter of the head; thicknesses of the cup, where chords of two spheres may cross."""
+        found: dict[tuple[str | int, ...], tuple[float, float]]
+        found = {("head_diameter",): (self.head_diameter, ROUND)}
+        for key, radius in zip(
+            ("liner_thickness", "shell_thickness"), self.cup_radii[:-1], strict=False
+        ):
+            thickness = getattr(self, key)
+            found[(key,)] = thickness, math.sqrt(radius / thickness)
+        return found
 
     @property
     def interface_area(self) -> float:
