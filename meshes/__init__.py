@@ -97,7 +97,7 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
     return replace(data, notes=notes, behind=None)  # others may change the cells
 
 
-def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str]) -> None:
+def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str] = ()) -> None:
     """Require every region, boundary and interface; regions in ``whole`` must be connected.
 
     The sides of interfaces in ``apart`` share no facet.
