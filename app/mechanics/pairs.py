@@ -51,7 +51,7 @@ class Pairs(NamedTuple):
     mortar: Bools
 
 
-class Surface:
+class SmoothSurface:
     """Triangulated surface of a body that approximates a smooth one.
 
     Attributes:
@@ -152,7 +152,7 @@ class Surface:
 
 
 def mortar(
-    x: Floats, triangles: Ints, master: Surface, quadrature: int = 12, reach: float = np.inf
+    x: Floats, triangles: Ints, master: SmoothSurface, quadrature: int = 12, reach: float = np.inf
 ) -> Pairs:
     """Rows of Π.
 

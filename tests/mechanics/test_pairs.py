@@ -12,23 +12,25 @@ from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 
 from app.arrays import Floats
-from app.mechanics.pairs import Pairs, Surface, mortar, rule
+from app.mechanics.pairs import Pairs, SmoothSurface, mortar, rule
 
 R = 14.0
 TURN = Rotation.from_euler("yxz", (40, -25, 70), degrees=True).as_matrix()
 V = Rotation.random(2000, random_state=7).apply([0, 0, 1])
 
 
-def plane(parts: int, seed: int, up: int = 1, size: float = 20.0) -> Surface:
+def plane(parts: int, seed: int, up: int = 1, size: float = 20.0) -> SmoothSurface:
     """A square about the origin, inner nodes moved at random; outside is ``up``."""
     x = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, parts + 1)] * 2), -1).reshape(-1, 2)
     moved = np.random.default_rng(seed).uniform(-0.2, 0.2, x.shape) / parts
     x += np.where(np.abs(x) < 0.49, moved, 0.0)
     t = Delaunay(x).simplices
-    return Surface(np.pad(size * x, ((0, 0), (0, 1))), t, np.tile([0.0, 0.0, up], (len(t), 1)))
+    return SmoothSurface(
+        np.pad(size * x, ((0, 0), (0, 1))), t, np.tile([0.0, 0.0, up], (len(t), 1))
+    )
 
 
-def sphere(n: int, radius: float = R, out: int = 1, lowest: float = -1.0) -> Surface:
+def sphere(n: int, radius: float = R, out: int = 1, lowest: float = -1.0) -> SmoothSurface:
     """A sphere from a height on, nodes on a jittered spiral; the body is inside (1) or around."""
     k = np.arange(n) + 0.5
     z, φ = 1 - 2 * k / n, np.pi * (1 + np.sqrt(5)) * k
@@ -38,7 +40,7 @@ def sphere(n: int, radius: float = R, out: int = 1, lowest: float = -1.0) -> Sur
     t = ConvexHull(x).simplices
     used, kept = np.unique(t[(x[t, 2] >= lowest).all(axis=1)], return_inverse=True)
     x, t = radius * x[used], kept.reshape(-1, 3)
-    return Surface(x, t, out * x[t].mean(axis=1))
+    return SmoothSurface(x, t, out * x[t].mean(axis=1))
 
 
 def matrix(pairs: Pairs) -> Floats:
@@ -111,7 +113,7 @@ def test_smooth_gap_and_normals_are_those_of_the_sphere() -> None:
 def test_turned_together_the_pairs_stay() -> None:
     cup, ball = sphere(800, R + 0.1, out=-1, lowest=-0.1), sphere(600)
     x, t = ball.x @ TURN.T, ball.triangles
-    turned = Surface(x, t[:, [1, 0, 2]], x[t].mean(axis=1))
+    turned = SmoothSurface(x, t[:, [1, 0, 2]], x[t].mean(axis=1))
     first = matrix(mortar(cup.x, cup.triangles, ball))
     second = matrix(mortar(cup.x @ TURN.T, cup.triangles, turned))
     assert second == pytest.approx(first, abs=1e-11) and (np.abs(first) > 0.01).sum() > 2000
