@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pytest
 
 from app.arrays import Floats
-from app.mechanics.trial_state import TrialState
+from app.mechanics.contact import TrialState
 from app.numerics.newton import Solver
 from app.scene.scene import Scene, build_scene
 from app.simulation import model

@@ -26,9 +26,9 @@ import meshes
 from app.arrays import Floats
 from app.case import library
 from app.case.case import Case, load, plain
+from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
-from app.mechanics.trial_state import TrialState
 from app.numerics.newton import Solver
 from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples

@@ -17,100 +17,139 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from dolfinx import fem
 from pydantic_core import PydanticCustomError
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError
 from app.laws.values import amplitude, gap_at
-from app.mechanics.body_forms import BodyForms, assembled_matrix
+from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Constraints
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_points import ContactState, OwnPoints, prescribed_jump, refuse_supports
+from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.sliding import ACCURACY, Sliding
-from app.mechanics.trial_state import TrialState
-from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum, owners
+from app.numerics.sparse import owners
 from app.scene.bodies import Bodies, contact_facets
 from app.scene.frames import Frames, held_at
 from app.scene.scene import Scene
 from app.system.timing import Timing
-from meshes.contact_points import Entries, contact_points
+from forms.contact import OPEN, SLIP
+from meshes.contact_points import contact_points
 from meshes.distribute import TaggedMesh
 
+# A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
+CLOSED = 1e-6
 
-class JumpCoupling:
-    """Stiffness between jumps and displacement, reassembled when the stiffness changes.
+
+@dataclass(frozen=True)
+class TrialState:
+    """Contact at a trial state.
 
     Attributes:
-        jump_to_displacement: Matrices from jumps to displacements, by body.
-        C: Forces on the displacement by jumps.
-        D: Forces on jumps by jumps.
-        Ct: The transpose of C.
-
-    Args:
-        entries: Displacement of each body by all jumps.
-        number: Number of each contact point in the order of the ranks.
-        own: Number of contact points of this rank.
+        equilibrium: Residual e of equilibrium at own points (n, 3) [N].
+        jump: Jumps of own points (n, 3) [mm].
+        law: Forces by the laws, and their derivatives.
     """
 
-    def __init__(
-        self,
-        mechanics: BodyForms,
-        constraints: Constraints,
-        entries: Entries,
-        number: Ints,
-        own: int,
-    ) -> None:
-        comm, index_map = mechanics.mesh.comm, mechanics.space.dofmap.index_map
-        start, end = (3 * k for k in index_map.local_range)
-        self.jump_to_displacement: dict[int, PETSc.Mat] = {}
-        self._strips: dict[int, fem.Form] = {}
-        for body in map(int, np.unique(entries.body)):
-            here = entries.body == body
-            row, column, value = entries.row[here], entries.column[here], entries.value[here]
-            column = 3 * number[column // 3] + column % 3
-            local = (row >= start) & (row < end)
-            self.jump_to_displacement[body] = from_triplets(
-                comm, end - start, 3 * own, row[local] - start, column[local], value[local]
-            )
-            moved: Bools = np.isin(
-                np.concatenate([np.arange(start // 3, end // 3), index_map.ghosts]),
-                np.unique(row // 3),
-            )
-            self._strips[body] = mechanics.strip_stiffness(body, moved)
-        self.C, self.D, self.Ct = self._assembled(mechanics, constraints)
-        self._work = self.Ct.createVecLeft()
+    contact: ContactInterfaces
+    equilibrium: Floats
+    jump: Floats
+    law: PointForces
 
-    def _assembled(
-        self, mechanics: BodyForms, constraints: Constraints
-    ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
-        moves = self.jump_to_displacement
-        KB = {b: assembled_matrix(self._strips[b]).matMult(B) for b, B in moves.items()}
-        C = constraints.rows(matrix_sum(list(KB.values())))
-        D = matrix_sum([B.transposeMatMult(KB[b]) for b, B in moves.items()])
-        return C, D, C.copy().transpose()
+    def rubbing(self) -> tuple[Floats, Floats]:
+        """Friction [MPa] and slip [mm] of a step by the laws, each (n, 3).
 
-    def update(self, mechanics: BodyForms, constraints: Constraints) -> None:
-        """Reassemble, in the same matrices, for changed stiffness or supports."""
-        new = self._assembled(mechanics, constraints)
-        for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
-            values.copy(matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        Exactly zero where a point is open or sticks, whatever the solver's tolerance leaves.
+        """
+        c, law = self.contact, self.law
+        force = law.force + np.einsum("pk,pki->pi", law.pressures, c.own.normals)
+        missing = c.multiplier(self.equilibrium) - force
+        slip = self.jump - c.reference + missing / c.law.stiffness[:, None]
+        slides = (c.law.frictional & c.law.slides & (law.status == SLIP))[:, None]
+        closed = self._closed(slip)
+        force, slip = (np.where(slides, c.own.tangential(v, closed), 0.0) for v in (force, slip))
+        return force, slip
 
-    def equilibrium(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> Floats:
-        """Equilibrium e = C^T u + D q - f_q at own points (n, 3) [N]; -e is the force W F."""
-        self.Ct.mult(u, self._work)
-        self.D.multAdd(q, self._work, self._work)
-        return self._work.array.reshape(-1, 3) - f_q.reshape(-1, 3)
+    def _closed(self, step: Floats) -> Bools:
+        """Faces that are closed after a step (n, 3).
 
-    def local_stiffness(self) -> Floats:
-        """Stiffness of the jump of each own point with all else held (n, 3, 3) [N/mm]."""
-        return diagonal_blocks(self.D, 3)
+        At an edge the tangential direction is along it: a point that friction on one face holds
+        against another has a force across the edge too, but no slip there.
+        """
+        gap = np.einsum("pi,pki->pk", self.jump + self.contact.gap, self.contact.own.normals)
+        nearly = gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None]
+        return np.asarray((self.law.pressures > 0) | nearly)
+
+    def slip(self, friction: Floats) -> Floats:
+        """Irreversible tangential motion, under friction (n, 3) [MPa]: (n, 3) [mm].
+
+        That of contact, d_T of eq. 3 without what is elastic, is a state: it has no history. Large
+        slip is the sum of the steps.
+        """
+        c = self.contact
+        slid = self.sliding(self.jump - self._elastic(friction))
+        slip = np.where(c.law.slides[:, None], slid, self.law.told["slip"])
+        if c.large is not None:
+            rows = c.large.rows
+            slip[rows] = c.state.slip[rows] + self.sliding(self.jump - c.reference)[rows]
+        return slip
+
+    def _elastic(self, friction: Floats) -> Floats:
+        return np.einsum("pij,pj->pi", self.contact.law.compliance, friction)
+
+    def sliding(self, motion: Floats) -> Floats:
+        """Tangential part of a motion where points touch, 0 where they are open (n, 3) [mm]."""
+        touching = (self.contact.law.can_open & (self.law.status != OPEN))[:, None]
+        along = self.contact.own.tangential(motion, self._closed(motion))
+        return np.where(touching, along, 0.0)
+
+    def committed(self) -> ContactState:
+        """State of the points after a converged step: jump, tractions, path, dissipation.
+
+        A point that ends a step in contact slides by the tangential part of the step: the motion
+        for which the law computes its friction. What an open point moves is on no path.
+
+        Dissipation is the implicit sum, new friction times the step's slip, which the incremental
+        potential (eq. 55) makes non-negative at each point; the trapezoidal rule is negative when
+        friction reverses. Work is trapezoidal, so that the energy balance closes.
+
+        Contact without tension does no work in its total gap (jump and initial gap; a changing gap
+        does work in the jump), so ``contact_work`` is the error of load steps in which points close
+        or open. In it is the energy of a layer across, which is released when it opens.
+        """
+        c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.own.weight
+        step, opening = self.jump - c.reference, c.opening(self.jump)
+        force = c.forces(self.equilibrium)
+        normal = np.einsum("pk,pki->pi", law.pressures, c.own.normals)
+        friction = force + normal
+        told, slip = law.told, self.slip(friction)
+        rubbed = np.einsum("pi,pi->p", *self.rubbing())
+        dissipated = weight * (told["dissipated"] + rubbed)
+        soft = np.einsum("pi,pij,pj->p", force, c.law.compliance, force) / 2
+        slid = self.sliding(step - self._elastic(friction - old.friction))
+        slid = np.where(c.law.slides[:, None], slid, slip - old.slip)
+        pushed = np.einsum("pi,pi->p", old.force - old.friction - normal, opening - old.opening) / 2
+        return ContactState(
+            jump=self.jump.copy(),
+            force=force,
+            friction=friction,
+            opening=opening,
+            slip=slip,
+            path=old.path + np.linalg.norm(slid, axis=1),
+            stored=weight * (told["stored"] + soft),
+            dissipation=old.dissipation + dissipated,
+            least=np.minimum(old.least, dissipated),
+            contact_work=old.contact_work + weight * pushed,
+            work=old.work
+            + weight * np.einsum("pi,pi->p", (force + old.force) / 2, self.jump - old.jump),
+            own=law.history,
+        )
 
 
 class ContactInterfaces:

@@ -16,13 +16,12 @@ from dolfinx import fem
 from app.arrays import Floats, Ints
 from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.contact import ContactInterfaces
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.creep import CreepState
 from app.mechanics.external_forces import Forces
 from app.mechanics.stiffness import Stiffness, rounding
 from app.mechanics.stress_history import StressHistory
 from app.mechanics.thermal_strain import ThermalStrain
-from app.mechanics.trial_state import TrialState
 from app.numerics.saved_state import node_keys
 from app.scene.bodies import bodies_of
 from app.scene.scene import Scene

@@ -13,9 +13,8 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.mechanics.coarse_space import free_directions, sliding_motions
-from app.mechanics.contact import ContactInterfaces
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
-from app.mechanics.trial_state import TrialState
 from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options

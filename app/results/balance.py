@@ -28,8 +28,8 @@ from app.arrays import Floats
 from app.laws.materials import Elastic
 from app.laws.values import amplitude
 from app.mechanics.body_forms import assembled_vector
+from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
-from app.mechanics.trial_state import TrialState
 from forms import elasticity, loads
 
 # Rounding of the assembled forces in units of the scale, whose hundredfold is still balanced.

@@ -25,8 +25,8 @@ import numpy as np
 
 from app.arrays import Bools, Floats, Ints
 from app.case.case import Case
+from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
-from app.mechanics.trial_state import TrialState
 from app.results.interface_numbers import divided
 from app.results.percentiles import percentile
 from app.results.stresses import Stresses

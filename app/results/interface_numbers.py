@@ -20,9 +20,8 @@ import numpy as np
 from app.arrays import Bools, Floats, Ints
 from app.case.quantities import TABLE, computed
 from app.laws.interface_laws import Cohesive
-from app.mechanics.contact import ContactInterfaces
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
-from app.mechanics.trial_state import TrialState
 from app.results.cycles import OF_CYCLES
 from app.results.damage import BROKEN, zone
 from app.results.percentiles import SurfaceField

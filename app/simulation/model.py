@@ -18,10 +18,10 @@ from app.case.case import Case
 from app.errors import on_root
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
+from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Predictor, WarmStart
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
-from app.mechanics.trial_state import TrialState
 from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results.balance import Balance

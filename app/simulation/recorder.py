@@ -17,7 +17,7 @@ from app.case.quantities import TABLE
 from app.case.section_loads import section_loads
 from app.errors import StoppedError
 from app.heat.nodes import Probes
-from app.mechanics.trial_state import TrialState
+from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
 from app.results.cycles import Cycles

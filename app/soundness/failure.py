@@ -23,9 +23,8 @@ import numpy as np
 
 from app.arrays import Floats
 from app.errors import Reason
-from app.mechanics.contact import ContactInterfaces
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
-from app.mechanics.trial_state import TrialState
 from app.numerics.newton import ActiveSet, NewtonResult, Solver
 from app.numerics.rigid_motions import describe, rigid_modes
 from app.soundness import loose_bodies

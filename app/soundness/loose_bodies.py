@@ -26,9 +26,8 @@ from meshes.contact_facets import spread_of_normals
 from meshes.pieces import Parts, Piece
 
 if TYPE_CHECKING:  # dolfinx, which checks of a case do without
-    from app.mechanics.contact import ContactInterfaces
+    from app.mechanics.contact import ContactInterfaces, TrialState
     from app.mechanics.problem import Problem
-    from app.mechanics.trial_state import TrialState
 
 # A motion is free if its resistance is below this part of the largest. Contact without friction
 # barely resists a motion that it is sloped against by less than so many degrees in the mean, or

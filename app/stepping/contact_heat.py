@@ -27,11 +27,10 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.heat.operators import HeatOperators
-from app.mechanics.contact import ContactInterfaces
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.contact_law import PointForces
 from app.mechanics.problem import Problem
 from app.mechanics.stiffness import ROUNDING
-from app.mechanics.trial_state import TrialState
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import contact_facets
 from app.scene.scene import Scene

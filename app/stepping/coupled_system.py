@@ -17,9 +17,9 @@ import numpy as np
 
 from app.arrays import Floats
 from app.heat.implicit_step import ImplicitStep
+from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.mechanics.systems import ContactSystem
-from app.mechanics.trial_state import TrialState
 from app.numerics.preconditioners import INTERFACE, Options
 from app.numerics.sparse import from_triplets, matrix_sum
 from app.numerics.system import Measure

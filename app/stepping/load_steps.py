@@ -15,9 +15,9 @@ from typing import ClassVar
 from petsc4py import PETSc
 
 from app.errors import ConvergenceError, Reason
+from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Extrapolation, Predictor, same
 from app.mechanics.problem import Problem
-from app.mechanics.trial_state import TrialState
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.scene import Stage

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from app.errors import GeometryError, MantleError, StoppedError
-from app.mechanics.trial_state import TrialState
+from app.mechanics.contact import TrialState
 from app.numerics import remedies
 from app.numerics.newton import NewtonResult, Solver
 from app.simulation import model as models

@@ -13,7 +13,7 @@ import pytest
 from app.arrays import Floats
 from app.case.case import Case, dump, load
 from app.errors import InputError
-from app.mechanics.trial_state import TrialState
+from app.mechanics.contact import TrialState
 from app.results.interface_numbers import ContactSamples
 from app.simulation.model import Model
 from app.stepping.load_steps import LoadStep

@@ -11,8 +11,7 @@ import pytest
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
-from app.mechanics.contact import ContactInterfaces
-from app.mechanics.trial_state import TrialState
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.stepping.load_steps import LoadStep, LoadStepper
 from app.stepping.stages import run_stages
 from meshes.distribute import TaggedMesh
