@@ -16,6 +16,7 @@ from dolfinx import fem, la
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError, everywhere
+from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import from_rows
 from app.scene.bodies import Bodies, boundary_facets, cell_tags
@@ -27,6 +28,8 @@ from meshes.distribute import TaggedMesh
 # A motion of a rigid region is constrained if its supports resist it by more than this fraction of
 # the motion they resist most.
 _HELD = 1e-9
+# In place of a rigid region: nodes that follow others.
+FOLLOWS = -2
 
 
 def _support_of_dofs(
@@ -94,6 +97,7 @@ class Constraints:
 
     Attributes:
         transforms: Whether P is not the identity.
+        follows: Whether its pattern changes as surfaces slide far on each other.
         constrained: Own unknowns that supports hold (n,).
         unit: Values of the own unknowns by each support at full amplitude (s, n).
         reacting: Own nodal components through which supports act (3 own nodes,).
@@ -111,13 +115,18 @@ class Constraints:
         space: fem.FunctionSpace,
         stage: int,
         frames: Frames | None,
+        followers: Followers | None = None,
     ) -> None:
         own = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
         self._bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None
-        self.transforms = bool(scene.rigid or frames)
+        self._P0: PETSc.Mat | None = None
+        self._followers, self.follows = followers, followers is not None
+        self.transforms = bool(scene.rigid or frames or followers)
         if self.transforms:
             self._transform(scene, tagged, space, own, frames)
+            self._P0 = self._P
+            self.follow()
             return
         self.constrained: Bools = own.ravel() >= 0
         prescribed = _prescribed_values(scene, space, own, None)
@@ -142,17 +151,21 @@ class Constraints:
             cells = np.flatnonzero(cell_tags(tagged) == tagged.regions[body.region])
             region[touched_nodes(space, cells)[:nodes]] = k
             for c in scene.contacts:
-                if c.between and body.region in c.master:
+                if c.between and c.master == (body.region,):
                     # Points that slide far over it: it moves them, and their jumps.
                     f = boundary_facets(tagged, c.between[1]).facets.astype(np.int32)
                     there = fem.locate_dofs_topological(space, 2, f)
                     region[there[there < nodes]] = k
-        free = np.flatnonzero(region < 0)
+        if self._followers:
+            low, high = space.dofmap.index_map.local_range
+            follow = self._followers.following
+            region[follow[(follow >= low) & (follow < high)] - low] = FOLLOWS
+        free = np.flatnonzero(region == -1)
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         turned = np.zeros(nodes, dtype=bool)
         if frames:
             rows, places = frames.own(space.dofmap.index_map)
-            axes[rows], turned[rows] = frames.axes[places], region[rows] < 0
+            axes[rows], turned[rows] = frames.axes[places], region[rows] == -1
         n = 3 * len(free) + (6 * len(scene.rigid) if comm.rank == 0 else 0)
         start, tail = comm.exscan(n) or 0, comm.bcast(3 * len(free))
         self.constrained = np.zeros(n, dtype=bool)
@@ -160,7 +173,7 @@ class Constraints:
         prescribed = _prescribed_values(scene, space, own, axes)
         self.unit = np.zeros((len(prescribed), n))
         self.unit[:, : 3 * len(free)] = prescribed[:, free].reshape(len(prescribed), 3 * len(free))
-        reacting = (own >= 0) & (region < 0)[:, None]
+        reacting = (own >= 0) & (region == -1)[:, None]
         reacting[turned] = reacting[turned].any(axis=1, keepdims=True)
         self.modes = np.zeros((6, n))
         modes = axes[free].swapaxes(1, 2) @ rigid_modes(x[free])
@@ -232,6 +245,11 @@ class Constraints:
             self.modes[:, place : place + 6] = (basis.T @ whole).T
         return local @ basis, rank
 
+    def follow(self) -> None:
+        """Let nodes follow the current pairs of their surfaces; collective."""
+        if self._followers:
+            self._P = self._followers.matrix().matMult(self._P0)
+
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
         """P^T K P."""
         return K.ptap(self._P) if self._P else K
@@ -261,17 +279,18 @@ class Constraints:
     def contract(self, nodal: PETSc.Vec) -> PETSc.Vec:
         """Find ũ from U = P ũ by the normal equations; collective.
 
-        P^T P is the identity but for a 6 x 6 block on rank 0 per rigid region, which block Jacobi
-        solves exactly.
+        Nodes that follow others do not count: P^T P is the identity then but for a 6 x 6 block on
+        rank 0 per rigid region, which block Jacobi solves exactly.
         """
-        if not self._P:
+        if not (P := self._P0):
             return nodal.copy()
-        solver = PETSc.KSP().create(self._P.comm)
-        solver.setOperators(self._P.transposeMatMult(self._P))
+        solver = PETSc.KSP().create(P.comm)
+        solver.setOperators(P.transposeMatMult(P))
         solver.setType("preonly")
         solver.getPC().setType("bjacobi")
-        u = self._P.createVecRight()
-        solver.solve(self.vector(nodal), u)
+        u, right = P.createVecRight(), P.createVecRight()
+        P.multTranspose(nodal, right)
+        solver.solve(right, u)
         return u
 
 

@@ -32,6 +32,7 @@ from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Constraints
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_points import ContactState, OwnPoints, prescribed_jump, refuse_supports
+from app.mechanics.followers import Followers
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.sliding import ACCURACY, Sliding
 from app.numerics.sparse import owners
@@ -147,7 +148,7 @@ class TrialState:
             least=np.minimum(old.least, dissipated),
             contact_work=old.contact_work + weight * pushed,
             work=old.work
-            + weight * np.einsum("pi,pi->p", (force + old.force) / 2, self.jump - old.jump),
+            + weight * np.einsum("pi,pi->p", (force + old.force) / 2, self.jump - c.carried),
             own=law.history,
         )
 
@@ -165,6 +166,7 @@ class ContactInterfaces:
         state: Their committed state.
         gap: Initial gap at the current time (n, 3) [mm].
         large: Points that slide far, if any.
+        carried: Committed jumps, with the pairs of now (n, 3) [mm].
         reference: Jumps at which nothing has slid since the last committed step (n, 3) [mm].
         prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
         linear_about: Forces (n, 3) [MPa] about which the laws are linearized; None: about none.
@@ -186,6 +188,7 @@ class ContactInterfaces:
         frames: Frames | None,
         augmentation_factor: float,
         timing: Timing,
+        followers: Followers | None = None,
     ) -> None:
         self._supports = scene.supports
         self.comm = tagged.mesh.comm
@@ -203,7 +206,8 @@ class ContactInterfaces:
         ]
         self.coupling = JumpCoupling(mechanics, constraints, entries, number, len(rows))
         far = any(c.between for c in scene.contacts)
-        self.large = Sliding(scene, tagged, space, self.own) if far else None
+        sliding = scene, tagged, space, self.own, self.points.dof[rows], followers
+        self.large = Sliding(*sliding) if far else None
         self.law = PointLaw(self.comm, self.own, timing)
         self.begin(scene, augmentation_factor)
 
@@ -233,6 +237,7 @@ class ContactInterfaces:
             self.large.begin(scene)
         self._committed = 0.0
         self.state: ContactState = ContactState.at_rest(self.own.x * 0.0, self.law.history)
+        self.carried = self.state.jump
         self.set_time(0.0)
         self.state.opening = self.opening(self.state.jump)
 
@@ -282,14 +287,14 @@ class ContactInterfaces:
 
     def commit(self, state: ContactState, time: float) -> None:
         """Set the committed state, and its time."""
-        self.state, self._committed = state, time
+        self.state, self._committed, self.carried = state, time, state.jump
         if self.large is not None:
             self.large.set_time(time, time)
 
     @property
     def reference(self) -> Floats:
         """Jumps at which nothing has slid since the last committed step (n, 3) [mm]."""
-        return self.state.jump if self.large is None else self.large.reference(self.state.jump)
+        return self.carried if self.large is None else self.large.reference(self.carried)
 
     def opening(self, jump: Floats) -> Floats:
         """Jumps (n, 3) with the initial gap; where points slide far along the normal alone."""

@@ -19,6 +19,7 @@ from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.creep import CreepState
 from app.mechanics.external_forces import Forces
+from app.mechanics.followers import Followers
 from app.mechanics.stiffness import Stiffness, rounding
 from app.mechanics.stress_history import StressHistory
 from app.mechanics.thermal_strain import ThermalStrain
@@ -76,10 +77,15 @@ class Problem:
             else None
         )
         parts = scene, tagged, self.bodies, self.mechanics
-        self.stiffness: Stiffness = Stiffness(*parts, like.stiffness if like else None)
+        soft = {i: c for i, c in enumerate(scene.contacts) if c.between and not scene.is_rigid(c)}
+        self.followers = Followers(soft, tagged, self.space) if soft else None
+        shared = like.stiffness if like else None
+        self.stiffness: Stiffness = Stiffness(*parts, shared, self.followers)
         constraints, frames = self.stiffness.constraints, self.stiffness.frames
         self.contact = (
-            ContactInterfaces(*parts, constraints, frames, augmentation_factor, timing)
+            ContactInterfaces(
+                *parts, constraints, frames, augmentation_factor, timing, self.followers
+            )
             if scene.contacts
             else None
         )
@@ -91,6 +97,8 @@ class Problem:
         self.thermal_strain = (
             ThermalStrain(scene, self.mechanics, self.bodies) if self.mechanics.swelling else None
         )
+        nodes = self.space.dofmap.index_map.size_local
+        self._committed: Floats = np.zeros((nodes, 3))
         self.set_time(0.0)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
@@ -166,14 +174,18 @@ class Problem:
         """Set loads, supports and gaps to a time; the state itself is unchanged."""
         self.time, time = time, self.scene.load_time(time)
         self.load_time = time
+        if self.contact:
+            self.contact.set_time(time)
+            self._follow_pairs()
+        self._set_forces(time)
+
+    def _set_forces(self, time: float) -> None:
         action = self.forces.at(time)
         nodal = PETSc.Vec().createWithArray(action.nodal, comm=self.comm)
         self.f, self.f_q = self.stiffness.constraints.vector(nodal), action.jump
         self.load_size = float(self.f.norm())
         amplitudes = [amplitude(s.history, time) for s in self.scene.supports]
         self.prescribed = self.stiffness.prescribed(self.f, amplitudes)
-        if self.contact:
-            self.contact.set_time(time)
         self.mechanics.set_amplitudes(
             {
                 (e.region, k): amplitude(s.history, time)
@@ -241,7 +253,55 @@ class Problem:
 
     def pair(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
         """Pair points that slide far anew, if their gaps are wrong in a state; collective."""
-        return self.contact is not None and self.contact.pair(self.trial(u, q))
+        if self.contact is None or not self.contact.large:
+            return False
+        trial = self.trial(u, q)
+        self.update_displacements(u, q)
+        nodal = self._by_body() if self.followers else None
+        if not self.contact.pair(trial):
+            return False
+        if nodal is not None:
+            self._follow_pairs()
+            self._set_forces(self.load_time)
+            self._express(nodal, u, q)
+        return True
+
+    def _follow_pairs(self) -> None:
+        """Let nodes follow the surfaces that they are paired with now; collective."""
+        if not (self.followers and self.followers.changed):
+            return
+        constraints = self.stiffness.constraints
+        constraints.follow()
+        self.stiffness.update()
+        self.contact.coupling.update(self.mechanics, constraints)
+        u, q = self.stiffness.K.createVecRight(), self.contact.coupling.D.createVecRight()
+        q.array[:] = self.contact.state.jump.ravel()
+        self._express(self._committed, u, q)
+        self.contact.carried = q.array.reshape(-1, 3).copy()
+
+    def carry(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
+        """Start from the committed displacements, whatever surfaces face each other now."""
+        if self.followers and q is not None:
+            self._express(self._committed, u, q)
+
+    def _by_body(self) -> Floats:
+        """Displacement of own nodes, each as its body moves (nodes, 3) [mm]."""
+        nodes = self.space.dofmap.index_map.size_local
+        found = self.u.x.array[: 3 * nodes].reshape(-1, 3).copy()
+        for i, dofs in self.followers.own_slaves().items():
+            slave = self.bodies.of_region[self.scene.contacts[i].slave[0]]
+            found[dofs] = self.moved[slave].x.array.reshape(-1, 3)[dofs]
+        return found
+
+    def _express(self, nodal: Floats, u: PETSc.Vec, q: PETSc.Vec) -> None:
+        """Set unknowns and jumps to displacements of own nodes (nodes, 3) [mm]; collective."""
+        constraints = self.stiffness.constraints
+        constraints.contract(PETSc.Vec().createWithArray(nodal.ravel(), comm=self.comm)).copy(u)
+        apart = nodal - constraints.expand(u).array.reshape(-1, 3)
+        contact = self.contact
+        assert contact is not None and contact.large is not None
+        rows, low = contact.large.rows, self.space.dofmap.index_map.local_range[0]
+        q.array.reshape(-1, 3)[rows] = apart[contact.points.dof[contact.own.rows[rows]] - low]
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
@@ -295,5 +355,7 @@ class Problem:
         """Commit a converged state, after `update_displacements`."""
         if trial is not None:
             trial.contact.commit(trial.committed(), self.time)
+            if self.followers:
+                self._committed = self._by_body()
         if self.history:
             self.history.commit(self.displacements())

@@ -133,6 +133,10 @@ class Scene:
             return float(self.load_cases[-1] + 1)
         return k + self.stages[k].reached(time - k)
 
+    def is_rigid(self, interface: Interface) -> bool:
+        """Whether the master of an interface is a rigid region."""
+        return any(r.region in interface.master for r in self.rigid)
+
     def motion_of(self, regions: Sequence[str]) -> Motion | None:
         """The motion of some of the regions, if there is one."""
         return next((m for m in self.motions if m.region in regions), None)
