@@ -22,6 +22,12 @@ def law_between(case: Case, found: Parts, pieces: tuple[int, int]) -> tuple[str,
     return "", None
 
 
+def faces_of(case: Case) -> dict[str, tuple[str, str]]:
+    """Boundaries of the two sides of each interface that slides far, by name."""
+    finite = {n: w for n, w in case.interfaces.items() if getattr(w, "sliding", "") == "finite"}
+    return {n: law.between or case.geometry.faces[n] for n, law in finite.items()}
+
+
 def groups_of(case: Case, found: Parts) -> list[list[int]]:
     """Pieces that move together: bonded to each other, or of one region and joined."""
     laws = [(t.pieces, law_between(case, found, t.pieces)[1]) for t in found.touches]
