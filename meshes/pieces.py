@@ -172,8 +172,8 @@ def parts(
         pieces.append(Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, part))
     rows = np.flatnonzero(mine < other)
     touches = _touches(data.points, faces[rows], mine[rows], other[rows])
-    for names in (apart or {}).values():
-        sides = [np.isin(data.facet_tags, data.boundaries.get(name, ())) for name in names]
+    for two in (apart or {}).values():
+        sides = [np.isin(data.facet_tags, data.boundaries.get(name, ())) for name in two]
         small, large = sorted(sides, key=lambda on: facet_areas(data.points, data.facets[on]).sum())
         if small.any():
             second = np.full(small.sum(), piece_of_facet[large][0])

@@ -124,8 +124,10 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
         words = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
         style = {"ls": "--" if law.kind == "bonded" else "-", "lw": 2.2, "colors": colour}
         shared = data.points[interface_facets(data, name)[0][:, :3]]
-        facets = [shared, *(_boundary(data, face) for face in faces.get(name, ()))]
-        view.lines(np.concatenate(facets), label=f"{name.replace('_', '-')}: {words}", **style)
+        apart = (_boundary(data, face) for face in faces.get(name, ()))
+        view.lines(
+            np.concatenate([shared, *apart]), label=f"{name.replace('_', '-')}: {words}", **style
+        )
     parts: list[Any] = [("support", SUPPORT, *item) for item in case.supports.items()]
     for word, colour, name, part in parts + [("heat", HEAT, *item) for item in case.heat.items()]:
         facets = _boundary(data, getattr(part, "boundary", ""))

@@ -9,6 +9,7 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
+from app.laws.interface_laws import Coulomb
 from app.laws.values import field
 from meshes.pieces import Parts
 
@@ -24,8 +25,11 @@ def law_between(case: Case, found: Parts, pieces: tuple[int, int]) -> tuple[str,
 
 def faces_of(case: Case) -> dict[str, tuple[str, str]]:
     """Boundaries of the two sides of each interface that slides far, by name."""
-    finite = {n: w for n, w in case.interfaces.items() if getattr(w, "sliding", "") == "finite"}
-    return {n: law.between or case.geometry.faces[n] for n, law in finite.items()}
+    return {
+        name: law.between or case.geometry.faces[name]
+        for name, law in case.interfaces.items()
+        if isinstance(law, Coulomb) and law.sliding == "finite"
+    }
 
 
 def groups_of(case: Case, found: Parts) -> list[list[int]]:
