@@ -59,16 +59,17 @@ class Motion(Named):
 
         return np.array(self.rotation.course.at(ROTATIONS, s))
 
-    def rotation_at(self, s: float) -> Floats:
-        """Rotation at a part of a cycle from 0 to 1 (3, 3): of `yxz` R_y(a_y) R_x(a_x) R_z(a_z).
+    def rotation_at(self, s: float, part: float = 1.0) -> Floats:
+        """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3).
 
+        Of `yxz` it is R_y(a_y) R_x(a_x) R_z(a_z).
         ``x = about + R (X - about)``; the first letter is the outermost, its axis fixed in space.
         """
         import numpy as np
 
         R = np.eye(3)
         for axis in self.rotation.axes:
-            k, angle = "xyz".index(axis), self.angles_at(s)["xyz".index(axis)]
+            k, angle = "xyz".index(axis), part * self.angles_at(s)["xyz".index(axis)]
             i, j = (k + 1) % 3, (k + 2) % 3
             turn = np.eye(3)
             turn[[i, j], [i, j]] = math.cos(angle)

@@ -71,7 +71,7 @@ class SmoothSurface:
         self.x, self.triangles = x, np.where(inverse[:, None], triangles[:, ::-1], triangles)
         vectors = _area_vectors(x[self.triangles])
         self._area = np.linalg.norm(vectors, axis=1)
-        self.areas = np.bincount(triangles.ravel(), np.repeat(self._area / 3, 3), len(x))
+        self.areas = _sums(triangles, np.repeat(self._area / 3, 3), len(x))
         near = cKDTree(x).query(x, min(NEIGHBOURS + 1, len(x)))[1][:, 1:]
         self.normals = _fitted_normals(x, self.triangles, vectors, near)
         centres = x[triangles].mean(axis=1)
@@ -137,8 +137,7 @@ class SmoothSurface:
     def deposit(self, points: Floats, values: Floats) -> Floats:
         """Sums at the nodes (n,) of values at points (p,), by the closest points."""
         facet, at, _ = self.closest(points)
-        nodes, shares = self.triangles[facet].ravel(), (at * values[:, None]).ravel()
-        return np.asarray(np.bincount(nodes, shares, len(self.x)), dtype=np.float64)
+        return _sums(self.triangles[facet], at * values[:, None], len(self.x))
 
     def sampled(self, density: Floats, quadrature: int = 12) -> tuple[Floats, Floats]:
         """Points on the facets (p, 3) and the part there of the integral of a density (n,) (p,).
@@ -169,12 +168,12 @@ def mortar(
     at, weight = rule(quadrature)
     vectors = _area_vectors(x[triangles])
     area, n, q = np.linalg.norm(vectors, axis=1), len(x), len(weight)
-    W = np.bincount(triangles.ravel(), np.repeat(area / 3, 3), n)
+    W = _sums(triangles, np.repeat(area / 3, 3), n)
     points = np.einsum("qk,fki->fqi", at, x[triangles]).reshape(-1, 3)
     facet, shares, distance = master.closest(points)
     faces = master.faces(points, np.repeat(_unit(vectors), q, axis=0), facet, shares)
     here = np.einsum("f,q,qk,fq->fk", area, weight, at, faces.reshape(-1, q))
-    covered = np.bincount(triangles.ravel(), here.ravel(), n) / W
+    covered = _sums(triangles, here, n) / W
     near = (faces & (np.abs(distance) <= reach)).reshape(-1, q).all(axis=1)
     whole = ~np.isin(np.arange(n), triangles[~near])
     dual = np.einsum("f,q,qk->fqk", area, weight, 4 * at - 1) / W[triangles][:, None]
@@ -186,8 +185,7 @@ def mortar(
     key = np.concatenate([rows[used], np.repeat(others, 3)]) * len(master.x)
     key += np.concatenate([columns[used], master.triangles[facet].ravel()])
     pair, entry = np.unique(key, return_inverse=True)
-    values: Floats = np.zeros(len(pair))
-    np.add.at(values, entry, np.concatenate([entries[used], shares.ravel()]))
+    values = _sums(entry, np.concatenate([entries[used], shares.ravel()]), len(pair))
     return Pairs(*np.divmod(pair, len(master.x)), values, covered, whole)
 
 
@@ -206,11 +204,8 @@ def rule(points: int) -> tuple[Floats, Floats]:
 
 
 def _fitted_normals(x: Floats, triangles: Ints, vectors: Floats, near: Ints) -> Floats:
-    """Unit normals at nodes (n, 3) of paraboloids through them, fitted to their neighbours.
-
-    ``vectors`` are the facets' normals, as long as areas (f, 3), ``near`` the neighbours (n, k).
-    """
-    n = _unit(np.stack([np.bincount(triangles.ravel(), np.repeat(v, 3)) for v in vectors.T], 1))
+    """Unit normals (n, 3) at nodes of paraboloids through them, fitted to near ones (n, k)."""
+    n = _unit(np.stack([_sums(triangles, np.repeat(v, 3), len(x)) for v in vectors.T], 1))
     axes = np.linalg.svd(n[:, None])[2][:, 1:]  # two tangents of each node
     away = x[near] - x[:, None]
     away /= np.linalg.norm(away, axis=2).max(axis=1)[:, None, None]
@@ -228,3 +223,8 @@ def _area_vectors(corners: Floats) -> Floats:
 
 def _unit(vectors: Floats) -> Floats:
     return vectors / np.linalg.norm(vectors, axis=1)[:, None]
+
+
+def _sums(at: Ints, values: Floats, n: int) -> Floats:
+    """Sums (n,) of values by place."""
+    return np.bincount(at.ravel(), values.ravel(), n).astype(np.float64)

@@ -24,10 +24,8 @@ def plane(parts: int, seed: int, up: int = 1, size: float = 20.0) -> SmoothSurfa
     x = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, parts + 1)] * 2), -1).reshape(-1, 2)
     moved = np.random.default_rng(seed).uniform(-0.2, 0.2, x.shape) / parts
     x += np.where(np.abs(x) < 0.49, moved, 0.0)
-    t = Delaunay(x).simplices
-    return SmoothSurface(
-        np.pad(size * x, ((0, 0), (0, 1))), t, np.tile([0.0, 0.0, up], (len(t), 1))
-    )
+    x, t = np.pad(size * x, ((0, 0), (0, 1))), Delaunay(x).simplices
+    return SmoothSurface(x, t, np.tile([0.0, 0.0, up], (len(t), 1)))
 
 
 def sphere(n: int, radius: float = R, out: int = 1, lowest: float = -1.0) -> SmoothSurface:
