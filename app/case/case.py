@@ -27,6 +27,7 @@ from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import Bonded, Interface
 from app.laws.loads import AnyLoad
 from app.laws.materials import Region
+from app.laws.motions import Motion
 from app.laws.remodelling import Remodelling
 from app.laws.supports import AnySupport
 from app.schema import section, yaml_file
@@ -34,7 +35,7 @@ from app.schema.section import ITEMS, MAPPING, Name, Section, Text
 from app.schema.yaml_file import CaseFile, Fault
 
 # Sections whose entries are valid one by one.
-TABLES = ("regions", "interfaces", "supports", "loads", "heat")
+TABLES = ("regions", "interfaces", "supports", "motions", "loads", "heat")
 
 
 class Case(Section):
@@ -60,6 +61,8 @@ class Case(Section):
     """Law of each interface; those not listed are bonded."""
     supports: Annotated[dict[Name, AnySupport], MAPPING] = Field(default_factory=dict)
     """Supports of the bodies."""
+    motions: Annotated[dict[Name, Motion], MAPPING] = Field(default_factory=dict)
+    """Regions that turn far, by a course through each cycle of the last stage."""
     loads: Annotated[dict[Name, AnyLoad], MAPPING] = Field(
         default_factory=dict,
         json_schema_extra={
@@ -111,7 +114,7 @@ class Case(Section):
                 wrong = {fault.path[1] for fault in found}
                 part = handler({k: v for k, v in value.items() if k not in wrong})
                 part |= dict.fromkeys(wrong)
-            elif name in ("interfaces", "loads", "heat"):
+            elif name in ("interfaces", "motions", "loads", "heat"):
                 part = {}
         notes["parts"][name] = part
         if name == "geometry" and part is not None:

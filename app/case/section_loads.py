@@ -44,7 +44,7 @@ def section_loads(case: Case, time: float) -> list[SectionLoad]:
     loads = [load for load in case.loads.values() if isinstance(load, Force) and load.at]
     if not (geometry.has_gruen_zones and loads):
         return []
-    F = np.array([np.multiply(load.force, amplitude(load.history, time)) for load in loads])
+    F = np.array([np.multiply(load.resultant, amplitude(load.history, time)) for load in loads])
     x = np.array([load.at for load in loads])
     found = []
     for z in [*map(float, np.linspace(TOP, geometry.distal_cut_z, LEVELS)), KNEE]:

@@ -137,6 +137,11 @@ class Shape(Section):
         return {}
 
     @property
+    def faces(self) -> dict[str, tuple[str, str]]:
+        """Boundaries of the two sides of each interface that is meshed apart; none by default."""
+        return {}
+
+    @property
     def interface_area(self) -> float:
         """Approximate area of all interfaces (mm2); 0 if unknown."""
         return 0.0

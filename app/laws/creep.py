@@ -7,14 +7,14 @@ from typing import Annotated
 
 from pydantic import model_validator
 
-from app.laws.values import Named
+from app.laws.values import OfRegion
 from app.schema import units
 from app.schema.section import Pair, fail
 
 Range = Annotated[tuple[units.Modulus, units.Modulus], Pair("[3 MPa, 11 MPa]")]
 
 
-class Creep(Named):
+class Creep(OfRegion):
     """Norton-Bailey's law: strain A s^p N^m after N cycles or units of time at a stress s.
 
     The stress is that of von Mises in MPa, in cycles their peak. The volume stays the same. Where

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, model_validator
 
-from app.laws.values import Named, OverTime, rising
+from app.laws.values import OfRegion, OverTime, rising
 from app.schema import units
 from app.schema.section import ITEMS, Kinds, Pair, Section, fail
 
@@ -54,7 +54,7 @@ class Prescribed(Section):
         return self
 
 
-class Cure(Named):
+class Cure(OfRegion):
     """Cure of a region: kinetics, heat, stiffness and shrinkage."""
 
     kinetics: Annotated[Autocatalytic | Prescribed, Kinds()]

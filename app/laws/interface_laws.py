@@ -28,8 +28,8 @@ from app.laws.values import (
     field,
 )
 from app.schema.expressions import Varying
-from app.schema.section import Extensible, Kinds, Section, Text, fail
-from app.schema.units import MixingExponent, NonNegativeNumber, PositiveStiffness
+from app.schema.section import Extensible, Kinds, Name, Pair, Section, Text, fail
+from app.schema.units import Dimension, MixingExponent, NonNegativeNumber, PositiveStiffness
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
@@ -37,6 +37,9 @@ if TYPE_CHECKING:
     from app.arrays import Field, Floats
     from forms.contact import Response
 
+# Keys of contact that slides far, and why others have none.
+FINITE = ("between", "wear_coefficient")
+SMALL = "slip stays below a facet; `sliding: finite` is of kind: contact without compliance"
 # Default ratio of the augmentation to the stiffness against a jump.
 USUAL_AUGMENTATION = 0.2
 
@@ -103,6 +106,14 @@ class InterfaceLaw(Extensible):
     """Power per area and temperature jump; perfect (no jump) by default."""
     strength: InterfaceStrength | None = None
     """Tension and shear that it stands, for its failure index: numbers and a map, no law."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _small(cls, value: Any) -> Any:
+        for key in ("sliding", *FINITE) if isinstance(value, dict) else ():
+            if key in value and key not in cls.model_fields:
+                fail(f"of kind {value.get('kind')} {SMALL}", at=(key,))
+        return value
 
     @property
     def conductances(self) -> tuple[float, float, float]:
@@ -258,8 +269,34 @@ class Coulomb(Unilateral):
     kind: Literal["contact"] = "contact"
     compliance: Compliance | None = None
     """Elastic layer in series with contact; none by default. Slip is what is not elastic."""
+    sliding: Literal["small", "finite"] = "small"
+    """How far its sides may slide: less than a facet, or any distance, on bodies that are meshed
+    apart."""
+    between: Annotated[tuple[Name, Name], Pair("[head_surface, liner_inner]")] | None = None
+    """Boundaries that slide on each other, of the first and the second side, where `sliding` is
+    finite; by default those that the geometry knows."""
+    wear_coefficient: (
+        Annotated[
+            float,
+            Dimension("mm^2/N", "a wear coefficient", "1.07e-6 mm^3/(N m)", above=0.0),
+        ]
+        | None
+    ) = None
+    """Worn volume per force and slid distance (Archard), where `sliding` is finite."""
     augmentation: PositiveStiffness | None = None
     """Augmentation parameter r, chosen by default; results do not depend on it."""
+
+    @model_validator(mode="after")
+    def _slides(self) -> Coulomb:
+        if self.sliding == "small":
+            for key in FINITE:
+                if getattr(self, key) is not None:
+                    fail("belongs to `sliding: finite`", at=(key,))
+        elif self.compliance is not None:
+            fail(f"{SMALL}; leave it out", at=("compliance",))
+        elif self.wear_coefficient is not None and self.friction_coefficient == 0.0:
+            fail("there is no friction to wear it", at=("wear_coefficient",))
+        return self
 
     @property
     def layer(self) -> tuple[float, float] | None:

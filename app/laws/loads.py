@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ValidationInfo
+from pydantic import BeforeValidator, PrivateAttr, ValidationInfo, model_validator
 
-from app.laws.values import History, Named, Source, Status, field
+from app.laws.courses import FORCES, Course
+from app.laws.values import History, Named, Source, Status, amplitude, field
 from app.schema.expressions import Varying
 from app.schema.section import ITEMS, Extensible, Kinds, Name, Triple, fail, show, spread_unit
 from app.schema.units import Dimension, ForceVector, Length, Stress
@@ -55,6 +58,9 @@ class Patch:
 class Load(Extensible, Named):
     """A load: work in a displacement, times its history. A subclass with a `kind` is one more."""
 
+    # Value at a time where no history tells it.
+    _value: Callable[[float], float] | None = PrivateAttr(None)
+
     # A `Literal` in each subclass.
     kind: Any
     history: History = None
@@ -84,6 +90,10 @@ class Load(Extensible, Named):
         """
         raise NotImplementedError
 
+    def amplitude(self, time: float) -> float:
+        """Multiplier at a time."""
+        return self._value(time) if self._value else amplitude(self.history, time)
+
     @property
     def resultant(self) -> tuple[float, float, float] | None:
         """Resultant at full amplitude [N]: the key `force`, None without it."""
@@ -97,9 +107,53 @@ class Force(Load):
     boundary: Name
     """Boundary of the geometry."""
     force: ForceVector
-    """Resultant."""
+    """Resultant; its direction, 1 N long, where a course has a column `force`."""
     at: Point | None = None
     """Point at which the resultant acts (mm); over the boundary evenly by default."""
+    course: Course | None = None
+    """Force through each cycle of the last stage, in place of `history`: the column `force` times
+    the direction, or `force x`, `force y` and `force z` in place of the key `force`."""
+    follows: Name | None = None
+    """Motion that the force turns with; by default its direction is fixed in space."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_components(cls, value: Any) -> Any:
+        course = isinstance(value, dict) and value.get("course") is not None
+        return {"force": "[0, 0, 0] N"} | value if course else value
+
+    @model_validator(mode="after")
+    def _one_course(self) -> Force:
+        if (course := self.course) is None:
+            return self
+        size = math.hypot(*self.force)
+        if self.history is not None:
+            fail("the force has a course; leave one out", at=("history",))
+        if course.has("force") == course.has(*FORCES):
+            known = f"expected force, or some of {', '.join(FORCES)}"
+            fail(f"has {', '.join(course.rows)}; {known}", at=("course",))
+        if course.has("force") and abs(size - 1.0) > 1e-3:
+            text = f"is {size:g} N long; expected the direction, 1 N long: sizes are in the course"
+            fail(text, at=("force",))
+        if size and not course.has("force"):
+            fail("the course has the components; leave it out", at=("force",))
+        return self
+
+    def force_at(self, s: float) -> tuple[float, float, float]:
+        """Force at a part of a cycle from 0 to 1 (3,) [N]; `force` without a course."""
+        if self.course is None:
+            return self.force
+        if not self.course.has("force"):
+            x, y, z = self.course.at(FORCES, s)
+            return x, y, z
+        (size,) = self.course.at(("force",), s)
+        x, y, z = self.force
+        return size * x, size * y, size * z
+
+    @property
+    def resultant(self) -> tuple[float, float, float]:
+        """Resultant at full amplitude, or at the end of the course [N]."""
+        return self.force_at(1.0)
 
     def work(self, v: Expr, on: Any) -> Any:
         """Work of a traction that is linear over the boundary."""

@@ -18,7 +18,7 @@ from app.laws.failure import Weibull
 from app.laws.fibres import Fibre, FibreDirection
 from app.laws.remodelling import Remodelling
 from app.laws.thermal import Thermal
-from app.laws.values import History, Named, Source, Status, Table, rising
+from app.laws.values import History, OfRegion, Source, Status, Table, rising
 from app.schema.section import ITEMS, TAG, Kinds, Pair, Section, Text, fail, show
 from app.schema.units import Length, Modulus, Number, Plain
 
@@ -77,7 +77,7 @@ class Eigenstrain(Section):
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
 
-class Material(Named):
+class Material(OfRegion):
     """Base of the materials of regions."""
 
     # Keys of `thermal` that say how a region deforms; refused where it does not.

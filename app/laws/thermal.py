@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BaseModel, Discriminator, Tag, model_valida
 
 from app.laws.cure import Cure
 from app.laws.fibres import FibreDirection
-from app.laws.values import Named
+from app.laws.values import OfRegion
 from app.schema import units
 from app.schema.section import TAG, Section, fail
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
 
-class Thermal(Named):
+class Thermal(OfRegion):
     """Conduction of heat, thermal expansion and cure of a region."""
 
     conductivity: units.Conductivity | None = None

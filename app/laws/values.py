@@ -79,16 +79,20 @@ class Named(Section):
         """Name in the case file; empty outside a scene."""
         return self._name
 
-    @property
-    def region(self) -> str:
-        """Name of the region, of a law of a region."""
-        return self._name
-
     def named(self, name: str, **changes: Any) -> Self:
         """Copy with a name and changed fields."""
         copy = self.model_copy(update=changes)
         copy._name = name
         return copy
+
+
+class OfRegion(Named):
+    """Base of the laws of a region, which are named after it."""
+
+    @property
+    def region(self) -> str:
+        """Name of the region."""
+        return self._name
 
 
 def rising(what: str) -> Callable[[Table], Table]:

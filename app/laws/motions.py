@@ -1,0 +1,78 @@
+"""Motions of regions that turn far: their angles through a cycle, about a point."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import model_validator
+
+from app.laws.courses import ROTATIONS, Course
+from app.laws.loads import Point
+from app.laws.values import Named
+from app.schema.section import Name, Section, fail
+from app.schema.units import Dimension
+
+if TYPE_CHECKING:
+    from app.arrays import Floats
+
+
+class Rotation(Section):
+    """Given angles about the axes of space.
+
+    `axes: yxz` is R = R_y(a_y) R_x(a_x) R_z(a_z): about z first, then about x and at last about y,
+    all fixed in space; or about y first, then about axes that turn with the region.
+    """
+
+    axes: Literal["xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
+    """Order of the product, the first letter outermost."""
+    course: Course
+    """Its angles: of the columns `rotation x`, `rotation y`, `rotation z`; zero of one it lacks."""
+
+    @model_validator(mode="after")
+    def _turns(self) -> Rotation:
+        if not self.course.has(*ROTATIONS):
+            known = ", ".join(self.course.rows)
+            fail(f"has no column of {', '.join(ROTATIONS)}; it has {known}", at=("course",))
+        return self
+
+
+class Motion(Named):
+    """Motion of a region as a whole, small deformations of which are in its own turned frame."""
+
+    region: Name
+    """Region that moves; one motion for each."""
+    about: Point
+    """Point that it turns about (mm)."""
+    rotation: Rotation
+    """Given angles."""
+    translation: Literal["free", "held"] = "free"
+    """Whether the point moves as loads and contact want, or stays."""
+    largest_step: Annotated[float, Dimension("rad", "an angle", "5 deg", above=0.0)] = math.radians(
+        5.0
+    )
+    """Largest turn in a load step; longer ones are divided."""
+
+    def angles_at(self, s: float) -> Floats:
+        """Angles a_x, a_y, a_z at a part of a cycle from 0 to 1 (3,) [rad], linear between rows."""
+        import numpy as np
+
+        return np.array(self.rotation.course.at(ROTATIONS, s))
+
+    def rotation_at(self, s: float, part: float = 1.0) -> Floats:
+        """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3).
+
+        Of `yxz` it is R_y(a_y) R_x(a_x) R_z(a_z).
+        ``x = about + R (X - about)``; the first letter is the outermost, its axis fixed in space.
+        """
+        import numpy as np
+
+        R = np.eye(3)
+        for axis in self.rotation.axes:
+            k, angle = "xyz".index(axis), part * self.angles_at(s)["xyz".index(axis)]
+            i, j = (k + 1) % 3, (k + 2) % 3
+            turn = np.eye(3)
+            turn[[i, j], [i, j]] = math.cos(angle)
+            turn[j, i], turn[i, j] = math.sin(angle), -math.sin(angle)
+            R = R @ turn
+        return R

@@ -1,0 +1,102 @@
+"""Courses of motions and loads: read from files and lines, written, evaluated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.case.case import dump, load
+from app.laws.courses import ROTATIONS, Course
+from app.laws.loads import Force
+from app.laws.motions import Motion
+from tests import support
+
+GAIT = """\
+time [ms], force [kN], rotation z [deg], rotation x [deg]
+
+100, 0.3, 2, 25
+600, 3, -10, -18
+1100, 0.3, 2, 25
+"""
+CASE = """\
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: "[10, 20, 5] mm"}
+    - {name: upper, size: "[10, 20, 5] mm"}
+mesh: {order: 1, size: 2 mm}
+regions:
+  lower: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}
+  upper: {rigid: true}
+interfaces:
+  lower_upper:
+    kind: contact
+    friction_coefficient: 0.06
+    sliding: finite
+    between: [bottom, top]
+    wear_coefficient: 1.07e-6 mm^3/(N m)
+supports:
+  base: {kind: fixed, boundary: bottom}
+motions:
+  ball:
+    region: upper
+    about: [5 mm, 10 mm, 30 mm]
+    rotation: {axes: yxz, course: gait.csv}
+loads:
+  hip:
+    kind: force
+    boundary: top
+    force: "[0, 0, -1] N"
+    course: gait.csv
+    follows: ball
+  side:
+    kind: force
+    boundary: top
+    course: ["time [s], force x [N], force z [N]", "0, 10, 0", "2, 30, -8"]
+"""
+
+
+def motion(axes: str, **degrees: tuple[float, float]) -> Motion:
+    heads = ["time [s]", *(f"rotation {axis} [deg]" for axis in degrees)]
+    rows = [[k, *(v[k] for v in degrees.values())] for k in range(2)]
+    rotation = {"axes": axes, "course": [heads, *rows]}
+    about = ["0 mm", "0 mm", "0 mm"]
+    return Motion.model_validate({"region": "head", "about": about, "rotation": rotation})
+
+
+def about(axis: int, degrees: float) -> np.ndarray:
+    """Rotation by Rodrigues' formula."""
+    k = np.cross(np.eye(3)[axis], -np.eye(3))
+    a = np.radians(degrees)
+    return np.eye(3) + np.sin(a) * k + (1 - np.cos(a)) * k @ k
+
+
+def test_a_course_serves_a_motion_and_a_load_and_is_written_with_the_case(tmp_path: Path) -> None:
+    (tmp_path / "gait.csv").write_text(GAIT)
+    (tmp_path / "case.yaml").write_text(CASE)
+    case = load(tmp_path / "case.yaml").config
+    assert support.case(dump(case)) == case
+    ball, law = case.motions["ball"], case.interfaces["lower_upper"]
+    assert np.degrees(ball.angles_at(0.75)) == pytest.approx([3.5, 0, -4])
+    assert law.wear_coefficient == pytest.approx(1.07e-9, rel=1e-15)
+    assert law.values == {"μ": 0.06} and law.form == ("contact", True)
+    forces = [load for load in case.loads.values() if isinstance(load, Force)]
+    assert forces[0].force_at(0.25) == pytest.approx((0, 0, -1650))
+    assert forces[1].force_at(0.5) == pytest.approx((20, 0, -4))
+    assert forces[1].resultant == (30, 0, -8)
+
+
+def test_the_first_letter_of_axes_is_the_outermost() -> None:
+    turn = motion("yxz", x=(0, 40), y=(0, -30), z=(0, 70))
+    assert turn.rotation_at(0.0) == pytest.approx(np.eye(3))
+    expected = about(1, -15) @ about(0, 20) @ about(2, 35)
+    assert turn.rotation_at(0.5) == pytest.approx(expected, abs=1e-15)
+    other = motion("zxy", x=(0, 40), y=(0, -30), z=(0, 70)).rotation_at(0.5)
+    assert other == pytest.approx(about(2, 35) @ about(0, 20) @ about(1, -15), abs=1e-15)
+
+
+def test_columns_that_a_course_lacks_are_zero() -> None:
+    course = Course.model_validate(["time [s], rotation y [deg]", "0, 0", "1, 90"])
+    assert course.at(ROTATIONS, 1.0) == pytest.approx([0, np.pi / 2, 0])
