@@ -12,14 +12,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError, everywhere
 from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import from_rows
-from app.scene.bodies import Bodies, boundary_facets, cell_tags
+from app.scene.bodies import Bodies, boundary_facets, cell_tags, nodes_on, touched_nodes
 from app.scene.frames import Frames
 from app.scene.scene import Scene
 from meshes.contact_facets import gather
@@ -153,9 +153,12 @@ class Constraints:
             for c in scene.contacts:
                 if c.between and c.master == (body.region,):
                     # Points that slide far over it: it moves them, and their jumps.
-                    f = boundary_facets(tagged, c.between[1]).facets.astype(np.int32)
-                    there = fem.locate_dofs_topological(space, 2, f)
+                    there = nodes_on(tagged, space, c.between[1])
                     region[there[there < nodes]] = k
+        rigid = len(scene.rigid)
+        for k, m in enumerate(scene.driven, rigid):
+            there = nodes_on(tagged, space, str(m.boundary))
+            region[there[there < nodes]] = k
         if self._followers:
             low, high = space.dofmap.index_map.local_range
             follow = self._followers.following
@@ -166,7 +169,8 @@ class Constraints:
         if frames:
             rows, places = frames.own(space.dofmap.index_map)
             axes[rows], turned[rows] = frames.axes[places], region[rows] == -1
-        n = 3 * len(free) + (6 * len(scene.rigid) if comm.rank == 0 else 0)
+        moving = [body.region for body in (*scene.rigid, *scene.driven)]
+        n = 3 * len(free) + (6 * len(moving) if comm.rank == 0 else 0)
         start, tail = comm.exscan(n) or 0, comm.bcast(3 * len(free))
         self.constrained = np.zeros(n, dtype=bool)
         self.constrained[: 3 * len(free)] = (own[free] >= 0).ravel()
@@ -184,11 +188,11 @@ class Constraints:
         entries[free, :, 0] = 1
         columns[turned, :, :3] = columns[turned, :, 0][:, None]
         entries[turned, :, :3] = axes[turned]
-        for k, body in enumerate(scene.rigid):
+        for k, name in enumerate(moving):
             here, place = np.flatnonzero(region == k), tail + 6 * k
             columns[here] = place + np.arange(6)
             entries[here], rank = self._add_rigid(
-                comm, scene, body.region, place, x[here], axes[here], own[here], prescribed[:, here]
+                comm, scene, name, place, x[here], axes[here], own[here], prescribed[:, here]
             )
             reacting[here] |= rank > 0
         self.reacting = reacting.ravel()
@@ -292,15 +296,6 @@ class Constraints:
         P.multTranspose(nodal, right)
         solver.solve(right, u)
         return u
-
-
-def touched_nodes(space: fem.FunctionSpace, cells: Ints) -> Bools:
-    """Whether local nodes of a vector space belong to cells of any rank (n,); collective."""
-    marks = fem.Function(space)
-    marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[cells])] = 1
-    marks.x.scatter_reverse(la.InsertMode.add)
-    marks.x.scatter_forward()
-    return np.asarray(marks.x.array[::3] > 0)
 
 
 def _held_motions(

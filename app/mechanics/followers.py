@@ -6,7 +6,8 @@ The slave's nodes of a sliding interface follow the master's surface,
 
 with Π the dual mortar matrix of the current pairs (`mechanics.pairs`), R the rotation of the
 master, in whose own axes u_m is, and G the identity but for nodes that follow. Both surfaces are
-linear between vertices: the middle of an edge follows its ends.
+linear between vertices: the middle of an edge follows its ends. A driven boundary moves by a
+translation t in space, R^T t in the axes of its body.
 """
 
 from __future__ import annotations
@@ -22,8 +23,15 @@ from dolfinx import fem
 from app.arrays import Floats, Ints
 from app.mechanics.pairs import Pairs, SmoothSurface, mortar
 from app.numerics.sparse import from_triplets
-from app.scene.bodies import boundary_facets, facet_nodes
-from app.scene.scene import Interface
+from app.scene.bodies import (
+    Bodies,
+    boundary_facets,
+    cell_tags,
+    facet_nodes,
+    nodes_on,
+    touched_nodes,
+)
+from app.scene.scene import Interface, Scene
 from meshes.contact_facets import gather
 from meshes.distribute import TaggedMesh
 
@@ -64,6 +72,12 @@ class Side:
         return cls(vertices, x.reshape(-1, 3)[first], triangles, x[:, 0] - inside, edges)
 
 
+def soft(scene: Scene) -> dict[int, Interface]:
+    """Interfaces that slide far on deformable bodies, by number."""
+    contacts = enumerate(scene.contacts)
+    return {i: c for i, c in contacts if c.between and not scene.is_rigid(c)}
+
+
 class Followers:
     """Slaves of interfaces that slide far on deformable bodies; made collectively.
 
@@ -71,14 +85,17 @@ class Followers:
         sides: Master and slave of each such interface, by its number.
         masters: Surface of each master, by the number of the interface.
         following: Global dofs without unknowns of their own, rising (n,).
-        rotations: Rotation of each master (3, 3).
+        turning: Own nodes of each body that turns, and those of its driven boundary, by motion.
+        rotations: Rotation of each of them (3, 3).
         pairs: Rows of Π of each interface.
         changed: Whether they have changed since `matrix`.
     """
 
     def __init__(
-        self, interfaces: Mapping[int, Interface], tagged: TaggedMesh, space: fem.FunctionSpace
+        self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace
     ) -> None:
+        interfaces = soft(scene)
+        self._scene, nodes = scene, space.dofmap.index_map.size_local
         self._comm, self._map = tagged.mesh.comm, space.dofmap.index_map
         self.sides: dict[int, tuple[Side, Side]] = {}
         for i, c in interfaces.items():
@@ -91,7 +108,15 @@ class Followers:
         parts = [(s.dofs, s.edges[:, 0], m.edges[:, 0]) for m, s in self.sides.values()]
         self.following = np.unique(np.concatenate([dofs for part in parts for dofs in part]))
         self.changed = True
-        self.rotations: dict[int, Floats] = {i: np.eye(3) for i in interfaces}
+        self.turning: dict[str, tuple[Ints, Ints]] = {}
+        for m in scene.driven:
+            of_body = bodies.of_tag[cell_tags(tagged)] == bodies.of_region[m.region]
+            own = np.flatnonzero(touched_nodes(space, np.flatnonzero(of_body))[:nodes])
+            driven = nodes_on(tagged, space, str(m.boundary))
+            self.turning[m.name] = own, driven[driven < nodes]
+        motions = {i: scene.motion_of(c.master) for i, c in interfaces.items()}
+        self._motions = {i: m.name if m else "" for i, m in motions.items()}
+        self.rotations: dict[str, Floats] = dict.fromkeys(("", *self.turning), np.eye(3))
         self.pairs = {i: self.paired(i, slave.x) for i, (_, slave) in self.sides.items()}
 
     def paired(self, i: int, x: Floats) -> Pairs:
@@ -106,18 +131,57 @@ class Followers:
         every = {i: np.concatenate([s.dofs, s.edges[:, 0]]) for i, (_, s) in self.sides.items()}
         return {i: d[(d >= low) & (d < high)] - low for i, d in every.items()}
 
-    def pair(self, i: int, x: Floats, rotation: Floats) -> None:
-        """Pair the surfaces of an interface anew, as `paired`, the master turned (3, 3)."""
+    def pair(self, i: int, x: Floats) -> None:
+        """Pair the surfaces of an interface anew, as `paired`."""
         found = self.paired(i, x)
-        parts = zip((*found[:3], rotation), (*self.pairs[i][:3], self.rotations[i]), strict=True)
+        parts = zip(found[:3], self.pairs[i][:3], strict=True)
         self.changed |= not all(np.array_equal(a, b) for a, b in parts)
-        self.pairs[i], self.rotations[i] = found, rotation
+        self.pairs[i] = found
+
+    def set_time(self, time: float) -> None:
+        """Turn the bodies to a time."""
+        for m in self._scene.driven:
+            R, before = self._scene.rotation(m, time), self.rotations[m.name]
+            self.changed |= not np.array_equal(R, before)
+            self.rotations[m.name] = R
+
+    def without_motion(self, nodal: Floats) -> tuple[Floats, dict[str, Floats]]:
+        """Displacements of own nodes (n, 3) less their bodies' translations, and these (3,) [mm].
+
+        The translations are in space; collective.
+        """
+        rest, ways = nodal.copy(), {}
+        for name, (own, driven) in self.turning.items():
+            R = self.rotations[name]
+            total = self._comm.allreduce(np.append(nodal[driven].sum(axis=0), len(driven)))
+            ways[name] = R @ total[:3] / total[3]
+            rest[own] -= R.T @ ways[name]
+        return rest, ways
+
+    def with_motion(self, rest: Floats, ways: Mapping[str, Floats]) -> tuple[Floats, Floats]:
+        """Displacements (n, 3) with translations; the same, of driven nodes along axes of space."""
+        nodal = rest.copy()
+        for name, (own, _) in self.turning.items():
+            nodal[own] += self.rotations[name].T @ ways[name]
+        given = nodal.copy()
+        for name, (_, driven) in self.turning.items():
+            given[driven] = ways[name]
+        return nodal, given
+
+    def in_space(self, nodal: Floats) -> Floats:
+        """Vectors at own nodes (n, 3), from the axes of their bodies to those of space."""
+        found = nodal.copy()
+        for name, (own, _) in self.turning.items():
+            found[own] = nodal[own] @ self.rotations[name].T
+        return found
 
     def matrix(self) -> PETSc.Mat:
         """G, from displacements of nodes that follow none to those of all; collective."""
         self.changed = False
         low, high = self._map.local_range
-        own = np.setdiff1d(np.arange(low, high), self.following)
+        turned = {name: driven + low for name, (_, driven) in self.turning.items()}
+        other = np.concatenate([self.following, *turned.values()])
+        own = np.setdiff1d(np.arange(low, high), other)
         rows, columns, blocks = [own], [own], [np.broadcast_to(np.eye(3), (len(own), 3, 3))]
 
         def add(row: Ints, column: Ints, block: Floats) -> None:
@@ -125,11 +189,13 @@ class Followers:
             for part, values in zip((rows, columns, blocks), (row, column, block), strict=True):
                 part.append(values[here])
 
+        for name, driven in turned.items():
+            add(driven, driven, np.broadcast_to(self.rotations[name].T, (len(driven), 3, 3)))
         for i, (master, slave) in self.sides.items():
-            pairs, R = self.pairs[i], self.rotations[i]
-            turned = pairs.values[:, None, None] * R
+            pairs, R = self.pairs[i], self.rotations[self._motions[i]]
+            blocks_of = pairs.values[:, None, None] * R
             at = master.dofs[pairs.columns]
-            add(slave.dofs[pairs.rows], at, turned)
+            add(slave.dofs[pairs.rows], at, blocks_of)
             half = np.broadcast_to(np.eye(3) / 2, (len(master.edges), 3, 3))
             # Middles of the slave's edges: half of the rows of either end.
             count = np.bincount(pairs.rows, minlength=len(slave.dofs))
@@ -141,7 +207,7 @@ class Followers:
                 entry = np.arange(len(edge)) + np.repeat(
                     begin[of] - (np.cumsum(count[of]) - count[of]), count[of]
                 )
-                add(slave.edges[edge, 0], at[entry], turned[entry] / 2)
+                add(slave.edges[edge, 0], at[entry], blocks_of[entry] / 2)
         row, column, block = (np.concatenate(part) for part in (rows, columns, blocks))
         k, i3, j3 = np.indices(block.shape).reshape(3, -1)
         size = 3 * (high - low)

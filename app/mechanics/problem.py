@@ -19,7 +19,7 @@ from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.creep import CreepState
 from app.mechanics.external_forces import Forces
-from app.mechanics.followers import Followers
+from app.mechanics.followers import Followers, soft
 from app.mechanics.stiffness import Stiffness, rounding
 from app.mechanics.stress_history import StressHistory
 from app.mechanics.thermal_strain import ThermalStrain
@@ -28,6 +28,9 @@ from app.scene.bodies import bodies_of
 from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
+
+# Displacements of own nodes without the translations of bodies that turn, and these by motion.
+Moved = tuple[Floats, dict[str, Floats]]
 
 
 class Problem:
@@ -77,8 +80,8 @@ class Problem:
             else None
         )
         parts = scene, tagged, self.bodies, self.mechanics
-        soft = {i: c for i, c in enumerate(scene.contacts) if c.between and not scene.is_rigid(c)}
-        self.followers = Followers(soft, tagged, self.space) if soft else None
+        sliding = scene, tagged, self.bodies, self.space
+        self.followers = Followers(*sliding) if soft(scene) else None
         shared = like.stiffness if like else None
         self.stiffness: Stiffness = Stiffness(*parts, shared, self.followers)
         constraints, frames = self.stiffness.constraints, self.stiffness.frames
@@ -98,7 +101,8 @@ class Problem:
             ThermalStrain(scene, self.mechanics, self.bodies) if self.mechanics.swelling else None
         )
         nodes = self.space.dofmap.index_map.size_local
-        self._committed: Floats = np.zeros((nodes, 3))
+        none: Floats = np.zeros((nodes, 3))
+        self._committed = self.followers.without_motion(none) if self.followers else (none, {})
         self.set_time(0.0)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
@@ -174,6 +178,8 @@ class Problem:
         """Set loads, supports and gaps to a time; the state itself is unchanged."""
         self.time, time = time, self.scene.load_time(time)
         self.load_time = time
+        if self.followers:
+            self.followers.set_time(time)
         if self.contact:
             self.contact.set_time(time)
             self._follow_pairs()
@@ -268,7 +274,7 @@ class Problem:
 
     def _follow_pairs(self) -> None:
         """Let nodes follow the surfaces that they are paired with now; collective."""
-        if not (self.followers and self.followers.changed):
+        if not (self.contact and self.followers and self.followers.changed):
             return
         constraints = self.stiffness.constraints
         constraints.follow()
@@ -284,19 +290,21 @@ class Problem:
         if self.followers and q is not None:
             self._express(self._committed, u, q)
 
-    def _by_body(self) -> Floats:
-        """Displacement of own nodes, each as its body moves (nodes, 3) [mm]."""
+    def _by_body(self) -> Moved:
+        """Displacement of own nodes, each as its body moves, as of `Followers.without_motion`."""
+        assert self.followers is not None
         nodes = self.space.dofmap.index_map.size_local
         found = self.u.x.array[: 3 * nodes].reshape(-1, 3).copy()
         for i, dofs in self.followers.own_slaves().items():
             slave = self.bodies.of_region[self.scene.contacts[i].slave[0]]
             found[dofs] = self.moved[slave].x.array.reshape(-1, 3)[dofs]
-        return found
+        return self.followers.without_motion(found)
 
-    def _express(self, nodal: Floats, u: PETSc.Vec, q: PETSc.Vec) -> None:
-        """Set unknowns and jumps to displacements of own nodes (nodes, 3) [mm]; collective."""
-        constraints = self.stiffness.constraints
-        constraints.contract(PETSc.Vec().createWithArray(nodal.ravel(), comm=self.comm)).copy(u)
+    def _express(self, moved: Moved, u: PETSc.Vec, q: PETSc.Vec) -> None:
+        """Set unknowns and jumps to displacements, as turned and paired now; collective."""
+        assert self.followers is not None
+        constraints, (nodal, given) = self.stiffness.constraints, self.followers.with_motion(*moved)
+        constraints.contract(PETSc.Vec().createWithArray(given.ravel(), comm=self.comm)).copy(u)
         apart = nodal - constraints.expand(u).array.reshape(-1, 3)
         contact = self.contact
         assert contact is not None and contact.large is not None

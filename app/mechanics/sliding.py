@@ -101,7 +101,6 @@ class Sliding:
 
     def set_time(self, committed: float, time: float) -> None:
         """Set rotations to a time, and turns since that of the last committed step."""
-        self._time = time
         now, before = (
             {i: self._scene.rotation(m, t) for i, m in self._motion.items()}
             for t in (time, committed)
@@ -116,8 +115,7 @@ class Sliding:
             here = self._of == i
             dofs, x = gather(self._comm, self._dofs[here], self._places(jump)[here])
             assert self._followers is not None
-            R = self._scene.rotation(self._motion[i], self._time)
-            self._followers.pair(i, x[np.argsort(dofs)], R)
+            self._followers.pair(i, x[np.argsort(dofs)])
         return self.paired
 
     def _places(self, jump: Floats) -> Floats:
