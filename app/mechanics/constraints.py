@@ -97,6 +97,7 @@ class Constraints:
 
     Attributes:
         transforms: Whether P is not the identity.
+        G: Displacements of all nodes by those of nodes that follow none, if some follow.
         follows: Whether its pattern changes as surfaces slide far on each other.
         constrained: Own unknowns that supports hold (n,).
         unit: Values of the own unknowns by each support at full amplitude (s, n).
@@ -169,7 +170,7 @@ class Constraints:
         if frames:
             rows, places = frames.own(space.dofmap.index_map)
             axes[rows], turned[rows] = frames.axes[places], region[rows] == -1
-        moving = [body.region for body in (*scene.rigid, *scene.driven)]
+        moving = [r.region for r in scene.rigid] + [m.region for m in scene.driven]
         n = 3 * len(free) + (6 * len(moving) if comm.rank == 0 else 0)
         start, tail = comm.exscan(n) or 0, comm.bcast(3 * len(free))
         self.constrained = np.zeros(n, dtype=bool)
@@ -252,7 +253,8 @@ class Constraints:
     def follow(self) -> None:
         """Let nodes follow the current pairs of their surfaces; collective."""
         if self._followers:
-            self._P = self._followers.matrix().matMult(self._P0)
+            self.G = self._followers.matrix()
+            self._P = self.G.matMult(self._P0)
 
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
         """P^T K P."""

@@ -158,6 +158,13 @@ class Followers:
             rest[own] -= R.T @ ways[name]
         return rest, ways
 
+    def totals(self, forces: Floats) -> dict[str, Floats]:
+        """Sum of forces on nodes of each body that turns (3,), along axes of space; collective."""
+        return {
+            name: self._comm.allreduce(self.rotations[name] @ forces[own].sum(axis=0))
+            for name, (own, _) in self.turning.items()
+        }
+
     def with_motion(self, rest: Floats, ways: Mapping[str, Floats]) -> tuple[Floats, Floats]:
         """Displacements (n, 3) with translations; the same, of driven nodes along axes of space."""
         nodal = rest.copy()
@@ -168,6 +175,21 @@ class Followers:
             given[driven] = ways[name]
         return nodal, given
 
+    def only(self, nodal: Floats) -> Floats:
+        """Values at own nodes (3 nodes,), zero but where they follow others."""
+        low, high = self._map.local_range
+        here, found = self.following, np.zeros_like(nodal)
+        rows = here[(here >= low) & (here < high)] - low
+        found.reshape(-1, 3)[rows] = nodal.reshape(-1, 3)[rows]
+        return found
+
+    def in_bodies(self, given: Floats) -> Floats:
+        """Vectors at own nodes (n, 3), of driven ones along axes of space, in those of bodies."""
+        found = given.copy()
+        for name, (_, driven) in self.turning.items():
+            found[driven] = given[driven] @ self.rotations[name]
+        return found
+
     def in_space(self, nodal: Floats) -> Floats:
         """Vectors at own nodes (n, 3), from the axes of their bodies to those of space."""
         found = nodal.copy()
@@ -175,13 +197,19 @@ class Followers:
             found[own] = nodal[own] @ self.rotations[name].T
         return found
 
+    def places(self, x: Floats) -> Floats:
+        """Positions of own nodes (n, 3) [mm], turned."""
+        found = x.copy()
+        for m in self._scene.driven:
+            own, about = self.turning[m.name][0], np.array(m.about)
+            found[own] = about + (x[own] - about) @ self.rotations[m.name].T
+        return found
+
     def matrix(self) -> PETSc.Mat:
         """G, from displacements of nodes that follow none to those of all; collective."""
         self.changed = False
         low, high = self._map.local_range
-        turned = {name: driven + low for name, (_, driven) in self.turning.items()}
-        other = np.concatenate([self.following, *turned.values()])
-        own = np.setdiff1d(np.arange(low, high), other)
+        own = np.setdiff1d(np.arange(low, high), self.following)
         rows, columns, blocks = [own], [own], [np.broadcast_to(np.eye(3), (len(own), 3, 3))]
 
         def add(row: Ints, column: Ints, block: Floats) -> None:
@@ -189,8 +217,6 @@ class Followers:
             for part, values in zip((rows, columns, blocks), (row, column, block), strict=True):
                 part.append(values[here])
 
-        for name, driven in turned.items():
-            add(driven, driven, np.broadcast_to(self.rotations[name].T, (len(driven), 3, 3)))
         for i, (master, slave) in self.sides.items():
             pairs, R = self.pairs[i], self.rotations[self._motions[i]]
             blocks_of = pairs.values[:, None, None] * R
@@ -208,7 +234,11 @@ class Followers:
                     begin[of] - (np.cumsum(count[of]) - count[of]), count[of]
                 )
                 add(slave.edges[edge, 0], at[entry], blocks_of[entry] / 2)
-        row, column, block = (np.concatenate(part) for part in (rows, columns, blocks))
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        block: Floats = np.concatenate(blocks)
+        for name, (_, driven) in self.turning.items():
+            given = np.isin(column, gather(self._comm, driven + low)[0])
+            block[given] = block[given] @ self.rotations[name].T
         k, i3, j3 = np.indices(block.shape).reshape(3, -1)
         size = 3 * (high - low)
         return from_triplets(

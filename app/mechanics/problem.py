@@ -100,10 +100,16 @@ class Problem:
         self.thermal_strain = (
             ThermalStrain(scene, self.mechanics, self.bodies) if self.mechanics.swelling else None
         )
-        nodes = self.space.dofmap.index_map.size_local
-        none: Floats = np.zeros((nodes, 3))
-        self._committed = self.followers.without_motion(none) if self.followers else (none, {})
+        self._rest: Floats = np.zeros((self.space.dofmap.index_map.size_local, 3))
+        self._at_rest()
         self.set_time(0.0)
+
+    def _at_rest(self) -> None:
+        ways: dict[str, Floats] = (
+            {name: np.zeros(3) for name in self.followers.turning} if self.followers else {}
+        )
+        self._committed = self._pressed = self._rest, ways
+        self.contact_work = 0.0
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
         """Reset to the unloaded state, with other loads and laws; matrices stay; collective.
@@ -114,6 +120,7 @@ class Problem:
         """
         self.scene = scene
         self.set_stage(0, self.stiffness.K.createVecRight())
+        self._at_rest()
         for state in (self.u, *self.moved.values(), *self.mechanics.swelling.values()):
             state.x.array[:] = 0
         if self.history:
@@ -290,6 +297,28 @@ class Problem:
         if self.followers and q is not None:
             self._express(self._committed, u, q)
 
+    def _contact_forces(self, trial: TrialState) -> Moved:
+        """Forces on own nodes where surfaces slide far [N], and their sums on bodies that turn."""
+        assert self.followers is not None and trial.contact.large is not None
+        rows, on_slaves = trial.contact.large.rows, np.zeros_like(self._rest)
+        on_slaves[self._own_nodes(rows)] = trial.equilibrium[rows]
+        handed = self.handed(on_slaves.ravel()).reshape(-1, 3)
+        return on_slaves - handed, self.followers.totals(on_slaves - handed)
+
+    def handed(self, nodal: Floats) -> Floats:
+        """Forces (3 nodes,) [N] that nodes hand to those that they follow; collective."""
+        if not self.followers:
+            return 0.0 * nodal
+        only, G = self.followers.only(nodal), self.stiffness.constraints.G
+        found = G.createVecLeft()
+        G.multTranspose(PETSc.Vec().createWithArray(only, comm=self.comm), found)
+        return self.followers.in_bodies(found.array.reshape(-1, 3)).ravel()
+
+    def _own_nodes(self, points: Ints) -> Ints:
+        assert self.contact is not None
+        dofs = self.contact.points.dof[self.contact.own.rows[points]]
+        return np.asarray(dofs - self.space.dofmap.index_map.local_range[0])
+
     def _by_body(self) -> Moved:
         """Displacement of own nodes, each as its body moves, as of `Followers.without_motion`."""
         assert self.followers is not None
@@ -308,8 +337,8 @@ class Problem:
         apart = nodal - constraints.expand(u).array.reshape(-1, 3)
         contact = self.contact
         assert contact is not None and contact.large is not None
-        rows, low = contact.large.rows, self.space.dofmap.index_map.local_range[0]
-        q.array.reshape(-1, 3)[rows] = apart[contact.points.dof[contact.own.rows[rows]] - low]
+        rows = contact.large.rows
+        q.array.reshape(-1, 3)[rows] = apart[self._own_nodes(rows)]
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
@@ -355,6 +384,16 @@ class Problem:
             function.x.petsc_vec.array[:own] = nodal.array + extra.array
             function.x.scatter_forward()
 
+    def in_space(self, nodal: Floats) -> Floats:
+        """Vectors at own nodes (3 nodes,) from the axes of bodies that turn to those of space."""
+        return (
+            nodal if not self.followers else self.followers.in_space(nodal.reshape(-1, 3)).ravel()
+        )
+
+    def places(self, x: Floats) -> Floats:
+        """Positions of own nodes (nodes, 3) [mm] with the turns of their bodies."""
+        return self.followers.places(x) if self.followers else x
+
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last updated."""
         return [self.moved.get(b, self.u) for b in range(len(self.bodies.names))]
@@ -363,7 +402,14 @@ class Problem:
         """Commit a converged state, after `update_displacements`."""
         if trial is not None:
             trial.contact.commit(trial.committed(), self.time)
-            if self.followers:
-                self._committed = self._by_body()
+        if trial is not None and self.followers:
+            forces, moved = self._contact_forces(trial), self._by_body()
+            (f0, F0), (f1, F1) = self._pressed, forces
+            (u0, t0), (u1, t1) = self._committed, moved
+            work = float(((f0 + f1) * (u1 - u0)).sum())
+            if self.comm.rank == 0:
+                work += sum(float((F0[k] + F1[k]) @ (t1[k] - t0[k])) for k in F1)
+            self.contact_work -= work / 2
+            self._pressed, self._committed = forces, moved
         if self.history:
             self.history.commit(self.displacements())

@@ -80,9 +80,9 @@ class Sliding:
         self._of = own.interface[self.rows]
         self._own, self._apart = own, apart
         self._comm, self._dofs, self._followers = tagged.mesh.comm, dofs[self.rows], followers
+        meshed: dict[int, SmoothSurface] = followers.masters if followers else {}
         self._surfaces = {
-            i: surface_of(scene.contacts[i], tagged, space, followers and followers.masters.get(i))
-            for i in apart
+            i: surface_of(scene.contacts[i], tagged, space, meshed.get(i)) for i in apart
         }
         self.begin(scene)
 
@@ -164,9 +164,11 @@ def surface_of(
     normals = nodal_normals(x[:, :3], inside, NODES[:3]).reshape(-1, 3)
     nodes, n = gather(tagged.mesh.comm, corners, normals)
     found = fitted(nodes, n / np.linalg.norm(n, axis=1)[:, None])
-    if found is None and meshed is None:
+    if found is not None:
+        return found
+    if meshed is None:
         raise InputError(
             f"interfaces.{interface.name}: boundary '{name}' of the rigid region is no plane, "
             "sphere or cylinder; allowed: these, or an elastic region"
         )
-    return found or meshed
+    return meshed
