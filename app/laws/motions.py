@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import model_validator
 
@@ -11,7 +11,7 @@ from app.laws.courses import ROTATIONS, Course
 from app.laws.loads import Point
 from app.laws.values import Named
 from app.schema.section import Name, Section, fail
-from app.schema.units import Dimension
+from app.schema.units import PositiveAngle
 
 if TYPE_CHECKING:
     from app.arrays import Floats
@@ -31,10 +31,15 @@ class Rotation(Section):
 
     @model_validator(mode="after")
     def _turns(self) -> Rotation:
-        if not self.course.has(*ROTATIONS):
-            known = ", ".join(self.course.rows)
-            fail(f"has no column of {', '.join(ROTATIONS)}; it has {known}", at=("course",))
+        if not (columns := self.course.columns).keys() & {*ROTATIONS}:
+            text = f"has {', '.join(columns)}; expected some of {', '.join(ROTATIONS)}"
+            fail(text, at=("course",))
         return self
+
+    @property
+    def told(self) -> str:
+        """In words, for `mantle check`."""
+        return f"{self.axes}: {self.course.told}"
 
 
 class Motion(Named):
@@ -48,9 +53,7 @@ class Motion(Named):
     """Given angles."""
     translation: Literal["free", "held"] = "free"
     """Whether the point moves as loads and contact want, or stays."""
-    largest_step: Annotated[float, Dimension("rad", "an angle", "5 deg", above=0.0)] = math.radians(
-        5.0
-    )
+    largest_step: PositiveAngle = math.radians(5.0)
     """Largest turn in a load step; longer ones are divided."""
 
     def angles_at(self, s: float) -> Floats:
@@ -66,12 +69,11 @@ class Motion(Named):
         """
         import numpy as np
 
-        R = np.eye(3)
-        for axis in self.rotation.axes:
-            k, angle = "xyz".index(axis), self.angles_at(s)["xyz".index(axis)]
-            i, j = (k + 1) % 3, (k + 2) % 3
-            turn = np.eye(3)
-            turn[[i, j], [i, j]] = math.cos(angle)
-            turn[j, i], turn[i, j] = math.sin(angle), -math.sin(angle)
+        angles, R = self.angles_at(s), np.eye(3)
+        for k in map("xyz".index, self.rotation.axes):
+            i, j, turn = (k + 1) % 3, (k + 2) % 3, np.eye(3)
+            turn[[i, j], [i, j]] = math.cos(angles[k])
+            turn[j, i] = math.sin(angles[k])
+            turn[i, j] = -turn[j, i]
             R = R @ turn
         return R

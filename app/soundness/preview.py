@@ -14,6 +14,7 @@ from app.case.case import Case
 from app.case.library import ORIGIN
 from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table
+from app.laws.courses import ROTATIONS
 from app.laws.failure import MEMORY
 from app.laws.materials import Rigid
 from app.laws.thermal import PressureConductance
@@ -65,6 +66,7 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
             lines.append("    conductance: perfect, one temperature")
     if solid(case):
         lines += ["supports", *_table(case.supports)]
+        lines += ["motions", *_table(case.motions)] if case.motions else []
         lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
     lines += ["not measured", *([*_not_measured(case)] or ["  none"])]
     if case.conducts:
@@ -118,7 +120,8 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
         fields = entry.model_dump(mode="json", exclude_none=True)
         kind, place = fields.pop("kind", ""), fields.pop("boundary", "")
         words = [f"{kind} on {place}" if place else kind] if kind else []
-        words += [f"{k} {plain(v)}" for k, v in fields.items() if k not in ORIGIN]
+        told = {k: getattr(getattr(entry, k), "told", plain(v)) for k, v in fields.items()}
+        words += [f"{k} {text}" for k, text in told.items() if k not in ORIGIN]
         lines.append(f"  {name}: {', '.join(words)}")
     return lines or ["  none"]
 
@@ -220,6 +223,12 @@ def warnings(case: Case) -> list[str]:
     if case.geometry.has_gruen_zones and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
             messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
+    messages += [
+        f"motions.{n}.rotation.course: all angles are below 0.5 degrees: radians by mistake?"
+        for n, motion in case.motions.items()
+        for angles in [sum(map(motion.rotation.course.column, ROTATIONS), ())]
+        if 0.0 < max(map(abs, angles)) < math.radians(0.5)
+    ]
     laws: list[tuple[str, Any]] = [(f"regions.{n}", r) for n, r in case.regions.items()]
     laws += [
         (f"fatigue.laws.{n}", x) for n, x in (case.fatigue.laws if case.fatigue else {}).items()

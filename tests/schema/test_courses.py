@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from app.case.case import dump, load
+from app.errors import InputError
 from app.laws.courses import ROTATIONS, Course
 from app.laws.loads import Force
 from app.laws.motions import Motion
@@ -86,6 +88,22 @@ def test_a_course_serves_a_motion_and_a_load_and_is_written_with_the_case(tmp_pa
     assert forces[0].force_at(0.25) == pytest.approx((0, 0, -1650))
     assert forces[1].force_at(0.5) == pytest.approx((20, 0, -4))
     assert forces[1].resultant == (30, 0, -8)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ("600, x", "line 4: 'x kN' is not a force such as '1800 N'"),
+        ("50, 3", "line 4: its time is not above 0.1 s, that of the row before"),
+        ("600", "line 4: has 3 values; expected 4: time, force, rotation z, rotation x"),
+    ],
+)
+def test_faults_of_a_file_tell_its_line(wrong: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / "gait.csv").write_text(GAIT.replace("600, 3", wrong, 1))
+    (tmp_path / "case.yaml").write_text(CASE.partition("loads:")[0])
+    with pytest.raises(InputError, match=re.escape(f"gait.csv: {text}")) as caught:
+        load(tmp_path / "case.yaml")
+    assert caught.value.messages[0].startswith(f"{tmp_path / 'case.yaml'}:23:27: motions.ball")
 
 
 def test_the_first_letter_of_axes_is_the_outermost() -> None:
