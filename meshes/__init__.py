@@ -1,4 +1,4 @@
-"""Geometry to mesh: blocks, cylinders, a femur with or without a stem, or a gmsh file.
+"""Geometry to mesh: blocks, cylinders, a head in its cup, a femur, or a file of another program.
 
 ``build`` runs on one rank and returns plain arrays; ``meshes.distribute.distribute`` makes
 the dolfinx mesh of them, ``meshes.picture`` draws them. gmsh, scipy and dolfinx are
@@ -74,7 +74,8 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
     if geometry.kind == "file":
         remedy = "Repair the mesh file." if not geometry.is_script else "Try another mesh.size."
     quality = _quality.gate(data, remedy)
-    _check_parts(data, () if geometry.kind == "file" else set(data.regions) - DIVISIBLE)
+    whole = () if geometry.kind == "file" else set(data.regions) - DIVISIBLE
+    _check_parts(data, whole, geometry.faces)
     _check_interfaces(data, geometry.joined)
     notes = {
         **data.notes,
@@ -96,15 +97,18 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
     return replace(data, notes=notes, behind=None)  # others may change the cells
 
 
-def _check_parts(data: MeshData, whole: Collection[str]) -> None:
-    """Require every region, boundary and interface; regions in ``whole`` must be connected."""
+def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str] = ()) -> None:
+    """Require every region, boundary and interface; regions in ``whole`` must be connected.
+
+    The sides of interfaces in ``apart`` share no facet.
+    """
     missing = [
         *(f"region {n}" for n, tag in data.regions.items() if not (data.cell_tags == tag).any()),
         *(f"boundary {name}" for name, area in boundary_areas(data).items() if area <= 0),
         *(
             f"interface {name} (no facet between {' and '.join('/'.join(s) for s in sides)})"
             for name, sides in data.interfaces.items()
-            if not len(interface_facets(data, name)[0])
+            if name not in apart and not len(interface_facets(data, name)[0])
         ),
     ]
     if missing:

@@ -136,6 +136,24 @@ def shape_functions(at: Floats, nodes: int) -> Floats:
     return np.concatenate([at * (2 * at - 1), middles], axis=1)
 
 
+def foot(x: Floats, corners: Floats) -> Floats:
+    """Barycentric coordinates (n, 3) of the point of each triangle nearest to x (n, 3)."""
+    edges, off = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
+    along = np.einsum("nki,nki->nk", off, edges) / np.einsum("nki,nki->nk", edges, edges)
+    # The foot of the perpendicular, if it is inside, by products of two edges and the way to x.
+    a, b, d = edges[:, 0], -edges[:, 2], off[:, 0]
+    aa, ab, bb, da, db = (
+        np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (a, b), (b, b), (d, a), (d, b))
+    )
+    v, w = bb * da - ab * db, aa * db - ab * da
+    inner = np.stack([aa * bb - ab**2 - v - w, v, w], axis=1) / (aa * bb - ab**2)[:, None]
+    s = np.clip(along, 0.0, 1.0)[:, :, None]
+    on_edges = (1 - s) * np.eye(3) + s * np.roll(np.eye(3), 1, axis=1)
+    away = np.linalg.norm(np.einsum("nek,nki->nei", on_edges, corners) - x[:, None], axis=2)
+    edge = on_edges[np.arange(len(x)), away.argmin(axis=1)]
+    return np.where((inner >= 0).all(axis=1)[:, None], inner, edge)
+
+
 def faces_around(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, Ints, Floats]:
     """Group the facets around each of n points into faces.
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from app.arrays import Floats, Ints
-from meshes.contact_facets import shape_functions
+from meshes.contact_facets import foot, shape_functions
 from meshes.data import MeshData, cell_volumes, faces_of, facet_areas, interface_facets
 
 if TYPE_CHECKING:
@@ -131,26 +131,8 @@ def nearest(points: Floats, surface: Floats) -> tuple[Ints, Floats]:
     best, least = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
     weights = np.zeros((len(points), 3))
     for candidate in (found % len(surface)).T:
-        at = _foot(points, surface[candidate])
+        at = foot(points, surface[candidate])
         off = np.linalg.norm(np.einsum("nk,nki->ni", at, surface[candidate]) - points, axis=1)
         nearer = off < least
         best[nearer], least[nearer], weights[nearer] = candidate[nearer], off[nearer], at[nearer]
     return best, weights
-
-
-def _foot(x: Floats, corners: Floats) -> Floats:
-    """Barycentric coordinates (n, 3) of the point of each triangle nearest to x (n, 3)."""
-    edges, off = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners
-    along = np.einsum("nki,nki->nk", off, edges) / np.einsum("nki,nki->nk", edges, edges)
-    # The foot of the perpendicular, if it is inside, by products of two edges and the way to x.
-    a, b, d = edges[:, 0], -edges[:, 2], off[:, 0]
-    aa, ab, bb, da, db = (
-        np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (a, b), (b, b), (d, a), (d, b))
-    )
-    v, w = bb * da - ab * db, aa * db - ab * da
-    inner = np.stack([aa * bb - ab**2 - v - w, v, w], axis=1) / (aa * bb - ab**2)[:, None]
-    s = np.clip(along, 0.0, 1.0)[:, :, None]
-    on_edges = (1 - s) * np.eye(3) + s * np.roll(np.eye(3), 1, axis=1)
-    away = np.linalg.norm(np.einsum("nek,nki->nei", on_edges, corners) - x[:, None], axis=2)
-    edge = on_edges[np.arange(len(x)), away.argmin(axis=1)]
-    return np.where((inner >= 0).all(axis=1)[:, None], inner, edge)

@@ -15,13 +15,23 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, physical_names
+from app.case.head_cups import HeadCup
 from app.case.patients import Patient
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from app.schema.paths import file
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail, not_one_of
 from app.schema.units import Angle, PositiveLength, SizeVector
 
-__all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
+__all__ = [
+    "Block",
+    "Blocks",
+    "Cylinders",
+    "Femur",
+    "Geometry",
+    "HeadCup",
+    "IntactFemur",
+    "MeshFile",
+]
 __all__ += ["MeshOptions", "Patient", "Sides"]
 
 # How long edges of cells may be: in radii, in thicknesses of rings and of blocks (measured: beyond
@@ -268,4 +278,6 @@ class MeshFile(Shape):
         return content(self.path, folder)
 
 
-Geometry = Annotated[Blocks | Cylinders | Femur | IntactFemur | Patient | MeshFile, Kinds()]
+Geometry = Annotated[
+    Blocks | Cylinders | HeadCup | Femur | IntactFemur | Patient | MeshFile, Kinds()
+]

@@ -1,0 +1,230 @@
+r"""Pairs of surfaces that slide far: closest points, dual mortar rows, smooth gaps and normals.
+
+Points are in the axes of the master: its surface never changes, and its trees are built once. The
+slave's nodes follow it by :math:`u_s = Π u_m`, with
+
+.. math:: Π = D^{-1} M, \quad M_{jk} = \int ψ_j N_k(\hat x), \quad D_j = W_j = \int N_j,
+          \quad ψ_j = 4 N_j - 1,
+
+the integrals over the slave's flat facets, x̂ the point of the master closest to x. ψ is dual to N
+on a facet, so that D is diagonal, and rows of Π sum to 1.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+
+from app.arrays import Bools, Floats, Ints
+from meshes.contact_facets import foot
+
+CANDIDATES = 16  # facets, by the distance of their centres, among which the closest is sought
+NEIGHBOURS = 13  # through which the paraboloid of a node is fitted
+FACING = 0.5  # -cosine of the angle of two normals that face each other, at least
+BESIDE = 0.01  # of a facet's size: a point beyond the rim by less than this is above it
+# Weights and two coordinates of points that integrate polynomials of degree 6 on a triangle
+# (Dunavant 1985); every permutation of the three coordinates is a point.
+DEGREE_6 = (
+    (0.11678627572637937, 0.24928674517091042, 0.24928674517091042),
+    (0.050844906370206817, 0.063089014491502228, 0.063089014491502228),
+    (0.082851075618373575, 0.31035245103378440, 0.053145049844816947),
+)
+
+
+class Pairs(NamedTuple):
+    """Rows of Π, and how much of each slave node has a master.
+
+    Attributes:
+        rows: Slave node of each entry, rising (e,).
+        columns: Master node of each entry, each pair once (e,).
+        values: Entries (e,).
+        covered: Part of the area of each slave node that faces the master (n,) [-].
+        mortar: Whether the row is a mortar row (n,), else shape functions at the closest point.
+    """
+
+    rows: Ints
+    columns: Ints
+    values: Floats
+    covered: Floats
+    mortar: Bools
+
+
+class SmoothSurface:
+    """Triangulated surface of a body that approximates a smooth one.
+
+    Attributes:
+        x: Nodes (n, 3) [mm], all of them in a triangle.
+        triangles: Nodes of the facets (f, 3), counterclockwise seen from outside.
+        normals: Outward unit normals of the smooth surface at the nodes (n, 3).
+        areas: Integrals of the nodes' linear shape functions (n,) [mm2].
+
+    Args:
+        outward: A vector out of the body for each facet (f, 3).
+    """
+
+    def __init__(self, x: Floats, triangles: Ints, outward: Floats) -> None:
+        from scipy.spatial import cKDTree  # imported late: few runs need it
+
+        inverse = np.einsum("fi,fi->f", _area_vectors(x[triangles]), outward) < 0
+        self.x, self.triangles = x, np.where(inverse[:, None], triangles[:, ::-1], triangles)
+        vectors = _area_vectors(x[self.triangles])
+        self._area = np.linalg.norm(vectors, axis=1)
+        self.areas = _sums(triangles, np.repeat(self._area / 3, 3), len(x))
+        near = cKDTree(x).query(x, min(NEIGHBOURS + 1, len(x)))[1][:, 1:]
+        self.normals = _fitted_normals(x, self.triangles, vectors, near)
+        centres = x[triangles].mean(axis=1)
+        self._tree = cKDTree(centres)
+        self._radius = np.linalg.norm(x[triangles] - centres[:, None], axis=2).max(axis=1)
+        # Edges of one facet only, as the edge opposite each vertex (f, 3), and their nodes (n,).
+        edges = np.sort(self.triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
+        _, edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+        rim = count[edge.ravel()] == 1
+        self._rim_edge = rim.reshape(-1, 3)
+        self._rim_node = np.isin(np.arange(len(x)), edges[rim])
+
+    def closest(self, points: Floats) -> tuple[Ints, Floats, Floats]:
+        """Closest points of the surface: facet (p,), shape functions (p, 3), distance (p,) [mm].
+
+        Distances are positive outside.
+        """
+        reach, found = self._tree.query(points, range(1, min(CANDIDATES, len(self.triangles)) + 1))
+        corners = self.x[self.triangles]
+        facet, at = np.zeros(len(points), dtype=np.int64), np.zeros((len(points), 3))
+        least = np.full(len(points), np.inf)
+        for candidate, from_centre in zip(found.T, reach.T, strict=True):
+            # No facet is closer than its centre less its radius.
+            rows = np.flatnonzero(from_centre - self._radius[candidate] < least)
+            shares = foot(points[rows], corners[candidate[rows]])
+            there = np.einsum("pk,pki->pi", shares, corners[candidate[rows]])
+            off = np.linalg.norm(points[rows] - there, axis=1)
+            better = off < least[rows]
+            here = rows[better]
+            facet[here], at[here], least[here] = candidate[here], shares[better], off[better]
+        out = np.einsum("pi,pi->p", points - self._mean(self.x, facet, at), self.normal(facet, at))
+        return facet, at, np.copysign(least, out)
+
+    def _mean(self, nodal: Floats, facet: Ints, at: Floats) -> Floats:
+        return np.einsum("pk,pki->pi", at, nodal[self.triangles[facet]])
+
+    def normal(self, facet: Ints, at: Floats) -> Floats:
+        """Unit normals of the smooth surface at points of facets (p, 3)."""
+        return _unit(self._mean(self.normals, facet, at))
+
+    def faces(self, points: Floats, normals: Floats, facet: Ints, at: Floats) -> Bools:
+        """Whether points with these outward unit normals (p, 3) face their closest points (p,)."""
+        n, away = self.normal(facet, at), points - self._mean(self.x, facet, at)
+        along = away - np.einsum("pi,pi,pj->pj", away, n, n)
+        at_rim = ((at == 0) & self._rim_edge[facet]).any(axis=1)
+        at_rim |= ((at == 1) & self._rim_node[self.triangles[facet]]).any(axis=1)
+        beyond = at_rim & (np.linalg.norm(along, axis=1) > BESIDE * np.sqrt(self._area[facet]))
+        return ~beyond & (np.einsum("pi,pi->p", n, normals) < -FACING)
+
+    def smooth_gap(self, points: Floats) -> tuple[Floats, Floats]:
+        r"""Distance from the smooth surface (p,) [mm], positive outside, and its normal (p, 3).
+
+        .. math:: g = (x - p)·n - \tfrac12 \sum_i L_i (x_i - p)·n_i
+
+        of the closest point p of a flat facet: what the surface rises over the facet is half of
+        what its tangent planes at the vertices x_i do. The error is of order h^4.
+        """
+        facet, at, _ = self.closest(points)
+        n, p, nodes = self.normal(facet, at), self._mean(self.x, facet, at), self.triangles[facet]
+        rise = np.einsum("pk,pki,pki->p", at, self.x[nodes] - p[:, None], self.normals[nodes]) / 2
+        return np.einsum("pi,pi->p", points - p, n) - rise, n
+
+    def deposit(self, points: Floats, values: Floats) -> Floats:
+        """Sums at the nodes (n,) of values at points (p,), by the closest points."""
+        facet, at, _ = self.closest(points)
+        return _sums(self.triangles[facet], at * values[:, None], len(self.x))
+
+    def sampled(self, density: Floats, quadrature: int = 12) -> tuple[Floats, Floats]:
+        """Points on the facets (p, 3) and the part there of the integral of a density (n,) (p,).
+
+        What is deposited from these leaves no holes on a surface of smaller facets.
+        """
+        at, weight = rule(quadrature)
+        points = np.einsum("qk,fki->fqi", at, self.x[self.triangles])
+        parts = np.einsum("f,q,qk,fk->fq", self._area, weight, at, density[self.triangles])
+        return points.reshape(-1, 3), parts.ravel()
+
+
+def mortar(
+    x: Floats, triangles: Ints, master: SmoothSurface, quadrature: int = 12, reach: float = np.inf
+) -> Pairs:
+    """Rows of Π.
+
+    A node has a mortar row where all its facets face the master within ``reach`` [mm]: a row of
+    which the master covers a part is wrong, not small.
+
+    Args:
+        x: Nodes of the slave in the axes of the master (n, 3) [mm].
+        triangles: Facets of the slave, counterclockwise seen from outside (f, 3).
+        master: The other surface.
+        quadrature: Points per facet: 12, 48, 192 ...
+        reach: Distance beyond which shape functions do, which have fewer entries [mm].
+    """
+    at, weight = rule(quadrature)
+    vectors = _area_vectors(x[triangles])
+    area, n, q = np.linalg.norm(vectors, axis=1), len(x), len(weight)
+    W = _sums(triangles, np.repeat(area / 3, 3), n)
+    points = np.einsum("qk,fki->fqi", at, x[triangles]).reshape(-1, 3)
+    facet, shares, distance = master.closest(points)
+    faces = master.faces(points, np.repeat(_unit(vectors), q, axis=0), facet, shares)
+    here = np.einsum("f,q,qk,fq->fk", area, weight, at, faces.reshape(-1, q))
+    covered = _sums(triangles, here, n) / W
+    near = (faces & (np.abs(distance) <= reach)).reshape(-1, q).all(axis=1)
+    whole = ~np.isin(np.arange(n), triangles[~near])
+    dual = np.einsum("f,q,qk->fqk", area, weight, 4 * at - 1) / W[triangles][:, None]
+    entries = dual[..., None] * shares.reshape(-1, q, 1, 3)
+    rows = np.broadcast_to(triangles[:, None, :, None], entries.shape)
+    columns = np.broadcast_to(master.triangles[facet].reshape(-1, q, 1, 3), entries.shape)
+    used, others = whole[rows], np.flatnonzero(~whole)
+    facet, shares, _ = master.closest(x[others])
+    key = np.concatenate([rows[used], np.repeat(others, 3)]) * len(master.x)
+    key += np.concatenate([columns[used], master.triangles[facet].ravel()])
+    pair, entry = np.unique(key, return_inverse=True)
+    values = _sums(entry, np.concatenate([entries[used], shares.ravel()]), len(pair))
+    return Pairs(*np.divmod(pair, len(master.x)), values, covered, whole)
+
+
+def rule(points: int) -> tuple[Floats, Floats]:
+    """Points on a triangle (q, 3), barycentric, and weights that sum to 1 (q,).
+
+    Of degree 6 on the triangle (12 points), or on the parts that halved edges make (48, 192 ...).
+    """
+    orbits = [sorted(set(permutations((a, b, 1 - a - b)))) for _, a, b in DEGREE_6]
+    at = np.concatenate(orbits)
+    weight = np.repeat([w for w, _, _ in DEGREE_6], [len(orbit) for orbit in orbits])
+    parts = [(1 - np.eye(3)) / 2, *((np.eye(3) + corner) / 2 for corner in np.eye(3))]
+    while len(at) < points:
+        at, weight = np.concatenate([at @ part for part in parts]), np.tile(weight / 4, 4)
+    return at, weight / weight.sum()
+
+
+def _fitted_normals(x: Floats, triangles: Ints, vectors: Floats, near: Ints) -> Floats:
+    """Unit normals (n, 3) at nodes of paraboloids through them, fitted to near ones (n, k)."""
+    n = _unit(np.stack([_sums(triangles, np.repeat(v, 3), len(x)) for v in vectors.T], 1))
+    axes = np.linalg.svd(n[:, None])[2][:, 1:]  # two tangents of each node
+    away = x[near] - x[:, None]
+    away /= np.linalg.norm(away, axis=2).max(axis=1)[:, None, None]
+    a, b = np.einsum("nki,nji->jnk", away, axes)
+    height = np.einsum("nki,ni->nk", away, n)
+    fit = np.linalg.pinv(np.stack([a, b, a * a, a * b, b * b], axis=2))
+    slope = np.einsum("njk,nk->nj", fit[:, :2], height)
+    return _unit(n - np.einsum("nj,nji->ni", slope, axes))
+
+
+def _area_vectors(corners: Floats) -> Floats:
+    """Normals of triangles (f, 3, 3), as long as their areas (f, 3)."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
+
+
+def _sums(at: Ints, values: Floats, n: int) -> Floats:
+    """Sums (n,) of values by place."""
+    return np.bincount(at.ravel(), values.ravel(), n).astype(np.float64)

@@ -1,0 +1,100 @@
+"""A head and its cup, meshed apart: two bodies that share no node."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from meshes.data import MeshData, assemble, exterior_facets, number
+from meshes.gmsh_child import grade, session, tetrahedra
+from meshes.quality import untangle
+
+Body = tuple[Floats, Ints, Ints]  # nodes, cells, and the volume of each cell
+
+
+def build(geometry: Any, mesh: Any) -> MeshData:
+    """Mesh a head with its bore, and a liner, within a shell if it has a thickness.
+
+    Edges on the two surfaces of the bearing are straight, also of curved cells: displacements
+    are linear there.
+
+    Args:
+        geometry: ``head_radius``, ``cup_radii``, ``bore_diameter``, ``bore_depth`` [mm],
+            ``bore_taper``, ``cover_angle``, ``inclination``, ``version`` [rad], ``head_size``.
+        mesh: ``size`` on the liner's bearing, ``far`` away from it [mm], ``curved``.
+
+    Raises:
+        GeometryError: gmsh fails.
+    """
+    radii = geometry.cup_radii
+    level = radii[0] * math.cos(geometry.cover_angle)
+    (x, ball, _), (y, cup, volume) = _head(geometry, mesh), _cup(radii, level, mesh)
+    points, cells = np.concatenate([x, y]), np.concatenate([ball, cup + len(x)])
+    regions, (facets, owner) = number(geometry.region_names), exterior_facets(cells)
+    # Volumes are recognised by the mean distance of their cells from the centre.
+    away = np.linalg.norm(y[cup[:, :4]].mean(axis=1), axis=1)
+    means = [away[volume == own].mean() for own in np.unique(volume)]
+    tag = 2 + np.argsort(np.argsort(means))[np.unique(volume, return_inverse=True)[1]]
+    tags = np.concatenate([np.ones(len(ball), dtype=np.int64), tag])
+    at, of = points[facets[:, :3]], tags[owner]
+    near, far = 1e-6 * radii[0], np.linalg.norm(at, axis=2)
+    ball_on = (np.abs(far - geometry.head_radius) < near).all(axis=1)
+    rim = (np.abs(at[..., 2] - level) < near).all(axis=1) & (of > 1)
+    inner = (of > 1) & ~rim & (far.mean(axis=1) < (radii[0] + radii[1]) / 2)
+    masks = {"head_surface": (of == 1) & ball_on, "head_bore": (of == 1) & ~ball_on}
+    masks["liner_inner"] = inner
+    masks |= {f"{name}_rim": rim & (of == t) for name, t in regions.items() if t > 1}
+    masks[geometry.boundary_names[-1]] = (of > 1) & ~rim & ~inner
+    if mesh.curved:
+        flat = facets[masks["head_surface"] | inner]
+        points[flat[:, 3:]] = points[flat[:, [[0, 1], [1, 2], [2, 0]]]].mean(axis=2)
+        points = untangle(points, cells)
+    points = points @ _turn(geometry.inclination, geometry.version).T
+    return assemble(points, cells, tags, regions, geometry.interface_sides, masks, facets)
+
+
+def _head(geometry: Any, mesh: Any) -> Body:
+    """A ball about the origin with a conical bore that opens towards -z."""
+    ball, bore = geometry.head_radius, geometry.bore_diameter / 2
+    narrowing, depth = math.tan(geometry.bore_taper), geometry.bore_depth
+    # From below the ball, so that the cone meets it in one circle.
+    more = ball - math.sqrt(ball**2 - bore**2) + 0.1 * ball
+    wide, end = bore + more * narrowing, bore - depth * narrowing
+    with session("head_cup") as gmsh:
+        occ = gmsh.model.occ
+        start = (0, 0, -1.1 * ball, 0, 0, depth + more)
+        hole = occ.addCone(*start, wide, end) if narrowing else occ.addCylinder(*start, bore)
+        occ.cut([(3, occ.addSphere(0, 0, 0, ball))], [(3, hole)])
+        occ.synchronize()
+        grade(gmsh, [_from_sphere(ball)], geometry.head_size * mesh.size, mesh.far)
+        return tetrahedra(gmsh, mesh.curved)
+
+
+def _cup(radii: tuple[float, ...], level: float, mesh: Any) -> Body:
+    """Layers between spheres about the origin, above the plane z = level of the rim."""
+    with session("head_cup") as gmsh:
+        occ = gmsh.model.occ
+        hollow, *layers = (
+            (3, occ.addSphere(0, 0, 0, radius, angle1=math.asin(level / radius)))
+            for radius in radii
+        )
+        solids, _ = occ.fragment(layers[-1:], [*layers[:-1], hollow])
+        occ.synchronize()
+        reach = [max(gmsh.model.getBoundingBox(*solid)[3:]) for solid in solids]
+        occ.remove([solids[int(np.argmin(reach))]])
+        occ.synchronize()
+        grade(gmsh, [_from_sphere(radii[0])], mesh.size, mesh.far)
+        return tetrahedra(gmsh, mesh.curved)
+
+
+def _from_sphere(radius: float) -> str:
+    return f"(sqrt(x*x+y*y+z*z)-{radius})"
+
+
+def _turn(inclination: float, version: float) -> Floats:
+    """Rotation (3, 3) that lays z along the cup's pole."""
+    c, s, d, t = (f(a) for a in (inclination, version) for f in (math.cos, math.sin))
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ [[1, 0, 0], [0, d, -t], [0, t, d]]

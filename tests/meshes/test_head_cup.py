@@ -1,0 +1,165 @@
+"""A head in its cup: names, spheres, volumes, straight edges of the bearing, quality."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+import meshes
+from app.arrays import Floats, Ints
+from app.case.geometries import HeadCup, MeshOptions
+from meshes.data import MeshData, boundary_areas, interface_facets, region_volumes
+from tests.meshes.test_meshes import digest
+
+LINER = {"head_diameter": "28 mm", "radial_clearance": "0.1 mm", "liner_thickness": "8 mm"}
+CUP = HeadCup(**LINER, shell_thickness="4 mm")
+R, INNER, OUTER, SHELL = 14.0, 14.1, 22.1, 26.1
+
+
+def mesh(size: float, geometry: HeadCup = CUP, order: int = 2) -> MeshData:
+    options = MeshOptions(size=f"{size} mm", order=order, curved=order == 2)
+    return meshes.build(geometry, options)
+
+
+@pytest.fixture(scope="module")
+def cup() -> MeshData:
+    return mesh(2.8)
+
+
+def facets(data: MeshData, name: str) -> Ints:
+    return data.facets[np.isin(data.facet_tags, data.boundaries[name])]
+
+
+def away(data: MeshData, nodes: Ints) -> Floats:
+    return np.linalg.norm(data.points[np.unique(nodes)], axis=1)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("size", [4.0, 2.0])
+def test_bodies_are_apart_named_and_on_their_spheres(size: float, order: int) -> None:
+    data = mesh(size, order=order)
+    assert set(data.boundaries) == set(CUP.boundary_names) and set(CUP.boundary_names) >= {
+        *("head_surface", "head_bore", "liner_inner", "liner_rim", "shell_rim", "shell_outer")
+    }
+    assert data.notes["quality"]["sicn_min"] >= 0.1
+    for (name, radius), other in zip(
+        (("head_surface", R), ("liner_inner", INNER)), ("head", "liner"), strict=True
+    ):
+        on = facets(data, name)
+        assert np.abs(away(data, on[:, :3]) - radius).max() < 1e-9
+        body = data.cells[data.cell_tags == data.regions[other]]
+        assert np.isin(on, body).all()
+        if order == 2:  # straight edges
+            ends = data.points[on[:, [[0, 1], [1, 2], [2, 0]]]].mean(axis=2)
+            np.testing.assert_allclose(data.points[on[:, 3:]], ends, atol=1e-12)
+    head, liner = (data.cells[data.cell_tags == data.regions[n]] for n in ("head", "liner"))
+    assert not np.isin(head, liner).any()
+    assert not len(interface_facets(data, "bearing")[0])
+    joint = interface_facets(data, "liner_shell")[0]
+    assert np.abs(away(data, joint[:, :3]) - OUTER).max() < 1e-9
+
+
+def exact() -> dict[str, float]:
+    """Volumes and areas of spheres, of a cone in a ball, and of plane rings (mm3, mm2)."""
+    bore, depth, taper = 6.5, 16.0, math.radians(2.84)
+    end = bore - depth * math.tan(taper)
+    rise = math.sqrt(R**2 - bore**2)
+    cap = math.pi / 3 * (R - rise) ** 2 * (2 * R + rise)
+    cone = math.pi / 3 * depth * (bore**2 + bore * end + end**2)
+    return {
+        "head": 4 / 3 * math.pi * R**3 - cap - cone,
+        "liner": 2 / 3 * math.pi * (OUTER**3 - INNER**3),
+        "shell": 2 / 3 * math.pi * (SHELL**3 - OUTER**3),
+        "head_surface": 2 * math.pi * R * (R + rise),
+        "head_bore": math.pi * (bore + end) * depth / math.cos(taper) + math.pi * end**2,
+        "liner_inner": 2 * math.pi * INNER**2,
+        "liner_rim": math.pi * (OUTER**2 - INNER**2),
+        "shell_rim": math.pi * (SHELL**2 - OUTER**2),
+        "shell_outer": 2 * math.pi * SHELL**2,
+    }
+
+
+def test_volumes_and_areas_converge_to_the_formula(cup: MeshData) -> None:
+    """With the square of the size on straight edges, faster where edges are curved."""
+    errors = []
+    for data in (cup, mesh(1.4)):
+        found = region_volumes(data) | boundary_areas(data)
+        errors.append({name: abs(found[name] / value - 1) for name, value in exact().items()})
+    coarse, fine = errors
+    assert max(coarse.values()) < 0.03
+    for name in ("head", "liner", "head_surface", "liner_inner"):
+        assert 2.8 < coarse[name] / fine[name] < 5.5, name
+    assert max(fine[name] for name in ("shell", "shell_outer", "shell_rim")) < 5e-4
+    assert max(fine.values()) < 0.01
+
+
+def test_the_bearing_is_finer_on_the_cup_unless_asked(cup: MeshData) -> None:
+    def edge(data: MeshData, name: str) -> float:
+        """Edge of a regular triangle of the mean area (mm)."""
+        area = boundary_areas(data)[name] / len(facets(data, name))
+        return math.sqrt(4 * area / math.sqrt(3))
+
+    assert edge(cup, "liner_inner") == pytest.approx(2.8, rel=0.1)
+    assert edge(cup, "head_surface") == pytest.approx(1.15 * 2.8, rel=0.1)
+    other = mesh(2.8, CUP.model_copy(update={"head_size": 0.8}))
+    assert edge(other, "head_surface") == pytest.approx(0.8 * 2.8, rel=0.1)
+
+
+def test_inclination_and_version_turn_the_mesh(cup: MeshData) -> None:
+    upright = mesh(2.8, CUP.model_copy(update={"inclination": 0.0, "version": 0.0}))
+    rim = upright.points[np.unique(facets(upright, "liner_rim"))]
+    assert np.abs(rim[:, 2]).max() < 1e-12
+    # Lateral, anterior and distal (Murray 1993, radiographic definitions).
+    i, v = math.radians(45), math.radians(15)
+    opening = [-math.sin(i) * math.cos(v), math.sin(v), -math.cos(i) * math.cos(v)]
+    np.testing.assert_allclose(CUP.pole, -np.array(opening))
+    turned = cup.points[np.unique(facets(cup, "liner_rim"))]
+    assert np.abs(turned @ opening).max() < 1e-12
+    for data, axis in ((cup, opening), (upright, [0, 0, -1])):
+        assert np.mean(data.points[np.unique(facets(data, "head_bore"))] @ axis) > 5.0
+        assert np.mean(data.points[np.unique(facets(data, "liner_inner"))] @ axis) < -5.0
+    assert region_volumes(upright) == pytest.approx(region_volumes(cup), rel=1e-12)
+
+
+def test_the_same_keys_give_the_same_mesh(cup: MeshData) -> None:
+    assert digest(mesh(2.8)) == digest(cup)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"liner_thickness": "0.5 mm", "shell_thickness": "2 mm"},
+        {"radial_clearance": "0 mm"},
+        {"cover_angle": "30 deg"},
+        {"cover_angle": "120 deg", "bore_taper": "0 deg"},
+    ],
+)
+@pytest.mark.parametrize("part", [1.0, 0.7])
+def test_thin_open_and_closed_cups_are_meshed(keys: dict[str, Any], part: float) -> None:
+    """Up to the largest cells that are allowed, or 5 mm."""
+    geometry = HeadCup(**LINER | keys)
+    size = part * min(5.0, geometry.coarsest_size)
+    data = mesh(size, geometry)
+    assert set(data.regions) == set(geometry.region_names)
+    options = MeshOptions(size=f"{size} mm")
+    assert geometry.estimate_cells(options) == pytest.approx(len(data.cells), rel=0.7)
+    area = 2 * math.pi * geometry.cup_radii[0] ** 2 * (1 - math.cos(geometry.cover_angle))
+    assert boundary_areas(data)["liner_inner"] == pytest.approx(area, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "text"),
+    [
+        ("cover_angle", "20 deg", "30 to 120 deg"),
+        ("bore_diameter", "27 mm", "leaves no head"),
+        ("bore_depth", "25 mm", "to the head's surface"),
+        ("bore_taper", "30 deg", "above its end"),
+    ],
+)
+def test_impossible_bodies_are_refused(key: str, value: str, text: str) -> None:
+    with pytest.raises(ValidationError, match=text):
+        HeadCup(**LINER | {key: value})
