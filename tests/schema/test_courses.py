@@ -13,6 +13,7 @@ from app.errors import InputError
 from app.laws.courses import ROTATIONS, Course
 from app.laws.loads import Force
 from app.laws.motions import Motion
+from app.soundness import preview
 from tests import support
 
 GAIT = """\
@@ -104,6 +105,25 @@ def test_faults_of_a_file_tell_its_line(wrong: str, text: str, tmp_path: Path) -
     with pytest.raises(InputError, match=re.escape(f"gait.csv: {text}")) as caught:
         load(tmp_path / "case.yaml")
     assert caught.value.messages[0].startswith(f"{tmp_path / 'case.yaml'}:23:27: motions.ball")
+
+
+def test_a_course_is_found_by_name_or_beside_the_case_that_names_it(tmp_path: Path) -> None:
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "gait.csv").write_text(GAIT)
+    (tmp_path / "lib" / "below.yaml").write_text(CASE)
+    (tmp_path / "case.yaml").write_text("base: lib/below.yaml\n")
+    found = load(tmp_path / "case.yaml", ["motions.ball.rotation.course=iso_14242_1"]).config
+    course, own = found.motions["ball"].rotation.course, found.loads["hip"].course
+    assert own.rows[-1] == "1100, 0.3, 2, 25" and course.status == "unverified"
+    x, y, z = (np.degrees(course.column(name)) for name in ROTATIONS)
+    for angles, least, most in ((x, -18, 25), (y, -4, 7), (z, -2, 10)):
+        assert (angles.min(), angles.max()) == pytest.approx((least, most))
+        assert angles[0] == pytest.approx(angles[-1])
+    force = dict(zip(course.times, course.column("force"), strict=True))
+    assert force[0.12] == force[0.5] == 3000 and force[0.62] == force[1.0] == 300
+    assert "unverified: courses motions.ball" in preview.describe(
+        found, {"regions": {"lower": {}, "upper": {}}}
+    )
 
 
 def test_the_first_letter_of_axes_is_the_outermost() -> None:
