@@ -39,8 +39,8 @@ NAMED = {
     "loads": ("library", "loads"),
 }
 # Files that a case names relative to its own folder; a course without a suffix is of the library.
-FILES = ("geometry.path", "geometry.stem.step", "geometry.bone.surface", "geometry.canal.surface")
-FILES += ("loads.*.course", "motions.*.rotation.course")
+FILES = "geometry.path geometry.stem.step geometry.bone.surface geometry.canal.surface".split()
+FILES += ["loads.*.course", "motions.*.rotation.course"]
 # Keys among the loads that change all forces there, and what they are.
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
 from app.laws.interface_laws import USUAL_AUGMENTATION
 from app.laws.loads import Point
@@ -35,7 +35,8 @@ class Stage(Section):
     the load is found for which it uses that; it may fall. By default steps follow the load."""
     cycles: units.PositiveInteger = 1
     """How often loads, gaps and supports reach their values of the end of the stage. Between, they
-    go back to `valley`; `increments` are those of each way."""
+    go back to `valley`; `increments` are those of each way. In a last stage with courses: how often
+    those are repeated; nothing goes back, and `increments` are those of a cycle."""
     valley: units.Share = 0.1
     """What is left between two cycles of the change that the stage brings."""
     remodels: units.PositiveTime | None = None
@@ -49,6 +50,14 @@ class Stage(Section):
     """The same in time, for laws of creep in a unit of time."""
     creep_tolerance: units.PositiveNumber = 1e-2
     """Largest error of the creep strain in a step, over the largest elastic strain."""
+
+    _repeats: bool = PrivateAttr(False)
+
+    def repeating(self) -> Stage:
+        """The stage with cycles of courses."""
+        stage = self.model_copy()
+        stage._repeats = True
+        return stage
 
     @model_validator(mode="after")
     def _one_end(self) -> Stage:
@@ -84,8 +93,8 @@ class Stage(Section):
 
     @property
     def ways(self) -> int:
-        """How often loads turn, and the way to the end."""
-        return 2 * self.cycles - 1
+        """How often loads turn, and the way to the end; of courses, their cycles."""
+        return self.cycles if self._repeats else 2 * self.cycles - 1
 
     def turn(self, time: float) -> int:
         """Which turn of the loads comes at a time, 1 at the first peak, or 0: none."""
@@ -94,6 +103,8 @@ class Stage(Section):
 
     def reached(self, part: float) -> float:
         """How much of the stage's change is there after a part of it: 1 at the end and at peaks."""
+        if self._repeats:
+            return part
         way = min(int(self.ways * part), self.ways - 1)
         low = self.valley if way else 0.0
         up = min(self.ways * part / self.loaded, self.ways) - way

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ValidationInfo, model_validator
+from pydantic import BeforeValidator, PrivateAttr, ValidationInfo, model_validator
 
 from app.laws.courses import FORCES, Course
-from app.laws.values import History, Named, Source, Status, field
+from app.laws.values import History, Named, Source, Status, amplitude, field
 from app.schema.expressions import Varying
 from app.schema.section import ITEMS, Extensible, Kinds, Name, Triple, fail, show, spread_unit
 from app.schema.units import Dimension, ForceVector, Length, Stress
@@ -57,6 +58,9 @@ class Patch:
 class Load(Extensible, Named):
     """A load: work in a displacement, times its history. A subclass with a `kind` is one more."""
 
+    # Value at a time where no history tells it.
+    _value: Callable[[float], float] | None = PrivateAttr(None)
+
     # A `Literal` in each subclass.
     kind: Any
     history: History = None
@@ -85,6 +89,10 @@ class Load(Extensible, Named):
             on: The body: its position x, normal n, measures, fields (`mechanics.body_forms`).
         """
         raise NotImplementedError
+
+    def amplitude(self, time: float) -> float:
+        """Multiplier at a time."""
+        return self._value(time) if self._value else amplitude(self.history, time)
 
     @property
     def resultant(self) -> tuple[float, float, float] | None:

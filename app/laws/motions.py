@@ -62,18 +62,16 @@ class Motion(Named):
 
         return np.array(self.rotation.course.at(ROTATIONS, s))
 
-    def rotation_at(self, s: float) -> Floats:
-        """Rotation at a part of a cycle from 0 to 1 (3, 3): of `yxz` R_y(a_y) R_x(a_x) R_z(a_z).
+    def rotation_at(self, s: float, part: float = 1.0) -> Floats:
+        """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3).
 
+        Of `yxz` it is R_y(a_y) R_x(a_x) R_z(a_z).
         ``x = about + R (X - about)``; the first letter is the outermost, its axis fixed in space.
         """
-        import numpy as np
+        from scipy.spatial.transform import Rotation as Turn
 
-        angles, R = self.angles_at(s), np.eye(3)
-        for k in map("xyz".index, self.rotation.axes):
-            i, j, turn = (k + 1) % 3, (k + 2) % 3, np.eye(3)
-            turn[[i, j], [i, j]] = math.cos(angles[k])
-            turn[j, i] = math.sin(angles[k])
-            turn[i, j] = -turn[j, i]
-            R = R @ turn
-        return R
+        angles, axes = part * self.angles_at(s), self.rotation.axes
+        ordered = [angles["xyz".index(axis)] for axis in axes]
+        return Turn.from_euler(
+            axes.upper(), ordered
+        ).as_matrix()  # capitals: axes that turn with it

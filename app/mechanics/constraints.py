@@ -141,6 +141,12 @@ class Constraints:
         for k, body in enumerate(scene.rigid):
             cells = np.flatnonzero(cell_tags(tagged) == tagged.regions[body.region])
             region[touched_nodes(space, cells)[:nodes]] = k
+            for c in scene.contacts:
+                if c.between and body.region in c.master:
+                    # Points that slide far over it: it moves them, and their jumps.
+                    f = boundary_facets(tagged, c.between[1]).facets.astype(np.int32)
+                    there = fem.locate_dofs_topological(space, 2, f)
+                    region[there[there < nodes]] = k
         free = np.flatnonzero(region < 0)
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         turned = np.zeros(nodes, dtype=bool)
@@ -204,6 +210,16 @@ class Constraints:
         held = own >= 0
         along = (axes.swapaxes(1, 2) @ local)[held]
         rows, *wanted = gather(comm, along, *(values[held] for values in prescribed))
+        if motion := scene.motion_of((region,)):
+            # Its turn is given: no turn besides, and no way either if that is held.
+            place_of = rigid_modes((np.array(motion.about) - centre)[None] / scale)[0]
+            given = (
+                np.eye(6)[3:]
+                if motion.translation == "free"
+                else np.vstack([place_of, np.eye(6)[3:]])
+            )
+            rows = np.vstack([rows, given])
+            wanted = [np.concatenate([w, np.zeros(len(given))]) for w in wanted]
         basis, rank, amounts = _held_motions(scene, region, rows, wanted)
         if comm.rank == 0:
             self._bases[place] = basis

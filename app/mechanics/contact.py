@@ -17,30 +17,30 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from dolfinx import fem
 from pydantic_core import PydanticCustomError
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError
 from app.laws.values import amplitude, gap_at
-from app.mechanics.body_forms import BodyForms, assembled_matrix
+from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Constraints
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_points import ContactState, OwnPoints, prescribed_jump, refuse_supports
-from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum, owners
+from app.mechanics.jump_coupling import JumpCoupling
+from app.mechanics.sliding import ACCURACY, Sliding
+from app.numerics.sparse import owners
 from app.scene.bodies import Bodies, contact_facets
 from app.scene.frames import Frames, held_at
-from app.scene.scene import Interface, Scene
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from forms.contact import OPEN, SLIP
-from meshes.contact_points import Entries, contact_points
+from meshes.contact_points import contact_points
 from meshes.distribute import TaggedMesh
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
@@ -70,7 +70,7 @@ class TrialState:
         c, law = self.contact, self.law
         force = law.force + np.einsum("pk,pki->pi", law.pressures, c.own.normals)
         missing = c.multiplier(self.equilibrium) - force
-        slip = self.jump - c.state.jump + missing / c.law.stiffness[:, None]
+        slip = self.jump - c.reference + missing / c.law.stiffness[:, None]
         slides = (c.law.frictional & c.law.slides & (law.status == SLIP))[:, None]
         closed = self._closed(slip)
         force, slip = (np.where(slides, c.own.tangential(v, closed), 0.0) for v in (force, slip))
@@ -89,10 +89,16 @@ class TrialState:
     def slip(self, friction: Floats) -> Floats:
         """Irreversible tangential motion, under friction (n, 3) [MPa]: (n, 3) [mm].
 
-        That of contact, d_T of eq. 3 without what is elastic, is a state: it has no history.
+        That of contact, d_T of eq. 3 without what is elastic, is a state: it has no history. Large
+        slip is the sum of the steps.
         """
+        c = self.contact
         slid = self.sliding(self.jump - self._elastic(friction))
-        return np.where(self.contact.law.slides[:, None], slid, self.law.told["slip"])
+        slip = np.where(c.law.slides[:, None], slid, self.law.told["slip"])
+        if c.large is not None:
+            rows = c.large.rows
+            slip[rows] = c.state.slip[rows] + self.sliding(self.jump - c.reference)[rows]
+        return slip
 
     def _elastic(self, friction: Floats) -> Floats:
         return np.einsum("pij,pj->pi", self.contact.law.compliance, friction)
@@ -118,7 +124,7 @@ class TrialState:
         or open. In it is the energy of a layer across, which is released when it opens.
         """
         c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.own.weight
-        step, opening = self.jump - old.jump, self.jump + c.gap
+        step, opening = self.jump - c.reference, c.opening(self.jump)
         force = c.forces(self.equilibrium)
         normal = np.einsum("pk,pki->pi", law.pressures, c.own.normals)
         friction = force + normal
@@ -140,78 +146,10 @@ class TrialState:
             dissipation=old.dissipation + dissipated,
             least=np.minimum(old.least, dissipated),
             contact_work=old.contact_work + weight * pushed,
-            work=old.work + weight * np.einsum("pi,pi->p", (force + old.force) / 2, step),
+            work=old.work
+            + weight * np.einsum("pi,pi->p", (force + old.force) / 2, self.jump - old.jump),
             own=law.history,
         )
-
-
-class JumpCoupling:
-    """Stiffness between jumps and displacement, reassembled when the stiffness changes.
-
-    Attributes:
-        jump_to_displacement: Matrices from jumps to displacements, by body.
-        C: Forces on the displacement by jumps.
-        D: Forces on jumps by jumps.
-        Ct: The transpose of C.
-
-    Args:
-        entries: Displacement of each body by all jumps.
-        number: Number of each contact point in the order of the ranks.
-        own: Number of contact points of this rank.
-    """
-
-    def __init__(
-        self,
-        mechanics: BodyForms,
-        constraints: Constraints,
-        entries: Entries,
-        number: Ints,
-        own: int,
-    ) -> None:
-        comm, index_map = mechanics.mesh.comm, mechanics.space.dofmap.index_map
-        start, end = (3 * k for k in index_map.local_range)
-        self.jump_to_displacement: dict[int, PETSc.Mat] = {}
-        self._strips: dict[int, fem.Form] = {}
-        for body in map(int, np.unique(entries.body)):
-            here = entries.body == body
-            row, column, value = entries.row[here], entries.column[here], entries.value[here]
-            column = 3 * number[column // 3] + column % 3
-            local = (row >= start) & (row < end)
-            self.jump_to_displacement[body] = from_triplets(
-                comm, end - start, 3 * own, row[local] - start, column[local], value[local]
-            )
-            moved: Bools = np.isin(
-                np.concatenate([np.arange(start // 3, end // 3), index_map.ghosts]),
-                np.unique(row // 3),
-            )
-            self._strips[body] = mechanics.strip_stiffness(body, moved)
-        self.C, self.D, self.Ct = self._assembled(mechanics, constraints)
-        self._work = self.Ct.createVecLeft()
-
-    def _assembled(
-        self, mechanics: BodyForms, constraints: Constraints
-    ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
-        moves = self.jump_to_displacement
-        KB = {b: assembled_matrix(self._strips[b]).matMult(B) for b, B in moves.items()}
-        C = constraints.rows(matrix_sum(list(KB.values())))
-        D = matrix_sum([B.transposeMatMult(KB[b]) for b, B in moves.items()])
-        return C, D, C.copy().transpose()
-
-    def update(self, mechanics: BodyForms, constraints: Constraints) -> None:
-        """Reassemble, in the same matrices, for changed stiffness or supports."""
-        new = self._assembled(mechanics, constraints)
-        for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
-            values.copy(matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-
-    def equilibrium(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> Floats:
-        """Equilibrium e = C^T u + D q - f_q at own points (n, 3) [N]; -e is the force W F."""
-        self.Ct.mult(u, self._work)
-        self.D.multAdd(q, self._work, self._work)
-        return self._work.array.reshape(-1, 3) - f_q.reshape(-1, 3)
-
-    def local_stiffness(self) -> Floats:
-        """Stiffness of the jump of each own point with all else held (n, 3, 3) [N/mm]."""
-        return diagonal_blocks(self.D, 3)
 
 
 class ContactInterfaces:
@@ -226,6 +164,8 @@ class ContactInterfaces:
         law: Their laws.
         state: Their committed state.
         gap: Initial gap at the current time (n, 3) [mm].
+        large: Points that slide far, if any.
+        reference: Jumps at which nothing has slid since the last committed step (n, 3) [mm].
         prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
         linear_about: Forces (n, 3) [MPa] about which the laws are linearized; None: about none.
 
@@ -262,15 +202,17 @@ class ContactInterfaces:
             prescribed_jump(self.points, k, s)[rows] for k, s in enumerate(scene.supports)
         ]
         self.coupling = JumpCoupling(mechanics, constraints, entries, number, len(rows))
+        far = any(c.between for c in scene.contacts)
+        self.large = Sliding(scene, tagged, space, self.own) if far else None
         self.law = PointLaw(self.comm, self.own, timing)
-        self.begin(scene.contacts, augmentation_factor)
+        self.begin(scene, augmentation_factor)
 
-    def begin(self, contacts: Sequence[Interface], augmentation_factor: float) -> None:
+    def begin(self, scene: Scene, augmentation_factor: float) -> None:
         """Reset to the unloaded state, with other laws of the same interfaces; collective.
 
         The default augmentation is ``augmentation_factor`` times the local stiffness per area.
         """
-        self._contacts = contacts
+        contacts = self._contacts = scene.contacts
         fields = [{"gap": c.gap, **c.values} for c in contacts]
         values = {name: np.zeros(len(self.points.weight)) for every in fields for name in every}
         for i, (c, every) in enumerate(zip(contacts, fields, strict=True)):
@@ -287,8 +229,12 @@ class ContactInterfaces:
         self._full_gap = own["gap"]
         laws = [c.law for c in contacts]
         self.law.begin(laws, own, augmentation_factor, self.coupling.local_stiffness())
+        if self.large is not None:
+            self.large.begin(scene)
+        self._committed = 0.0
+        self.state: ContactState = ContactState.at_rest(self.own.x * 0.0, self.law.history)
         self.set_time(0.0)
-        self.state: ContactState = ContactState.at_rest(self.gap, self.law.history)
+        self.state.opening = self.opening(self.state.jump)
 
     def update_stiffness(self, mechanics: BodyForms, constraints: Constraints) -> None:
         """Reassemble the coupling for changed stiffness or supports."""
@@ -301,10 +247,57 @@ class ContactInterfaces:
         for i, c in enumerate(self._contacts):
             here = self.own.interface == i
             gap[here] = gap_at(self._full_gap[here], c.history, time)
-        self.gap = gap_vectors(self.own.normals, self.own.faces, gap)
+        if self.large is None:
+            self.gap = gap_vectors(self.own.normals, self.own.faces, gap)
+        else:
+            self.large.set_time(self._committed, time)
+            self._pair(self.state.jump)
         self.prescribed = np.zeros((len(self.own), 3))
         for support, jump in zip(self._supports, self._by_supports, strict=True):
             self.prescribed += amplitude(support.history, time) * jump
+
+    def _pair(self, jump: Floats) -> None:
+        """Pair the points that slide far, at jumps (n, 3) [mm]: gaps, normals, reference."""
+        assert self.large is not None
+        rows, own, found = self.large.rows, self.own, self.large.pair(jump)
+        own.normals[rows, 0] = found.normal
+        self.law.turn_normals(rows)
+        self._paired_at, gap = jump.copy(), self._clearance.copy()
+        gap[rows] += found.gap - np.einsum("pi,pi->p", found.normal, jump[rows])
+        self.gap = gap_vectors(own.normals, own.faces, gap)
+
+    def pair(self, trial: TrialState) -> bool:
+        """Pair the points that slide far anew if their gaps are wrong in a state; collective."""
+        if self.large is None:
+            return False
+        rows = self.large.rows
+        pressure = trial.law.pressures[rows, 0]
+        wrong = self.law.met[rows] * self.large.error(self._paired_at, trial.jump)
+        local = pressure.max(initial=0.0), wrong[pressure > 0].max(initial=0.0)
+        largest, by = self.comm.allreduce(np.array(local), MPI.MAX)
+        if by <= ACCURACY * largest:
+            return False
+        self._pair(trial.jump)
+        return True
+
+    def commit(self, state: ContactState, time: float) -> None:
+        """Set the committed state, and its time."""
+        self.state, self._committed = state, time
+        if self.large is not None:
+            self.large.set_time(time, time)
+
+    @property
+    def reference(self) -> Floats:
+        """Jumps at which nothing has slid since the last committed step (n, 3) [mm]."""
+        return self.state.jump if self.large is None else self.large.reference(self.state.jump)
+
+    def opening(self, jump: Floats) -> Floats:
+        """Jumps (n, 3) with the initial gap; where points slide far along the normal alone."""
+        found = jump + self.gap
+        if self.large is not None:
+            rows, n = self.large.rows, self.own.normals[self.large.rows, 0]
+            found[rows] = np.einsum("pi,pi->p", found[rows], n)[:, None] * n
+        return found
 
     def tie(self, on: bool) -> bool:
         """Tie interfaces that were open everywhere so far, or none; collective if it does.
@@ -378,7 +371,10 @@ class ContactInterfaces:
 
     def evaluate(self, e: Floats, q: Floats) -> PointForces:
         """The laws at own points for equilibrium and jumps."""
-        return self.law.evaluate(self.multiplier(e), q, self.gap, self.state)
+        state = self.state
+        if self.large is not None:
+            state = replace(state, jump=self.reference)
+        return self.law.evaluate(self.multiplier(e), q, self.gap, state)
 
     def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
         """Residual e + W P at own points (n, 3) [N]; prescribed jumps where supports hold."""

@@ -76,6 +76,7 @@ class PointLaw:
         can_open, frictional: Whether the law of each point can open, has friction (n,).
         history: Shapes of the history variables of the laws, by name.
         tied: Points that stick whatever their law (n,).
+        met: Stiffness per area that the jump of each point meets (n,) [MPa/mm].
         default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
         stiffness: The one in force (n,) [MPa/mm].
         compliance: That of the elastic layer in series (n, 3, 3) [mm/MPa].
@@ -147,6 +148,12 @@ class PointLaw:
             groups.append((rows, law, compiled, beside))
         return groups
 
+    def turn_normals(self, points: Ints) -> None:
+        """Take the normals of points of one face anew."""
+        for rows, _, compiled, _ in self._groups:
+            if np.isin(rows, points).any():
+                compiled.set(normal_0=self._own.normals[rows, 0])
+
     # Stiffness of the trial force
 
     def update_stiffness(self, local_stiffness: Floats) -> None:
@@ -158,11 +165,11 @@ class PointLaw:
         Args:
             local_stiffness: Stiffness of each jump with all else held (n, 3, 3) [N/mm].
         """
-        self._point_stiffness = np.linalg.eigvalsh(local_stiffness)[:, 0] / self._own.weight
+        self.met = np.linalg.eigvalsh(local_stiffness)[:, 0] / self._own.weight
         self.default_stiffness = self._softest.copy()
         for law, here in self._laws:
             # Above a layer's own, the multiplier would enter with a negative sign.
-            r = law.trial_stiffness(self._point_stiffness[here], self._factor)
+            r = law.trial_stiffness(self.met[here], self._factor)
             self.default_stiffness[here] = np.minimum(r, self._softest[here])
         self.scale_augmentation(self._scale)
 
@@ -176,7 +183,7 @@ class PointLaw:
     def usual_augmentation(self) -> float:
         """Default augmentation over the one in the case, in the mean; collective."""
         here = np.array([law.augmented for law, _ in self._laws])[self._own.interface]
-        usual = np.minimum(USUAL_AUGMENTATION * self._point_stiffness, self._softest)[here]
+        usual = np.minimum(USUAL_AUGMENTATION * self.met, self._softest)[here]
         own = np.array_equal(usual, self.default_stiffness[here])
         if self._comm.allreduce(own, MPI.LAND):
             return 1.0

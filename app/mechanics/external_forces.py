@@ -55,7 +55,7 @@ class Forces:
             _at_full(s): found.get(_at_full(s)) or self.action(nodal_forces(s, mechanics).items())
             for s in scene.loads
         }
-        self._loads = [(load.history, self._full[_at_full(load)]) for load in scene.loads]
+        self._loads = [(load, self._full[_at_full(load)]) for load in scene.loads]
         strains = [(e, k, s.history) for e in scene.elastic for k, s in enumerate(e.eigenstrains)]
         self._eigenstrains: list[tuple[tuple[float, ...] | None, Action]]
         self._eigenstrains = (
@@ -101,19 +101,20 @@ class Forces:
 
     def at(self, time: float) -> Action:
         """All forces at a time [N]."""
-        acting = [(amplitude(h, time), a) for h, a in (*self._loads, *self._eigenstrains)]
+        acting = [(load.amplitude(time), a) for load, a in self._loads]
+        acting += [(amplitude(h, time), a) for h, a in self._eigenstrains]
         return self._sum([*acting, *((1.0, a) for a in self._free.values())])
 
     def applied(self, time: float) -> Action:
         """Loads alone [N]."""
-        return self._sum((amplitude(h, time), a) for h, a in self._loads)
+        return self._sum((load.amplitude(time), a) for load, a in self._loads)
 
     def resultants(self, time: float) -> list[Floats]:
         """Resultant of each load [N]; collective."""
         return [
             self.comm.allreduce(action.nodal.reshape(-1, 3).sum(axis=0), MPI.SUM)
-            * amplitude(history, time)
-            for history, action in self._loads
+            * load.amplitude(time)
+            for load, action in self._loads
         ]
 
     def on_bodies(self, time: float, motions: Floats) -> Floats:
@@ -122,7 +123,7 @@ class Forces:
         flat = motions.reshape(-1, motions.shape[2])
         for load in self._given:
             for body, nodal in nodal_forces(_at_full(load), self._mechanics).items():
-                work[body] += amplitude(load.history, time) * (nodal.array_r[: len(flat)] @ flat)
+                work[body] += load.amplitude(time) * (nodal.array_r[: len(flat)] @ flat)
         return np.asarray(self.comm.allreduce(work))
 
     def free_work(self, time: float, nodal: Floats, jump: Floats) -> float:

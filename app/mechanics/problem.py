@@ -107,7 +107,7 @@ class Problem:
         if self.history:
             self.history.begin()
         if self.contact:
-            self.contact.begin(scene.contacts, augmentation_factor)
+            self.contact.begin(scene, augmentation_factor)
         self.forces = Forces(scene, self.mechanics, self.bodies, self.contact, self.forces)
         self.set_time(0.0)
 
@@ -141,6 +141,7 @@ class Problem:
         self.stiffness.constraints.contract(self.u.x.petsc_vec).copy(u)
         if self.contact:
             assert q is not None
+            self.contact.commit(self.contact.state, self.time)
             q.array[:] = self.contact.state.jump.ravel()
         self.update_displacements(u, q)
         if self.history:
@@ -238,6 +239,10 @@ class Problem:
         held = self.stiffness.constraints.constrained
         out.array[held] = self.stiffness.typical * (u.array_r - self.prescribed)[held]
 
+    def pair(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
+        """Pair points that slide far anew, if their gaps are wrong in a state; collective."""
+        return self.contact is not None and self.contact.pair(self.trial(u, q))
+
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
 
@@ -289,6 +294,6 @@ class Problem:
     def commit(self, trial: TrialState | None) -> None:
         """Commit a converged state, after `update_displacements`."""
         if trial is not None:
-            trial.contact.state = trial.committed()
+            trial.contact.commit(trial.committed(), self.time)
         if self.history:
             self.history.commit(self.displacements())

@@ -28,6 +28,14 @@ def rigid_modes(x: Floats) -> Floats:
     return result
 
 
+def rotation_vector(R: Floats) -> Floats:
+    """Vector (3,) of a rotation (3, 3) by less than half a turn [rad]."""
+    axial = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
+    sine = float(np.linalg.norm(axial))
+    angle = float(np.arctan2(sine, (np.trace(R) - 1) / 2))
+    return axial * (angle / sine if sine > 0 else 1.0)
+
+
 def add_relative(matrix: Floats, a: int, b: int, resistance: Floats) -> None:
     """Add the resistance (6, 6) to motions of body a relative to b to that of all (6 n, 6 n)."""
     for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):

@@ -184,13 +184,18 @@ def contact_facets(
     rows = []
     for i, c in enumerate(contacts):
         f = facets_between(tagged, c.slave, c.master)
-        if not comm.allreduce(len(f.cells)):
+        if comm.allreduce(len(f.cells)) == 0 and not c.between:
             raise InputError(
                 f"interfaces.{c.name}: its two sides share no facet of the mesh; allowed: regions "
-                "that touch on a conforming mesh"
+                "that touch on a conforming mesh, or `sliding: finite` between two boundaries"
+            )
+        sides = tags[np.column_stack([f.outside, f.cells])]
+        if c.between:
+            f = boundary_facets(tagged, c.between[1])
+            sides = np.column_stack(
+                [np.full_like(f.cells, tagged.regions[c.master[0]]), tags[f.cells]]
             )
         numbers, dofs, x, inside = facet_nodes(tagged, space, f)
-        sides = tags[np.column_stack([f.outside, f.cells])]
         own = np.full(len(numbers), i), numbers, bodies.of_tag[sides], dofs, x, inside
         rows.append((*own, stiffness[sides]))
     return sorted_facets(*gather(comm, *map(np.concatenate, zip(*rows, strict=True))))

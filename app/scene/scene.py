@@ -10,24 +10,29 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from typing import Any
 
-from app.arrays import Field
+import numpy as np
+
+from app.arrays import Field, Floats
 from app.case.case import Case
 from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
-from app.case.shapes import Sides
 from app.laws.creep import Creep
 from app.laws.cure import Cure
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import InterfaceLaw
-from app.laws.loads import Load
+from app.laws.loads import Force, Load
 from app.laws.materials import Elastic, Rigid
+from app.laws.motions import Motion
 from app.laws.remodelling import Remodelling
 from app.laws.supports import Foundation, Support
 from app.laws.thermal import Thermal
-from app.laws.values import field
+from app.laws.values import amplitude, field
+from app.numerics.rigid_motions import rotation_vector
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,7 @@ class Interface:
         turned: Whether the master is the second side as declared.
         slave_share: Fraction of the friction heat that enters the slave side.
         values: Constants of the law (n,) at points, by name.
+        between: Boundaries of master and slave where they slide far, meshed apart; else None.
     """
 
     name: str
@@ -55,6 +61,7 @@ class Interface:
     turned: bool = False
     slave_share: float = 0.0
     values: Mapping[str, Field] = dataclasses.field(default_factory=dict)
+    between: tuple[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -71,6 +78,7 @@ class Scene:
         expansions: Regions with thermal strain.
         time: Time stepping of heat; None without heat.
         coupled: Whether heat depends on contact, so that both are solved together.
+        motions: Regions that turn as they are told.
     """
 
     order: int
@@ -92,6 +100,7 @@ class Scene:
     time: TimeOptions | None = None
     coupled: bool = False
     bonds: tuple[Interface, ...] = ()
+    motions: tuple[Motion, ...] = ()
 
     @property
     def moduli(self) -> dict[str, float]:
@@ -124,6 +133,24 @@ class Scene:
             return float(self.load_cases[-1] + 1)
         return k + self.stages[k].reached(time - k)
 
+    def motion_of(self, regions: Sequence[str]) -> Motion | None:
+        """The motion of some of the regions, if there is one."""
+        return next((m for m in self.motions if m.region in regions), None)
+
+    def rotation(self, motion: Motion | None, time: float) -> Floats:
+        """Rotation of a motion at a time (3, 3); without a motion none."""
+        return np.eye(3) if motion is None else motion.rotation_at(*course(self.stages, time))
+
+    def turns(self, k: int, part: float) -> int:
+        """In how many steps to divide each part of stage k, for turns below `largest_step`."""
+        times = [k + i * part for i in range(round(1 / part) + 1)]
+        most = 1
+        for m in self.motions:
+            R = [self.rotation(m, t) for t in times]
+            angles = (float(np.linalg.norm(rotation_vector(b @ a.T))) for a, b in pairwise(R))
+            most = max(most, math.ceil(max(angles) / m.largest_step - 1e-9))
+        return most
+
     def last_turn(self, time: float) -> float:
         """The last time before a time at which loads turn, or a stage begins."""
         k = max(math.ceil(time) - 1, 0)
@@ -143,7 +170,7 @@ def build_scene(case: Case) -> Scene:
     moduli = {e.region: max(e.moduli) for e in elastic}
     thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
     interfaces = [
-        _interface(name, law, case.geometry.interface_sides[name], moduli, thermal)
+        _interface(name, law, case.geometry, moduli, thermal)
         for name, law in case.interfaces.items()
     ]
     conducting = tuple(i for i in interfaces if i.law.conductance is not None)
@@ -156,10 +183,11 @@ def build_scene(case: Case) -> Scene:
         supports=tuple(
             _support(name, s, case) for name, s in case.supports.items() if isinstance(s, Support)
         ),
-        loads=tuple(load.named(name) for name, load in case.loads.items()),
+        loads=tuple(part for name, load in case.loads.items() for part in _loads(name, load, case)),
+        motions=tuple(motion.named(name) for name, motion in case.motions.items()),
         contacts=tuple(i for i in interfaces if i.law.can_part),
         bonds=tuple(i for i in interfaces if not i.law.can_part and math.isfinite(i.modulus)),
-        stages=case.stages,
+        stages=_stages(case),
         conductors=tuple(thermal.values()),
         heat=tuple(condition.named(name) for name, condition in case.heat.items()),
         thermal_contacts=conducting,
@@ -175,6 +203,44 @@ def build_scene(case: Case) -> Scene:
         ),
         time=case.time,
     )
+
+
+def course(stages: Sequence[Stage], time: float) -> tuple[float, float]:
+    """Part of a cycle at a time, and the part of its values that is there.
+
+    Cycles run through the last stage; before it values go to those of their beginning in the first.
+    """
+    last = len(stages) - 1
+    if time <= last:
+        return 0.0, min(time, 1.0)
+    passed = (time - last) * stages[-1].cycles
+    return passed - math.ceil(passed - 1e-9) + 1, 1.0
+
+
+def _stages(case: Case) -> tuple[Stage, ...]:
+    follow = case.motions or any(getattr(load, "course", None) for load in case.loads.values())
+    return (*case.stages[:-1], case.stages[-1].repeating()) if follow else case.stages
+
+
+def _loads(name: str, load: Load, case: Case) -> tuple[Load, ...]:
+    """A load; of a force with a course or a motion its three components."""
+    if not isinstance(load, Force) or (load.course is None and load.follows is None):
+        return (load.named(name),)
+    motion = case.motions[load.follows] if load.follows else None
+
+    def component(k: int, time: float) -> float:
+        s, part = course(case.stages, time)
+        F = load.force_at(s)
+        R = motion.rotation_at(s, part)[k] if motion else [float(k == i) for i in range(3)]
+        factor = part if load.course else amplitude(load.history, time)
+        return factor * sum(a * b for a, b in zip(R, F, strict=True))
+
+    found = []
+    for k, axis in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))):
+        part = load.named(name, force=axis, course=None, follows=None, history=None)
+        part._value = partial(component, k)
+        found.append(part)
+    return tuple(found)
 
 
 def _thermal(region: Any, name: str) -> Thermal:
@@ -197,15 +263,17 @@ def _support(name: str, support: Support, case: Case) -> Support:
 def _interface(
     name: str,
     law: InterfaceLaw,
-    declared: Sides,
+    geometry: Any,
     moduli: Mapping[str, float],
     thermal: Mapping[str, Thermal],
 ) -> Interface:
     """Interface with the stiffer side as master: the softer side carries the jumps."""
-    first, second = (tuple(side) for side in declared)
+    first, second = (tuple(side) for side in geometry.interface_sides[name])
     turned = _stiffness(first, moduli) < _stiffness(second, moduli)
     master, slave = (second, first) if turned else (first, second)
     gap, history = law.initial_gap
+    faces = getattr(law, "between", None) or geometry.faces.get(name)
+    far = getattr(law, "sliding", "small") == "finite"
     share = law.heated_by_friction
     if isinstance(share, str):
         e_m, e_s = (sum(thermal[r].effusivity for r in s) / len(s) for s in (master, slave))
@@ -223,6 +291,7 @@ def _interface(
         turned=turned,
         slave_share=slave_share,
         values=law.fields(name),
+        between=(faces[::-1] if turned else faces) if far and faces else None,
     )
 
 

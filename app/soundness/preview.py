@@ -130,11 +130,13 @@ def _not_measured(case: Case) -> Iterable[str]:
     """Names of regions and loads whose values are not measured, a line for each status."""
     for status in ("assumed", "unverified", None):
         found = []
-        courses = {f"motions.{n}": m.rotation.course for n, m in case.motions.items()}
+        courses: dict[str, Any] = {
+            f"motions.{n}": m.rotation.course for n, m in case.motions.items()
+        }
         courses |= {
             f"loads.{n}": c for n, p in case.loads.items() if (c := getattr(p, "course", 0))
         }
-        own = {"regions": case.regions, "loads": case.loads, "courses": courses}
+        own: dict[str, Any] = {"regions": case.regions, "loads": case.loads, "courses": courses}
         for section, parts in own.items():
             names = [name for name, part in parts.items() if part.status == status]
             those = f"{section} {', '.join(names)}" if len(names) < len(parts) else f"all {section}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 from petsc4py import PETSc
@@ -27,6 +27,8 @@ from app.stepping.energy_control import HALVINGS, by_energy, overshoot, spent
 
 EASY_ITERATIONS = 8
 GROWTH = 2.0
+# Times that points which slide far are paired anew in a step; mostly none or one is enough.
+PAIRINGS = 10
 
 
 @dataclass(frozen=True)
@@ -151,9 +153,23 @@ class LoadStepper:
         self.predictors = (self._line, *self.predictors)
         self._progress = Progress()
 
+    def _solve(self) -> NewtonResult:
+        """Solve, until points that slide far are paired with the surface that they touch."""
+        outcome = solve(self.solver)
+        self.total.count(outcome)
+        for _ in range(PAIRINGS):
+            if not (outcome.converged and self.problem.pair(*self.solver.u_and_q())):
+                return outcome
+            again = solve(self.solver)
+            self.total.count(again)
+            both = outcome.iterations + again.iterations
+            outcome = replace(again, iterations=both)
+        return replace(outcome, converged=False)
+
     def run_stage(self, k: int, stage: Stage, checkpoint_point: Callable[[], None]) -> None:
         """Take load steps through a stage that takes no time, up to its creep."""
         whole, end = 1.0 / (stage.increments * stage.ways), k + stage.loaded
+        whole /= self.problem.scene.turns(k, whole)
         if not self._progress.step:
             self._progress = Progress(whole)
 
@@ -202,8 +218,7 @@ class LoadStepper:
                 for p in predictors:
                     p.predict(time)
                 predicted = predictors and not same(start, solver.x)
-                outcome = solve(solver)
-                self.total.count(outcome)
+                outcome = self._solve()
                 most = stage.fracture_step
                 if outcome.converged and (most is None or spent(problem, solver)[0] <= most):
                     break

@@ -175,7 +175,7 @@ def test_the_first_step_is_one_of_newton_in_jumps_and_forces() -> None:
     m = model.mechanics
     j = m.problem.contact
     answer, force = m.solver.x.copy(), j.state.force.copy()
-    j.begin(m.problem.scene.contacts, model._case.solver.augmentation_factor)
+    j.begin(m.problem.scene, model._case.solver.augmentation_factor)
     m.problem.set_time(1.0)
     u, _ = m.solver.u_and_q()
     u.zeroEntries()

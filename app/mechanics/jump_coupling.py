@@ -1,0 +1,83 @@
+"""Stiffness between the jumps of contact and the displacement."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+
+from app.arrays import Bools, Floats, Ints
+from app.mechanics.body_forms import BodyForms, assembled_matrix
+from app.mechanics.constraints import Constraints
+from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum
+from meshes.contact_points import Entries
+
+
+class JumpCoupling:
+    """Stiffness between jumps and displacement, reassembled when the stiffness changes.
+
+    Attributes:
+        jump_to_displacement: Matrices from jumps to displacements, by body.
+        C: Forces on the displacement by jumps.
+        D: Forces on jumps by jumps.
+        Ct: The transpose of C.
+
+    Args:
+        entries: Displacement of each body by all jumps.
+        number: Number of each contact point in the order of the ranks.
+        own: Number of contact points of this rank.
+    """
+
+    def __init__(
+        self,
+        mechanics: BodyForms,
+        constraints: Constraints,
+        entries: Entries,
+        number: Ints,
+        own: int,
+    ) -> None:
+        comm, index_map = mechanics.mesh.comm, mechanics.space.dofmap.index_map
+        start, end = (3 * k for k in index_map.local_range)
+        self.jump_to_displacement: dict[int, PETSc.Mat] = {}
+        self._strips: dict[int, fem.Form] = {}
+        for body in map(int, np.unique(entries.body)):
+            here = entries.body == body
+            row, column, value = entries.row[here], entries.column[here], entries.value[here]
+            column = 3 * number[column // 3] + column % 3
+            local = (row >= start) & (row < end)
+            self.jump_to_displacement[body] = from_triplets(
+                comm, end - start, 3 * own, row[local] - start, column[local], value[local]
+            )
+            moved: Bools = np.isin(
+                np.concatenate([np.arange(start // 3, end // 3), index_map.ghosts]),
+                np.unique(row // 3),
+            )
+            self._strips[body] = mechanics.strip_stiffness(body, moved)
+        self.C, self.D, self.Ct = self._assembled(mechanics, constraints)
+        self._work = self.Ct.createVecLeft()
+
+    def _assembled(
+        self, mechanics: BodyForms, constraints: Constraints
+    ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
+        moves = self.jump_to_displacement
+        KB = {b: assembled_matrix(self._strips[b]).matMult(B) for b, B in moves.items()}
+        C = constraints.rows(matrix_sum(list(KB.values())))
+        D = matrix_sum([B.transposeMatMult(KB[b]) for b, B in moves.items()])
+        return C, D, C.copy().transpose()
+
+    def update(self, mechanics: BodyForms, constraints: Constraints) -> None:
+        """Reassemble, in the same matrices, for changed stiffness or supports."""
+        new = self._assembled(mechanics, constraints)
+        for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
+            values.copy(matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+
+    def equilibrium(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> Floats:
+        """Equilibrium e = C^T u + D q - f_q at own points (n, 3) [N]; -e is the force W F."""
+        self.Ct.mult(u, self._work)
+        self.D.multAdd(q, self._work, self._work)
+        return self._work.array.reshape(-1, 3) - f_q.reshape(-1, 3)
+
+    def local_stiffness(self) -> Floats:
+        """Stiffness of the jump of each own point with all else held (n, 3, 3) [N/mm]."""
+        return diagonal_blocks(self.D, 3)
