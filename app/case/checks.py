@@ -17,16 +17,10 @@ from app.laws.materials import Conductor, Elastic, Rigid
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
-# Why no stage of a case with courses takes time.
-SWING = (
-    "motions and courses are without time: within a cycle the temperature of sliding surfaces "
-    "swings by 2 q sqrt(t/pi) / (e1 + e2), about half a kelvin, which is not solved; leave it out"
-)
-
 
 def cross_check(case: Any) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
-    faults = [*_held(case), *_side(case), *_heat(case), *_creep(case), *_courses(case)]
+    faults = [*_held(case), *_side(case), *_heat(case), *_creep(case)]
     if case.geometry is not None:
         faults += [*_names(case), *_mesh(case), *_rigid(case), *_accuracy(case)]
         faults += [*_fatigue(case), *_remodelling(case), *_sliding(case)]
@@ -260,7 +254,7 @@ def _creep(case: Any) -> Iterable[Fault]:
 
 
 def _sliding(case: Any) -> Iterable[Fault]:
-    """Interfaces that slide far without two boundaries; what is in two motions or interfaces."""
+    """What slides far without two boundaries, moves twice, follows no motion, or takes time."""
     whole = [(("motions", n, "region"), m.region) for _, n, m in _entries(case, "motions")]
     for _, name, law in _entries(case, "interfaces"):
         if getattr(law, "sliding", "small") == "finite":
@@ -274,10 +268,6 @@ def _sliding(case: Any) -> Iterable[Fault]:
         if other := taken.get((path[0], part)):
             yield Fault(path, f"{part} is in {path[0]}.{other} already; expected another")
         taken[path[0], part] = path[1]
-
-
-def _courses(case: Any) -> Iterable[Fault]:
-    """Loads that follow no motion, and stages with time for heat."""
     motions, courses = tuple(case.motions or ()), bool(case.motions)
     for _, name, load in _entries(case, "loads"):
         courses |= getattr(load, "course", None) is not None
@@ -287,7 +277,11 @@ def _courses(case: Any) -> Iterable[Fault]:
             yield Fault(("loads", name, "follows"), text)
     for i, stage in enumerate(case.stages or ()):
         if courses and stage.takes_time:
-            yield Fault(("stages", i, "steady" if stage.steady else "duration"), SWING)
+            text = (
+                "courses take no time: temperature swings by 2 q sqrt(t/pi) / (e1 + e2) in a cycle"
+            )
+            text += ", about half a kelvin, which is not solved; leave it out"
+            yield Fault(("stages", i, "steady" if stage.steady else "duration"), text)
 
 
 def quantities(case: Any, study: Any) -> Iterable[Fault]:

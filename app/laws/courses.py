@@ -66,27 +66,16 @@ class Course(Section):
     @property
     def told(self) -> str:
         """In words, for `mantle check`."""
-        return f"{len(self.times)} rows of {', '.join(self.columns)}"
-
-    @property
-    def times(self) -> tuple[float, ...]:
-        """Times of the rows, growing [s]."""
-        return self.columns["time"]
-
-    def column(self, name: str) -> tuple[float, ...]:
-        """Values of the rows [rad, N]; zeros of a column that it lacks."""
-        return self.columns.get(name) or (0.0,) * len(self.times)
+        return f"{len(self.rows) - 1} rows of {', '.join(self.columns)}"
 
     def at(self, names: Sequence[str], s: float) -> list[float]:
-        """Values of columns at a part of a cycle from 0 to 1 [rad, N]."""
-        return [value_at(self.times, self.column(name), s) for name in names]
+        """Values of columns at a part of a cycle from 0 to 1 [rad, N]; 0 of one that it lacks."""
+        import numpy as np
 
-
-def value_at(times: Sequence[float], values: Sequence[float], s: float) -> float:
-    """Value at a part of a cycle from 0 to 1, the first row at 0 and the last at 1."""
-    import numpy as np
-
-    return float(np.interp(times[0] + s * (times[-1] - times[0]), times, values))
+        times = self.columns["time"]
+        time = times[0] + s * (times[-1] - times[0])
+        found = (self.columns.get(name) for name in names)
+        return [float(np.interp(time, times, values)) if values else 0.0 for values in found]
 
 
 def _columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float, ...]]:

@@ -36,11 +36,6 @@ class Rotation(Section):
             fail(text, at=("course",))
         return self
 
-    @property
-    def told(self) -> str:
-        """In words, for `mantle check`."""
-        return f"{self.axes}: {self.course.told}"
-
 
 class Motion(Named):
     """Motion of a region as a whole, small deformations of which are in its own turned frame."""
@@ -56,12 +51,6 @@ class Motion(Named):
     largest_step: PositiveAngle = math.radians(5.0)
     """Largest turn in a load step; longer ones are divided."""
 
-    def angles_at(self, s: float) -> Floats:
-        """Angles a_x, a_y, a_z at a part of a cycle from 0 to 1 (3,) [rad], linear between rows."""
-        import numpy as np
-
-        return np.array(self.rotation.course.at(ROTATIONS, s))
-
     def rotation_at(self, s: float, part: float = 1.0) -> Floats:
         """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3).
 
@@ -70,8 +59,7 @@ class Motion(Named):
         """
         from scipy.spatial.transform import Rotation as Turn
 
-        angles, axes = part * self.angles_at(s), self.rotation.axes
-        ordered = [angles["xyz".index(axis)] for axis in axes]
-        return Turn.from_euler(
-            axes.upper(), ordered
-        ).as_matrix()  # capitals: axes that turn with it
+        columns = [f"rotation {axis}" for axis in self.rotation.axes]
+        angles = [part * angle for angle in self.rotation.course.at(columns, s)]
+        # Capitals are axes that turn with it.
+        return Turn.from_euler(self.rotation.axes.upper(), angles).as_matrix()

@@ -66,7 +66,10 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
             lines.append("    conductance: perfect, one temperature")
     if solid(case):
         lines += ["supports", *_table(case.supports)]
-        lines += ["motions", *_table(case.motions)] if case.motions else []
+        lines += ["motions"] if case.motions else []
+        for n, m in case.motions.items():
+            turn = f"turns by {m.rotation.axes} about {plain(m.about)} mm: {m.rotation.course.told}"
+            lines.append(f"  {n}: {m.region} {turn}; translation {m.translation}")
         lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
     lines += ["not measured", *([*_not_measured(case)] or ["  none"])]
     if case.conducts:
@@ -130,14 +133,10 @@ def _not_measured(case: Case) -> Iterable[str]:
     """Names of regions and loads whose values are not measured, a line for each status."""
     for status in ("assumed", "unverified", None):
         found = []
-        courses: dict[str, Any] = {
-            f"motions.{n}": m.rotation.course for n, m in case.motions.items()
-        }
-        courses |= {
-            f"loads.{n}": c for n, p in case.loads.items() if (c := getattr(p, "course", 0))
-        }
-        own: dict[str, Any] = {"regions": case.regions, "loads": case.loads, "courses": courses}
-        for section, parts in own.items():
+        courses = {name: motion.rotation.course for name, motion in case.motions.items()}
+        loads = {name: getattr(load, "course", None) or load for name, load in case.loads.items()}
+        parts: Any
+        for section, parts in (("regions", case.regions), ("motions", courses), ("loads", loads)):
             names = [name for name, part in parts.items() if part.status == status]
             those = f"{section} {', '.join(names)}" if len(names) < len(parts) else f"all {section}"
             found += [those] * bool(names)
@@ -233,8 +232,8 @@ def warnings(case: Case) -> list[str]:
     messages += [
         f"motions.{n}.rotation.course: all angles are below 0.5 degrees: radians by mistake?"
         for n, motion in case.motions.items()
-        for angles in [sum(map(motion.rotation.course.column, ROTATIONS), ())]
-        if 0.0 < max(map(abs, angles)) < math.radians(0.5)
+        for columns in [motion.rotation.course.columns]
+        if 0.0 < max(abs(a) for r in ROTATIONS for a in columns.get(r, ())) < math.radians(0.5)
     ]
     laws: list[tuple[str, Any]] = [(f"regions.{n}", r) for n, r in case.regions.items()]
     laws += [

@@ -82,7 +82,7 @@ def test_a_course_serves_a_motion_and_a_load_and_is_written_with_the_case(tmp_pa
     case = load(tmp_path / "case.yaml").config
     assert support.case(dump(case)) == case
     ball, law = case.motions["ball"], case.interfaces["lower_upper"]
-    assert np.degrees(ball.angles_at(0.75)) == pytest.approx([3.5, 0, -4])
+    assert np.degrees(ball.rotation.course.at(ROTATIONS, 0.75)) == pytest.approx([3.5, 0, -4])
     assert law.wear_coefficient == pytest.approx(1.07e-9, rel=1e-15)
     assert law.values == {"μ": 0.06} and law.form == ("contact", True)
     forces = [load for load in case.loads.values() if isinstance(load, Force)]
@@ -115,13 +115,13 @@ def test_a_course_is_found_by_name_or_beside_the_case_that_names_it(tmp_path: Pa
     found = load(tmp_path / "case.yaml", ["motions.ball.rotation.course=iso_14242_1"]).config
     course, own = found.motions["ball"].rotation.course, found.loads["hip"].course
     assert own.rows[-1] == "1100, 0.3, 2, 25" and course.status == "unverified"
-    x, y, z = (np.degrees(course.column(name)) for name in ROTATIONS)
+    x, y, z = (np.degrees(course.columns[name]) for name in ROTATIONS)
     for angles, least, most in ((x, -18, 25), (y, -4, 7), (z, -2, 10)):
         assert (angles.min(), angles.max()) == pytest.approx((least, most))
         assert angles[0] == pytest.approx(angles[-1])
-    force = dict(zip(course.times, course.column("force"), strict=True))
+    force = dict(zip(course.columns["time"], course.columns["force"], strict=True))
     assert force[0.12] == force[0.5] == 3000 and force[0.62] == force[1.0] == 300
-    assert "unverified: courses motions.ball" in preview.describe(
+    assert "unverified: all motions" in preview.describe(
         found, {"regions": {"lower": {}, "upper": {}}}
     )
 
