@@ -74,8 +74,9 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
     if geometry.kind == "file":
         remedy = "Repair the mesh file." if not geometry.is_script else "Try another mesh.size."
     quality = _quality.gate(data, remedy)
-    whole = () if geometry.kind == "file" else set(data.regions) - DIVISIBLE
-    _check_parts(data, whole, geometry.faces)
+    file = geometry.kind == "file"  # of a file the case knows which interfaces are meshed apart
+    whole = () if file else set(data.regions) - DIVISIBLE
+    _check_parts(data, whole, geometry.interface_sides if file else geometry.faces)
     _check_interfaces(data, geometry.joined)
     notes = {
         **data.notes,

@@ -227,6 +227,18 @@ def interface_facets(data: MeshData, name: str) -> tuple[Ints, Ints, Ints]:
     return faces_of(data.cells, cell[own], face[own]), cell[own], behind[own]
 
 
+def boundary_facets(data: MeshData, name: str) -> Ints:
+    """Nodes of the facets of a boundary, if there are any (k, 3 or 6)."""
+    return data.facets[np.isin(data.facet_tags, data.boundaries.get(name, ()))]
+
+
+def interface_nodes(data: MeshData, name: str, faces: Mapping[str, tuple[str, str]]) -> Ints:
+    """Corner nodes of an interface (n,); of its second boundary in ``faces`` if meshed apart."""
+    apart = faces.get(name)
+    facets = boundary_facets(data, apart[1]) if apart else interface_facets(data, name)[0]
+    return np.unique(facets[:, :3])
+
+
 def canonical(data: MeshData) -> MeshData:
     """The same mesh without unused nodes and in an order that depends on the geometry alone.
 

@@ -40,16 +40,15 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     tag = 2 + np.argsort(np.argsort(means))[np.unique(volume, return_inverse=True)[1]]
     tags = np.concatenate([np.ones(len(ball), dtype=np.int64), tag])
     at, of = points[facets[:, :3]], tags[owner]
-    near, far = 1e-6 * radii[0], np.linalg.norm(at, axis=2)
-    ball_on = (np.abs(far - geometry.head_radius) < near).all(axis=1)
-    rim = (np.abs(at[..., 2] - level) < near).all(axis=1) & (of > 1)
-    inner = (of > 1) & ~rim & (far.mean(axis=1) < (radii[0] + radii[1]) / 2)
-    masks = {"head_surface": (of == 1) & ball_on, "head_bore": (of == 1) & ~ball_on}
-    masks["liner_inner"] = inner
+    near, far, on_head = 1e-6 * radii[0], np.linalg.norm(at, axis=2), of == 1
+    sphere = on_head & (np.abs(far - geometry.head_radius) < near).all(axis=1)
+    rim = ~on_head & (np.abs(at[..., 2] - level) < near).all(axis=1)
+    inner = ~on_head & ~rim & (far.mean(axis=1) < (radii[0] + radii[1]) / 2)
+    masks = {"head_surface": sphere, "head_bore": on_head & ~sphere, "liner_inner": inner}
     masks |= {f"{name}_rim": rim & (of == t) for name, t in regions.items() if t > 1}
-    masks[geometry.boundary_names[-1]] = (of > 1) & ~rim & ~inner
+    masks[geometry.boundary_names[-1]] = ~on_head & ~rim & ~inner
     if mesh.curved:
-        flat = facets[masks["head_surface"] | inner]
+        flat = facets[sphere | inner]
         points[flat[:, 3:]] = points[flat[:, [[0, 1], [1, 2], [2, 0]]]].mean(axis=2)
         points = untangle(points, cells)
     points = points @ _turn(geometry.inclination, geometry.version).T
@@ -68,9 +67,7 @@ def _head(geometry: Any, mesh: Any) -> Body:
         start = (0, 0, -1.1 * ball, 0, 0, depth + more)
         hole = occ.addCone(*start, wide, end) if narrowing else occ.addCylinder(*start, bore)
         occ.cut([(3, occ.addSphere(0, 0, 0, ball))], [(3, hole)])
-        occ.synchronize()
-        grade(gmsh, [_from_sphere(ball)], geometry.head_size * mesh.size, mesh.far)
-        return tetrahedra(gmsh, mesh.curved)
+        return _meshed(gmsh, ball, geometry.head_size * mesh.size, mesh)
 
 
 def _cup(radii: tuple[float, ...], level: float, mesh: Any) -> Body:
@@ -81,17 +78,15 @@ def _cup(radii: tuple[float, ...], level: float, mesh: Any) -> Body:
             (3, occ.addSphere(0, 0, 0, radius, angle1=math.asin(level / radius)))
             for radius in radii
         )
-        solids, _ = occ.fragment(layers[-1:], [*layers[:-1], hollow])
-        occ.synchronize()
-        reach = [max(gmsh.model.getBoundingBox(*solid)[3:]) for solid in solids]
-        occ.remove([solids[int(np.argmin(reach))]])
-        occ.synchronize()
-        grade(gmsh, [_from_sphere(radii[0])], mesh.size, mesh.far)
-        return tetrahedra(gmsh, mesh.curved)
+        _, parts = occ.fragment(layers[-1:], [*layers[:-1], hollow])
+        occ.remove(parts[-1])
+        return _meshed(gmsh, radii[0], mesh.size, mesh)
 
 
-def _from_sphere(radius: float) -> str:
-    return f"(sqrt(x*x+y*y+z*z)-{radius})"
+def _meshed(gmsh: Any, radius: float, size: float, mesh: Any) -> Body:
+    gmsh.model.occ.synchronize()
+    grade(gmsh, [f"(sqrt(x*x+y*y+z*z)-{radius})"], size, max(size, mesh.far))
+    return tetrahedra(gmsh, mesh.curved)
 
 
 def _turn(inclination: float, version: float) -> Floats:

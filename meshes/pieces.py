@@ -20,7 +20,7 @@ from meshes.data import (
     cell_volumes,
     components,
     facet_areas,
-    interface_facets,
+    interface_nodes,
     same_triangles,
 )
 
@@ -101,6 +101,7 @@ class Parts:
         boundaries: For each boundary and piece the nodes of the piece on it (n,).
         normals: Mean unit normals at the nodes of some boundaries, zero elsewhere (n, 3).
         doubled: Positions of coincident nodes of each pair of regions (n, 3) [mm].
+        faces: Boundaries of the two sides of interfaces that are meshed apart, by name.
     """
 
     data: MeshData
@@ -110,6 +111,7 @@ class Parts:
     boundaries: Mapping[str, Mapping[int, Ints]]
     normals: Mapping[str, Floats]
     doubled: Mapping[tuple[str, str], Floats]
+    faces: Mapping[str, tuple[str, str]]
 
     @property
     def x(self) -> Floats:
@@ -121,14 +123,20 @@ class Parts:
         return self.data.cells[self.data.cell_tags == self.data.regions[region], :4]
 
     def on_interface(self, name: str) -> Ints:
-        """Corner nodes of the facets of an interface (n,)."""
-        return np.unique(interface_facets(self.data, name)[0][:, :3])
+        """Corner nodes of the facets of an interface, or of its second side (n,)."""
+        return interface_nodes(self.data, name, self.faces)
 
 
-def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = ()) -> Parts:
+def parts(
+    data: MeshData,
+    held: Collection[str] = (),
+    curved: Collection[str] = (),
+    apart: Mapping[str, tuple[str, str]] | None = None,
+) -> Parts:
     """Connected pieces of a mesh, their contacts and boundaries.
 
-    ``held`` are the boundaries with supports, ``curved`` those whose normals are wanted.
+    ``held`` are the boundaries with supports, ``curved`` those whose normals are wanted, ``apart``
+    the two of each interface that is meshed apart: the smaller one touches the other.
     """
     names = {tag: name for name, tag in data.regions.items()}
     piece = components(data.neighbours, data.cell_tags)
@@ -163,14 +171,22 @@ def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = 
         region, part = names[int(data.cell_tags[here][0])], float(free[k] / areas[k])
         pieces.append(Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, part))
     rows = np.flatnonzero(mine < other)
+    touches = _touches(data.points, faces[rows], mine[rows], other[rows])
+    for two in (apart or {}).values():
+        sides = [np.isin(data.facet_tags, data.boundaries.get(name, ())) for name in two]
+        small, large = sorted(sides, key=lambda on: facet_areas(data.points, data.facets[on]).sum())
+        if small.any():
+            second = np.full(small.sum(), piece_of_facet[large][0])
+            touches += _touches(data.points, data.facets[small], piece_of_facet[small], second)
     return Parts(
         data=data,
         pieces=tuple(pieces),
-        touches=tuple(_touches(data.points, faces[rows], mine[rows], other[rows])),
+        touches=tuple(touches),
         joined=_joined(data.cells, piece, pieces),
         boundaries={name: _nodes_on(data, name, piece_of_facet) for name in data.boundaries},
         normals={name: _normals(data, name, cell_of_facet, middles) for name in curved},
         doubled=_doubled(data, piece, pieces),
+        faces=apart or {},
     )
 
 

@@ -43,13 +43,13 @@ class HeadCup(Shape):
     a sphere."""
     inclination: Angle = math.radians(45.0)
     """Angle (rad) between the cup's axis and z, seen along y (radiographic)."""
-    version: Angle = math.radians(15.0)
+    version: Angle = math.radians(20.0)
     """Angle (rad) between the cup's axis and the plane xz; positive opens anteriorly."""
     bore_diameter: PositiveLength = 13.0
     """Diameter of the head's bore at its opening."""
     bore_depth: PositiveLength = 16.0
     """Depth of the bore along its axis."""
-    bore_taper: Angle = math.radians(2.84)
+    bore_taper: Angle = math.radians(2.85)
     """Half-angle (rad) by which the bore narrows; that of a 12/14 taper by default."""
     head_size: Annotated[float, Plain(at_least=0.25, at_most=8.0)] = 1.15
     """Edge length on the head over that on the liner (`mesh.size`)."""
@@ -81,13 +81,6 @@ class HeadCup(Shape):
         inner = self.head_radius + self.radial_clearance
         outer = inner + self.liner_thickness
         return (inner, outer, *[outer + self.shell_thickness] * bool(self.shell_thickness))
-
-    @property
-    def pole(self) -> Point3:
-        """Unit vector from the centre to the cup's pole."""
-        across, along = math.sin(self.inclination), math.cos(self.inclination)
-        level = math.cos(self.version)
-        return across * level, -math.sin(self.version), along * level
 
     @property
     def tissues(self) -> dict[str, str]:

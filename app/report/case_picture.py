@@ -19,10 +19,11 @@ from app.arrays import Floats, Ints
 from app.case.case import Case
 from app.laws.loads import BodyForce, Pressure
 from app.soundness import preview
+from app.soundness.mesh_parts import faces_of
 from app.system.layout import plain
 from app.system.style import COLOURS, handles
 from meshes import picture
-from meshes.data import MeshData, cell_volumes, exterior_facets, interface_facets
+from meshes.data import MeshData, boundary_facets, cell_volumes, exterior_facets, interface_facets
 from meshes.picture import AXES
 
 WAYS = (("lateral", "medial"), ("posterior", "anterior"), ("distal", "proximal"))  # x, y, z
@@ -117,12 +118,16 @@ def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) ->
 
 def _lines(view: View, case: Case, data: MeshData) -> None:
     """Draw sections of interfaces, supports and heat conditions."""
+    faces = faces_of(case)
     for (name, law), colour in zip(case.interfaces.items(), BETWEEN, strict=False):
         friction = getattr(law, "friction_coefficient", None)
         words = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
         style = {"ls": "--" if law.kind == "bonded" else "-", "lw": 2.2, "colors": colour}
-        facets = data.points[interface_facets(data, name)[0][:, :3]]
-        view.lines(facets, label=f"{name.replace('_', '-')}: {words}", **style)
+        shared = data.points[interface_facets(data, name)[0][:, :3]]
+        apart = (_boundary(data, face) for face in faces.get(name, ()))
+        view.lines(
+            np.concatenate([shared, *apart]), label=f"{name.replace('_', '-')}: {words}", **style
+        )
     parts: list[Any] = [("support", SUPPORT, *item) for item in case.supports.items()]
     for word, colour, name, part in parts + [("heat", HEAT, *item) for item in case.heat.items()]:
         facets = _boundary(data, getattr(part, "boundary", ""))
@@ -137,8 +142,7 @@ def _lines(view: View, case: Case, data: MeshData) -> None:
 
 def _boundary(data: MeshData, name: str) -> Floats:
     """Triangles of a boundary (n, 3, 3)."""
-    here = np.isin(data.facet_tags, data.boundaries.get(name, ()))
-    return data.points[data.facets[here][:, :3]]
+    return data.points[boundary_facets(data, name)[:, :3]]
 
 
 def _forces(case: Case, data: MeshData) -> Iterator[Force]:

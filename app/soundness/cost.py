@@ -12,6 +12,7 @@ from app.case.case import Case
 from app.laws.materials import Conductor, TransverselyIsotropic
 from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
+from app.soundness.mesh_parts import faces_of
 from app.system.layout import count, duration, plain
 
 if TYPE_CHECKING:
@@ -192,13 +193,14 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     """Cells, unknowns, solver and memory of a mesh, and notes of the mesher."""
     import numpy as np
 
-    from meshes.data import EDGES, interface_facets
+    from meshes.data import EDGES, interface_nodes
 
     tetrahedra = data.cells[:, :4]
     nodes = corners = len(np.unique(tetrahedra))
     if case.mesh.order == 2:
         nodes += len(np.unique(np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0))
-    each = {n: len(np.unique(interface_facets(data, n)[0][:, :3])) for n in case.interfaces}
+    faces = faces_of(case)
+    each = {n: len(interface_nodes(data, n, faces)) for n in case.interfaces}
     size = _size(case, len(data.cells), nodes, corners, each)
     lines = [_told("size", case, size, available)]
     for name, tag in data.regions.items():

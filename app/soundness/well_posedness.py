@@ -20,9 +20,17 @@ from app.errors import InputError
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
 from app.soundness.loose_bodies import BodiesOnMesh
-from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
+from app.soundness.mesh_parts import (
+    directions,
+    faces_of,
+    gaps_of,
+    groups_of,
+    history_of,
+    holds,
+    law_between,
+)
 from app.system.layout import point_text
-from meshes.data import boundary_areas
+from meshes.data import boundary_areas, interface_facets
 from meshes.pieces import Parts, parts
 
 if TYPE_CHECKING:
@@ -49,7 +57,7 @@ SAME, CLOSE = 1e-9, 1e-6
 def look(case: Case, data: MeshData) -> Parts:
     """Parts of a mesh that `judge` examines."""
     faces = {s.boundary for s in case.supports.values() if getattr(s, "normal", None) == "face"}
-    return parts(data, {s.boundary for s in case.supports.values()}, faces)
+    return parts(data, {s.boundary for s in case.supports.values()}, faces, faces_of(case))
 
 
 def judge(case: Case, found: Parts) -> list[str]:
@@ -59,8 +67,8 @@ def judge(case: Case, found: Parts) -> list[str]:
         InputError: It cannot be solved: with all the reasons.
     """
     notes = [*found.data.notes.get("told", ()), *_cracks(case, found), *_size(case, found)]
-    if errors := _on_axis(case, found):
-        raise InputError(errors)
+    if errors := [*_on_axis(case, found), *_sides_apart(case, found)]:
+        raise InputError([*errors, *(f"note: {n}" for n in notes)])
     if all(isinstance(region, Conductor) for region in case.regions.values()):
         return notes
     bodies = BodiesOnMesh(case, found)
@@ -144,6 +152,30 @@ def _on_axis(case: Case, found: Parts) -> list[str]:
                     f"{key}.fibre: its axis meets the region, e.g. at {point_text(middle)}, and "
                     "fibres have no direction there; expected an axis outside the region"
                 )
+    return errors
+
+
+def _sides_apart(case: Case, found: Parts) -> list[str]:
+    """Interfaces without a facet that do not slide far, and those with one that do."""
+    errors = []
+    for name, sides in case.geometry.interface_sides.items():
+        shared = len(interface_facets(found.data, name)[0])
+        one, two = ("/".join(side) for side in sides)
+        if shared and name in found.faces:
+            errors.append(
+                f"interfaces.{name}.sliding: {one} and {two} share {shared} facets, and slip stays "
+                "below one; expected bodies meshed apart, or `sliding: small`"
+            )
+        elif not shared and name not in found.faces:
+            errors.append(
+                f"interfaces.{name}: no facet between {one} and {two}; of bodies meshed apart "
+                "expected kind: contact with `sliding: finite`, and two boundaries in `between`"
+            )
+        for face, side in zip(found.faces.get(name, ()), sides, strict=False):
+            on = sorted({found.pieces[p].region for p in found.boundaries.get(face, {})})
+            if not on or not {*on} <= {*side}:
+                text = f"{face} is a surface of {' and '.join(on)}; expected one of "
+                errors.append(f"interfaces.{name}.between: {text}{'/'.join(side)} alone")
     return errors
 
 
@@ -325,7 +357,10 @@ def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
 def _cracks(case: Case, found: Parts) -> list[str]:
     """Coincident nodes that are not joined."""
     notes = []
+    slides = [{*sum(case.geometry.interface_sides[n], ())} for n in found.faces]
     for (a, b), x in found.doubled.items():
+        if a != b and any({a, b} <= regions for regions in slides):
+            continue
         where = f"regions '{a}' and '{b}'" if a != b else f"region '{a}'"
         notes.append(
             f"{where}: {len(x)} pairs of nodes coincide but are not connected, e.g. at "

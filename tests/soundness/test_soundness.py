@@ -22,6 +22,7 @@ from app.numerics.rigid_motions import describe, rigid_modes
 from app.simulation.model import Model
 from app.soundness import preview, well_posedness
 from app.soundness.failure import pulled_off
+from app.soundness.loose_bodies import BodiesOnMesh
 from app.soundness.mesh_parts import gaps_of, groups_of
 from app.system import folders
 from app.system.timing import Timing
@@ -177,7 +178,9 @@ def test_a_body_that_nothing_holds_is_refused(monkeypatch: pytest.MonkeyPatch) -
     assert len(groups_of(case, cracked)) == 2
     with pytest.raises(InputError) as caught:
         well_posedness.judge(case, cracked)
-    error, crack = caught.value.messages
+    apart, crack = caught.value.messages
+    assert apart.startswith("interfaces.bone_metal: no facet between bone and metal; ")
+    (error,) = BodiesOnMesh(case, cracked).unheld()
     assert error.startswith(
         "supports: nothing holds body 'metal': it is free to move along x, y, z and to turn about "
         "x, y, z, by a support"

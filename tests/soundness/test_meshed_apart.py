@@ -1,0 +1,92 @@
+"""Bodies that share no facet: what joins and holds them, and interfaces that do not fit them."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.errors import InputError
+from app.soundness import cost, well_posedness
+from meshes import build
+from tests import support
+
+BALL = """
+geometry:
+  {kind: head_cup, head_diameter: 28 mm, radial_clearance: 0 mm, liner_thickness: 8 mm}
+mesh: {size: 5 mm, order: 2}
+regions:
+  head: {rigid: true}
+  liner: {youngs_modulus: 1 GPa, poisson_ratio: 0.4}
+interfaces:
+  bearing: {kind: contact, friction_coefficient: 0.06, sliding: finite}
+supports:
+  outside: {kind: fixed, boundary: liner_outer}
+"""
+TURN = """motions={ball: {region: head, about: head_centre, rotation: {axes: yxz, course:
+["time [s], rotation y [deg]", "0, 0", "1, 25"]}}}"""
+BLOCK = f"""
+geometry:
+  {{kind: file, path: {support.CONFIGS / "sliding_block.geo"}, interfaces: {{b: [plate, block]}}}}
+mesh: {{size: 5 mm, far_size: 10 mm, order: 1}}
+regions:
+  plate: {{rigid: true, tissue: other}}
+  block: {{youngs_modulus: 1 GPa, poisson_ratio: 0.4, tissue: other}}
+interfaces:
+  b: {{kind: contact, friction_coefficient: 0.3, sliding: finite,
+       between: [plate_bottom, block_top]}}
+supports:
+  floor: {{kind: fixed, boundary: block_bottom}}
+"""
+SHELL = (
+    BALL.replace("ness: 8 mm", "ness: 8 mm, shell_thickness: 3 mm")
+    .replace("0.4}", "0.4}\n  shell: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}")
+    .replace("liner_outer", "shell_outer")
+)
+SMOOTH = "interfaces.bearing.friction_coefficient=0"
+
+
+def judged(text: str, *overrides: str) -> list[str]:
+    case = support.case(text, *overrides)
+    found = well_posedness.look(case, build(case.geometry, case.mesh))
+    assert found.doubled or case.geometry.kind == "file"  # the poles of both spheres
+    return well_posedness.judge(case, found)
+
+
+def test_sliding_contact_holds_a_body_and_coincident_nodes_are_no_crack() -> None:
+    assert judged(BALL) == judged(BLOCK) == []
+
+
+def test_nothing_resists_the_turn_of_a_smooth_ball_but_its_motion() -> None:
+    (note,) = judged(BALL, SMOOTH)
+    assert note.startswith("hardly anything holds body 'head': it is free to turn about x, y, z")
+    assert judged(BALL, SMOOTH, TURN) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "override", "error"),
+    [
+        (BALL, "interfaces={}", "bearing: no facet between head and liner; .*`sliding: finite`"),
+        (BLOCK, "interfaces.b={kind: bonded}", "b: no facet between plate and block"),
+        (
+            BLOCK,
+            "interfaces.b.between=[plate_bottom, plate_top]",
+            "b.between: plate_top is a surface of plate; expected one of block alone",
+        ),
+        (
+            SHELL,
+            "interfaces.liner_shell={kind: contact, friction_coefficient: 0.1, sliding: finite, "
+            "between: [liner_rim, shell_outer]}",
+            "liner_shell.sliding: liner and shell share [0-9]+ facets",
+        ),
+    ],
+)
+def test_interfaces_that_do_not_fit_the_mesh_are_refused(
+    text: str, override: str, error: str
+) -> None:
+    with pytest.raises(InputError, match=rf"^interfaces\.{error}"):
+        judged(text, override)
+
+
+def test_the_nodes_of_the_second_side_count_as_those_of_the_interface() -> None:
+    case = support.case(BLOCK)
+    said = cost.exact_size(case, build(case.geometry, case.mesh))
+    assert " interface nodes with a jump" in said and " 0 interface nodes" not in said
