@@ -126,8 +126,8 @@ def test_power_and_swing_of_the_temperature(tmp_path: Path) -> None:
 
 def test_a_restart_in_the_middle_of_a_turn(tmp_path: Path) -> None:
     """It goes on with the cycle, its wear and what the ball has slid."""
-    few = ("stages=[{name: turn, increments: 6, cycles: 2}]", "motions.ball.largest_step=20 deg")
+    few = ("stages[1].increments=6", "motions.ball.largest_step=10 deg")
     case, files = restarted.whole(CASE, tmp_path, *few)
-    for file in files[2::5]:
+    for file in files[3::6]:
         part = restarted.on(case, tmp_path, file, *few)
         restarted.assert_same(tmp_path / "whole", part, nothing=1e-6)
