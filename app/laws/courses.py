@@ -68,14 +68,18 @@ class Course(Section):
         """In words, for `mantle check`."""
         return f"{len(self.rows) - 1} rows of {', '.join(self.columns)}"
 
+    @property
+    def times(self) -> tuple[float, ...]:
+        """Times of the rows, growing [s]."""
+        return self.columns["time"]
+
     def at(self, names: Sequence[str], s: float) -> list[float]:
         """Values of columns at a part of a cycle from 0 to 1 [rad, N]; 0 of one that it lacks."""
         import numpy as np
 
-        times = self.columns["time"]
-        time = times[0] + s * (times[-1] - times[0])
+        time = self.times[0] + s * (self.times[-1] - self.times[0])
         found = (self.columns.get(name) for name in names)
-        return [float(np.interp(time, times, values)) if values else 0.0 for values in found]
+        return [float(np.interp(time, self.times, values)) if values else 0.0 for values in found]
 
 
 def _columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float, ...]]:

@@ -282,15 +282,14 @@ class Coulomb(Unilateral):
 
     @model_validator(mode="after")
     def _slides(self) -> Coulomb:
-        wrong = {
-            "between": self.sliding == "small" and "needs `sliding: finite` beside it",
-            "wear_coefficient": (self.sliding == "small" and "needs `sliding: finite` beside it")
-            or (not self.friction_coefficient and "there is no friction to wear it"),
-            "compliance": self.sliding == "finite" and f"its slip {SMALL}",
-        }
-        for key, text in wrong.items():
-            if text and getattr(self, key) is not None:
-                fail(text, at=(key,))
+        finite, rubs = self.sliding == "finite", self.friction_coefficient > 0.0
+        for key in FINITE:
+            if getattr(self, key) is not None and not finite:
+                fail("needs `sliding: finite` beside it", at=(key,))
+        if self.wear_coefficient is not None and not rubs:
+            fail("there is no friction to wear it", at=("wear_coefficient",))
+        if self.compliance is not None and finite:
+            fail(f"its slip {SMALL}", at=("compliance",))
         return self
 
     @property

@@ -143,12 +143,13 @@ def _moved(case: Case, found: Parts) -> tuple[list[str], list[str]]:
     for name, motion in case.motions.items():
         own = {k for k, piece in enumerate(found.pieces) if piece.region == motion.region}
         on = {boundary for boundary, pieces in found.boundaries.items() if own & pieces.keys()}
-        if held := [n for n, support in case.supports.items() if support.boundary in on]:
-            text = f"{motion.region} moves, and supports hold it ({', '.join(held)})"
+        held = ", ".join(n for n, support in case.supports.items() if support.boundary in on)
+        loads = ", ".join(n for n, load in case.loads.items() if on.intersection(load.boundaries))
+        if held:
+            text = f"{motion.region} moves, and supports hold it ({held})"
             errors.append(f"motions.{name}.region: {text}; expected `translation: held` instead")
-        loads = [n for n, load in case.loads.items() if on.intersection(load.boundaries)]
         if loads and motion.translation == "held":
-            text = f"{motion.region} does not give way to {', '.join(loads)}: its place is given"
+            text = f"{motion.region} does not give way to {loads}: its place is given"
             notes.append(f"motions.{name}.translation: {text}")
     return errors, notes
 
