@@ -275,13 +275,11 @@ def _sliding(case: Any) -> Iterable[Fault]:
         if followed is not None and followed not in motions:
             text = f"there is no motion '{followed}'{did_you_mean(followed, motions)}"
             yield Fault(("loads", name, "follows"), text)
-    for i, stage in enumerate(case.stages or ()):
-        if courses and stage.takes_time:
-            text = (
-                "courses take no time: temperature swings by 2 q sqrt(t/pi) / (e1 + e2) in a cycle"
-            )
-            text += ", about half a kelvin, which is not solved; leave it out"
-            yield Fault(("stages", i, "steady" if stage.steady else "duration"), text)
+    for stage in (case.stages or ())[-1:] if courses else ():
+        if stage.takes_time:
+            key = ("stages", len(case.stages) - 1, "steady" if stage.steady else "duration")
+            text = "a cycle takes no time: in it temperature swings by 2 q sqrt(t/pi) / (e1 + e2)"
+            yield Fault(key, f"{text}, about half a kelvin, which is not solved; leave it out")
 
 
 def quantities(case: Any, study: Any) -> Iterable[Fault]:
