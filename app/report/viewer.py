@@ -142,7 +142,7 @@ def packed(
             other = -1 if stage == ends[-1] else others.get(stage, -1)
             less = 0.0 if minus is None else lengths(minus, name, other)
             v = factor * (lengths(run, name, at[stage]) - less)[nodes]
-            parts, least, most = _scaled(v, np.isfinite(v) & (on | (v != 0)))
+            parts, least, most = _scaled(v, np.isfinite(v) & (on | (v > 0)))
             steps.append({"at": add(parts), "min": least, "max": most})
         head["fields"].append({"name": name, "label": label, "unit": unit, "steps": steps})
     return head, bytes(numbers)
