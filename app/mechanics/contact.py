@@ -312,12 +312,12 @@ class ContactInterfaces:
         tied = self.law.tied = np.zeros(len(self.own), dtype=bool)
         if not on:
             return False
-        gap = self._clearance.copy()
+        apart = self._clearance.copy()
         if self.large is not None:
-            gap[self.large.rows] += self.large.paired.gap
-        touched = (gap <= 0) | self.state.force.any(axis=1)
+            apart[self.large.rows] += self.large.paired.gap
         for i in range(len(self._contacts)):
             here = self.own.interface == i
+            touched = (apart <= 0) | self.state.force.any(axis=1)
             if not self.comm.allreduce(bool(touched[here].any()), MPI.LOR):
                 tied |= here
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))

@@ -229,7 +229,7 @@ def _numbers(summary: dict[str, Any], spread: InputSpread | None) -> Blocks:
         head = ["", "permanent", "inducible"]
         rows = [[in_print(name), *both] for name, *both in cycles.rows(own)]
         found += page.titled(f"Cycles of {stage}", table(head, rows))
-        found += bullets([cycles.dissipation(own)])
+        found += bullets([*cycles.friction(own)])
     found += page.titled("Peaks that still change with the mesh", _unsettled(summary))
     if note := summary.get("thermal", {}).get("note"):
         found += bullets([note])

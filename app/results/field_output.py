@@ -19,6 +19,7 @@ from dolfinx import fem, la
 from app.arrays import Floats, Ints
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import ENDS, node_keys
+from app.results.bearing import Bearing
 from app.results.bond_forces import BondForces
 from app.results.cement_risk import CementRisk
 from app.results.interface_numbers import ContactSamples
@@ -184,10 +185,15 @@ class MechanicalFields:
     """Displacement, stress, and contact quantities."""
 
     def __init__(
-        self, problem: Problem, stresses: Stresses, risk: CementRisk | None, bonds: BondForces
+        self,
+        problem: Problem,
+        stresses: Stresses,
+        risk: CementRisk | None,
+        bonds: BondForces,
+        bearings: Mapping[str, Bearing],
     ) -> None:
         self._problem, self._stresses, self._risk = problem, stresses, risk
-        self._bonds = bonds
+        self._bonds, self._bearings = bonds, bearings
         self.bodies, self.space = problem.bodies, problem.space
         index_map = self.space.dofmap.index_map
         # Stress times volume, and volume, at the nodes of a body.
@@ -206,6 +212,13 @@ class MechanicalFields:
             rows = _contact_rows(points, self.space, self.bodies, nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
                 point |= _interface(contact, samples, rows[i], i)
+                if bearing := self._bearings.get(contact.name):
+                    (there,) = _contact_rows(bearing, self.space, self.bodies, nodes)
+                    for key, (slave, master) in bearing.fields().items():
+                        whole = np.zeros(len(points.dof))
+                        whole[points.interface == i] = slave
+                        both = _along(rows[i], whole) + _along(there, master)
+                        point[f"{contact.name}_{key}"] = both
         for name, (points, index) in self._bonds.indices().items():
             (at,) = _contact_rows(points, self.space, self.bodies, nodes)
             point[f"{name}_failure_index"] = _along(at, index)
@@ -276,7 +289,7 @@ def _named(σ: Floats) -> dict[str, Floats]:
 
 
 def _contact_rows(
-    points: ContactPoints, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
+    points: ContactPoints | Bearing, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
 ) -> list[Ints]:
     """For each interface, the contact points (n, 2) at or around the nodes of the grid.
 
@@ -325,6 +338,8 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints, i: int) -> dic
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
         **{"pressure": s.pressure, "shear": s.shear},
     }
+    if contact.between:
+        del fields["motion"]
     if (index := s.index.get(i)) is not None:
         fields["failure_index"] = index
     found = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}

@@ -159,7 +159,10 @@ def solves(case: Case) -> tuple[int, int]:
     timed = sum(1 for stage in case.stages if stage.duration)
     sets = any(r.thermal is not None and r.thermal.cure is not None for r in case.regions.values())
     moments = HEAT_STEPS * timed + SETTING_STEPS * (sets and timed > 0)
-    steps = sum(stage.increments * stage.ways for stage in case.stages if not stage.duration)
+    scene, steps = build_scene(case), 0
+    for k, stage in enumerate(scene.stages):
+        number = stage.increments * stage.ways
+        steps += 0 if stage.duration else number * scene.turns(k, 1 / number)
     steps += CREEP * sum(1 for stage in case.stages if stage.creep)
     if law := case.remodelling:
         steps += REMODELLING * len(law.load_cases) * sum(1 for s in case.stages if s.remodels)
@@ -177,7 +180,8 @@ def _proportional(case: Case) -> bool:
     """Whether the solution of the first stage is proportional to the loads, as without gaps."""
     histories = [load.history for load in case.loads.values()]
     gaps = [getattr(law, "gap", 0.0) for law in case.interfaces.values()]
-    return not case.stages[0].duration and not any(histories) and not any(gaps)
+    changes = any(histories) or any(gaps) or case.motions
+    return not case.stages[0].duration and not changes
 
 
 def solid(case: Case) -> bool:

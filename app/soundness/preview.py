@@ -17,6 +17,7 @@ from app.case.section_loads import section_loads, table
 from app.laws.failure import MEMORY
 from app.laws.materials import Rigid
 from app.laws.thermal import PressureConductance
+from app.scene.scene import build_scene
 from app.schema.section import Section
 from app.soundness.cost import solid
 from app.system.layout import plain
@@ -69,7 +70,7 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     lines += ["not measured", *([*_not_measured(case)] or ["  none"])]
     if case.conducts:
         lines += ["heat", *_table(case.heat)]
-    lines += ["stages", *map(_stage, case.stages)]
+    lines += ["stages", *map(_stage, build_scene(case).stages)]
     if case.remodelling:
         lines += ["remodelling", *_entries(case.remodelling, given.get("remodelling"))]
     if case.time is not None:
@@ -86,7 +87,8 @@ def _stage(stage: Stage) -> str:
     seconds = stage.seconds or stage.remodels
     time = f"{seconds:g} s, " if seconds else "until nothing changes, " * stage.steady
     steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
-    steps += f" for each way, {stage.cycles} cycles" if stage.cycles > 1 else ""
+    each = "cycle" if stage.ways == stage.cycles else "way"
+    steps += f" for each {each}, {stage.cycles} cycles" if stage.cycles > 1 else ""
     return f"  {stage.name}: {time}{steps}{', adaptive' if stage.adaptive else ''}"
 
 
