@@ -278,7 +278,7 @@ class ContactInterfaces:
         pressure = trial.law.pressures[rows, 0]
         wrong = self.law.met[rows] * self.large.error(self._paired_at, trial.jump)
         local = pressure.max(initial=0.0), wrong[pressure > 0].max(initial=0.0)
-        largest, by = self.comm.allreduce(np.array(local), MPI.MAX)
+        largest, by = (self.comm.allreduce(float(v), MPI.MAX) for v in local)
         if by <= ACCURACY * largest:
             return False
         self._pair(trial.jump)

@@ -248,7 +248,7 @@ class Problem:
 
         From there Newton finds which points touch, however small the load: not from afar.
         """
-        if self.contact is None or self.contact.large is None:
+        if q is None or self.contact is None or self.contact.large is None:
             return
         regions = [r.region for r in self.scene.rigid]
         for m in self.scene.motions:
