@@ -125,11 +125,10 @@ class BodiesOnMesh:
                     rows = (directions(s, self._found, nodes) @ modes).reshape(-1, 6)
                     held[self._of[piece]] += rows.T @ rows
             for m in self._case.motions.values():
-                turns, shifts = np.eye(6)[3:], self._modes(np.array([m.about]))[0]
-                rows = np.vstack([turns, shifts[: 3 * (m.translation == "held")]])
-                regions = [p.region for p in self._found.pieces]
-                for b in {self._of[i] for i, region in enumerate(regions) if region == m.region}:
-                    held[b] += rows.T @ rows
+                shifts = self._modes(np.array([m.about]))[0] * (m.translation == "held")
+                rows = np.vstack([np.eye(6)[3:], shifts])
+                for i, found in enumerate(self._found.pieces):
+                    held[self._of[i]] += (found.region == m.region) * rows.T @ rows
             values, vectors = np.linalg.eigh(held)
             free = values <= FREE * np.maximum(values[:, -1:], np.finfo(float).tiny)
             left = [np.kron(np.eye(n)[:, [b]], vectors[b][:, free[b]]) for b in range(n)]
