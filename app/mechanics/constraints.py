@@ -239,16 +239,17 @@ class Constraints:
 
         It goes as far as ``reach`` says of a unit way (3,), in u. Returns its way (3,) [mm].
         """
-        step, way, place = np.zeros(6), np.zeros(3), 0
+        place, step = 0, np.zeros(6)
+        way: Floats = np.zeros(3)
         if u.comm.rank == 0:
             place = sorted(self._bases)[k]
             here = slice(place, place + 6)
-            step = np.where(self.constrained[here], 0.0, f.array_r[here])
+            step[:] = np.where(self.constrained[here], 0.0, f.array_r[here])
             way = (self._bases[place] @ step)[:3]
         way = u.comm.tompi4py().bcast(way)
         size = float(np.linalg.norm(way))
         if size:
-            size = reach(way / size) / size
+            size = reach(np.asarray(way / size)) / size
         if u.comm.rank == 0:
             u.array[place : place + 6] += size * step
         return size * way
