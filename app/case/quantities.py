@@ -35,6 +35,7 @@ UNITS = {
     "s": "a time",
     "degC": "a temperature",
     "K": "a temperature difference",
+    "W": "a power",
     "W/m^2": "a heat flux",
     "W/(m^2 K)": "an entropy production",
     "min": "a thermal dose",
@@ -207,6 +208,41 @@ add_quantity(
     _interface("dissipation", "N mm", order=MOTION, history=True),
     _interface("dissipation_min", "N mm", history=True),
     _interface("contact_work", "N mm", history=True),
+    # Of sides that slide far, at the end and over a cycle.
+    _interface("torque", "N mm", vector=True, order=MOTION),
+    *(
+        _interface(f"torque_{key}", "N mm", digits=1, label=f"torque{words}", order=MOTION)
+        for key, words in (("size", ""), ("along", " along the motion"), ("max", ", max"))
+    ),
+    _interface("centre", "mm", vector=True, order=MOTION),
+    _interface("eccentricity", "mm", "um", 1, order=MOTION),
+    _interface("pressure_max_at", "mm", vector=True, exact=True),
+    _interface("dissipation_cycle", "N mm", label="dissipation in a cycle", order=MOTION),
+    *(
+        _interface(f"slid_{key}", "mm", label=f"slid in a cycle, {words}", order=MOTION)
+        for key, words in (("max", "max"), ("mean", "mean"), ("max_master", "max, master"))
+    ),
+    *(
+        _interface(
+            f"wear_{key}{times}",
+            unit,
+            digits=digits,
+            label=f"wear in {of}, {words}",
+            order=TRACTION if unit == "mm" else MOTION,
+            peak="max" in key,
+        )
+        for times, of, digits in (("", "a cycle", 9), ("_million", "a million cycles", 2))
+        for key, words, unit in (
+            ("volume", "volume", "mm^3"),
+            *(
+                (f"depth_{how}{side}", f"depth, {how}{side.replace('_', ', ')}", "mm")
+                for side in ("", "_master")
+                for how in ("max", "p99")
+            ),
+        )
+    ),
+    _interface("friction_power", "W", digits=3, order=MOTION),
+    _interface("temperature_swing", "K", label="swing of the temperature", order=TRACTION),
     _interface("stored_energy", "N mm", history=True),
     _interface("unbonded_fraction", "-", "%", 1, exact=True),
     *(_interface(f"area_{how}", "mm^2", digits=1, history=True) for how in ("damaged", "broken")),

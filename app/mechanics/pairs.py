@@ -135,19 +135,25 @@ class SmoothSurface:
         return np.einsum("pi,pi->p", points - p, n) - rise, n
 
     def deposit(self, points: Floats, values: Floats) -> Floats:
-        """Sums at the nodes (n,) of values at points (p,), by the closest points."""
+        """Sums at the nodes (n, k) of values at points (p, k), by the closest points."""
         facet, at, _ = self.closest(points)
-        return _sums(self.triangles[facet], at * values[:, None], len(self.x))
+        nodes, n = self.triangles[facet], len(self.x)
+        return np.column_stack([_sums(nodes, at * v[:, None], n) for v in values.T])
 
-    def sampled(self, density: Floats, quadrature: int = 12) -> tuple[Floats, Floats]:
-        """Points on the facets (p, 3) and the part there of the integral of a density (n,) (p,).
+    def sampled(
+        self, density: Floats, quadrature: int = 12, x: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        """Points on the facets (p, 3) and the part there of integrals of densities (n, k) (p, k).
 
-        What is deposited from these leaves no holes on a surface of smaller facets.
+        What is deposited from these leaves no holes on a surface of smaller facets. ``x`` is where
+        the nodes have moved (n, 3); points without a density are left out.
         """
         at, weight = rule(quadrature)
-        points = np.einsum("qk,fki->fqi", at, self.x[self.triangles])
-        parts = np.einsum("f,q,qk,fk->fq", self._area, weight, at, density[self.triangles])
-        return points.reshape(-1, 3), parts.ravel()
+        used = density[self.triangles].any(axis=(1, 2))
+        triangles = self.triangles[used]
+        points = np.einsum("qk,fki->fqi", at, (self.x if x is None else x)[triangles])
+        parts = np.einsum("f,q,qk,fkv->fqv", self._area[used], weight, at, density[triangles])
+        return points.reshape(-1, 3), parts.reshape(-1, density.shape[1])
 
 
 def mortar(

@@ -27,7 +27,7 @@ log = logging.getLogger("mantle")
 
 # Status of solved cases whose numbers are not to be used.
 UNUSABLE = "do not use"
-BEYOND = "exceeds the size of its facets: beyond small displacements"
+BEYOND = "exceeds the size of its facets: beyond small displacements (`sliding: finite` follows it)"
 
 # Error sources, where coarser meshes could be compared.
 BOTH = "mesh and step"
@@ -234,7 +234,7 @@ def _contact(interfaces: Mapping[str, Any]) -> Verdict:
         return f"{q.factor * most[key]:.2g} {q.shown}"
 
     keys = ("penetration_max", "penetration_sampled")
-    most = {key: max(q[key] for q in interfaces.values()) for key in keys}
+    most = {key: max(q.get(key, 0.0) for q in interfaces.values()) for key in keys}
     gap = TABLE["interfaces"]["gap_max"].text
     rims = [f"{gap(own['rim'])} um ({name})" for name, own in interfaces.items() if "rim" in own]
     apart = f"; numbers are without rim and tip, the rim opens by {', '.join(rims)}" if rims else ""
@@ -331,6 +331,10 @@ FAILING = "failure_load_factor"
 SENTENCES = {
     "bonds": "{name}, bonded: {strength_fraction} of its area above its strength; "
     "normal {normal_mean} (mean), shear {shear_mean}",
+    "bearing": "{name}: torque {torque_max} at most, {dissipation_cycle} dissipated and "
+    "{slid_max} slid in a cycle",
+    "wear": "{name}: {wear_volume_million} worn in a million cycles, {wear_depth_max_million} at "
+    "the deepest, {wear_depth_p99_million} (p99)",
     "strength": "{name}: a hundredth of its area fails at {failure_load_factor} of this load; "
     "failure index {failure_index_p99} (p99), {failure_index_max} (max)",
     "cure": "{name} has set to {degree_min} .. {degree_max}{reached}; fastest rate {rate_max}",
@@ -346,6 +350,9 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
         rows[section][name] = numbers
     for section in ("interfaces", "regions"):
         yield from _table(section, rows[section])
+    for text, key in (("bearing", "torque_max"), ("wear", "wear_volume")):
+        own = (row for row in rows["interfaces"].items() if key in row[1])
+        yield from (_sentence("interfaces", *row, text=text) for row in own)
     yield from (_sentence("bonds", *row) for row in rows["bonds"].items())
     strong = (row for row in (rows["interfaces"] | rows["bonds"]).items() if FAILING in row[1])
     yield from (_sentence("bonds", *row, text="strength") for row in strong)

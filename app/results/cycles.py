@@ -61,7 +61,7 @@ def split(spent: list[float], last: list[Turn]) -> dict[str, Any]:
         if place == "stem":
             permanent[place] = own
             inducible[place] = {key: high[place][key] - value for key, value in own.items()}
-        else:
+        elif "motion_p99" in own:  # of sides that do not slide far
             permanent[place] = {"motion_p99": own["motion_p99"]}
             inducible[place] = {"motion_p99": high[place]["inducible_p99"]}
     lost = [b - a for a, b in pairwise(spent[::2])]
@@ -87,21 +87,29 @@ def trend(first: float, lost: list[float]) -> str:
 
 def rows(found: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
     """Motions of a stage with cycles: what it is, its permanent and its inducible part."""
-    for place, own in found["permanent"].items():
+    for place, own in found.get("permanent", {}).items():
         for key in own:
             q = TABLE["stem" if place == "stem" else "interfaces"][key]
             name = key if place == "stem" else f"motion p99 of {place}"
             yield f"{name} ({q.shown})", q.text(own), q.text(found["inducible"][place])
 
 
-def dissipation(found: Mapping[str, Any]) -> str:
-    """A sentence on the friction of a stage with cycles."""
-    lost = ", ".join(f"{d:.3g}" for d in found["dissipation"])
-    return f"dissipation per cycle {found['trend']}: {lost} N mm"
+def friction(found: Mapping[str, Any]) -> Iterator[str]:
+    """Sentences on the friction of a stage with cycles, and on its last two."""
+    if "trend" in found:
+        lost = ", ".join(f"{d:.3g}" for d in found["dissipation"])
+        yield f"dissipation per cycle {found['trend']}: {lost} N mm"
+    for name, by in found.get("change", {}).items():
+        torque, spent = (f"{100 * by[key]:.2g} %" for key in ("torque", "dissipation"))
+        yield (
+            f"the last two cycles of {name} differ by {torque} of the torque, "
+            f"{1e3 * by['centre']:.2g} um in place and {spent} of the dissipation"
+        )
 
 
 def sentences(cycles: Mapping[str, Any]) -> Iterator[str]:
     """A line for the log for each stage."""
     for stage, found in cycles.items():
         parts = ", ".join(f"{name} {low} / {more}" for name, low, more in rows(found))
-        yield f"{stage}: permanent / inducible: {parts}; {dissipation(found)}"
+        told = [f"permanent / inducible: {parts}"] * bool(parts)
+        yield f"{stage}: {'; '.join([*told, *friction(found)])}"

@@ -19,6 +19,7 @@ from dolfinx import fem, la
 from app.arrays import Floats, Ints
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import ENDS, node_keys
+from app.results.bearing import Bearing
 from app.results.bond_forces import BondForces
 from app.results.cement_risk import CementRisk
 from app.results.interface_numbers import ContactSamples
@@ -184,21 +185,33 @@ class MechanicalFields:
     """Displacement, stress, and contact quantities."""
 
     def __init__(
-        self, problem: Problem, stresses: Stresses, risk: CementRisk | None, bonds: BondForces
+        self,
+        problem: Problem,
+        stresses: Stresses,
+        risk: CementRisk | None,
+        bonds: BondForces,
+        bearings: Mapping[str, Bearing],
     ) -> None:
         self._problem, self._stresses, self._risk = problem, stresses, risk
-        self._bonds = bonds
+        self._bonds, self._bearings = bonds, bearings
         self.bodies, self.space = problem.bodies, problem.space
         index_map = self.space.dofmap.index_map
         # Stress times volume, and volume, at the nodes of a body.
         self._sums = la.vector(index_map, len(COMPONENTS) + 1)
 
     def point(self, nodes: OutputNodes, samples: ContactSamples | None) -> dict[str, Floats]:
-        """Displacement [mm], and by interface gap, slip, motion [mm], tractions [MPa], status."""
+        """Displacement, with the turns of motions, and by interface what it does.
+
+        Gap, slip, motion [mm], tractions [MPa], status; of sides that slide far their wear [mm].
+        """
         u = np.zeros((len(nodes.dof), 3))
         for b, function in enumerate(self._problem.displacements()):
             at = nodes.body == b
             u[at] = function.x.array.reshape(-1, 3)[nodes.dof[at]]
+        scene, x = self._problem.scene, self.space.tabulate_dof_coordinates()[nodes.dof]
+        for m in scene.motions:
+            at = nodes.body == self.bodies.of_region[m.region]
+            u[at] += (x[at] - m.about) @ (scene.rotation(m, self._problem.time).T - np.eye(3))
         point: dict[str, Floats] = {"displacement": u, **_named(self._nodal_stress(nodes))}
         if samples is not None:
             assert self._problem.contact is not None
@@ -206,6 +219,13 @@ class MechanicalFields:
             rows = _contact_rows(points, self.space, self.bodies, nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
                 point |= _interface(contact, samples, rows[i], i)
+                if bearing := self._bearings.get(contact.name):
+                    (there,) = _contact_rows(bearing, self.space, self.bodies, nodes)
+                    for key, (slave, master) in bearing.fields().items():
+                        whole = np.zeros(len(points.dof))
+                        whole[points.interface == i] = slave
+                        both = _along(rows[i], whole) + _along(there, master)
+                        point[f"{contact.name}_{key}"] = both
         for name, (points, index) in self._bonds.indices().items():
             (at,) = _contact_rows(points, self.space, self.bodies, nodes)
             point[f"{name}_failure_index"] = _along(at, index)
@@ -276,7 +296,7 @@ def _named(σ: Floats) -> dict[str, Floats]:
 
 
 def _contact_rows(
-    points: ContactPoints, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
+    points: ContactPoints | Bearing, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
 ) -> list[Ints]:
     """For each interface, the contact points (n, 2) at or around the nodes of the grid.
 
@@ -325,6 +345,8 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints, i: int) -> dic
         **{"gap": s.opening, "slip": s.slip, "slip_path": s.path, "motion": s.motion},
         **{"pressure": s.pressure, "shear": s.shear},
     }
+    if contact.between:
+        del fields["motion"], fields["slip"]
     if (index := s.index.get(i)) is not None:
         fields["failure_index"] = index
     found = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}

@@ -69,6 +69,8 @@ class ContactSamples:
         facet_sizes: Mean length of the edges of their facets [mm].
         index: Failure index (n,) of interfaces whose strength is known, by their numbers.
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
+        friction: Friction on the master per area (n, 3) [MPa], where points slide far.
+        arm: From the centre of the master to where they touch it (n, 3) [mm].
 
     Args:
         since: Jumps of own points at the last valley of the loads (n, 3) [mm]: ``inducible``
@@ -118,6 +120,10 @@ class ContactSamples:
         if since is not None:
             way = whole(trial.jump - since)
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
+        if (far := contact.large) is not None:
+            arm = np.zeros((len(own), 3))
+            arm[far.rows] = far.paired.arm
+            self.arm, self.friction = whole(arm), whole(history.friction)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(points, i, {}) for i in range(len(contacts))]
@@ -127,7 +133,7 @@ class ContactSamples:
         """Motion, tractions and states of each interface, by its name; collective."""
         depths, sizes = overlap(self._contact, self._jump), self.facet_sizes
         return {
-            c.name: _numbers(self, i) | depths[i] | {"facet_size": sizes[i]}
+            c.name: _numbers(self, i) | ({} if c.between else depths[i] | {"facet_size": sizes[i]})
             for i, c in enumerate(self.contacts)
         }
 
@@ -141,8 +147,7 @@ class ContactSamples:
 def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[str, Any]:
     """Numbers of an interface and its parts; the wanted ones of its main part if not all."""
     at, surface = s.interface == i, s.surfaces[i]
-    index, names = s.index.get(i), [""] if wanted else surface.at
-    parts = {part: _of_part(s, surface, part, wanted, index) for part in names}
+    parts = {part: _of_part(s, i, part, wanted) for part in ([""] if wanted else surface.at)}
     main = parts.pop("") | {
         "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
         "dissipation": float(s.dissipation[at].sum()),
@@ -177,14 +182,15 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
     }
 
 
-def _of_part(
-    s: ContactSamples, surface: Surface, part: str, wanted: set[str] | None, index: Floats | None
-) -> dict[str, Any]:
+def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> dict[str, Any]:
     """Sizes of motion and tractions, states, area and force of a part of an interface."""
+    surface, index = s.surfaces[i], s.index.get(i)
     at = surface.at[part]
     weight, x = s.weight[at], s.x[at]
     found: dict[str, Any] = {}  # of functions, what is asked for is computed
-    for name, values in s.sizes.items():
+    # Where sides slide far a jump is no motion of one against the other, and slips do not add up.
+    left_out = ("slip", "motion", "inducible") if s.contacts[i].between else ()
+    for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
         field = surface.field(values, part)
         here = values[at].reshape(len(x), -1).max(axis=1)
         k = int(np.argmax(here))

@@ -25,6 +25,7 @@ from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results.balance import Balance
+from app.results.bearing import bearings
 from app.results.bond_forces import BondForces
 from app.results.cement_risk import CementRisk
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
@@ -74,9 +75,10 @@ class Mechanical:
         neighbours: States of earlier models, as warm starts.
         zones: Zones of a hip, if it is one; the interfaces' parts in `surfaces`.
         stem: The motion of its implant.
+        bearings: Its interfaces whose sides slide far.
     """
 
-    saved = ("problem", "solver")
+    saved = ("problem", "solver", "bearings")
 
     def __init__(self, problem: Problem, solver: Solver, case: Case, timing: Timing) -> None:
         self.problem, self.solver, self.zones = problem, solver, None
@@ -93,6 +95,7 @@ class Mechanical:
         self.stresses = Stresses(problem, timing, geometry.is_around_z, depth)
         borders = self.zones.borders if self.zones else None
         self.bonds = BondForces(problem, self.stresses, borders)
+        self.bearings = bearings(problem, case)
         self.neighbours = WarmStart(problem, solver)
         self._balance: Balance | None = None
 
@@ -198,6 +201,7 @@ class Model:
                 continue
             if model.deforms_like(case):
                 m.begin(self.scene, case.solver.augmentation_factor, case.solver.tolerance)
+                m.bearings = bearings(m.problem, case)
                 return m
             same = _stiffness(model._case) == _stiffness(case)
             if same and all(support.stages is None for support in self.scene.supports):
@@ -234,7 +238,7 @@ class Model:
         """Groups of fields to be written: mechanics, heat."""
         groups: list[FieldGroup] = []
         if m := self.mechanics:
-            groups.append(MechanicalFields(m.problem, m.stresses, self.risk, m.bonds))
+            groups.append(MechanicalFields(m.problem, m.stresses, self.risk, m.bonds, m.bearings))
         if t := self.thermal:
             groups.append(HeatFields(t.heating, t.record, self._case.geometry.interface_sides))
         return groups
@@ -350,6 +354,9 @@ class Model:
             elastic = m.problem.scene.elastic
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
+            for name, bearing in m.bearings.items():
+                if bearing.numbers:  # companions that estimate errors have none
+                    numbers["interfaces"][name] |= bearing.numbers | bearing.cycle()
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := m.bonds.numbers():
                 numbers["bonds"] = found

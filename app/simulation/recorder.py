@@ -155,6 +155,8 @@ class Recorder:
                 self._contact = {"pressures": trial.law.pressures, "status": trial.law.status}
                 since = self._valley.get("jump")
                 self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
+                for bearing in m.bearings.values():
+                    bearing.update(self.samples, self._stage, step.time, step.whole)
             self._total.count(step.outcome)
             moved = m.stem(self._case.side)
             columns = [q for key, q in TABLE["stem"].items() if q.history and key in moved]
@@ -174,8 +176,8 @@ class Recorder:
     def _turn(self, step: LoadStep, stem: Mapping[str, Any], trial: TrialState | None) -> None:
         """Keep the numbers at peaks and valleys of a stage with cycles."""
         turn = self._stage.turn(step.time)
-        if self._stage.cycles == 1 or not step.whole or not turn:
-            return
+        if self._stage.ways == self._stage.cycles or not step.whole or not turn:
+            return  # courses have no valleys
         self._cycles.add(step.stage, stem, self.samples.history if self.samples else {})
         if trial is not None and turn % 2 == 0:
             self._valley = {"jump": trial.jump.copy()}
@@ -218,6 +220,11 @@ class Recorder:
         columns = [c for c in TABLE["interfaces"].values() if c.history]
         for name, q in (self.samples.history if self.samples else {}).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns if c.key in q}
+        for name, bearing in m.bearings.items() if m else ():
+            for key, value in bearing.numbers.items():
+                c, values = TABLE["interfaces"][key], value if isinstance(value, list) else [value]
+                cells = zip(c.names, values, strict=True)
+                row |= {f"{name} {title} [{c.unit}]": v for title, v in cells}
         for name, q in m.bonds.numbers(strong=True).items() if m else ():
             own = [c for c in TABLE["bonds"].values() if c.history]
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in own}
@@ -263,7 +270,8 @@ class Recorder:
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
         model, counted = self._model, total or self._total
-        contact = model.mechanics and model.mechanics.problem.contact
+        m = model.mechanics
+        contact = m and m.problem.contact
         comm, sizes = model.tagged.mesh.comm, model.sizes()
         b, t = self._balance, model.thermal
         balance = {"force": b.force, "moment": b.moment, "energy": b.energy} if b else {}
@@ -271,7 +279,10 @@ class Recorder:
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}}
         if self.step_count:  # at rest all would be zero
             numbers = model.numbers(self.samples) | model.places(self.samples)
-            if cycles := self._cycles.summary():
+            cycles, bearings = self._cycles.summary(), m.bearings if m else {}
+            if change := {n: found for n, b in bearings.items() if (found := b.change())}:
+                cycles.setdefault(self._stage.name, {})["change"] = change
+            if cycles:
                 numbers["cycles"] = cycles
             if sections := section_loads(self._case, model.scene.load_time(self.time)):
                 numbers["section_loads"] = [asdict(section) for section in sections]

@@ -12,7 +12,6 @@ from app.case.case import Case
 from app.laws.materials import Conductor, TransverselyIsotropic
 from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
-from app.soundness.mesh_parts import faces_of
 from app.system.layout import count, duration, plain
 
 if TYPE_CHECKING:
@@ -159,7 +158,10 @@ def solves(case: Case) -> tuple[int, int]:
     timed = sum(1 for stage in case.stages if stage.duration)
     sets = any(r.thermal is not None and r.thermal.cure is not None for r in case.regions.values())
     moments = HEAT_STEPS * timed + SETTING_STEPS * (sets and timed > 0)
-    steps = sum(stage.increments * stage.ways for stage in case.stages if not stage.duration)
+    scene, steps = build_scene(case), 0
+    for k, stage in enumerate(scene.stages):
+        number = stage.increments * stage.ways
+        steps += 0 if stage.duration else number * scene.turns(k, 1 / number)
     steps += CREEP * sum(1 for stage in case.stages if stage.creep)
     if law := case.remodelling:
         steps += REMODELLING * len(law.load_cases) * sum(1 for s in case.stages if s.remodels)
@@ -177,7 +179,8 @@ def _proportional(case: Case) -> bool:
     """Whether the solution of the first stage is proportional to the loads, as without gaps."""
     histories = [load.history for load in case.loads.values()]
     gaps = [getattr(law, "gap", 0.0) for law in case.interfaces.values()]
-    return not case.stages[0].duration and not any(histories) and not any(gaps)
+    changes = any(histories) or any(gaps) or case.motions
+    return not case.stages[0].duration and not changes
 
 
 def solid(case: Case) -> bool:
@@ -195,8 +198,7 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     nodes = corners = len(np.unique(tetrahedra))
     if case.mesh.order == 2:
         nodes += len(np.unique(np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0))
-    faces = faces_of(case)
-    each = {n: len(interface_nodes(data, n, faces)) for n in case.interfaces}
+    each = {n: len(interface_nodes(data, n, case.faces)) for n in case.interfaces}
     size = _size(case, len(data.cells), nodes, corners, each)
     lines = [_told("size", case, size, available)]
     for name, tag in data.regions.items():

@@ -123,8 +123,8 @@ def test_deposits_conserve() -> None:
     """The sum; on a plane first moments; even values of a cup give the areas of a ball's nodes."""
     flat, cup, ball = plane(9, 4), sphere(400, R + 0.1), sphere(500)
     points, values = 9 * V, np.linspace(0, 1, len(V))
-    nodal = flat.deposit(points, values)
+    nodal = flat.deposit(points, values[:, None])[:, 0]
     assert nodal.sum() == pytest.approx(values.sum(), rel=1e-13)
     assert (nodal @ flat.x)[:2] == pytest.approx((values @ points)[:2], abs=1e-9)
-    even = ball.deposit(*cup.sampled(np.full(len(cup.x), (R / (R + 0.1)) ** 2), 48))
-    assert even == pytest.approx(ball.areas, rel=0.1)
+    even = ball.deposit(*cup.sampled(np.full((len(cup.x), 1), (R / (R + 0.1)) ** 2), 48))
+    assert even[:, 0] == pytest.approx(ball.areas, rel=0.1)

@@ -1,0 +1,225 @@
+r"""What surfaces that slide far tell, by cycle: torque, place, wear and heat of friction.
+
+Wear is Archard's, a depth :math:`k \int p\,ds` on either side: k/μ times the energy dissipated per
+area. The slave's points know that. It is handed to the nodes of the master in its own axes, where
+both touched in the middle of each step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from app.case.case import Case
+from app.mechanics.pairs import SmoothSurface
+from app.mechanics.problem import Problem
+from app.numerics.rigid_motions import rotation_vector
+from app.results.interface_numbers import ContactSamples
+from app.results.percentiles import percentile
+from app.scene.bodies import boundary_facets, facet_nodes
+from app.scene.scene import Stage
+from meshes.contact_facets import gather, sorted_facets
+
+MILLION = 1e6  # cycles
+MILLIWATT = 1e-3
+
+
+def bearings(problem: Problem, case: Case) -> dict[str, Bearing]:
+    """The interfaces of a case whose sides slide far, by name; collective."""
+    far = [(i, c.name) for i, c in enumerate(problem.scene.contacts) if c.between]
+    return {name: Bearing(problem, case, i) for i, name in far}
+
+
+class Bearing:
+    """An interface whose sides slide far, through its cycles.
+
+    A cycle ends where courses do, else at each peak of the loads and at the end of a stage.
+
+    Attributes:
+        surface: The master's surface, in its own axes; the fields below are its.
+        interface: Zeros (m,).
+        dof: Global blocked dofs of its nodes (m,).
+        bodies: Its body (m, 1).
+        triangles: Its facets, as nodes.
+        numbers: Numbers of the last step.
+    """
+
+    saved = ("numbers", "_time", "_way", "_track", "_tracks", "_here", "_there")
+
+    def __init__(self, problem: Problem, case: Case, i: int) -> None:
+        contact, c = problem.contact, problem.scene.contacts[i]
+        assert contact is not None and c.between is not None
+        self._problem, self._contact = problem, c
+        self._body = problem.bodies.of_region[c.master[0]]
+        self._motion = problem.scene.motion_of(c.master)
+        points = contact.points
+        self._rows: Ints = np.flatnonzero(points.interface == i)
+        self._weight, triangles = points.weight[self._rows], points.triangles[i]
+        self._slave = SmoothSurface(
+            points.x[self._rows],
+            np.searchsorted(self._rows, triangles),
+            -points.normals[triangles[:, 0], 0],
+        )
+        self.surface, self.dof = _surface(problem, c.between[0])
+        self.interface: Ints = np.zeros(len(self.dof), dtype=np.int64)
+        self.bodies = np.full((len(self.dof), 1), self._body)
+        self.triangles = (self.surface.triangles,)
+        of_loads = (getattr(load, "course", None) for load in case.loads.values())
+        courses = *(m.rotation.course for m in case.motions.values()), *of_loads
+        times = next((course.times for course in courses if course), (0.0,))
+        self._period = times[-1] - times[0]
+        self._effusivity = _effusivity(case, (c.master, c.slave))
+        self.numbers: dict[str, Any] = {}
+        self._time = self._way = 0.0
+        self._centre = np.array(self._motion.about if self._motion else np.zeros(3))
+        # Part, torque, place and energy of each step of this cycle, and of the last two.
+        self._track: list[list[float]] = []
+        self._tracks: list[list[list[float]]] = []
+        # Energy [N mm] and slid distance times area [mm3]: at points after the last step, before
+        # the cycle, and of the last cycle; at the master's nodes of this cycle, and of the last.
+        self._here = np.zeros((len(self._rows), 3, 2))
+        self._there = np.zeros((len(self.dof), 2, 2))
+
+    @property
+    def row_keys(self) -> dict[str, Ints]:
+        """Keys of contact points and of the master's nodes, which every rank has."""
+        return {"_here": np.arange(len(self._here)), "_there": np.arange(len(self._there))}
+
+    def update(self, s: ContactSamples, stage: Stage, time: float, whole: bool) -> None:
+        """Take in a step at its end, which may end an increment of its stage; collective."""
+        scene, rows, motion = self._problem.scene, self._rows, self._motion
+        if math.ceil(time) > math.ceil(self._time):
+            self._way, self._track, self._tracks = 0.0, [], []
+        before, middle, now = (
+            scene.rotation(motion, t) for t in (self._time, (self._time + time) / 2, time)
+        )
+        arm, turn = s.arm[rows], rotation_vector(now @ before.T)
+        torque = np.cross(arm, s.weight[rows, None] * s.friction[rows]).sum(axis=0)
+        centre, peak = self._translation(), rows[int(np.argmax(s.pressure[rows]))]
+        spent = np.column_stack([s.dissipation[rows], s.weight[rows] * s.path[rows]])
+        dose = (spent - self._here[:, 0]) / self._slave.areas[:, None]
+        places = self._slave.sampled(dose, 12, arm @ middle + self._centre)
+        self._there[:, 0] += self.surface.deposit(*places)
+        self._here[:, 0], self._time = spent, time
+        self.numbers = {
+            "centre": centre.tolist(),
+            "eccentricity": float(np.linalg.norm(centre)),
+            "force": (s.weight[rows] @ s.force[rows]).tolist(),
+            "pressure_max_at": s.x[peak].tolist(),
+        }
+        if motion:
+            along = turn / (np.linalg.norm(turn) or 1.0)
+            self.numbers |= {
+                "torque": torque.tolist(),
+                "torque_size": float(np.linalg.norm(torque)),
+                "torque_along": float(torque @ along),
+            }
+        way, energy = stage.ways * (time - math.ceil(time) + 1), self._there[:, 0, 0].sum()
+        self._track.append([float(v) for v in (way - self._way, *torque, *centre, energy)])
+        turns = stage.turn(time) if whole else 0
+        if turns and (turns % 2 or stage.ways == stage.cycles):
+            self._here[:, 2], self._here[:, 1] = spent - self._here[:, 1], spent
+            self._there[:, 1], self._there[:, 0] = self._there[:, 0], 0.0
+            self._tracks, self._track, self._way = [*self._tracks[-1:], self._track], [], way
+
+    def _translation(self) -> Floats:
+        """Displacement of the master: the mean over its surface (3,) [mm]; collective."""
+        u = self._problem.displacements()[self._body].x.array.reshape(-1, 3)
+        start, end = self._problem.space.dofmap.index_map.local_range
+        own = (self.dof >= start) & (self.dof < end)
+        moved = np.zeros((len(self.dof), 3))
+        moved[own] = u[self.dof[own] - start]
+        moved = self._problem.comm.allreduce(moved)
+        return np.asarray(self.surface.areas @ moved / self.surface.areas.sum())
+
+    # Of a cycle
+
+    def _per_area(self) -> tuple[Floats, Floats]:
+        """Energy [N/mm] and slid distance [mm] of a cycle at points (n, 2) and nodes (m, 2).
+
+        Of the last whole cycle of the stage; of the first so far.
+        """
+        k = int(bool(self._tracks))
+        here = self._here[:, 2] if k else self._here[:, 0] - self._here[:, 1]
+        return here / self._weight[:, None], self._there[:, k] / self.surface.areas[:, None]
+
+    def fields(self) -> dict[str, tuple[Floats, Floats]]:
+        """Slid distance and depth of wear of a cycle at points (n,) and the master's nodes (m,).
+
+        Both in mm.
+        """
+        (energy, slid), (energy_there, slid_there) = (of.T for of in self._per_area())
+        found, law = {"slid": (slid, slid_there)}, self._contact.law
+        if (k := getattr(law, "wear_coefficient", None)) is not None:
+            found["wear"] = k / law.friction * energy, k / law.friction * energy_there
+        return found
+
+    def cycle(self) -> dict[str, Any]:
+        """Numbers of a cycle."""
+        flux, fields = self._per_area()[0][:, 0], self.fields()
+        found = {
+            "dissipation_cycle": float(self._weight @ flux),
+            "slid_max": float(fields["slid"][0].max()),
+            "slid_mean": float(self._weight @ fields["slid"][0] / self._weight.sum()),
+            "slid_max_master": float(fields["slid"][1].max()),
+        }
+        if self._motion:
+            track = np.array(self._tracks[-1] if self._tracks else self._track)
+            found["torque_max"] = float(np.linalg.norm(track[:, 1:4], axis=1).max())
+        if "wear" in fields:
+            here, there = fields["wear"]
+            worn = {
+                "wear_volume": float(self._weight @ here),
+                "wear_depth_max": float(here.max()),
+                "wear_depth_p99": percentile(here, self._weight),
+                "wear_depth_max_master": float(there.max()),
+                "wear_depth_p99_master": percentile(there, self.surface.areas),
+            }
+            found |= worn | {f"{key}_million": MILLION * v for key, v in worn.items()}
+        if self._period:
+            found["friction_power"] = MILLIWATT * found["dissipation_cycle"] / self._period
+            if self._effusivity:
+                swing = 2 * flux.max() / self._period * math.sqrt(self._period / 2 / math.pi)
+                found["temperature_swing"] = float(swing / self._effusivity)
+        return found
+
+    def change(self) -> dict[str, float]:
+        """By how much the last two cycles of a stage differ; nothing before there are two.
+
+        Largest difference of the torque over the largest torque, of the place of the centre [mm],
+        both at the same part of the cycle; of the dissipation over the last one.
+        """
+        if len(self._tracks) < 2:
+            return {}
+        before, now = map(np.array, self._tracks)
+        then = np.column_stack([np.interp(now[:, 0], before[:, 0], v) for v in before.T])
+        torque, off, largest = (
+            float(np.linalg.norm(v, axis=1).max())
+            for v in ((now - then)[:, 1:4], (now - then)[:, 4:7], now[:, 1:4])
+        )
+        last = now[-1, 7]
+        spent = abs(last - before[-1, 7]) / (last or 1.0)
+        return {"torque": torque / (largest or 1.0), "centre": off, "dissipation": float(spent)}
+
+
+def _surface(problem: Problem, boundary: str) -> tuple[SmoothSurface, Ints]:
+    """A boundary on every rank, and the global blocked dofs of its nodes (m,); collective."""
+    f = boundary_facets(problem.tagged, boundary)
+    vertices, dofs, x, inside = gather(problem.comm, *facet_nodes(problem.tagged, problem.space, f))
+    none = np.zeros((len(x), 2), dtype=np.int64)
+    whole = sorted_facets(none[:, 0], vertices, none, dofs, x, inside, none.astype(float))
+    _, first, at = np.unique(whole.vertices, return_index=True, return_inverse=True)
+    x = whole.x.reshape(-1, 3)[first]
+    surface = SmoothSurface(x, at.reshape(-1, 3), -whole.normal[:, 0])
+    return surface, whole.dofs[:, :3].ravel()[first]
+
+
+def _effusivity(case: Case, sides: Sequence[Sequence[str]]) -> float:
+    """Sum of both sides' effusivities [N/(mm K s^1/2)]; 0 where one has no thermal properties."""
+    every = [[case.regions[region].thermal for region in side] for side in sides]
+    known = [[thermal.effusivity for thermal in side if thermal] for side in every]
+    return sum(sum(side) / len(side) for side in known) if all(known) else 0.0

@@ -1,0 +1,157 @@
+"""A rigid ball that turns in its cup: torque, wear and heat against sums over the fields."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.arrays import Floats
+from app.report import pictures, run_report
+from app.results.reading import Results, Run
+from meshes.data import exterior_facets
+from tests import restarted, support
+
+RADIUS, FRICTION, WEAR, LOAD = 14.0, 0.06, 1.07e-9, 2000.0  # mm, -, mm2/N, N
+COURSE = '["time [s], rotation y [deg]", "0, 0", "0.3, 20", "0.7, -10", "1, 0"]'
+CASE = f"""
+geometry: {{kind: head_cup, head_diameter: 28 mm, radial_clearance: 0.1 mm,
+  liner_thickness: 8 mm, inclination: 0 deg, version: 0 deg}}
+mesh: {{size: 5 mm, far_size: 8 mm, order: 1}}
+regions:
+  head: {{rigid: true}}
+  liner: {{youngs_modulus: 1 GPa, poisson_ratio: 0.4}}
+interfaces:
+  bearing: {{kind: contact, friction_coefficient: {FRICTION}, sliding: finite,
+    wear_coefficient: 1.07e-6 mm^3/(N m)}}
+supports: {{outer: {{kind: fixed, boundary: liner_outer}}}}
+motions:
+  ball: {{region: head, about: [0 mm, 0 mm, 0 mm], rotation: {{axes: yxz, course: {COURSE}}}}}
+loads: {{hip: {{kind: force, boundary: head_surface, force: [0 N, 0 N, {LOAD} N]}}}}
+stages: [{{name: press}}, {{name: turn, increments: 10, cycles: 2}}]
+output: {{report: false}}
+"""
+
+
+def areas(run: Run, name: str) -> Floats:
+    """Area of the nodes (n,) [mm2] of a region's surface that is within 1 mm of the ball's."""
+    cells = run.cells[run.region == run.regions[name]]
+    facets, _ = exterior_facets(cells)
+    x = run.points[facets]
+    facets = facets[(np.abs(np.linalg.norm(x, axis=2) - RADIUS) < 1).all(axis=1)]
+    x = run.points[facets]
+    size = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
+    return np.bincount(facets.ravel(), np.repeat(size / 3, 3), len(run.points))
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """Two cycles of turning about y."""
+    return support.run(CASE, tmp_path_factory.mktemp("ball"))
+
+
+def test_torque_is_the_sum_of_friction_on_its_arms(ball: Results) -> None:
+    """Of a ball that turns about y friction at n is μ p along y x n, its arm R |y x n|."""
+    run = Run(ball.folder)
+    liner = areas(run, "liner")
+    p, n = (
+        run.on_points("bearing_pressure"),
+        run.points / np.linalg.norm(run.points, axis=1)[:, None],
+    )
+    force = FRICTION * p * liner
+    expected = RADIUS * (force * np.hypot(n[:, 0], n[:, 2])).sum()
+    found = ball.summary["interfaces"]["bearing"]
+    assert found["torque_along"] == pytest.approx(-expected, rel=1e-3)
+    assert abs(found["torque"][1]) == pytest.approx(expected, rel=1e-3)
+    assert found["torque_max"] >= found["torque_size"] * (1 - 1e-12)
+    assert found["force"][2] == pytest.approx(LOAD, rel=1e-9)
+    np.testing.assert_allclose(found["force"][:2], 0, atol=1e-6)
+
+
+def test_torque_spends_what_friction_dissipates(ball: Results) -> None:
+    """Where the ball turns on, dissipated energy is M dθ."""
+    history = ball.history
+    θ = np.interp(history["time [-]"] * 2 % 1, [0, 0.3, 0.7, 1], np.radians([0, 20, -10, 0]))
+    spent = np.diff(history["bearing dissipation [N mm]"])
+    M = history["bearing torque_along [N mm]"]
+    steady = slice(-4, None)
+    assert spent[steady] == pytest.approx(-(M[1:] * np.abs(np.diff(θ)))[steady], rel=1e-4)
+
+
+def test_wear_is_that_of_archard_on_both_sides(ball: Results) -> None:
+    """Worn volume k E / μ and slid area are the same on liner and ball, by their own facets."""
+    run, found = Run(ball.folder), ball.summary["interfaces"]["bearing"]
+    expected = WEAR * found["dissipation_cycle"] / FRICTION
+    assert found["wear_volume"] == pytest.approx(expected, rel=1e-12)
+    worn, slid = (run.on_points(f"bearing_{key}") for key in ("wear", "slid"))
+    sides = [areas(run, name) for name in ("liner", "head")]
+    assert [float(side @ worn) for side in sides] == pytest.approx([expected] * 2, rel=1e-9)
+    assert sides[0] @ slid == pytest.approx(sides[1] @ slid, rel=1e-9)
+    assert found["wear_depth_max_million"] == pytest.approx(1e6 * worn[sides[0] > 0].max())
+
+
+def test_the_last_two_cycles(ball: Results) -> None:
+    """The first cycle begins where the load was pressed on, the second where that one ended."""
+    change = ball.summary["cycles"]["turn"]["change"]["bearing"]
+    spent = ball.history["bearing dissipation [N mm]"]
+    ends = spent[[0, (len(spent) - 1) // 2, -1]]
+    first, last = np.diff(ends)
+    assert ball.summary["interfaces"]["bearing"]["dissipation_cycle"] == pytest.approx(last)
+    assert change["dissipation"] == pytest.approx(abs(last - first) / last, rel=1e-6)
+    assert 0 < change["torque"] < 0.05 and 0 < change["centre"] < 1e-3
+
+
+def test_a_ball_is_written_where_it_has_turned(ball: Results) -> None:
+    """In space, and on the page: its sentence, the cup's map, which keeps arcs from its pole."""
+    run = Run(ball.folder)
+    k = int(np.argmin(np.abs(run.times - 1.2)))
+    θ = math.radians(np.interp(2 * run.times[k] % 1, [0, 0.3, 0.7, 1], [0, 20, -10, 0]))
+    R = np.array([[math.cos(θ), 0, math.sin(θ)], [0, 1, 0], [-math.sin(θ), 0, math.cos(θ)]])
+    row = int(np.argmin(np.abs(ball.history["time [-]"] - run.times[k])))
+    centre = [ball.history[f"bearing centre.{axis} [mm]"][row] for axis in "xyz"]
+    head = run.nodes_of(run.regions["head"])
+    x = run.points[head]
+    np.testing.assert_allclose(x + run.displacement(k)[head], x @ R.T + centre, atol=1e-9)
+    files = [path.name for path in run_report.write(ball.folder)]
+    assert "map_bearing.png" in files
+    page = (ball.folder / "report.html").read_text()
+    assert "friction on bearing resists the motion with up to" in page and "slides less" not in page
+    inner = x[np.linalg.norm(x, axis=1) > RADIUS - 1e-6]
+    inner = inner[inner[:, 2] > 0][:99].reshape(-1, 3, 3)
+    flat = pictures.spread(np.concatenate([inner, inner * [-1, -1, 1]]))
+    assert flat is not None
+    arcs = RADIUS * np.arccos(inner[..., 2] / RADIUS)
+    assert np.linalg.norm(flat[: len(inner)], axis=2) == pytest.approx(arcs, abs=1e-6)
+
+
+def test_power_and_swing_of_the_temperature(tmp_path: Path) -> None:
+    """Energy over the period of 1 s, and 2 q sqrt(t/π) of both effusivities."""
+    thermal = (
+        "{{conductivity: {} W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K), "
+        "initial_temperature: 37 degC}}"
+    )
+    found = support.run(
+        CASE,
+        tmp_path,
+        f"regions.head.thermal={thermal.format(16)}",
+        f"regions.liner.thermal={thermal.format(0.25)}",
+        "heat.pelvis={kind: temperature, boundary: liner_outer, temperature: 37 degC}",
+        "heat.neck={kind: temperature, boundary: head_surface, temperature: 37 degC}",
+        "stages=[{name: press}, {name: rest, steady: true}, {name: turn, increments: 6}]",
+    ).summary["interfaces"]["bearing"]
+    assert found["friction_power"] == pytest.approx(1e-3 * found["dissipation_cycle"])
+    flux = found["wear_depth_max"] * FRICTION / WEAR  # N/mm: mW/mm2 through 1 s
+    effusivity = 1e-3 * (math.sqrt(16e6) + math.sqrt(0.25e6))  # N/(mm K s^1/2)
+    swing = 2 * flux * math.sqrt(0.5 / math.pi) / effusivity
+    assert found["temperature_swing"] == pytest.approx(swing, rel=1e-9)
+
+
+def test_a_restart_in_the_middle_of_a_turn(tmp_path: Path) -> None:
+    """It goes on with the cycle, its wear and what the ball has slid."""
+    few = ("stages[1].increments=6", "motions.ball.largest_step=10 deg")
+    case, files = restarted.whole(CASE, tmp_path, *few)
+    for file in files[3::6]:
+        part = restarted.on(case, tmp_path, file, *few)
+        restarted.assert_same(tmp_path / "whole", part, nothing=1e-6)
