@@ -170,6 +170,7 @@ class ContactInterfaces:
         state: Their committed state.
         gap: Initial gap at the current time (n, 3) [mm].
         large: Points that slide far, if any.
+        committed_at: Jumps at which they were paired in the committed state (n, 3) [mm].
         carried: Committed jumps, with the pairs of now (n, 3) [mm].
         reference: Jumps at which nothing has slid since the last committed step (n, 3) [mm].
         prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
@@ -179,8 +180,9 @@ class ContactInterfaces:
         InputError: An interface has no facets on this mesh.
     """
 
-    saved = ("state",)
+    saved = ("state", "committed_at")
     linear_about: Floats | None = None
+    committed_at: Floats | None = None
 
     def __init__(
         self,
@@ -260,12 +262,12 @@ class ContactInterfaces:
             self.gap = gap_vectors(self.own.normals, self.own.faces, gap)
         else:
             self.large.set_time(self._committed, time)
-            self._pair(self.state.jump)
+            self.pair_at(self.state.jump)
         self.prescribed = np.zeros((len(self.own), 3))
         for support, jump in zip(self._supports, self._by_supports, strict=True):
             self.prescribed += amplitude(support.history, time) * jump
 
-    def _pair(self, jump: Floats) -> None:
+    def pair_at(self, jump: Floats) -> None:
         """Pair the points that slide far, at jumps (n, 3) [mm]: gaps, normals, reference."""
         assert self.large is not None
         rows, own, found = self.large.rows, self.own, self.large.pair(jump)
@@ -286,7 +288,7 @@ class ContactInterfaces:
         largest, by = (self.comm.allreduce(float(v), MPI.MAX) for v in local)
         if by <= ACCURACY * largest:
             return False
-        self._pair(trial.jump)
+        self.pair_at(trial.jump)
         return True
 
     def commit(self, state: ContactState, time: float) -> None:
@@ -294,6 +296,7 @@ class ContactInterfaces:
         self.state, self._committed, self.carried = state, time, state.jump
         if self.large is not None:
             self.large.set_time(time, time)
+            self.committed_at = self._paired_at
 
     @property
     def reference(self) -> Floats:

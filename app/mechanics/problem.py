@@ -58,7 +58,7 @@ class Problem:
         InputError: The scene does not fit the mesh.
     """
 
-    saved = ("time", "stiffness", "u", "mechanics", "contact", "history")
+    saved = ("time", "stiffness", "u", "mechanics", "contact", "history", "contact_work")
 
     def __init__(
         self,
@@ -157,12 +157,23 @@ class Problem:
 
     def take_up(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Set the unknowns to the restored displacement and jumps; collective."""
-        self.stiffness.constraints.contract(self.u.x.petsc_vec).copy(u)
+        if self.followers and self.contact and (jump := self.contact.committed_at) is not None:
+            self.contact.pair_at(jump)
+            self._follow_pairs()
+        size = len(self._rest)
+        nodal: Floats = self.u.x.array[: 3 * size].reshape(-1, 3)
+        if self.followers:
+            nodal = self.followers.with_motion(*self.followers.without_motion(nodal))[1]
+        given = PETSc.Vec().createWithArray(nodal.ravel(), comm=self.comm)
+        self.stiffness.constraints.contract(given).copy(u)
         if self.contact:
             assert q is not None
             self.contact.commit(self.contact.state, self.time)
             q.array[:] = self.contact.state.jump.ravel()
         self.update_displacements(u, q)
+        if self.followers and q is not None:
+            self._committed = self._by_body()
+            self._pressed = self._contact_forces(self.trial(u, q))
         if self.history:
             self.history.begin_at(self.displacements())
 
