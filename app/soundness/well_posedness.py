@@ -20,15 +20,7 @@ from app.errors import InputError
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
 from app.soundness.loose_bodies import BodiesOnMesh
-from app.soundness.mesh_parts import (
-    directions,
-    faces_of,
-    gaps_of,
-    groups_of,
-    history_of,
-    holds,
-    law_between,
-)
+from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets
 from meshes.pieces import Parts, parts
@@ -57,7 +49,7 @@ SAME, CLOSE = 1e-9, 1e-6
 def look(case: Case, data: MeshData) -> Parts:
     """Parts of a mesh that `judge` examines."""
     faces = {s.boundary for s in case.supports.values() if getattr(s, "normal", None) == "face"}
-    return parts(data, {s.boundary for s in case.supports.values()}, faces, faces_of(case))
+    return parts(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
 
 
 def judge(case: Case, found: Parts) -> list[str]:
@@ -174,7 +166,7 @@ def _sides_apart(case: Case, found: Parts) -> list[str]:
         for face, side in zip(found.faces.get(name, ()), sides, strict=False):
             on = sorted({found.pieces[p].region for p in found.boundaries.get(face, {})})
             if not on or not {*on} <= {*side}:
-                text = f"{face} is a surface of {' and '.join(on)}; expected one of "
+                text = f"{face} is a surface of {' and '.join(on) or 'no region'}; expected one of "
                 errors.append(f"interfaces.{name}.between: {text}{'/'.join(side)} alone")
     return errors
 
