@@ -22,7 +22,7 @@ def main(folder: Path) -> None:
     """Friction torque beside that of a hand formula; worn depth and pressure on the liner."""
     run = Run(folder)
     figure, (left, middle, right) = panels(3, 3, 4.2, 3.6)
-    h, radius = run.history, run.case["geometry"]["head_diameter"] / 2
+    h, radius = run.history, float(run.case["geometry"]["head_diameter"].split()[0]) / 2
     friction = run.case["interfaces"][PLACE]["friction_coefficient"]
     part = h["time [-]"] - (len(run.case["stages"]) - 1)
     on = part > 0
@@ -35,22 +35,22 @@ def main(folder: Path) -> None:
     left.legend(frameon=False)
     grid(left)
     body = np.isin(np.arange(len(run.points)), run.cells[run.region == run.regions["liner"]])
-    at = body & run.on_interface(PLACE)
+    at = body & run.on_interface(PLACE) & (run.points[:, 2] > 0)  # from above once
     x = run.points[at]
-    peak = int(np.argmax([run.at_interface(PLACE, "pressure", k).max() for k in range(len(run.times))]))
+    peak = int(
+        np.argmax([run.at_interface(PLACE, "pressure", k).max() for k in range(len(run.times))])
+    )
     fields = {
         "worn in a million cycles (mm)": 1e6 * run.at_interface(PLACE, "wear")[at],
         "pressure where it is largest (MPa)": run.at_interface(PLACE, "pressure", peak)[at],
     }
     for axes, (title, values) in zip((middle, right), fields.items(), strict=True):
-        order = np.argsort(values)
-        dots = axes.scatter(x[order, 0], x[order, 1], c=values[order], s=22, cmap="YlOrRd", vmin=0)
+        filled = axes.tricontourf(x[:, 0], x[:, 1], values, 14, cmap="YlOrRd")
         axes.set_title(title, fontsize=11, loc="left")
         axes.set_xlabel("medial x (mm)")
         axes.set_ylabel("anterior y (mm)")
         axes.set_aspect("equal")
-        axes.set_facecolor("0.93")
-        figure.colorbar(dots, ax=axes)
+        figure.colorbar(filled, ax=axes)
     figure.savefig(FIGURE, dpi=110)
 
 
