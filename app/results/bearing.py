@@ -201,9 +201,9 @@ class Bearing:
             float(np.linalg.norm(v, axis=1).max())
             for v in ((now - then)[:, 1:4], (now - then)[:, 4:7], now[:, 1:4])
         )
-        last = now[-1, 7]
-        spent = abs(last - before[-1, 7]) / (last or 1.0)
-        return {"torque": torque / (largest or 1.0), "centre": off, "dissipation": float(spent)}
+        last, first = float(now[-1, 7]) or 1.0, float(before[-1, 7])
+        found = {"torque": torque / (largest or 1.0)} if self._motion else {}
+        return found | {"centre": off, "dissipation": abs(last - first) / last}
 
 
 def _surface(problem: Problem, boundary: str) -> tuple[SmoothSurface, Ints]:
