@@ -54,7 +54,7 @@ class Motion(Named):
     @property
     def course(self) -> Course | None:
         """Course of its angles."""
-        return self.rotation and self.rotation.course
+        return self.rotation.course if self.rotation else None
 
     def rotation_at(self, s: float, part: float = 1.0) -> Floats:
         """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3).
