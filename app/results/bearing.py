@@ -100,6 +100,8 @@ class Bearing:
         arm, turn = s.arm[rows], rotation_vector(now @ before.T)
         torque = np.cross(arm, s.weight[rows, None] * s.friction[rows]).sum(axis=0)
         centre, peak = self._translation(), rows[int(np.argmax(s.pressure[rows]))]
+        if motion and np.isfinite(scene.moduli[motion.region]):  # deforms in its own axes
+            centre = now @ centre
         spent = np.column_stack([s.dissipation[rows], s.weight[rows] * s.path[rows]])
         dose = (spent - self._here[:, 0]) / self._slave.areas[:, None]
         places = self._slave.sampled(dose, 12, arm @ middle + self._centre)
