@@ -175,10 +175,12 @@ class ContactSystem(BondedSystem):
         if self._coupled != self._problem.stiffness.version:
             self._coupled = self._problem.stiffness.version
             coupling, follows = self.contact.coupling, self._problem.stiffness.constraints.follows
-            renew(self._C, coupling.C, follows)
-            self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
             if follows:
-                renew(self._A_qu, self.times.matMult(coupling.Ct), follows)
+                renew(self._C, coupling.C, anew=True)
+                renew(self._A_qu, self.times.matMult(coupling.Ct), anew=True)
+            else:
+                coupling.C.copy(self._C)
+            self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
         return self._problem.stiffness.K, self._C, self.contact.coupling.D
 
     def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats, float]:
