@@ -243,7 +243,7 @@ class ContactInterfaces:
             self.large.begin(scene)
         self._committed = 0.0
         self.state: ContactState = ContactState.at_rest(self.own.x * 0.0, self.law.history)
-        self.carried = self.state.jump
+        self.carry(None)
         self.set_time(0.0)
         self.state.opening = self.opening(self.state.jump)
 
@@ -293,10 +293,20 @@ class ContactInterfaces:
 
     def commit(self, state: ContactState, time: float) -> None:
         """Set the committed state, and its time."""
-        self.state, self._committed, self.carried = state, time, state.jump
+        self.state, self._committed = state, time
+        self.carry(None)
         if self.large is not None:
             self.large.set_time(time, time)
             self.committed_at = self._paired_at
+
+    def carry(self, jump: Floats | None) -> None:
+        """Set the committed jumps as pairs of now tell them (n, 3) [mm]; None: they are the same."""
+        self._carried = jump
+
+    @property
+    def carried(self) -> Floats:
+        """Committed jumps, with the pairs of now (n, 3) [mm]."""
+        return self.state.jump if self._carried is None else self._carried
 
     @property
     def reference(self) -> Floats:

@@ -301,7 +301,7 @@ class Problem:
         u, q = self.stiffness.K.createVecRight(), self.contact.coupling.D.createVecRight()
         q.array[:] = self.contact.state.jump.ravel()
         self._express(self._committed, u, q)
-        self.contact.carried = q.array.reshape(-1, 3).copy()
+        self.contact.carry(q.array.reshape(-1, 3).copy())
 
     def carry(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Start from the committed displacements, whatever surfaces face each other now."""
