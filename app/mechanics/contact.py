@@ -300,7 +300,7 @@ class ContactInterfaces:
             self.committed_at = self._paired_at
 
     def carry(self, jump: Floats | None) -> None:
-        """Set the committed jumps as pairs of now tell them (n, 3) [mm]; None: they are the same."""
+        """Set the committed jumps (n, 3) as pairs of now tell them; None: they are the same."""
         self._carried = jump
 
     @property
