@@ -352,19 +352,24 @@ class Problem:
         q.array.reshape(-1, 3)[rows] = apart[self._own_nodes(rows)]
 
     def approach(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
-        """Bring rigid bodies that touch nothing to where their loads push them; collective.
+        """Bring bodies that touch nothing to where their loads push them; collective.
 
         From there Newton finds which points touch, however small the load: not from afar.
         """
         if q is None or self.contact is None or self.contact.large is None:
             return
-        regions = [r.region for r in self.scene.rigid]
+        moving = [r.region for r in self.scene.rigid] + [m.region for m in self.scene.driven]
         for m in self.scene.motions:
-            if m.region in regions:
-                rows, reach = self.contact.apart(m.region)
-                k = regions.index(m.region)
-                way = self.stiffness.constraints.push(k, self.f, u, reach)
-                q.array.reshape(-1, 3)[rows] -= way
+            if m.region not in moving:
+                continue
+            rows, reach = self.contact.apart(m.region)
+            k, push = moving.index(m.region), self.stiffness.constraints.push
+            if not m.boundary:
+                q.array.reshape(-1, 3)[rows] -= push(k, self.f, u, reach)
+                continue
+            self.update_displacements(u, q)
+            rest, ways = self._by_body()
+            self._express((rest, {**ways, m.name: ways[m.name] + push(k, self.f, u, reach)}), u, q)
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
