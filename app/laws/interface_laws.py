@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from forms.contact import Response
 
 # Keys of contact that slides far, and why others have none.
-FINITE = ("between", "wear_coefficient")
+FINITE = ("between", "quadrature", "wear_coefficient")
 SMALL = "stays below a facet; expected kind: contact without compliance, which slides far"
 # Default ratio of the augmentation to the stiffness against a jump.
 USUAL_AUGMENTATION = 0.2
@@ -275,6 +275,9 @@ class Coulomb(Unilateral):
     between: Annotated[tuple[Name, Name], Pair("[head_surface, liner_inner]")] | None = None
     """Boundaries that slide on each other, of the first and the second side, where `sliding` is
     finite; by default those that the geometry knows."""
+    quadrature: Literal[12, 48, 192] | None = None
+    """Points per facet that hand forces from an elastic side to the other where `sliding` is
+    finite; 12 by default, enough where the mesh of the softer side is the finer one."""
     wear_coefficient: WearCoefficient | None = None
     """Worn volume per force and slid distance (Archard), where `sliding` is finite."""
     augmentation: PositiveStiffness | None = None

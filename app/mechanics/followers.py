@@ -21,7 +21,7 @@ import numpy as np
 from dolfinx import fem
 
 from app.arrays import Floats, Ints
-from app.mechanics.pairs import Pairs, SmoothSurface, mortar
+from app.mechanics.pairs import Pairs, SmoothSurface, mortar, oriented
 from app.numerics.sparse import from_triplets
 from app.scene.bodies import (
     Bodies,
@@ -46,7 +46,7 @@ class Side:
     Attributes:
         dofs: Global blocked dofs of its vertices (n,), rising.
         x: Their positions (n, 3) [mm].
-        triangles: Vertices of its facets (f, 3).
+        triangles: Vertices of its facets, counterclockwise seen from outside (f, 3).
         outward: A vector out of the body for each facet (f, 3).
         edges: Dof of the middle of each edge, and its two vertices (e, 3); none at first order.
     """
@@ -69,7 +69,8 @@ class Side:
         edges = np.concatenate([dofs[:, 3:, None], ends[:, : dofs.shape[1] - 3]], axis=2)
         _, one = np.unique(edges[..., 0], return_index=True)
         edges = edges.reshape(-1, 3)[one]
-        return cls(vertices, x.reshape(-1, 3)[first], triangles, x[:, 0] - inside, edges)
+        outward, x = x[:, 0] - inside, x.reshape(-1, 3)[first]
+        return cls(vertices, x, oriented(x, triangles, outward), outward, edges)
 
 
 def soft(scene: Scene) -> dict[int, Interface]:
@@ -119,11 +120,16 @@ class Followers:
         self.rotations: dict[str, Floats] = dict.fromkeys(("", *self.turning), np.eye(3))
         self.pairs = {i: self.paired(i, slave.x) for i, (_, slave) in self.sides.items()}
 
+    def begin(self, scene: Scene) -> None:
+        """Set the motions of a run."""
+        self._scene = scene
+
     def paired(self, i: int, x: Floats) -> Pairs:
         """Rows of Π of an interface, its slave's vertices at x in the master's axes (n, 3) [mm]."""
         slave, master = self.sides[i][1], self.masters[i]
         edge = np.linalg.norm(np.diff(slave.x[slave.triangles[:, :2]], axis=1), axis=2).mean()
-        return mortar(x, slave.triangles, master, reach=REACH * float(edge))
+        points = getattr(self._scene.contacts[i].law, "quadrature", None) or 12
+        return mortar(x, slave.triangles, master, points, REACH * float(edge))
 
     def own_slaves(self) -> dict[int, Ints]:
         """Local own nodes of the slave of each interface."""

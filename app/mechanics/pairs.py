@@ -67,8 +67,7 @@ class SmoothSurface:
     def __init__(self, x: Floats, triangles: Ints, outward: Floats) -> None:
         from scipy.spatial import cKDTree  # imported late: few runs need it
 
-        inverse = np.einsum("fi,fi->f", _area_vectors(x[triangles]), outward) < 0
-        self.x, self.triangles = x, np.where(inverse[:, None], triangles[:, ::-1], triangles)
+        self.x, self.triangles = x, oriented(x, triangles, outward)
         vectors = _area_vectors(x[self.triangles])
         self._area = np.linalg.norm(vectors, axis=1)
         self.areas = _sums(triangles, np.repeat(self._area / 3, 3), len(x))
@@ -154,6 +153,12 @@ class SmoothSurface:
         points = np.einsum("qk,fki->fqi", at, (self.x if x is None else x)[triangles])
         parts = np.einsum("f,q,qk,fkv->fqv", self._area[used], weight, at, density[triangles])
         return points.reshape(-1, 3), parts.reshape(-1, density.shape[1])
+
+
+def oriented(x: Floats, triangles: Ints, outward: Floats) -> Ints:
+    """Triangles counterclockwise seen from where vectors (f, 3) point."""
+    inverse = np.einsum("fi,fi->f", _area_vectors(x[triangles]), outward) < 0
+    return np.where(inverse[:, None], triangles[:, ::-1], triangles)
 
 
 def mortar(

@@ -125,6 +125,8 @@ class Problem:
             state.x.array[:] = 0
         if self.history:
             self.history.begin()
+        if self.followers:
+            self.followers.begin(scene)
         if self.contact:
             self.contact.begin(scene, augmentation_factor)
         self.forces = Forces(scene, self.mechanics, self.bodies, self.contact, self.forces)

@@ -66,7 +66,7 @@ class Stiffness:
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))
-        if reuse:
+        if reuse and not followers:
             self.inverse = reuse.inverse
             return
         nodal = scene.order > 1 and not self.constraints.transforms

@@ -420,7 +420,9 @@ def _stiffness(case: Case) -> tuple[Any, ...]:
     """All data of a case that the stiffness of the bonded model and its solver depend on."""
     solver = case.solver.model_copy(update={"augmentation_factor": 1.0, "tolerance": 0.0})
     stages = [stage.name for stage in case.stages]
-    return case.geometry, case.mesh, case.regions, case.supports, solver, stages
+    moved = [(m.region, m.boundary, m.about, m.translation) for m in case.motions.values()]
+    bodies = case.geometry, case.mesh, case.regions, case.supports
+    return *bodies, moved, case.faces, solver, stages
 
 
 def _matrices(case: Case) -> tuple[Any, ...]:

@@ -240,11 +240,14 @@ def test_a_head_whose_centre_is_held() -> None:
     assert spent == pytest.approx(steps[-1].spends, rel=1e-8)
 
 
-def test_friction_varies_on_one_model() -> None:
+@pytest.mark.parametrize("soft", [False, True])
+def test_friction_varies_on_one_model(soft: bool) -> None:
     """Matrices are taken over, and what the head has turned and slid is not."""
-    runs, turned = Runs(), (turning((0, 0, 0), (5, 10, 0)), stages(2))
-    for μ in (MU, 0, 0.2):
-        case = support.case(CUP, *turned, f"{FRICTION}={μ}")
+    runs, elastic = Runs(), "regions.head={youngs_modulus: 210 GPa, poisson_ratio: 0.3}"
+    changes = [elastic] if soft else []
+    for k, μ in enumerate((MU, 0, 0.2)):
+        turn = turning((0, 0, 0), (5, 10 + k, 0), **{"boundary": "head_bore"} if soft else {})
+        case = support.case(CUP, turn, stages(2), f"{FRICTION}={μ}", *changes)
         found, expected = runs.run(case)[0], Runs().run(case)[0]
         for u, v in zip(found, expected, strict=True):
             assert support.difference(u, v) < 1e-8

@@ -1,0 +1,140 @@
+"""Large slip on deformable bodies: a cut that is tied again, uniform pressure, turning heads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import meshes
+from app.case.geometries import Block, Blocks, MeshOptions
+from meshes.data import MeshData
+from tests import restarted, support
+from tests.mechanics.test_sliding import CUP, FORCE, FRICTION, R, solve, stages, turning
+
+SIDE, HEIGHT = 12, 6  # mm
+STACK = """
+geometry: {kind: file, path: stack.msh, interfaces: {joint: [lower, upper]}}
+mesh: {order: 1, size: 1 m}
+regions:
+  lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0, tissue: other}
+  upper: {youngs_modulus: 3000 MPa, poisson_ratio: 0, tissue: other}
+interfaces:
+  joint: {kind: bonded}
+supports:
+  floor: {kind: fixed, boundary: lower_bottom}
+  guide: {kind: displacement, boundary: upper_top, x: 0 mm, y: 0 mm}
+loads:
+  weight: {kind: pressure, boundary: upper_top, pressure: 1 MPa}
+solver: {tolerance: 1e-12}
+"""
+COCR = "regions.head={youngs_modulus: 210 GPa, poisson_ratio: 0.3}"
+SOFT = "regions.head={youngs_modulus: 1 GPa, poisson_ratio: 0.4}"
+QUARTER = turning((0, 0, 0), (0, 25, 0), boundary="head_bore")
+
+
+def block(size: float) -> MeshData:
+    it = Blocks(blocks=(Block(name="it", size=[f"{SIDE} mm", f"{SIDE} mm", f"{HEIGHT} mm"]),))
+    return meshes.build(it, MeshOptions(size=f"{size} mm", far_size=f"{size} mm"))
+
+
+def stack(path: Path, lower: MeshData, upper: MeshData, apart: bool = True) -> str:
+    """Write a block with another, mirrored, on it: an override.
+
+    Nodes at one place are one node unless the blocks are meshed apart.
+    """
+    start, regions = len(lower.points), np.repeat([1, 2], [len(lower.cells), len(upper.cells)])
+    x = np.concatenate([lower.points, upper.points * [1, 1, -1] + [0, 0, 2 * HEIGHT]])
+    cells = np.concatenate([lower.cells, upper.cells[:, [1, 0, 2, 3]] + start])
+    facets, tags = [], []
+    for name, data, face, offset in (
+        ("lower_bottom", lower, "bottom", 0),
+        ("lower_top", lower, "top", 0),
+        ("upper_bottom", upper, "top", start),
+        ("upper_top", upper, "bottom", start),
+    ):
+        if apart or name in ("lower_bottom", "upper_top"):
+            here = data.facets[np.isin(data.facet_tags, data.boundaries[face])]
+            facets.append(here + offset)
+            tags.append(name)
+    number = np.arange(len(x))
+    if not apart:
+        x, number = np.unique(x.round(9), axis=0, return_inverse=True)
+    data = MeshData(
+        points=x,
+        cells=number[cells],
+        cell_tags=regions.astype(np.int32),
+        facets=number[np.concatenate(facets)],
+        facet_tags=np.repeat(range(len(tags)), [len(f) for f in facets]).astype(np.int32),
+        regions={"lower": 1, "upper": 2},
+        boundaries={name: (k,) for k, name in enumerate(tags)},
+        interfaces={"joint": (("lower",), ("upper",))},
+    )
+    meshes.write_msh(data, path)
+    return f"geometry.path={path}"
+
+
+def sliding(μ: float, **more: object) -> str:
+    keys = "".join(f", {key}: {value}" for key, value in more.items())
+    faces = "between: [lower_top, upper_bottom]"
+    law = f"{{kind: contact, friction_coefficient: {μ}, sliding: finite, {faces}{keys}}}"
+    return f"interfaces.joint={law}"
+
+
+def test_a_cut_that_is_tied_again_is_none(tmp_path: Path) -> None:
+    """Where the meshes match, and everything sticks."""
+    data, shear = block(3), "supports.guide.x=0.0001 * y"
+    one = support.solve(STACK, stack(tmp_path / "one.msh", data, data, False), shear)
+    two = support.solve(STACK, stack(tmp_path / "two.msh", data, data), sliding(1e3), shear)
+    found = []
+    for solved in (one, two):
+        problem = solved.problem
+        x, tags = problem.space.tabulate_dof_coordinates(), problem.tagged.cell_tags
+        for region in ("lower", "upper"):
+            cells = tags.find(problem.tagged.regions[region])
+            nodes = np.unique(problem.space.dofmap.list[cells])
+            u = problem.displacements()[problem.bodies.of_region[region]].x.array.reshape(-1, 3)
+            found.append(u[nodes[np.lexsort(x[nodes].round(6).T)]])
+    for before, after in zip(found[:2], found[2:], strict=True):
+        assert support.difference(after, before) < 1e-10
+
+
+@pytest.mark.parametrize(("points", "error"), [(12, 0.01), (192, 0.0005)])
+@pytest.mark.parametrize("sizes", [(2.9, 4.1), (4.1, 2.9)])
+@pytest.mark.parametrize("order", [1, 2])
+def test_uniform_pressure_passes_between_unlike_meshes(
+    sizes: tuple[float, float], points: int, error: float, order: int, tmp_path: Path
+) -> None:
+    """Of bodies that are hardly unlike; whichever mesh is the finer one."""
+    path, alike = stack(tmp_path / "stack.msh", *map(block, sizes)), "regions.upper.youngs_modulus"
+    alike += "=1001 MPa"
+    solved = support.solve(STACK, path, alike, sliding(0, quadrature=points), f"mesh.order={order}")
+    pressure = solved.last.pressure
+    assert len(pressure) >= 20
+    assert support.difference(pressure, np.ones(len(pressure))) < error
+
+
+@pytest.mark.parametrize(("head", "error"), [(COCR, 0.005), (SOFT, 0.04)])
+def test_a_turn_without_friction_changes_little(head: str, error: float) -> None:
+    """Mean pressure within 20 degrees, force; no torque, and nothing is dissipated."""
+    before, *turned = solve(f"{FRICTION}=0", QUARTER, stages(5), head)
+    size = np.linalg.norm(FORCE)
+    near = before.normal @ FORCE > np.cos(np.radians(20)) * size
+    assert len(turned) == 5 and before.iterations <= 12
+    for step in turned:
+        assert step.load[near].sum() == pytest.approx(before.load[near].sum(), rel=error)
+        np.testing.assert_allclose(step.force, FORCE, rtol=1e-9)
+        assert np.linalg.norm(step.torque) < 1e-12 * R * size
+        assert step.dissipated == 0
+
+
+@pytest.mark.parametrize("head", [COCR, SOFT])
+def test_friction_balances_on_a_deformable_head(head: str, tmp_path: Path) -> None:
+    """Force, moment and energy; interrupted and gone on with in the middle of the turn, too."""
+    text = CUP.replace("regions:", "stages: []\nregions:")
+    path, files = restarted.whole(text, tmp_path, head, QUARTER, stages(3))
+    balance = support.summary(tmp_path / "whole")["balance"]
+    assert max(balance.values()) < 1e-8
+    output = restarted.on(path, tmp_path, files[1], head, QUARTER, stages(3))
+    restarted.assert_same(tmp_path / "whole", output)
