@@ -12,7 +12,7 @@ from meshes.data import MeshData, assemble, exterior_facets, number
 from meshes.gmsh_child import grade, session, tetrahedra
 from meshes.quality import untangle
 
-Body = tuple[Floats, Ints, Ints]  # nodes, cells, and the volume of each cell
+Body = tuple[Floats, Ints, Ints]  # nodes, cells, and the layer of each cell
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:
@@ -31,14 +31,10 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     """
     radii = geometry.cup_radii
     level = radii[0] * math.cos(geometry.cover_angle)
-    (x, ball, _), (y, cup, volume) = _head(geometry, mesh), _cup(radii, level, mesh)
+    (x, ball, _), (y, cup, layer) = _head(geometry, mesh), _cup(radii, level, mesh)
     points, cells = np.concatenate([x, y]), np.concatenate([ball, cup + len(x)])
+    tags = np.concatenate([np.ones(len(ball), dtype=np.int64), 2 + layer])
     regions, (facets, owner) = number(geometry.region_names), exterior_facets(cells)
-    # Volumes are recognised by the mean distance of their cells from the centre.
-    away = np.linalg.norm(y[cup[:, :4]].mean(axis=1), axis=1)
-    means = [away[volume == own].mean() for own in np.unique(volume)]
-    tag = 2 + np.argsort(np.argsort(means))[np.unique(volume, return_inverse=True)[1]]
-    tags = np.concatenate([np.ones(len(ball), dtype=np.int64), tag])
     at, of = points[facets[:, :3]], tags[owner]
     near, far, on_head = 1e-6 * radii[0], np.linalg.norm(at, axis=2), of == 1
     sphere = on_head & (np.abs(far - geometry.head_radius) < near).all(axis=1)
@@ -71,7 +67,7 @@ def _head(geometry: Any, mesh: Any) -> Body:
 
 
 def _cup(radii: tuple[float, ...], level: float, mesh: Any) -> Body:
-    """Layers between spheres about the origin, above the plane z = level of the rim."""
+    """Layers between spheres about the origin, from within, above the plane z = level."""
     with session("head_cup") as gmsh:
         occ = gmsh.model.occ
         hollow, *layers = (
@@ -80,7 +76,9 @@ def _cup(radii: tuple[float, ...], level: float, mesh: Any) -> Body:
         )
         _, parts = occ.fragment(layers[-1:], [*layers[:-1], hollow])
         occ.remove(parts[-1])
-        return _meshed(gmsh, radii[0], mesh.size, mesh)
+        points, cells, volume = _meshed(gmsh, radii[0], mesh.size, mesh)
+    within = [sum((3, v) in part for part in parts) for v in range(volume.max() + 1)]
+    return points, cells, len(layers) - np.array(within)[volume]
 
 
 def _meshed(gmsh: Any, radius: float, size: float, mesh: Any) -> Body:

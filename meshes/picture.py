@@ -10,7 +10,7 @@ import numpy as np
 
 from app import figures
 from app.arrays import Floats, Ints
-from meshes.data import EDGES, MeshData, interface_facets
+from meshes.data import EDGES, MeshData, boundary_facets, interface_facets
 
 # The straight cells that share the nodes of a curved one: its corners, and four around a diagonal.
 PARTS = (
@@ -101,8 +101,8 @@ def sections(data: MeshData, path: Path) -> None:
 
     stem = data.points[interface_facets(data, "stem_cement")[0], 2]
     top = stem.max()
-    if tags := data.boundaries.get("resection"):
-        top = data.points[data.facets[np.isin(data.facet_tags, tags)], 2].min()
+    if "resection" in data.boundaries:
+        top = data.points[boundary_facets(data, "resection"), 2].min()
     high, low = top - INSIDE, stem.min() + INSIDE
     planes = {
         "near the neck cut": float(np.floor(high)),

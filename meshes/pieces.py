@@ -172,12 +172,8 @@ def parts(
         pieces.append(Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, part))
     rows = np.flatnonzero(mine < other)
     touches = _touches(data.points, faces[rows], mine[rows], other[rows])
-    for two in (apart or {}).values():
-        sides = [np.isin(data.facet_tags, data.boundaries.get(name, ())) for name in two]
-        small, large = sorted(sides, key=lambda on: facet_areas(data.points, data.facets[on]).sum())
-        if small.any():
-            second = np.full(small.sum(), piece_of_facet[large][0])
-            touches += _touches(data.points, data.facets[small], piece_of_facet[small], second)
+    for sides in (apart or {}).values():
+        touches += _facing(data, sides, piece_of_facet)
     return Parts(
         data=data,
         pieces=tuple(pieces),
@@ -200,6 +196,14 @@ def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[To
         bend = _bend(facets[here], normals[here]) if facets.shape[1] == 3 else 0.0
         found.append(Touch((a, b), centres[here], normals[here], double[here] / 2, bend))
     return found
+
+
+def _facing(data: MeshData, sides: tuple[str, str], piece: Ints) -> list[Touch]:
+    """Touch of two boundaries, on the smaller one, from the piece of each tagged facet."""
+    on = [np.isin(data.facet_tags, data.boundaries.get(name, ())) for name in sides]
+    small, large = sorted(on, key=lambda own: facet_areas(data.points, data.facets[own]).sum())
+    second = np.full(small.sum(), piece[large][0] if small.any() else 0)
+    return _touches(data.points, data.facets[small], piece[small], second)
 
 
 def _bend(facets: Ints, normals: Floats) -> float:

@@ -24,7 +24,7 @@ from app.case.variations import Variations, expand, title_with_changes
 from app.errors import InputError
 from app.laws.failure import Fatigue
 from app.laws.heat_conditions import HeatCondition
-from app.laws.interface_laws import Bonded, Interface
+from app.laws.interface_laws import Bonded, Coulomb, Interface
 from app.laws.loads import AnyLoad
 from app.laws.materials import Region
 from app.laws.motions import Motion
@@ -125,6 +125,13 @@ class Case(Section):
     def conducts(self) -> bool:
         """Whether heat is solved."""
         return any(region.thermal is not None for region in self.regions.values())
+
+    @property
+    def faces(self) -> dict[str, tuple[str, str]]:
+        """Boundaries of the two sides of each interface that slides far, by name."""
+        laws = {n: w for n, w in self.interfaces.items() if isinstance(w, Coulomb)}
+        far = {n: law.between for n, law in laws.items() if law.sliding == "finite"}
+        return {name: between or self.geometry.faces[name] for name, between in far.items()}
 
     def of_tissue(self, tissue: str) -> tuple[str, ...]:
         """Names of the regions of a tissue."""

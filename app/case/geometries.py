@@ -22,17 +22,8 @@ from app.schema.paths import file
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail, not_one_of
 from app.schema.units import Angle, PositiveLength, SizeVector
 
-__all__ = [
-    "Block",
-    "Blocks",
-    "Cylinders",
-    "Femur",
-    "Geometry",
-    "HeadCup",
-    "IntactFemur",
-    "MeshFile",
-]
-__all__ += ["MeshOptions", "Patient", "Sides"]
+__all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "HeadCup", "IntactFemur"]
+__all__ += ["MeshFile", "MeshOptions", "Patient", "Sides"]
 
 # How long edges of cells may be: in radii, in thicknesses of rings and of blocks (measured: beyond
 # it gmsh fails or its cells are flat; rings of 20 and blocks of 25 are solved in `mantle stress`).

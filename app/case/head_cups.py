@@ -103,14 +103,9 @@ class HeadCup(Shape):
     @property
     def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
         """Diameter of the head; thicknesses of the cup, where chords of two spheres may cross."""
-        found: dict[tuple[str | int, ...], tuple[float, float]]
-        found = {("head_diameter",): (self.head_diameter, ROUND)}
-        for key, radius in zip(
-            ("liner_thickness", "shell_thickness"), self.cup_radii[:-1], strict=False
-        ):
-            thickness = getattr(self, key)
-            found[(key,)] = thickness, math.sqrt(radius / thickness)
-        return found
+        walls = {"liner_thickness": self.liner_thickness, "shell_thickness": self.shell_thickness}
+        most = {n: (t, math.sqrt(self.head_radius / t)) for n, t in walls.items() if t}
+        return {(n,): v for n, v in (("head_diameter", (self.head_diameter, ROUND)), *most.items())}
 
     @property
     def interface_area(self) -> float:

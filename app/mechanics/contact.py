@@ -17,6 +17,7 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -45,6 +46,9 @@ from meshes.distribute import TaggedMesh
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6
+# A body is brought this much further than where it touches, along a way that its points face so
+# much: some points are then in contact, as in the answer.
+BEYOND, FACING = 1.25, 0.1
 
 
 @dataclass(frozen=True)
@@ -274,7 +278,7 @@ class ContactInterfaces:
         pressure = trial.law.pressures[rows, 0]
         wrong = self.law.met[rows] * self.large.error(self._paired_at, trial.jump)
         local = pressure.max(initial=0.0), wrong[pressure > 0].max(initial=0.0)
-        largest, by = self.comm.allreduce(np.array(local), MPI.MAX)
+        largest, by = (self.comm.allreduce(float(v), MPI.MAX) for v in local)
         if by <= ACCURACY * largest:
             return False
         self._pair(trial.jump)
@@ -317,6 +321,26 @@ class ContactInterfaces:
             if not self.comm.allreduce(bool(touched[here].any()), MPI.LOR):
                 tied |= here
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
+
+    def apart(self, region: str) -> tuple[Ints, Callable[[Floats], float]]:
+        """Own points that slide over a body, and how far it is from them along a unit way (3,).
+
+        It is 0 if they touch already, or do not face it; further than where they touch.
+        """
+        assert self.large is not None
+        over = [i for i, c in enumerate(self._contacts) if c.between and region in c.master]
+        here = np.isin(self.own.interface[self.large.rows], over)
+        rows = self.large.rows[here]
+        gap = self._clearance[rows] + self.large.paired.gap[here]
+        touch = bool((gap <= 0).any() or self.state.force[rows].any())
+
+        def reach(way: Floats) -> float:
+            slope = self.own.normals[rows, 0] @ way
+            near = np.min(gap / slope, where=slope > FACING, initial=np.inf)
+            found, touches = self.comm.allreduce(near, MPI.MIN), self.comm.allreduce(touch, MPI.LOR)
+            return 0.0 if touches or not np.isfinite(found) else BEYOND * float(found)
+
+        return rows, reach
 
     def augmentation(self) -> dict[str, float]:
         """As `PointLaw.augmentation`, by the name of the interface; collective."""

@@ -243,6 +243,21 @@ class Problem:
         """Pair points that slide far anew, if their gaps are wrong in a state; collective."""
         return self.contact is not None and self.contact.pair(self.trial(u, q))
 
+    def approach(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
+        """Bring rigid bodies that touch nothing to where their loads push them; collective.
+
+        From there Newton finds which points touch, however small the load: not from afar.
+        """
+        if q is None or self.contact is None or self.contact.large is None:
+            return
+        regions = [r.region for r in self.scene.rigid]
+        for m in self.scene.motions:
+            if m.region in regions:
+                rows, reach = self.contact.apart(m.region)
+                k = regions.index(m.region)
+                way = self.stiffness.constraints.push(k, self.f, u, reach)
+                q.array.reshape(-1, 3)[rows] -= way
+
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
 

@@ -19,7 +19,6 @@ from app.arrays import Floats, Ints
 from app.case.case import Case
 from app.laws.loads import BodyForce, Pressure
 from app.soundness import preview
-from app.soundness.mesh_parts import faces_of
 from app.system.layout import plain
 from app.system.style import COLOURS, handles
 from meshes import picture
@@ -118,16 +117,14 @@ def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) ->
 
 def _lines(view: View, case: Case, data: MeshData) -> None:
     """Draw sections of interfaces, supports and heat conditions."""
-    faces = faces_of(case)
     for (name, law), colour in zip(case.interfaces.items(), BETWEEN, strict=False):
         friction = getattr(law, "friction_coefficient", None)
         words = f"{law.kind}, friction {plain(friction)}" if friction else law.kind
         style = {"ls": "--" if law.kind == "bonded" else "-", "lw": 2.2, "colors": colour}
-        shared = data.points[interface_facets(data, name)[0][:, :3]]
-        apart = (_boundary(data, face) for face in faces.get(name, ()))
-        view.lines(
-            np.concatenate([shared, *apart]), label=f"{name.replace('_', '-')}: {words}", **style
-        )
+        drawn = [data.points[interface_facets(data, name)[0][:, :3]]]
+        drawn += [_boundary(data, face) for face in case.faces.get(name, ())]
+        label = f"{name.replace('_', '-')}: {words}"
+        view.lines(np.concatenate(drawn), label=label, **style)
     parts: list[Any] = [("support", SUPPORT, *item) for item in case.supports.items()]
     for word, colour, name, part in parts + [("heat", HEAT, *item) for item in case.heat.items()]:
         facets = _boundary(data, getattr(part, "boundary", ""))

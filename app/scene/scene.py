@@ -170,8 +170,7 @@ def build_scene(case: Case) -> Scene:
     moduli = {e.region: max(e.moduli) for e in elastic}
     thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
     interfaces = [
-        _interface(name, law, case.geometry, moduli, thermal)
-        for name, law in case.interfaces.items()
+        _interface(name, law, case, moduli, thermal) for name, law in case.interfaces.items()
     ]
     conducting = tuple(i for i in interfaces if i.law.conductance is not None)
     rubbing = tuple(i for i in interfaces if i.law.heated_by_friction is not None)
@@ -218,7 +217,8 @@ def course(stages: Sequence[Stage], time: float) -> tuple[float, float]:
 
 
 def _stages(case: Case) -> tuple[Stage, ...]:
-    follow = case.motions or any(getattr(load, "course", None) for load in case.loads.values())
+    parts = *case.motions.values(), *case.loads.values()
+    follow = any(getattr(part, "course", None) for part in parts)
     return (*case.stages[:-1], case.stages[-1].repeating()) if follow else case.stages
 
 
@@ -263,17 +263,16 @@ def _support(name: str, support: Support, case: Case) -> Support:
 def _interface(
     name: str,
     law: InterfaceLaw,
-    geometry: Any,
+    case: Case,
     moduli: Mapping[str, float],
     thermal: Mapping[str, Thermal],
 ) -> Interface:
     """Interface with the stiffer side as master: the softer side carries the jumps."""
-    first, second = (tuple(side) for side in geometry.interface_sides[name])
+    first, second = (tuple(side) for side in case.geometry.interface_sides[name])
     turned = _stiffness(first, moduli) < _stiffness(second, moduli)
     master, slave = (second, first) if turned else (first, second)
     gap, history = law.initial_gap
-    faces = getattr(law, "between", None) or geometry.faces.get(name)
-    far = getattr(law, "sliding", "small") == "finite"
+    faces = case.faces.get(name)
     share = law.heated_by_friction
     if isinstance(share, str):
         e_m, e_s = (sum(thermal[r].effusivity for r in s) / len(s) for s in (master, slave))
@@ -291,7 +290,7 @@ def _interface(
         turned=turned,
         slave_share=slave_share,
         values=law.fields(name),
-        between=(faces[::-1] if turned else faces) if far and faces else None,
+        between=(faces[::-1] if turned else faces) if faces else None,
     )
 
 

@@ -89,6 +89,8 @@ def _refused(case: Case) -> list[Fault]:
             no(f"the law {law.kind}", "interfaces", name)
         elif law.initial_gap[0]:
             no("a gap", "interfaces", name, "gap")
+        if name in case.faces:
+            no("sides that slide far", "interfaces", name, "sliding")
     for name, support in case.supports.items():
         if isinstance(support, Foundation) or support.normal is not None:
             no("springs to the ground, and rollers along a normal", "supports", name)

@@ -12,7 +12,6 @@ from app.case.case import Case
 from app.laws.materials import Conductor, TransverselyIsotropic
 from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
-from app.soundness.mesh_parts import faces_of
 from app.system.layout import count, duration, plain
 
 if TYPE_CHECKING:
@@ -199,8 +198,7 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
     nodes = corners = len(np.unique(tetrahedra))
     if case.mesh.order == 2:
         nodes += len(np.unique(np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0))
-    faces = faces_of(case)
-    each = {n: len(interface_nodes(data, n, faces)) for n in case.interfaces}
+    each = {n: len(interface_nodes(data, n, case.faces)) for n in case.interfaces}
     size = _size(case, len(data.cells), nodes, corners, each)
     lines = [_told("size", case, size, available)]
     for name, tag in data.regions.items():

@@ -198,6 +198,8 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     held = np.zeros((n, 6, n, 6))
     for b, part in loose_bodies.supported(problem).items():
         held[b, :3, b, :3], held[b, 3:, b, 3:] = part, np.eye(3)
+    for b in loose_bodies.turning(problem):
+        held[b, 3:, b, 3:] = np.eye(3)
     of_bodies, R = np.zeros((len(own), 3, n, 6)), rigid_modes((own.x - centre) / size)
     for side, sign in zip(own.bodies.T, (-1, 1), strict=True):
         of_bodies[np.arange(len(own)), :, side] += sign * R

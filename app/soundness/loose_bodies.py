@@ -125,11 +125,10 @@ class BodiesOnMesh:
                     rows = (directions(s, self._found, nodes) @ modes).reshape(-1, 6)
                     held[self._of[piece]] += rows.T @ rows
             for m in self._case.motions.values():
-                turns, shifts = np.eye(6)[3:], self._modes(np.array([m.about]))[0]
-                rows = np.vstack([turns, shifts[: 3 * (m.translation == "held")]])
-                regions = [p.region for p in self._found.pieces]
-                for b in {self._of[i] for i, region in enumerate(regions) if region == m.region}:
-                    held[b] += rows.T @ rows
+                shifts = self._modes(np.array([m.about]))[0] * (m.translation == "held")
+                rows = np.vstack([np.eye(6)[3:], shifts])
+                for i, found in enumerate(self._found.pieces):
+                    held[self._of[i]] += (found.region == m.region) * rows.T @ rows
             values, vectors = np.linalg.eigh(held)
             free = values <= FREE * np.maximum(values[:, -1:], np.finfo(float).tiny)
             left = [np.kron(np.eye(n)[:, [b]], vectors[b][:, free[b]]) for b in range(n)]
@@ -226,8 +225,9 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
         problem, contact, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R)
     )
     total = float(np.sum(contact.points.weight)) or 1.0
-    for body in supported(problem):
-        A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
+    held = [slice(6 * body, 6 * body + 6) for body in supported(problem)]
+    for here in [*held, *(slice(6 * body + 3, 6 * body + 6) for body in turning(problem))]:
+        A[here, here] += total * np.eye(here.stop - here.start)
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free = vectors[:, values <= FREE * max(values[-1], total)]
     near = [(contact.points.bodies == b).any(axis=1) for b in range(len(names))]
@@ -292,6 +292,8 @@ def runaway(problem: Problem, trial: TrialState) -> str:
         elastic = forces / (term.modulus * size)
         if largest > RUNAWAY * size and largest > LOOSE * elastic:
             free = free_bodies(problem, trial)
+            if term.between and not free:
+                continue  # it slides far
             how = (
                 f"moved {largest:.3g} mm apart or along each other, {100 * largest / size:.0f} % "
                 "of the interface's size"
@@ -310,7 +312,9 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     spread of facet normals in the same motions: where the quotient is small, only the mesh resists.
     A slope common to all normals of an interface is no spread: a taper, however slight.
     """
-    smooth = [c.law.can_open and c.law.friction == 0 for c in problem.scene.contacts]
+    smooth = [
+        c.law.can_open and c.law.friction == 0 and not c.between for c in problem.scene.contacts
+    ]
     if not any(smooth):
         return ""
     contact = trial.contact
@@ -391,4 +395,12 @@ def supported(problem: Problem) -> dict[int, Floats]:
     for boundary, part in conditions:
         for body in facets_by_body(problem.tagged, problem.bodies, boundary):
             held[body] = held.get(body, 0.0) + np.asarray(part, dtype=float)
+    for body, motion in zip(turning(problem), scene.motions, strict=True):
+        if motion.translation == "held":
+            held[body] = np.eye(3)
     return held
+
+
+def turning(problem: Problem) -> list[int]:
+    """Bodies that turn as they are told, those of the motions."""
+    return [problem.bodies.of_region[m.region] for m in problem.scene.motions]

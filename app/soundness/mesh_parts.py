@@ -9,7 +9,6 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
-from app.laws.interface_laws import Coulomb
 from app.laws.values import field
 from meshes.pieces import Parts
 
@@ -21,15 +20,6 @@ def law_between(case: Case, found: Parts, pieces: tuple[int, int]) -> tuple[str,
         if (a in one and b in two) or (a in two and b in one):
             return name, case.interfaces[name]
     return "", None
-
-
-def faces_of(case: Case) -> dict[str, tuple[str, str]]:
-    """Boundaries of the two sides of each interface that slides far, by name."""
-    return {
-        name: law.between or case.geometry.faces[name]
-        for name, law in case.interfaces.items()
-        if isinstance(law, Coulomb) and law.sliding == "finite"
-    }
 
 
 def groups_of(case: Case, found: Parts) -> list[list[int]]:

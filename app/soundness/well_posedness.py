@@ -20,15 +20,7 @@ from app.errors import InputError
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
 from app.soundness.loose_bodies import BodiesOnMesh
-from app.soundness.mesh_parts import (
-    directions,
-    faces_of,
-    gaps_of,
-    groups_of,
-    history_of,
-    holds,
-    law_between,
-)
+from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets
 from meshes.pieces import Parts, parts
@@ -57,7 +49,7 @@ SAME, CLOSE = 1e-9, 1e-6
 def look(case: Case, data: MeshData) -> Parts:
     """Parts of a mesh that `judge` examines."""
     faces = {s.boundary for s in case.supports.values() if getattr(s, "normal", None) == "face"}
-    return parts(data, {s.boundary for s in case.supports.values()}, faces, faces_of(case))
+    return parts(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
 
 
 def judge(case: Case, found: Parts) -> list[str]:
@@ -74,7 +66,8 @@ def judge(case: Case, found: Parts) -> list[str]:
     bodies = BodiesOnMesh(case, found)
     torn, split = _contradictions(case, found)
     tight, apart = _gaps(case, found)
-    errors = [*bodies.unheld(), *torn, *tight]
+    driven, idle = _moved(case, found)
+    errors = [*driven, *bodies.unheld(), *torn, *tight]
     if errors:
         # A crack is often why.
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
@@ -88,6 +81,7 @@ def judge(case: Case, found: Parts) -> list[str]:
         *_far(case, found),
         *_too_stiff(case, found),
         *_strained(case, found),
+        *idle,
     ]
 
 
@@ -135,6 +129,23 @@ def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
     return errors, notes
 
 
+def _moved(case: Case, found: Parts) -> tuple[list[str], list[str]]:
+    """Errors on supports of regions that move as a whole, notes on loads of those that stay."""
+    errors, notes = [], []
+    for name, motion in case.motions.items():
+        own = {k for k, piece in enumerate(found.pieces) if piece.region == motion.region}
+        on = {boundary for boundary, pieces in found.boundaries.items() if own & pieces.keys()}
+        held = ", ".join(n for n, support in case.supports.items() if support.boundary in on)
+        loads = ", ".join(n for n, load in case.loads.items() if on.intersection(load.boundaries))
+        if held and motion.course:
+            text = f"{motion.region} turns, and supports hold it ({held})"
+            errors.append(f"motions.{name}.region: {text}; expected `translation: held` instead")
+        if loads and motion.translation == "held":
+            text = f"{motion.region} does not give way to {loads}: its place is given"
+            notes.append(f"motions.{name}.translation: {text}")
+    return errors, notes
+
+
 def _on_axis(case: Case, found: Parts) -> list[str]:
     """Fibre axes that meet cells of their region, where fibres have no direction."""
     errors = []
@@ -174,7 +185,7 @@ def _sides_apart(case: Case, found: Parts) -> list[str]:
         for face, side in zip(found.faces.get(name, ()), sides, strict=False):
             on = sorted({found.pieces[p].region for p in found.boundaries.get(face, {})})
             if not on or not {*on} <= {*side}:
-                text = f"{face} is a surface of {' and '.join(on)}; expected one of "
+                text = f"{face} is a surface of {' and '.join(on) or 'no region'}; expected one of "
                 errors.append(f"interfaces.{name}.between: {text}{'/'.join(side)} alone")
     return errors
 

@@ -155,6 +155,7 @@ class LoadStepper:
 
     def _solve(self) -> NewtonResult:
         """Solve, until points that slide far are paired with the surface that they touch."""
+        self.problem.approach(*self.solver.u_and_q())
         outcome = solve(self.solver)
         self.total.count(outcome)
         for _ in range(PAIRINGS):

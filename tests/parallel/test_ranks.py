@@ -20,6 +20,7 @@ from app.verification.changed_meshes import ROTATION, change
 from tests import coupled, restarted, support
 from tests.command_line.test_run import COARSE
 from tests.mechanics.test_oblique import QUARTER, vector
+from tests.mechanics.test_sliding import CUP, SWING, stages
 from tests.simulation import test_variations
 from tests.stepping import test_creep, test_fracture
 
@@ -154,6 +155,7 @@ CASES: dict[str, tuple[str, tuple[str, ...], dict[int, tuple[str, ...]]]] = {
     "torn": ("verification/cohesive_bar.yaml", test_fracture.TORN, {1: (), 2: ()}),
     "creep": (test_creep.STEM, (EXACT,), {1: (), 2: ()}),
     "corrected": (SETTING, (*SHORT, EXACT), {1: (), 3: ()}),
+    "large slip": (CUP, (SWING, stages(6)), {1: (), 2: (), 3: ()}),
 }
 
 

@@ -41,6 +41,8 @@ SHELL = (
     .replace("0.4}", "0.4}\n  shell: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}")
     .replace("liner_outer", "shell_outer")
 )
+FINITE = """.liner_shell={kind: contact, friction_coefficient: 0.1, sliding: finite,
+between: [liner_rim, shell_outer]}"""
 SMOOTH = "interfaces.bearing.friction_coefficient=0"
 
 
@@ -62,28 +64,17 @@ def test_nothing_resists_the_turn_of_a_smooth_ball_but_its_motion() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "override", "error"),
+    ("text", "change", "error"),
     [
-        (BALL, "interfaces={}", "bearing: no facet between head and liner; .*`sliding: finite`"),
-        (BLOCK, "interfaces.b={kind: bonded}", "b: no facet between plate and block"),
-        (
-            BLOCK,
-            "interfaces.b.between=[plate_bottom, plate_top]",
-            "b.between: plate_top is a surface of plate; expected one of block alone",
-        ),
-        (
-            SHELL,
-            "interfaces.liner_shell={kind: contact, friction_coefficient: 0.1, sliding: finite, "
-            "between: [liner_rim, shell_outer]}",
-            "liner_shell.sliding: liner and shell share [0-9]+ facets",
-        ),
+        (BALL, "={}", "bearing: no facet between head and liner; .*`sliding: finite`"),
+        (BLOCK, ".b={kind: bonded}", "b: no facet between plate and block"),
+        (BLOCK, ".b.between=[plate_bottom, plate_top]", "b.between: .* plate; .* block alone"),
+        (SHELL, FINITE, "liner_shell.sliding: liner and shell share [0-9]+ facets"),
     ],
 )
-def test_interfaces_that_do_not_fit_the_mesh_are_refused(
-    text: str, override: str, error: str
-) -> None:
+def test_interfaces_that_do_not_fit_are_refused(text: str, change: str, error: str) -> None:
     with pytest.raises(InputError, match=rf"^interfaces\.{error}"):
-        judged(text, override)
+        judged(text, f"interfaces{change}")
 
 
 def test_the_nodes_of_the_second_side_count_as_those_of_the_interface() -> None:

@@ -1,0 +1,263 @@
+"""Large slip over rigid surfaces: a head that turns in its cup as it is told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import meshes
+from app.arrays import Floats
+from app.mechanics.contact import TrialState
+from app.numerics.rigid_motions import rotation_vector
+from app.stepping.load_steps import LoadStep, LoadStepper
+from app.stepping.stages import run_stages
+from app.verification.changed_meshes import ROTATION
+from meshes.data import MeshData
+from meshes.distribute import TaggedMesh, distribute
+from tests import support
+from tests.mechanics.test_oblique import vector
+from tests.simulation.test_variations import Runs
+
+AS_IT_IS = np.eye(3)
+R, MU, FORCE = 14.0, 0.06, np.array([300.0, 100.0, 2000.0])  # mm, -, N
+CUP = f"""
+geometry: {{kind: head_cup, head_diameter: {2 * R} mm, radial_clearance: 0.1 mm,
+  liner_thickness: 8 mm, inclination: 20 deg, version: 10 deg}}
+mesh: {{size: 4.5 mm, far_size: 7 mm, order: 1}}
+regions:
+  head: {{rigid: true}}
+  liner: {{youngs_modulus: 1 GPa, poisson_ratio: 0.4}}
+interfaces:
+  bearing: {{kind: contact, friction_coefficient: {MU}, sliding: finite}}
+supports:
+  outer: {{kind: fixed, boundary: liner_outer}}
+loads:
+  hip: {{kind: force, boundary: head_bore, force: {vector(FORCE, " N")}}}
+solver: {{tolerance: 1e-12}}
+output: {{fields: false, report: false}}
+"""
+FRICTION = "interfaces.bearing.friction_coefficient"
+
+
+def course(column: str, rows: Sequence[Sequence[float]]) -> list[str]:
+    """The lines of a course: three components at equal times."""
+    lines = [[f"{v:.17g}" for v in (k, *row)] for k, row in enumerate(rows)]
+    return [", ".join(line) for line in [["time [s]", *map(column.format, "xyz")], *lines]]
+
+
+def loaded(*forces: Floats) -> str:
+    """An override: the head is loaded by forces [N] at equal times."""
+    rows = course("force {} [N]", forces)
+    return f"loads.hip={{kind: force, boundary: head_bore, course: {rows}}}"
+
+
+def turning(*angles: tuple[float, float, float], axes: str = "yxz", **more: str) -> str:
+    """An override: the head turns through angles about x, y, z [deg], at equal times."""
+    keys = "".join(f", {key}: {value}" for key, value in more.items())
+    rotation = f"rotation: {{axes: {axes}, course: {course('rotation {} [deg]', angles)}}}"
+    return f"motions.ball={{region: head, about: head_centre, {rotation}{keys}}}"
+
+
+def stages(increments: int, cycles: int = 1, press: int = 1) -> str:
+    first = f"{{name: press, increments: {press}}}, " if press else ""
+    return f"stages=[{first}{{name: turn, increments: {increments}, cycles: {cycles}}}]"
+
+
+QUARTER = turning((0, 0, 0), (0, 25, 0))
+# To and fro, with stops at both ends.
+SWING = turning((0, 0, 0), (0, 25, 0), (0, 0, 0), (0, -25, 0), (0, 0, 0), largest_step="25 deg")
+
+
+class Step(NamedTuple):
+    """A step of a turn, of n points."""
+
+    iterations: int
+    load: Floats  # normal forces of the points (n,) [N]
+    normal: Floats  # out of the head (n, 3)
+    force: Floats  # of the head on the liner (3,) [N]
+    torque: Floats  # of friction on the head about its centre, on arms R n (3,) [N mm]
+    turn: Floats  # rotation vector of the step (3,)
+    dissipated: float  # so far [N mm]
+    place: Floats  # way of the head's centre (3,) [mm]
+
+    @property
+    def spends(self) -> float:
+        """Work of the torque in the turn [N mm]."""
+        return float(-self.torque @ self.turn)
+
+
+@cache
+def built() -> MeshData:
+    case = support.case(CUP)
+    return meshes.build(case.geometry, case.mesh, None)
+
+
+@cache
+def cup() -> TaggedMesh:
+    return distribute(built(), MPI.COMM_WORLD)
+
+
+def solve(*overrides: str, tagged: TaggedMesh | None = None) -> list[Step]:
+    """The steps of a case, on the mesh of the cup or its own."""
+    problem, solver = support.assemble(support.case(CUP, *overrides), tagged or cup())
+    cells = problem.tagged.cell_tags.find(problem.tagged.regions["head"])
+    node = problem.space.dofmap.list[cells[0], 0]
+    found, before = list[Step](), [np.eye(3)]
+
+    def keep(step: LoadStep, trial: TrialState | None) -> None:
+        assert trial is not None
+        own, state, scene = trial.contact.own, trial.contact.state, problem.scene
+        normal, turned = own.normals[:, 0].copy(), scene.rotation(scene.motions[0], step.time)
+        moved = problem.displacements()[problem.bodies.of_region["head"]].x.array
+        friction = own.weight[:, None] * state.friction
+        found.append(
+            Step(
+                step.outcome.iterations,
+                own.weight * trial.law.pressures[:, 0],
+                normal,
+                own.weight @ -state.force,
+                np.cross(R * normal, friction).sum(axis=0),
+                rotation_vector(turned @ before.pop().T),
+                float(state.dissipation.sum()),
+                moved.reshape(-1, 3)[node].copy(),
+            )
+        )
+        before.append(turned)
+
+    run_stages(problem.scene.stages, LoadStepper(problem, solver, keep, print), None)
+    return found
+
+
+def same(one: list[Step], other: list[Step], tolerance: float, Q: Floats = AS_IT_IS) -> None:
+    """Steps are the same, or those of a case that is turned by Q."""
+    assert len(one) == len(other)
+    for a, b in zip(one, other, strict=True):
+        assert support.difference(a.load, b.load) < tolerance
+        assert a.dissipated == pytest.approx(b.dissipated, rel=tolerance, abs=tolerance)
+        for name in ("force", "torque", "place"):
+            assert support.difference(getattr(a, name), Q @ getattr(b, name)) < tolerance, name
+
+
+def test_a_turn_without_friction_changes_nothing() -> None:
+    """Pressures, place and force of a sphere that turns; no torque."""
+    settled = ", ".join(f"{{name: settle_{k}}}" for k in range(4))
+    steps = solve(f"{FRICTION}=0", QUARTER, f"stages=[{settled}, {{name: turn, increments: 5}}]")
+    before, *turned = steps[3:]
+    assert len(turned) == 5 and np.linalg.norm(turned[-1].turn) > 0.08
+    for step in turned:
+        assert support.difference(step.load, before.load) < 1e-10
+        assert support.difference(step.place, before.place) < 1e-10
+        np.testing.assert_allclose(step.force, FORCE, rtol=1e-11)
+        assert np.linalg.norm(step.torque) < 1e-12 * R * np.linalg.norm(FORCE)
+        assert step.dissipated == 0
+
+
+@pytest.mark.parametrize("axis", [(0, 1, 0), (2, -1, 1)])
+def test_steady_turning_spends_its_torque(axis: tuple[int, int, int]) -> None:
+    """M dθ is dissipated, and M is the sum of μ p W R sqrt(1 - n_y²); Newton takes few steps."""
+    angles = 30 * Rotation.from_rotvec(np.array(axis)).as_rotvec() / np.linalg.norm(axis)
+    ways = [Rotation.from_rotvec(s * angles, degrees=True) for s in np.linspace(0, 1, 7)]
+    rows = [w.as_euler("YXZ", degrees=True)[[1, 0, 2]] for w in ways]
+    steps = solve(turning(*map(tuple, rows), largest_step="6 deg"), stages(6))
+    assert max(s.iterations for s in steps[1:]) <= 5
+    spent = np.diff([s.dissipated for s in steps])
+    for step, energy in zip(steps[-2:], spent[-2:], strict=True):
+        θ = float(np.linalg.norm(step.turn))
+        assert np.degrees(θ) == pytest.approx(5)
+        assert energy == pytest.approx(step.spends, rel=1e-8)
+        arms = R * np.linalg.norm(np.cross(step.turn / θ, step.normal), axis=1)
+        assert step.spends == pytest.approx(θ * MU * step.load @ arms, rel=1e-8)
+    # As of a load that is spread over the cup, a little more than that of one point.
+    assert 1.0 < np.linalg.norm(steps[-1].torque) / (MU * R * np.linalg.norm(FORCE)) < 1.1
+
+
+def test_dissipation_does_not_depend_on_the_steps_and_cycles_end_alike() -> None:
+    """Swings of 25 degrees in 4, 8 and 20 steps."""
+    cycles = []
+    for increments in (4, 8, 20):
+        steps = solve(SWING, stages(increments, cycles=3))
+        ends = [steps[k * increments] for k in range(4)]
+        _, second, third = np.diff([s.dissipated for s in ends])
+        assert second == pytest.approx(third, rel=1e-9)
+        same([ends[2]._replace(dissipated=0)], [ends[3]._replace(dissipated=0)], 1e-7)
+        assert max(s.iterations for s in steps[1:]) <= 5
+        cycles.append(second)
+    assert cycles[0] == pytest.approx(cycles[2], rel=1e-5)
+    assert cycles[1] == pytest.approx(cycles[2], rel=1e-5)
+
+
+def test_a_turned_case_has_the_numbers_of_the_straight_one() -> None:
+    """Turned as a whole, and the mesh of the head under it besides."""
+    angles = [(0, 0, 0), (4, 5, -3), (9, 12, -5), (3, 20, 2)]
+    one = solve(turning(*angles, largest_step="30 deg"), stages(3))
+    data, Q = built(), ROTATION
+    x, head = data.points @ Q.T, np.unique(data.cells[data.cell_tags == data.regions["head"]])
+    x[head] = x[head] @ Q.T
+    T = Rotation.from_matrix(Q)
+    ways = [T * Rotation.from_euler("YXZ", (b, a, c), degrees=True) * T.inv() for a, b, c in angles]
+    rows = [W.as_euler("ZYX", degrees=True)[::-1] for W in ways]
+    other = solve(
+        turning(*map(tuple, rows), axes="zyx", largest_step="30 deg"),
+        stages(3),
+        f"loads.hip.force={vector(Q @ FORCE, ' N')}",
+        tagged=distribute(replace(data, points=x), MPI.COMM_WORLD),
+    )
+    same(other, one, 1e-8, Q)
+
+
+def test_a_load_that_follows_the_head() -> None:
+    """It is that of a course with the turned components."""
+    follows = solve(QUARTER, stages(5), "loads.hip.follows=ball")
+    ways = [Rotation.from_euler("Y", 5 * k, degrees=True).as_matrix() for k in range(6)]
+    same(follows, solve(QUARTER, stages(5), loaded(*(W @ FORCE for W in ways))), 1e-8)
+    np.testing.assert_allclose(follows[-1].force, ways[-1] @ FORCE, rtol=1e-10)
+
+
+def test_a_course_begins_at_its_first_row_without_a_stage_before() -> None:
+    """After some degrees it is as if the head had been pressed in first."""
+    given = loaded(FORCE, FORCE)
+    at_once, pressed = solve(QUARTER, stages(5, press=0), given), solve(QUARTER, stages(5), given)
+    np.testing.assert_allclose(at_once[0].force, FORCE, rtol=1e-10)
+    assert len(at_once) == len(pressed) - 1
+    same([at_once[-1]._replace(dissipated=0)], [pressed[-1]._replace(dissipated=0)], 1e-5)
+
+
+def test_a_head_whose_centre_is_held() -> None:
+    """An interference presses; the centre stays, and the torque is spent."""
+    held = turning((0, 0, 0), (0, 25, 0), translation="held")
+    steps = solve(held, stages(5), "interfaces.bearing.gap=-0.15 mm")
+    assert all((s.place == 0).all() for s in steps)
+    assert steps[-1].load.sum() > 1e4
+    spent = steps[-1].dissipated - steps[-2].dissipated
+    assert spent == pytest.approx(steps[-1].spends, rel=1e-8)
+
+
+def test_friction_varies_on_one_model() -> None:
+    """Matrices are taken over, and what the head has turned and slid is not."""
+    runs, turned = Runs(), (turning((0, 0, 0), (5, 10, 0)), stages(2))
+    for μ in (MU, 0, 0.2):
+        case = support.case(CUP, *turned, f"{FRICTION}={μ}")
+        found, expected = runs.run(case)[0], Runs().run(case)[0]
+        for u, v in zip(found, expected, strict=True):
+            assert support.difference(u, v) < 1e-8
+        assert runs.last and len(runs.last._others) == 1
+
+
+@pytest.mark.parametrize("μ", [0, MU])
+@pytest.mark.parametrize("force", [(0, 0, 20), (1500, 0, 1500)])
+def test_a_head_finds_its_cup(μ: float, force: tuple[float, float, float]) -> None:
+    """Nothing touches at first; a small load is borne by a few points."""
+    changes = (f"{FRICTION}={μ}", f"loads.hip.force={vector(force, ' N')}")
+    clearance = "geometry.radial_clearance=0.02 mm"
+    tagged = support.mesh(support.case(CUP, clearance))
+    steps = solve(*changes, clearance, QUARTER, stages(1), tagged=tagged)
+    assert steps[0].iterations <= 12
+    np.testing.assert_allclose(steps[0].force, force, rtol=1e-9, atol=1e-8)
