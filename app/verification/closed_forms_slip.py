@@ -43,8 +43,8 @@ def slip_problems() -> Iterator[Check]:
     yield problem("slip_hertz", what, "ball_on_block", hertz, 0.01)
     what = "force along a track over mu N, of a ball that stands, rolls, turns 10 % too fast"
     drags = [partial(drag, reference=force) for force in (1, 0, -1)]
-    runs = [(_course((0, 0, 0), (0, np.degrees(c * 4 / 60), 0)),) for c in (0, 1, 1.1)]
-    yield problem("slip_ball_rolls", what, "rolling_ball", drags, 0.01, runs)
+    turns = [(_course((0, 0, 0), (0, np.degrees(c * 4 / 60), 0)),) for c in (0, 1, 1.1)]
+    yield problem("slip_ball_rolls", what, "rolling_ball", drags, 0.01, turns)
     what = "force to and fro and work, over mu N; 100 times what a second cycle changes, relative"
     yield problem("slip_drawn", what, "drawn_block", drawn, 1e-7)
     yield from _alike()
@@ -62,10 +62,10 @@ def _alike() -> Iterator[Check]:
     yield Check("slip_ball_mesh", "energy by another mesh of the ball, relative", runs, alike, 1e-9)
     about = np.radians(np.outer(range(0, 30, 5), ROTATION[:, 1]))
     turned = Rotation.from_rotvec(about).as_euler("YXZ", degrees=True)[:, [1, 0, 2]]
-    force = ", ".join(f"{v!r} N" for v in (2000 * ROTATION[:, 2]).tolist())
     at = "motions.ball.about=[0 mm, 0 mm, 0 mm]"
     between = "interfaces.bearing.between=[head_surface, liner_inner]"
-    own = cup(at, between, f"loads.press.force=[{force}]", _course(*turned), mesh="turned")
+    force = f'loads.press.force="{(2000 * ROTATION[:, 2]).tolist()} N"'
+    own = cup(at, between, force, _course(*turned), mesh="turned")
     what = "fields of a ball that turns in its cup, all of it turned, over the largest"
     yield Check("slip_turned", what, (own, cup()), partial(judges.same, turn=ROTATION), 1e-8)
 
@@ -116,11 +116,10 @@ def worn(run: Run) -> Sample:
     """Volume by pressure and slip of each step, against that told and the fields of both sides."""
     of, r = partial(run.at_interface, "bearing"), np.linalg.norm(run.points, axis=1)
     way = (of("slip_path", k) - of("slip_path", k - 1) for k in range(1, len(run.times)))
-    energy = sum(of("pressure", k) * slid for k, slid in enumerate(way, 1))
     area, ball = _areas(run, run.on_interface("bearing")), _areas(run, np.isclose(r, 14))
+    volume = 1.07e-9 * float(area @ sum(of("pressure", k) * slid for k, slid in enumerate(way, 1)))
     depth, told = of("wear"), run.summary["interfaces"]["bearing"]["wear_volume"]
-    sides = told, area @ depth, ball @ depth
-    return worst([relative(float(side), 1.07e-9 * float(area @ energy)) for side in sides])
+    return worst([relative(float(v), volume) for v in (told, area @ depth, ball @ depth)])
 
 
 def hertz(run: Run) -> Sample:
