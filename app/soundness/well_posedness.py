@@ -143,9 +143,11 @@ def _moved(case: Case, found: Parts) -> tuple[list[str], list[str]]:
         for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
             far = getattr(law, "sliding", "small") == "finite" and region not in told
             if far and isinstance(case.regions[region], Rigid):
-                text = f"interfaces.{name}: nothing says how the rigid {region} turns; expected "
-                motion = f"{{region: {region}, about: [0 mm, 0 mm, 0 mm]}}"
-                errors.append(f"{text}motions: {{NAME: {motion}}}, or a fixed support")
+                errors.append(
+                    f"interfaces.{name}: nothing says how the rigid {region} turns; expected "
+                    f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}, or "
+                    "a fixed support"
+                )
     for name, motion in case.motions.items():
         own = {k for k, piece in enumerate(found.pieces) if piece.region == motion.region}
         on = {boundary for boundary, pieces in found.boundaries.items() if own & pieces.keys()}
