@@ -28,7 +28,7 @@ QUICK = {
     *("cook_0.499", "lame_plane_strain_3", "lame_p2_curved", "patch_fibre_111"),
     *("uniaxial_along_fibre", "incline", "foundation_bar_end", "oval_fit_p1", "oval_pressure_p2"),
     *("sine_p2", "layers_bonded", "heat_slab", "heat_bars", "heat_contact_resistance"),
-    *("layer_cycle", "layer_turned", "layer_corner", "slip_drawn", "slip_turned"),
+    *("layer_cycle", "layer_turned", "layer_corner", "slip_drawn", "slip_wear"),
     *("cure_adiabatic_23C", "cure_isothermal_23C", "cure_heat", "cure_order_backward_euler"),
     *("creep_constant_stress", "creep_relaxation", "cohesive_bar", "cohesive_unloading"),
 }
