@@ -198,6 +198,11 @@ class ContactInterfaces:
         holds, axes = held_at(frames, tagged, bodies, space, scene.supports, self.facets)
         self.points, entries = contact_points(self.facets, holds, parts, axes)
         refuse_supports(scene, bodies, holds, self.points, entries)
+        apart = np.isin(
+            self.points.interface, [i for i, c in enumerate(scene.contacts) if c.between]
+        )
+        # The one face of a point that slides far is that of the surface under it.
+        self.points.faces[apart], self.points.normals[apart, 1:] = 1, 0.0
         rows, number = owners(self.comm, space.dofmap.index_map, self.points.dof)
         self.own = OwnPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)

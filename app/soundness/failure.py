@@ -239,7 +239,7 @@ def explain(
         return Explanation(outcome, scales=scales)
     trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
-    free = pulled_off(problem, contact) if scales else []
+    free = pulled_off(problem, contact) if scales or contact.large else []
     free = free or loose_bodies.free_bodies(problem, trial)
     free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
     friction = [] if free else loose_bodies.sliding(problem, contact)

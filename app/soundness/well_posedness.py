@@ -19,10 +19,11 @@ from app.case.quantities import largest
 from app.errors import InputError
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
+from app.scene.scene import build_scene
 from app.soundness.loose_bodies import BodiesOnMesh
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
 from app.system.layout import point_text
-from meshes.data import boundary_areas, interface_facets
+from meshes.data import boundary_areas, boundary_facets, interface_facets
 from meshes.pieces import Parts, parts
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def judge(case: Case, found: Parts) -> list[str]:
         InputError: It cannot be solved: with all the reasons.
     """
     notes = [*found.data.notes.get("told", ()), *_cracks(case, found), *_size(case, found)]
-    if errors := [*_on_axis(case, found), *_sides_apart(case, found)]:
+    if errors := [*_on_axis(case, found), *_sides_apart(case, found), *_followers(case, found)]:
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
     if all(isinstance(region, Conductor) for region in case.regions.values()):
         return notes
@@ -168,6 +169,34 @@ def _sides_apart(case: Case, found: Parts) -> list[str]:
             if not on or not {*on} <= {*side}:
                 text = f"{face} is a surface of {' and '.join(on) or 'no region'}; expected one of "
                 errors.append(f"interfaces.{name}.between: {text}{'/'.join(side)} alone")
+    return errors
+
+
+def _followers(case: Case, found: Parts) -> list[str]:
+    """Surfaces that slide far, nodes of which something else moves too."""
+    errors, contacts = [], build_scene(case).contacts if found.faces else ()
+    nodes = {
+        c.name: np.unique(
+            boundary_facets(found.data, c.between[1])
+            if c.between
+            else interface_facets(found.data, c.name)[0]
+        )
+        for c in contacts
+    }
+    others = {f"interfaces.{name}": on for name, on in nodes.items()}
+    for name, s in case.supports.items():
+        if s.kind != "foundation" and found.boundaries.get(s.boundary):
+            on = np.concatenate([*found.boundaries[s.boundary].values()])
+            others[f"supports.{name}"] = on
+    for c in contacts:
+        for key, on in others.items() if c.between else ():
+            both = np.intersect1d(nodes[c.name], on)
+            if len(both) and key != f"interfaces.{c.name}":
+                errors.append(
+                    f"{key}: moves {len(both)} nodes of {c.between[1]}, e.g. at "
+                    f"{point_text(found.x[both[0]])}, which follow what they slide on by "
+                    f"interfaces.{c.name}; expected a boundary without them"
+                )
     return errors
 
 
