@@ -23,7 +23,7 @@ def cross_check(case: Any) -> list[Fault]:
     faults = [*_held(case), *_side(case), *_heat(case), *_creep(case)]
     if case.geometry is not None:
         faults += [*_names(case), *_mesh(case), *_rigid(case), *_accuracy(case)]
-        faults += [*_fatigue(case), *_remodelling(case)]
+        faults += [*_fatigue(case), *_remodelling(case), *_sliding(case)]
     if case.stages is not None:
         faults += _stages(case)
     return faults
@@ -52,6 +52,10 @@ def _names(case: Any) -> Iterable[Fault]:
         *((("regions", name), "region", name) for name in case.regions or ()),
         *((("interfaces", name), "interface", name) for name in case.interfaces),
     ]
+    for section, name, entry in _entries(case, "interfaces", "motions"):
+        used.append(((section, name, "region"), "region", getattr(entry, "region", None)))
+        between = enumerate(getattr(entry, "between", None) or ())
+        used += [((section, name, "between", i), "boundary", face) for i, face in between]
     for section, name, entry in _entries(case, "supports", "loads", "heat"):
         used.append(((section, name, "boundary"), "boundary", getattr(entry, "boundary", None)))
         inside = enumerate(getattr(entry, "regions", None) or ())
@@ -247,6 +251,35 @@ def _creep(case: Any) -> Iterable[Fault]:
             counts = "time" if law.per else "cycles"
             if stage.creep_key != f"creep_{counts}":
                 yield Fault(key, f"the creep of {name} counts {counts}; expected creep_{counts}")
+
+
+def _sliding(case: Any) -> Iterable[Fault]:
+    """What slides far without two boundaries, moves twice, follows no motion, or takes time."""
+    whole = [(("motions", n, "region"), m.region) for _, n, m in _entries(case, "motions")]
+    for _, name, law in _entries(case, "interfaces"):
+        if getattr(law, "sliding", "small") == "finite":
+            if not (faces := law.between or case.geometry.faces.get(name)):
+                text = "its sides share facets; expected bodies meshed apart, and `between` two of "
+                text += ", ".join(case.geometry.boundary_names)
+                yield Fault(("interfaces", name, "sliding"), text)
+            whole += [(("interfaces", name, "between"), face) for face in faces or ()]
+    taken = dict[tuple[str, str], str]()
+    for path, part in whole:
+        if other := taken.get((path[0], part)):
+            yield Fault(path, f"{part} is in {path[0]}.{other} already; expected another")
+        taken[path[0], part] = path[1]
+    motions, courses = tuple(case.motions or ()), bool(case.motions)
+    for _, name, load in _entries(case, "loads"):
+        courses |= getattr(load, "course", None) is not None
+        followed = getattr(load, "follows", None)
+        if followed is not None and followed not in motions:
+            text = f"there is no motion '{followed}'{did_you_mean(followed, motions)}"
+            yield Fault(("loads", name, "follows"), text)
+    for stage in (case.stages or ())[-1:] if courses else ():
+        if stage.takes_time:
+            key = ("stages", len(case.stages) - 1, "steady" if stage.steady else "duration")
+            text = "a cycle takes no time: in it temperature swings by 2 q sqrt(t/pi) / (e1 + e2)"
+            yield Fault(key, f"{text}, about half a kelvin, which is not solved; leave it out")
 
 
 def quantities(case: Any, study: Any) -> Iterable[Fault]:

@@ -1,4 +1,4 @@
-"""Library of materials and loads by name, each with its source: shipped and of the user."""
+"""Library of materials, courses and loads by name with their sources: shipped, of the user."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ ABOUT, SOURCE, ORIGIN = "about", "source", ("status", "source")
 KINDS = {
     "materials": "a region takes one by `material: NAME`",
     "finishes": "a cohesive interface takes one by `finish: NAME`",
+    "courses": "a motion or a load takes one by `course: NAME`",
     "loads": "the loads of a case are those of a name by `library: NAME` among them",
 }
 

@@ -38,6 +38,9 @@ NAMED = {
     "interfaces": ("finish", "finishes"),
     "loads": ("library", "loads"),
 }
+# Files that a case names relative to its own folder; a course without a suffix is of the library.
+FILES = "geometry.path geometry.stem.step geometry.bone.surface geometry.canal.surface".split()
+FILES += ["loads.*.course", "motions.*.rotation.course"]
 # Keys among the loads that change all forces there, and what they are.
 MEASURED = {"body_weight": WEIGHT, "sagittal_tilt": ANGLE}
 STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
@@ -63,13 +66,8 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
         if file.data.get("library") is not None:
             case.libraries.append(library.read(_named_file(file, "library")))
             case.digests |= case.libraries[-1].digests
-        geometry = file.data.get("geometry")
-        if file is not chain[0] and isinstance(geometry, dict):
-            # Paths of a mesh, a stem and surfaces are relative to the file of their case.
-            surfaces = [(geometry.get(name), "surface") for name in ("bone", "canal")]
-            for part, key in ((geometry, "path"), (geometry.get("stem"), "step"), *surfaces):
-                if isinstance(part, dict) and isinstance(name := part.get(key), str):
-                    part[key] = str((FilePath(file.name).parent / expanduser(name)).absolute())
+        for keys in FILES if file is not chain[0] else ():
+            _from(FilePath(file.name).parent, file.data, keys.split("."))
         below = None if file is chain[-1] else case.data
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
         case.data = _over(case, below, upper, ())
@@ -80,6 +78,16 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
     if case.data.pop("study", None) is not None:
         case.complaints.append(Fault(("study",), STUDY_APART))
     return case
+
+
+def _from(folder: FilePath, part: Any, keys: Sequence[str]) -> None:
+    """Complete the path of a file at keys below a mapping; ``*`` is every key."""
+    if isinstance(part, dict):
+        for key in list(part) if keys[0] == "*" else keys[:1]:
+            if keys[1:]:
+                _from(folder, part.get(key), keys[1:])
+            elif isinstance(name := part.get(key), str) and (key != "course" or "." in name):
+                part[key] = str((folder / expanduser(name)).absolute())
 
 
 def found(folder: FilePath, base: str) -> FilePath:
@@ -140,6 +148,9 @@ def _over(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
     match path:
         case ("loads", _, "force"):
             return _force(case, lower, upper, path)
+        case ("loads", _, "course") | ("motions", _, "rotation", "course"):
+            if isinstance(upper, str) and "." not in upper:
+                return _entry(case, "courses", upper, path, path) or lower
         case ("regions" | "interfaces", _) | ("loads",) if isinstance(upper, dict):
             lower, upper = _named_entry(case, lower, upper, path)
     if not isinstance(upper, dict):
@@ -236,7 +247,7 @@ def _named_entry(
     if not isinstance(name, str):
         return lower, upper
     rest = {k: v for k, v in upper.items() if k != key}
-    entry = _entry(case, kind, name, (*path, key))
+    entry = _entry(case, kind, name, (*path, key), path)
     if kind == "loads" and entry:
         case.measured = {"sagittal_tilt": 0.0}
         if "body_weight" in entry:
@@ -253,10 +264,10 @@ def _named_entry(
     return _material(known, entry, rest), rest
 
 
-def _entry(case: CaseFile, kind: str, name: str, path: Path) -> dict[str, Any]:
+def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dict[str, Any]:
     """Entry of the newest library that has it; empty, with a complaint, if none has.
 
-    ``path`` is that of its name in the case, which gets the places of the values.
+    ``path`` is that of its name in the case, ``below`` gets the places of the values.
 
     Raises:
         InputError: Too many values were taken.
@@ -268,7 +279,7 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path) -> dict[str, Any]:
         if (entry := file.data.get(kind, {}).get(name)) is not None:
             for p, place in file.places.items():
                 if p[:2] == (kind, name) and len(p) > 2:
-                    case.places[*path[:-1], *p[2:]] = place
+                    case.places[*below, *p[2:]] = place
             if len(case.places) > yaml_file.MOST_NODES:
                 raise InputError(f"{case.name}: {yaml_file.TOO_MANY}")
             found = {k: deepcopy(v) for k, v in entry.items() if k != library.ABOUT}

@@ -5,108 +5,24 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from pathlib import Path
+from functools import cached_property
 from typing import Annotated, Any, NoReturn
 
-from pydantic import (
-    ConfigDict,
-    PlainSerializer,
-    PlainValidator,
-    ValidationInfo,
-    WithJsonSchema,
-    model_validator,
-)
+from pydantic import ConfigDict, ValidationInfo, model_validator
 from pydantic_core import PydanticCustomError
 
 from app.laws.values import Source, Status
 from app.schema.paths import file
-from app.schema.section import Section, fail, not_one_of, show
+from app.schema.section import ITEMS, Section, Text, fail, show
 from app.schema.units import ANGLE, FORCE, Dimension
 
+CSV: Any = file(".csv", check=lambda path: path.read_text(encoding="utf-8-sig"))
 # Name and unit of a column: `rotation x [deg]`.
 HEADER = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*")
 ROTATIONS = tuple(f"rotation {axis}" for axis in "xyz")
 FORCES = tuple(f"force {axis}" for axis in "xyz")
-COLUMNS = {
-    "time": Dimension("s", "a time", "0.02 s"),
-    **dict.fromkeys(ROTATIONS, ANGLE),
-    **dict.fromkeys(("force", *FORCES), FORCE),
-}
-MOST_ROWS = 10_000
-KNOWN = "a CSV file, its lines in a list, or a name of the library (`mantle explain courses`)"
-
-
-class Columns(dict[str, tuple[float, ...]]):
-    """Values of the rows [s, rad, N] by the name of their column."""
-
-    def lines(self) -> list[str]:
-        """The lines of a CSV file that reads back to the same values."""
-        heads = (f"{name} [{COLUMNS[name].unit}]" for name in self)
-        rows = zip(*self.values(), strict=True)
-        return [", ".join(heads), *(", ".join(map(repr, row)) for row in rows)]
-
-
-def _read(value: object, info: ValidationInfo) -> Columns:
-    """The columns of a CSV file, or of its lines in a list."""
-    if isinstance(value, Columns):
-        return value
-    if isinstance(value, list | tuple) and value:
-        return _columns(list(enumerate(value)))
-    if not isinstance(value, str | Path):
-        fail(f"{show(value)} is not a course; expected {KNOWN}")
-    find: Any = file(".csv").func
-    path: Path = find(value, info)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, ValueError) as error:
-        fail(f"{path} cannot be read: {error}")
-    return _columns([(i, line) for i, line in enumerate(lines, 1) if line.strip()], f"{path}, ")
-
-
-def _columns(lines: list[tuple[int, object]], name: str = "") -> Columns:
-    """The columns of numbered lines, the first of which names them; of a file, or of a list."""
-
-    def wrong(i: int, text: str) -> NoReturn:
-        fail(f"{name}row {i}: {text}" if name else text, at=() if name else (i,))
-
-    def cells(line: object) -> list[object]:
-        return [*line] if isinstance(line, list | tuple) else [*str(line).split(",")]
-
-    if not 3 <= len(lines) <= MOST_ROWS + 1:
-        fail(f"{name}has {max(len(lines) - 1, 0)} rows; expected 2 to {MOST_ROWS} below the header")
-    top, units = lines[0][0], dict[str, str]()
-    for head in cells(lines[0][1]):
-        found = HEADER.fullmatch(str(head))
-        if not found or found[1] not in COLUMNS or found[1] in units:
-            of = found[1] if found else str(head).strip()
-            why = "stands there twice" if of in units else not_one_of(of, tuple(COLUMNS))
-            wrong(top, f"column {why}, each with its unit: rotation x [deg]")
-        units[found[1]] = found[2]
-    if "time" not in units or len(units) < 2:
-        wrong(top, "expected a column time [s], and at least one of rotation or force")
-    rows: list[list[float]] = []
-    for i, line in lines[1:]:
-        if len(row := cells(line)) != len(units):
-            wrong(i, f"has {len(row)} values; expected {len(units)}: {', '.join(units)}")
-        try:
-            new = [
-                COLUMNS[column].read(f"{str(cell).strip()} {unit}")
-                for (column, unit), cell in zip(units.items(), row, strict=True)
-            ]
-        except PydanticCustomError as error:
-            wrong(i, (error.context or {})["text"])
-        for k, column in enumerate(units if rows else ()):
-            before, here = rows[-1][k], new[k]
-            if column == "time" and here <= before:
-                wrong(i, f"the time {here:g} s is not above that of the row before, {before:g} s")
-            if column in ROTATIONS and abs(here - before) > math.pi * (1 + 1e-9):
-                turn = math.degrees(abs(here - before))
-                wrong(i, f"{column} changes by {turn:.4g} degrees in a row; expected at most 180")
-        rows.append(new)
-    return Columns(zip(units, zip(*rows, strict=True), strict=True))
-
-
-_SCHEMA = {"anyOf": [{"type": "string"}, {"type": "array"}], "x-value": KNOWN}
+COLUMNS = {"time": Dimension("s", "a time", "0.02 s")} | dict.fromkeys(ROTATIONS, ANGLE)
+COLUMNS |= dict.fromkeys(("force", *FORCES), FORCE)
 
 
 class Course(Section):
@@ -119,13 +35,9 @@ class Course(Section):
 
     model_config = ConfigDict(json_schema_extra={"type": ["object", "array", "string"]})
 
-    rows: Annotated[
-        Columns,
-        PlainValidator(_read),
-        PlainSerializer(Columns.lines, return_type=list[str]),
-        WithJsonSchema(_SCHEMA),
-    ]
-    """The table; alone it stands for the section."""
+    rows: Annotated[tuple[Text, ...], ITEMS]
+    """Lines of the table, the first with its columns. Alone they stand for the section, as do the
+    name of a file and one of the library (`mantle explain courses`)."""
     status: Status = None
     """How sure its values are; unverified are those of a source that was not read."""
     source: Source = None
@@ -133,29 +45,76 @@ class Course(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _of_rows(cls, value: object, info: ValidationInfo) -> object:
-        return value if isinstance(value, dict | Course) else {"rows": _read(value, info)}
+    def _of_rows(cls, value: Any, info: ValidationInfo) -> object:
+        if isinstance(value, Course):
+            return value
+        section, name = value if isinstance(value, dict) else {"rows": value}, ""
+        if isinstance(rows := section.get("rows", ()), str):
+            path = CSV.func(rows, info)
+            rows, name = path.read_text(encoding="utf-8-sig").splitlines(), f"{path}: "
+        if not isinstance(rows, list | tuple):
+            fail(f"{show(rows)} is not a course; expected a CSV file or its lines in a list")
+        lines = [", ".join(map(str, r)) if isinstance(r, list) else str(r) for r in rows]
+        _columns(lines, name)
+        return section | {"rows": [line for line in lines if line.strip()]}
+
+    @cached_property
+    def columns(self) -> dict[str, tuple[float, ...]]:
+        """Values of the rows [s, rad, N] by the name of their column."""
+        return _columns(self.rows)
+
+    @property
+    def told(self) -> str:
+        """In words, for `mantle check`."""
+        return f"{len(self.rows) - 1} rows of {', '.join(self.columns)}"
 
     @property
     def times(self) -> tuple[float, ...]:
         """Times of the rows, growing [s]."""
-        return self.rows["time"]
-
-    def has(self, *columns: str) -> bool:
-        """Whether it has any of some columns."""
-        return any(name in self.rows for name in columns)
-
-    def column(self, name: str) -> tuple[float, ...]:
-        """Values of the rows [rad, N]; zeros of a column that it lacks."""
-        return self.rows.get(name) or (0.0,) * len(self.times)
+        return self.columns["time"]
 
     def at(self, names: Sequence[str], s: float) -> list[float]:
-        """Values of columns at a part of a cycle from 0 to 1 [rad, N]."""
-        return [value_at(self.times, self.column(name), s) for name in names]
+        """Values of columns at a part of a cycle from 0 to 1 [rad, N]; 0 of one that it lacks."""
+        import numpy as np
+
+        time = self.times[0] + s * (self.times[-1] - self.times[0])
+        found = (self.columns.get(name) for name in names)
+        return [float(np.interp(time, self.times, values)) if values else 0.0 for values in found]
 
 
-def value_at(times: Sequence[float], values: Sequence[float], s: float) -> float:
-    """Value at a part of a cycle from 0 to 1, the first row at 0 and the last at 1."""
-    import numpy as np
+def _columns(rows: Sequence[str], name: str = "") -> dict[str, tuple[float, ...]]:
+    """The columns of the lines of a list, or of a file, which stands before messages."""
 
-    return float(np.interp(times[0] + s * (times[-1] - times[0]), times, values))
+    def wrong(i: int, text: str) -> NoReturn:
+        fail(f"{name}line {i + 1}: {text}" if name else text, () if name else (i,))
+
+    lines = [(i, row.split(",")) for i, row in enumerate(rows) if row.strip()]
+    if len(lines) < 3:
+        fail(f"{name}has too few rows; expected at least 2 below a header")
+    top, heads = lines[0]
+    named = [m for m in map(HEADER.fullmatch, heads) if m and m[1] in COLUMNS]
+    units = {m[1]: m[2] for m in named}
+    if len(units) < len(heads) or "time" not in units:
+        good = {m[0] for m in named}
+        text = ", ".join(f"'{h.strip()}' is no column" for h in heads if h not in good)
+        known = (f"{k} [{'deg' if k in ROTATIONS else d.unit}]" for k, d in COLUMNS.items())
+        wrong(top, f"{text or 'has no time, or a column twice'}; expected {', '.join(known)}")
+    table: list[dict[str, float]] = []
+    for i, row in lines[1:]:
+        if len(row) != len(units):
+            wrong(i, f"has {len(row)} values; expected {len(units)}: {', '.join(units)}")
+        try:
+            here = {
+                column: COLUMNS[column].read(f"{cell.strip()} {unit}")
+                for (column, unit), cell in zip(units.items(), row, strict=True)
+            }
+        except PydanticCustomError as error:
+            wrong(i, (error.context or {})["text"])
+        for column, before in table[-1].items() if table else ():
+            turn = math.degrees(abs(here[column] - before))
+            if column == "time" and here[column] <= before:
+                wrong(i, f"its time is not above {before:g} s, that of the row before")
+            if column in ROTATIONS and turn > 180 * (1 + 1e-9):
+                wrong(i, f"{column} turns by {turn:.4g} degrees in a row; expected at most 180")
+        table.append(here)
+    return {column: tuple(row[column] for row in table) for column in units}

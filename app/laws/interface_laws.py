@@ -29,7 +29,7 @@ from app.laws.values import (
 )
 from app.schema.expressions import Varying
 from app.schema.section import Extensible, Kinds, Name, Pair, Section, Text, fail
-from app.schema.units import Dimension, MixingExponent, NonNegativeNumber, PositiveStiffness
+from app.schema.units import MixingExponent, NonNegativeNumber, PositiveStiffness, WearCoefficient
 
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 # Keys of contact that slides far, and why others have none.
 FINITE = ("between", "wear_coefficient")
-SMALL = "slip stays below a facet; `sliding: finite` is of kind: contact without compliance"
+SMALL = "stays below a facet; expected kind: contact without compliance, which slides far"
 # Default ratio of the augmentation to the stiffness against a jump.
 USUAL_AUGMENTATION = 0.2
 
@@ -112,7 +112,7 @@ class InterfaceLaw(Extensible):
     def _small(cls, value: Any) -> Any:
         for key in ("sliding", *FINITE) if isinstance(value, dict) else ():
             if key in value and key not in cls.model_fields:
-                fail(f"of kind {value.get('kind')} {SMALL}", at=(key,))
+                fail(f"slip of kind: {value.get('kind')} {SMALL}", at=(key,))
         return value
 
     @property
@@ -275,27 +275,21 @@ class Coulomb(Unilateral):
     between: Annotated[tuple[Name, Name], Pair("[head_surface, liner_inner]")] | None = None
     """Boundaries that slide on each other, of the first and the second side, where `sliding` is
     finite; by default those that the geometry knows."""
-    wear_coefficient: (
-        Annotated[
-            float,
-            Dimension("mm^2/N", "a wear coefficient", "1.07e-6 mm^3/(N m)", above=0.0),
-        ]
-        | None
-    ) = None
+    wear_coefficient: WearCoefficient | None = None
     """Worn volume per force and slid distance (Archard), where `sliding` is finite."""
     augmentation: PositiveStiffness | None = None
     """Augmentation parameter r, chosen by default; results do not depend on it."""
 
     @model_validator(mode="after")
     def _slides(self) -> Coulomb:
-        if self.sliding == "small":
-            for key in FINITE:
-                if getattr(self, key) is not None:
-                    fail("belongs to `sliding: finite`", at=(key,))
-        elif self.compliance is not None:
-            fail(f"{SMALL}; leave it out", at=("compliance",))
-        elif self.wear_coefficient is not None and self.friction_coefficient == 0.0:
+        finite, rubs = self.sliding == "finite", self.friction_coefficient > 0.0
+        for key in FINITE:
+            if getattr(self, key) is not None and not finite:
+                fail("needs `sliding: finite` beside it", at=(key,))
+        if self.wear_coefficient is not None and not rubs:
             fail("there is no friction to wear it", at=("wear_coefficient",))
+        if self.compliance is not None and finite:
+            fail(f"its slip {SMALL}", at=("compliance",))
         return self
 
     @property

@@ -124,31 +124,26 @@ class Force(Load):
 
     @model_validator(mode="after")
     def _one_course(self) -> Force:
-        if (course := self.course) is None:
+        if self.course is None:
             return self
-        size = math.hypot(*self.force)
+        one, three = ("force" in self.course.columns), self.course.columns.keys() & {*FORCES}
         if self.history is not None:
             fail("the force has a course; leave one out", at=("history",))
-        if course.has("force") == course.has(*FORCES):
+        if one == bool(three):
             known = f"expected force, or some of {', '.join(FORCES)}"
-            fail(f"has {', '.join(course.rows)}; {known}", at=("course",))
-        if course.has("force") and abs(size - 1.0) > 1e-3:
-            text = f"is {size:g} N long; expected the direction, 1 N long: sizes are in the course"
-            fail(text, at=("force",))
-        if size and not course.has("force"):
-            fail("the course has the components; leave it out", at=("force",))
+            fail(f"has {', '.join(self.course.columns)}; {known}", at=("course",))
+        if abs((size := math.hypot(*self.force)) - one) > 1e-3:
+            wanted = "the direction, 1 N long" if one else "none: the course has the components"
+            fail(f"is {size:g} N long; expected {wanted}", at=("force",))
         return self
 
     def force_at(self, s: float) -> tuple[float, float, float]:
         """Force at a part of a cycle from 0 to 1 (3,) [N]; `force` without a course."""
         if self.course is None:
             return self.force
-        if not self.course.has("force"):
-            x, y, z = self.course.at(FORCES, s)
-            return x, y, z
-        (size,) = self.course.at(("force",), s)
-        x, y, z = self.force
-        return size * x, size * y, size * z
+        size, *parts = self.course.at(("force", *FORCES), s)
+        x, y, z = (size * f + part for f, part in zip(self.force, parts, strict=True))
+        return x, y, z
 
     @property
     def resultant(self) -> tuple[float, float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import model_validator
 
@@ -11,7 +11,7 @@ from app.laws.courses import ROTATIONS, Course
 from app.laws.loads import Point
 from app.laws.values import Named
 from app.schema.section import Name, Section, fail
-from app.schema.units import Dimension
+from app.schema.units import PositiveAngle
 
 if TYPE_CHECKING:
     from app.arrays import Floats
@@ -31,9 +31,9 @@ class Rotation(Section):
 
     @model_validator(mode="after")
     def _turns(self) -> Rotation:
-        if not self.course.has(*ROTATIONS):
-            known = ", ".join(self.course.rows)
-            fail(f"has no column of {', '.join(ROTATIONS)}; it has {known}", at=("course",))
+        if not (columns := self.course.columns).keys() & {*ROTATIONS}:
+            text = f"has {', '.join(columns)}; expected some of {', '.join(ROTATIONS)}"
+            fail(text, at=("course",))
         return self
 
 
@@ -48,16 +48,8 @@ class Motion(Named):
     """Given angles."""
     translation: Literal["free", "held"] = "free"
     """Whether the point moves as loads and contact want, or stays."""
-    largest_step: Annotated[float, Dimension("rad", "an angle", "5 deg", above=0.0)] = math.radians(
-        5.0
-    )
+    largest_step: PositiveAngle = math.radians(5.0)
     """Largest turn in a load step; longer ones are divided."""
-
-    def angles_at(self, s: float) -> Floats:
-        """Angles a_x, a_y, a_z at a part of a cycle from 0 to 1 (3,) [rad], linear between rows."""
-        import numpy as np
-
-        return np.array(self.rotation.course.at(ROTATIONS, s))
 
     def rotation_at(self, s: float, part: float = 1.0) -> Floats:
         """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3).
@@ -65,14 +57,9 @@ class Motion(Named):
         Of `yxz` it is R_y(a_y) R_x(a_x) R_z(a_z).
         ``x = about + R (X - about)``; the first letter is the outermost, its axis fixed in space.
         """
-        import numpy as np
+        from scipy.spatial.transform import Rotation as Turn
 
-        R = np.eye(3)
-        for axis in self.rotation.axes:
-            k, angle = "xyz".index(axis), part * self.angles_at(s)["xyz".index(axis)]
-            i, j = (k + 1) % 3, (k + 2) % 3
-            turn = np.eye(3)
-            turn[[i, j], [i, j]] = math.cos(angle)
-            turn[j, i], turn[i, j] = math.sin(angle), -math.sin(angle)
-            R = R @ turn
-        return R
+        columns = [f"rotation {axis}" for axis in self.rotation.axes]
+        angles = [part * angle for angle in self.rotation.course.at(columns, s)]
+        # Capitals are axes that turn with it.
+        return Turn.from_euler(self.rotation.axes.upper(), angles).as_matrix()

@@ -25,7 +25,7 @@ from app.errors import MantleError
 from app.report import sentence
 from app.report.page import Figure
 from app.report.sweep_figures import headlines
-from app.report.sweep_results import QUANTITIES, WORDS, SweepResults, SweptCase, named
+from app.report.sweep_results import WORDS, SweepResults, SweptCase, named
 from app.report.viewer import INTERFACE, lengths, outsides
 from app.results.reading import FACES, Run
 from meshes.picture import VIEWS, surface
@@ -34,6 +34,7 @@ Chosen = list[tuple[str, SweptCase]]
 
 TEMPERATURE = "highest temperature (°C)"
 SHOWN = {"gap": "YlGnBu", "slip": "YlGnBu", "motion": "YlGnBu", "pressure": "YlOrRd"}
+SHOWN |= {"slid": "YlGnBu", "wear": "YlOrRd"}
 PEAK = "temperature_peak"
 SIDES = "interfaces"  # name of the picture from three sides
 ON_SIDES = {"slip": "viridis", "gap": "viridis", "pressure": "cividis"}
@@ -56,6 +57,7 @@ class Sheet:
     corners: Floats  # of its triangles (m, 3, 2): degrees and mm, or mm
     nodes: Ints  # the run's, at these corners (m, 3)
     round: bool  # whether it was unrolled; else it is flat
+    cup: bool = False  # or was spread out
 
 
 Column = tuple[str, Run, Sheet]
@@ -89,10 +91,10 @@ def maps(chosen: Chosen, folder: Path) -> tuple[list[Figure], list[str]]:
             (title, run, own)
             for title, run, g in opened
             if name in g.interface_sides
-            and (own := sheet(run, g.kind, g.interface_sides[name], g.region_names))
+            and (own := sheet(run, g.kind, g.interface_sides[name], g.region_names, name))
         ]
         if not columns:
-            missing.append(f"no map of {name}: it neither surrounds a stem nor is flat")
+            missing.append(f"no map of {name}: it does not surround a stem, and is no plane or cup")
             continue
         file = f"map_{name}.png"
         if labels := draw(folder / file, columns, _rows(name, columns)):
@@ -103,12 +105,12 @@ def maps(chosen: Chosen, folder: Path) -> tuple[list[Figure], list[str]]:
 def _rows(name: str, columns: Sequence[Column]) -> list[Row]:
     rows: list[Row] = []
     for quantity, colours in SHOWN.items():
-        unit, factor = QUANTITIES[quantity]
+        (label, unit, factor), field = INTERFACE[quantity], f"{name}_{quantity}"
         values = [
-            factor * lengths(run, f"{name}_{quantity}") if name in run.contacts else None
+            factor * lengths(run, field) if field in run.point_fields else None
             for _, run, _ in columns
         ]
-        rows.append((f"{WORDS[quantity]} ({unit})", colours, values))
+        rows.append((f"{WORDS.get(quantity, label)} ({unit})", colours, values))
     peaks = [run.on_points(PEAK) if PEAK in run.point_fields else None for _, run, _ in columns]
     return [*rows, (TEMPERATURE, "inferno", peaks)]
 
@@ -122,6 +124,8 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
             "Unrolled about the stem's axis, cut open posteriorly; end faces are left out, grey is "
             "beyond the resection."
         )
+    elif any(s.cup for _, _, s in columns):
+        caption += "Spread out from the cup's pole: distances from there are arcs."
     if TEMPERATURE in labels:
         caption += " Temperature: the highest at each place of the second body, at any time."
     place = f"{named(name)} interface"
@@ -168,10 +172,19 @@ def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     return corners, np.concatenate([triangles, triangles[low], triangles[high]])
 
 
-def sheet(run: Run, kind: str, sides: Sides, regions: Sequence[str]) -> Sheet | None:
-    """An interface of a run in the plane; None if it neither surrounds a stem nor is flat."""
+def sheet(
+    run: Run, kind: str, sides: Sides, regions: Sequence[str], name: str = ""
+) -> Sheet | None:
+    """An interface of a run in the plane; None if it does not surround a stem, and is no plane.
+
+    Of sides meshed apart that which has the contact points, which may be a part of a sphere too.
+    """
     first, second = ([1 + regions.index(r) for r in side] for side in sides)
     triangles = facets(run, second, first)
+    if not len(triangles) and (apart := name and _side(run, name, outsides(run, curved=False))):
+        triangles = apart[1]
+        if (cup := spread(run.points[triangles])) is not None:
+            return Sheet(cup, triangles, False, True)
     if not len(triangles):
         return None
     if kind in ("femur", "patient", "cylinders"):
@@ -185,6 +198,27 @@ def sheet(run: Run, kind: str, sides: Sides, regions: Sequence[str]) -> Sheet | 
     others = np.delete(np.eye(3), np.abs(axes[2]).argmax(), axis=0)
     plane, signs = np.linalg.qr(np.vstack([axes[2], others]).T)
     return Sheet(x @ (plane * np.sign(np.diag(signs)))[:, 1:], triangles, False)
+
+
+def spread(x: Floats) -> Floats | None:
+    """Corners (m, 3, 3) [mm] of a cup in the plane (m, 3, 2) [mm]; None if it is no sphere.
+
+    Its pole is in the middle, distances from there are arcs.
+    """
+    flat = x.reshape(-1, 3)
+    linear = np.column_stack([2 * flat, np.ones(len(flat))])
+    centre = np.linalg.lstsq(linear, (flat**2).sum(axis=1))[0][:3]
+    way = x - centre
+    size = np.linalg.norm(way, axis=2, keepdims=True)
+    if np.ptp(size) > FLAT * size.max():
+        return None
+    pole = way.mean(axis=(0, 1)) / np.linalg.norm(way.mean(axis=(0, 1)))
+    others = np.delete(np.eye(3), np.abs(pole).argmax(), axis=0)
+    plane, signs = np.linalg.qr(np.vstack([pole, others]).T)
+    place = way / size @ (plane * np.sign(np.diag(signs)))
+    across = np.linalg.norm(place[..., 1:], axis=2, keepdims=True)
+    angle = np.arctan2(across, place[..., :1])
+    return np.asarray(size * angle * place[..., 1:] / np.maximum(across, 1e-12))
 
 
 def draw(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
@@ -252,7 +286,10 @@ def sides(run: Run, folder: Path) -> list[Figure]:
     from matplotlib.colors import Normalize
 
     bodies = outsides(run, curved=True)
-    found = {name: _side(run, name, bodies) for name in sorted(run.contacts, reverse=True)}
+    slip = [
+        name for name in sorted(run.contacts, reverse=True) if f"{name}_slip" in run.point_fields
+    ]
+    found = {name: _side(run, name, bodies) for name in slip}
     shown = {name: side for name, side in found.items() if side is not None}
     if not shown:
         return []

@@ -45,7 +45,13 @@ TITLES = {
     "femur": "Motion of the head, strain of the cortex",
 }
 # Quantities that the closing table of a run has no room for.
-MORE = {"interfaces": ("area_gap_over_30um", "area_slip_over_30um", "area_motion_over_30um")}
+MORE = {
+    "interfaces": (
+        *("area_gap_over_30um", "area_slip_over_30um", "area_motion_over_30um"),
+        *("torque_max", "eccentricity", "dissipation_cycle", "slid_max", "friction_power"),
+        *("wear_volume_million", "wear_depth_p99_million", "wear_depth_p99_master_million"),
+    )
+}
 # What a run that was killed has not written.
 UNFINISHED = {"status": "not finished", "time": 0.0, "timing": {"total": 0.0}, "interfaces": {}}
 NO_NUMBERS = "There are no numbers: no step has converged, or the run did not come to its end."

@@ -54,6 +54,8 @@ def _load(case: SweptCase) -> str:
     forces: dict[str, list[float]] = {}
     every = case.data.get("loads", {})
     for name, load in every.items():
+        if load.get("course"):
+            continue  # it has no one size
         parts = [x for v in load.get("force") or () if (x := magnitude(v)) is not None]
         last = (load.get("history") or [1.0])[-1]
         if len(parts) == 3 and isinstance(last, int | float):
@@ -80,6 +82,8 @@ def _with_error(section: str, key: str, numbers: Numbers) -> str:
 def _contacts(summary: Numbers) -> Iterator[str]:
     """Sliding and opening of the interfaces."""
     for name, q in summary["interfaces"].items():
+        if "dissipation_cycle" in q:
+            yield from _friction(name.replace("_", " "), q)
         if "slip_p99" not in q:
             continue
         one = f"one side of {name.replace('_', ' ')}"
@@ -99,6 +103,19 @@ def _contacts(summary: Numbers) -> Iterator[str]:
             left = f"99 % is less than {gap} away from it"
         on = "in" if second == "its cement" else "on"
         yield f"99 % of {surface} {slides} {on} {second}, and {left}"
+
+
+def _friction(name: str, q: Numbers) -> Iterator[str]:
+    """Friction and wear of an interface whose sides slide far."""
+    spent = _with_error("interfaces", "dissipation_cycle", q)
+    torque = _with_error("interfaces", "torque_max", q) if "torque_max" in q else ""
+    resists = f"resists the motion with up to {torque} and " if torque else ""
+    yield f"friction on {name} {resists}dissipates {spent} in a cycle"
+    if "wear_volume" in q:
+        worn, deep = (
+            _with_error("interfaces", f"wear_{key}_million", q) for key in ("volume", "depth_p99")
+        )
+        yield f"a million cycles wear {worn} off, {deep} deep (p99)"
 
 
 def _heat(summary: Numbers) -> Iterator[str]:

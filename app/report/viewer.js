@@ -23,8 +23,9 @@
     return;
   }
   const first = views[0].head, size = first.size, last = first.stages[first.stages.length - 1];
+  const turns = first.turned.length > 0;
   const labels = new Map(views.flatMap(v => v.head.fields.map(f => [f.name, f.label]))), fields = [...labels.keys()];
-  const state = { field: fields[0], stage: last, scale: 0, axis: -1, cut: 0.5, hidden: new Set() };
+  const state = { field: fields[0], stage: last, scale: +turns, axis: -1, cut: 0.5, hidden: new Set() };
   const bounds = views.reduce((b, v) => b.union(v.bounds), new THREE.Box3());
   const radius = bounds.getSize(new THREE.Vector3()).length() / 2;
   let seen = radius; // radius of what is visible
@@ -47,9 +48,10 @@
     const text = make("span", label, {});
     own.oninput = () => { text.textContent = " " + change(own.value / 100); views.forEach(v => v.draw()); };
   };
-  slider("deformation", 0, part => {
-    // At the end of the slider the largest displacement is a fifth of the model.
-    state.scale = part ? Math.round(part * 0.2 * size / (views[0].moves.most || 1)) : 0;
+  slider("deformation", turns ? 100 : 0, part => {
+    // At the end of the slider the largest displacement is a fifth of the model; a body that turns
+    // is where it is.
+    state.scale = turns ? part : part ? Math.round(part * 0.2 * size / (views[0].moves.most || 1)) : 0;
     views.forEach(v => v.deform());
     return "× " + state.scale;
   });
@@ -57,8 +59,9 @@
   slider("", 50, part => { state.cut = part; clip(); return ""; });
   const bodyBar = make("div", controls, { className: "bar" });
   const names = [...new Set(views.flatMap(v => v.meshes.map(m => m.name)))];
-  // A stem is looked at without what is around it.
-  if (names.includes("stem")) names.filter(n => n !== "stem").forEach(n => state.hidden.add(n));
+  // A stem, or what turns, is looked at without what is around it.
+  const alone = names.includes("stem") ? ["stem"] : first.turned;
+  if (alone.length) names.filter(n => !alone.includes(n)).forEach(n => state.hidden.add(n));
   const checks = names.map(name => {
     const label = make("label", bodyBar, {});
     const own = make("input", label, { type: "checkbox", checked: !state.hidden.has(name) });

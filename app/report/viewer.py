@@ -26,8 +26,11 @@ THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")
 LEVELS = 65534  # values are 0 to this, and one more stands for none
 MOST = 3_000_000  # bytes of values before they are compressed: about half of a page of 2 MB
+MOMENTS = 12  # of a cycle, where a body turns
 # Label, unit, and factor on the value in the file; of vectors the length is shown.
 INTERFACE = {
+    "wear": ("wear in a million cycles", "mm", 1e6),
+    "slid": ("slid in a cycle", "mm", 1.0),
     **{key: (key, *QUANTITIES[key]) for key in ("slip", "gap", "motion", "pressure", "shear")},
     "status": ("open 0, stick 1, slip 2", "", 1.0),
 }
@@ -92,9 +95,10 @@ def packed(
     only corners and the last stages are drawn, and cuts stay open. Fields of ``minus``, a run on
     the same mesh, are subtracted at the end of the stage of the same name, or of the last.
     """
-    ends, kinds = run.written_stages, _kinds(run)
+    at, kinds = _moments(run), _kinds(run)
+    ends, others = [*at], {} if minus is None else _moments(minus)
     if minus is not None:
-        ends = [s for s in ends if s == ends[-1] or s in minus.written_stages]
+        ends = [s for s in ends if s == ends[-1] or s in others]
         kinds = [kind for kind in kinds if kind[0] in minus.point_fields]
     # Three for the places, three for the displacement that deforms.
     fine, inside, nodes = _drawn(run, 2 * (3 + len(ends) * (3 + len(kinds))), most_bytes)
@@ -123,24 +127,38 @@ def packed(
         ],
         "stages": ends,
         "signed": minus is not None,
+        "turned": [motion["region"] for motion in run.case.get("motions", {}).values()],
         "moves": [],
         "fields": [],
     }
     for stage in ends:
-        u = run.displacement(stage)[nodes] if "displacement" in run.point_fields else 0 * x
+        u = run.displacement(at[stage])[nodes] if "displacement" in run.point_fields else 0 * x
         most = float(np.abs(u).max()) or 1.0
         head["moves"].append({"at": add(_levels((u / most + 1) / 2)), "most": most})
     for name, where, label, unit, factor in kinds:
         on = run.at_interface(where, "status", -1)[nodes] >= 0 if where else True
         steps = []
         for stage in ends:
-            other = -1 if stage == ends[-1] else stage
+            other = -1 if stage == ends[-1] else others.get(stage, -1)
             less = 0.0 if minus is None else lengths(minus, name, other)
-            v = factor * (lengths(run, name, stage) - less)[nodes]
-            parts, least, most = _scaled(v, np.isfinite(v) & on)
+            v = factor * (lengths(run, name, at[stage]) - less)[nodes]
+            parts, least, most = _scaled(v, np.isfinite(v) & (on | (v > 0)))
             steps.append({"at": add(parts), "min": least, "max": most})
         head["fields"].append({"name": name, "label": label, "unit": unit, "steps": steps})
     return head, bytes(numbers)
+
+
+def _moments(run: Run) -> dict[str, int | str]:
+    """Written steps to show, by name: the ends of stages; where a body turns its last cycle."""
+    found: dict[str, int | str] = {name: name for name in run.written_stages}
+    if not run.case.get("motions") or not found:
+        return found
+    cycles, (*_, name) = run.case["stages"][-1].get("cycles", 1), found
+    part = cycles * (run.times - run.times[-1]) + 1
+    within = np.flatnonzero((part > 1e-9) & (part < 1 - 1e-9))
+    for k in within[:: 1 + len(within) // MOMENTS]:
+        found[f"{name}, {100 * part[k]:.0f} % of a cycle"] = int(k)
+    return found | {name: found.pop(name)}
 
 
 def _drawn(run: Run, of_node: int, most: int) -> tuple[dict[str, Ints], dict[str, Ints], Ints]:

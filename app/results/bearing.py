@@ -48,10 +48,7 @@ class Bearing:
         numbers: Numbers of the last step.
     """
 
-    saved = (
-        *("numbers", "_time", "_way", "_energies", "_track", "_tracks"),
-        *("_last", "_begin", "_cycle", "_there", "_cycle_there"),
-    )
+    saved = ("numbers", "_time", "_way", "_track", "_tracks", "_here", "_there")
 
     def __init__(self, problem: Problem, case: Case, i: int) -> None:
         contact, c = problem.contact, problem.scene.contacts[i]
@@ -78,42 +75,36 @@ class Bearing:
         self._effusivity = _effusivity(case, (c.master, c.slave))
         self.numbers: dict[str, Any] = {}
         self._time = self._way = 0.0
-        # Energy of each cycle of the stage; torque and place through this one, and the last two.
-        self._energies: list[float] = []
+        self._centre = np.array(self._motion.about if self._motion else np.zeros(3))
+        # Part, torque, place and energy of each step of this cycle, and of the last two.
         self._track: list[list[float]] = []
         self._tracks: list[list[list[float]]] = []
-        self._centre = np.array(self._motion.about if self._motion else np.zeros(3))
-        # Energy [N mm] and slid distance times area [mm3] at points, after the last step, before
-        # the cycle, and of the last one; at the master's nodes of this cycle, and of the last one.
-        here: Floats = np.zeros((len(self._rows), 2))
-        there: Floats = np.zeros((len(self.dof), 2))
-        self._last, self._begin, self._cycle = here, here, here
-        self._there, self._cycle_there = there, there
+        # Energy [N mm] and slid distance times area [mm3]: at points after the last step, before
+        # the cycle, and of the last cycle; at the master's nodes of this cycle, and of the last.
+        self._here = np.zeros((len(self._rows), 3, 2))
+        self._there = np.zeros((len(self.dof), 2, 2))
 
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of contact points and of the master's nodes, which every rank has."""
-        points, nodes = np.arange(len(self._rows)), np.arange(len(self.dof))
-        keys = dict.fromkeys(("_last", "_begin", "_cycle"), points)
-        return keys | dict.fromkeys(("_there", "_cycle_there"), nodes)
+        return {"_here": np.arange(len(self._here)), "_there": np.arange(len(self._there))}
 
     def update(self, s: ContactSamples, stage: Stage, time: float, whole: bool) -> None:
         """Take in a step at its end, which may end an increment of its stage; collective."""
         scene, rows, motion = self._problem.scene, self._rows, self._motion
         if math.ceil(time) > math.ceil(self._time):
-            self._way, self._energies, self._track, self._tracks = 0.0, [], [], []
+            self._way, self._track, self._tracks = 0.0, [], []
         before, middle, now = (
             scene.rotation(motion, t) for t in (self._time, (self._time + time) / 2, time)
         )
-        turn = rotation_vector(now @ before.T)
-        arm = s.arm[rows]
+        arm, turn = s.arm[rows], rotation_vector(now @ before.T)
         torque = np.cross(arm, s.weight[rows, None] * s.friction[rows]).sum(axis=0)
-        centre = self._translation()
+        centre, peak = self._translation(), rows[int(np.argmax(s.pressure[rows]))]
         spent = np.column_stack([s.dissipation[rows], s.weight[rows] * s.path[rows]])
-        dose, place = (spent - self._last) / self._slave.areas[:, None], arm @ middle + self._centre
-        self._there = self._there + self.surface.deposit(*self._slave.sampled(dose, 12, place))
-        self._last, self._time = spent, time
-        peak = rows[int(np.argmax(s.pressure[rows]))]
+        dose = (spent - self._here[:, 0]) / self._slave.areas[:, None]
+        places = self._slave.sampled(dose, 12, arm @ middle + self._centre)
+        self._there[:, 0] += self.surface.deposit(*places)
+        self._here[:, 0], self._time = spent, time
         self.numbers = {
             "centre": centre.tolist(),
             "eccentricity": float(np.linalg.norm(centre)),
@@ -121,20 +112,19 @@ class Bearing:
             "pressure_max_at": s.x[peak].tolist(),
         }
         if motion:
-            angle = float(np.linalg.norm(turn))
+            along = turn / (np.linalg.norm(turn) or 1.0)
             self.numbers |= {
                 "torque": torque.tolist(),
                 "torque_size": float(np.linalg.norm(torque)),
-                "torque_along": float(torque @ turn / angle) if angle else 0.0,
+                "torque_along": float(torque @ along),
             }
-        way = stage.ways * (time - math.ceil(time) + 1)
-        self._track.append(np.concatenate([[way - self._way], torque, centre]).tolist())
-        turn_of_loads = stage.turn(time) if whole else 0
-        if turn_of_loads and (turn_of_loads % 2 or stage.ways == stage.cycles):
-            self._cycle, self._begin = spent - self._begin, spent
-            self._cycle_there, self._there = self._there, 0.0 * self._there
+        way, energy = stage.ways * (time - math.ceil(time) + 1), self._there[:, 0, 0].sum()
+        self._track.append([float(v) for v in (way - self._way, *torque, *centre, energy)])
+        turns = stage.turn(time) if whole else 0
+        if turns and (turns % 2 or stage.ways == stage.cycles):
+            self._here[:, 2], self._here[:, 1] = spent - self._here[:, 1], spent
+            self._there[:, 1], self._there[:, 0] = self._there[:, 0], 0.0
             self._tracks, self._track, self._way = [*self._tracks[-1:], self._track], [], way
-            self._energies.append(float(self._cycle[:, 0].sum()))
 
     def _translation(self) -> Floats:
         """Displacement of the master: the mean over its surface (3,) [mm]; collective."""
@@ -153,10 +143,9 @@ class Bearing:
 
         Of the last whole cycle of the stage; of the first so far.
         """
-        whole = bool(self._energies)
-        here = self._cycle if whole else self._last - self._begin
-        there = self._cycle_there if whole else self._there
-        return here / self._weight[:, None], there / self.surface.areas[:, None]
+        k = int(bool(self._tracks))
+        here = self._here[:, 2] if k else self._here[:, 0] - self._here[:, 1]
+        return here / self._weight[:, None], self._there[:, k] / self.surface.areas[:, None]
 
     def fields(self) -> dict[str, tuple[Floats, Floats]]:
         """Slid distance and depth of wear of a cycle at points (n,) and the master's nodes (m,).
@@ -210,11 +199,11 @@ class Bearing:
         then = np.column_stack([np.interp(now[:, 0], before[:, 0], v) for v in before.T])
         torque, off, largest = (
             float(np.linalg.norm(v, axis=1).max())
-            for v in ((now - then)[:, 1:4], (now - then)[:, 4:], now[:, 1:4])
+            for v in ((now - then)[:, 1:4], (now - then)[:, 4:7], now[:, 1:4])
         )
-        first, last = self._energies[-2:]
-        spent = abs(last - first) / (last or 1.0)
-        return {"torque": torque / (largest or 1.0), "centre": off, "dissipation": spent}
+        last, first = float(now[-1, 7]) or 1.0, float(before[-1, 7])
+        found = {"torque": torque / (largest or 1.0)} if self._motion else {}
+        return found | {"centre": off, "dissipation": abs(last - first) / last}
 
 
 def _surface(problem: Problem, boundary: str) -> tuple[SmoothSurface, Ints]:

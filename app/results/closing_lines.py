@@ -331,10 +331,10 @@ FAILING = "failure_load_factor"
 SENTENCES = {
     "bonds": "{name}, bonded: {strength_fraction} of its area above its strength; "
     "normal {normal_mean} (mean), shear {shear_mean}",
-    "bearing": "{name}: torque {torque_max} at most, {dissipation_cycle} dissipated and "
-    "{slid_max} slid in a cycle",
-    "wear": "{name}: {wear_volume_million} worn in a million cycles, {wear_depth_max_million} at "
-    "the deepest, {wear_depth_p99_million} (p99)",
+    "torque_max": "{name}: friction torque {torque_max} at most in a cycle",
+    "dissipation_cycle": "{name}: {dissipation_cycle} dissipated and {slid_max} slid in a cycle",
+    "wear_volume": "{name}: {wear_volume_million} worn in a million cycles, "
+    "{wear_depth_max_million} at the deepest, {wear_depth_p99_million} (p99)",
     "strength": "{name}: a hundredth of its area fails at {failure_load_factor} of this load; "
     "failure index {failure_index_p99} (p99), {failure_index_max} (max)",
     "cure": "{name} has set to {degree_min} .. {degree_max}{reached}; fastest rate {rate_max}",
@@ -350,9 +350,9 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
         rows[section][name] = numbers
     for section in ("interfaces", "regions"):
         yield from _table(section, rows[section])
-    for text, key in (("bearing", "torque_max"), ("wear", "wear_volume")):
+    for key in ("torque_max", "dissipation_cycle", "wear_volume"):
         own = (row for row in rows["interfaces"].items() if key in row[1])
-        yield from (_sentence("interfaces", *row, text=text) for row in own)
+        yield from (_sentence("interfaces", *row, text=key) for row in own)
     yield from (_sentence("bonds", *row) for row in rows["bonds"].items())
     strong = (row for row in (rows["interfaces"] | rows["bonds"]).items() if FAILING in row[1])
     yield from (_sentence("bonds", *row, text="strength") for row in strong)

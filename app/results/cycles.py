@@ -100,11 +100,11 @@ def friction(found: Mapping[str, Any]) -> Iterator[str]:
         lost = ", ".join(f"{d:.3g}" for d in found["dissipation"])
         yield f"dissipation per cycle {found['trend']}: {lost} N mm"
     for name, by in found.get("change", {}).items():
-        torque, spent = (f"{100 * by[key]:.2g} %" for key in ("torque", "dissipation"))
-        yield (
-            f"the last two cycles of {name} differ by {torque} of the torque, "
-            f"{1e3 * by['centre']:.2g} um in place and {spent} of the dissipation"
+        of = (
+            f"{100 * by[key]:.2g} % of the {key}" for key in ("torque", "dissipation") if key in by
         )
+        apart = ", ".join([*of, f"{1e3 * by['centre']:.2g} um in place"])
+        yield f"the last two cycles of {name} differ by {apart}"
 
 
 def sentences(cycles: Mapping[str, Any]) -> Iterator[str]:

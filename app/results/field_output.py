@@ -200,11 +200,18 @@ class MechanicalFields:
         self._sums = la.vector(index_map, len(COMPONENTS) + 1)
 
     def point(self, nodes: OutputNodes, samples: ContactSamples | None) -> dict[str, Floats]:
-        """Displacement [mm], and by interface gap, slip, motion [mm], tractions [MPa], status."""
+        """Displacement, with the turns of motions, and by interface what it does.
+
+        Gap, slip, motion [mm], tractions [MPa], status; of sides that slide far their wear [mm].
+        """
         u = np.zeros((len(nodes.dof), 3))
         for b, function in enumerate(self._problem.displacements()):
             at = nodes.body == b
             u[at] = function.x.array.reshape(-1, 3)[nodes.dof[at]]
+        scene, x = self._problem.scene, self.space.tabulate_dof_coordinates()[nodes.dof]
+        for m in scene.motions:
+            at = nodes.body == self.bodies.of_region[m.region]
+            u[at] += (x[at] - m.about) @ (scene.rotation(m, self._problem.time).T - np.eye(3))
         point: dict[str, Floats] = {"displacement": u, **_named(self._nodal_stress(nodes))}
         if samples is not None:
             assert self._problem.contact is not None
@@ -339,7 +346,7 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints, i: int) -> dic
         **{"pressure": s.pressure, "shear": s.shear},
     }
     if contact.between:
-        del fields["motion"]
+        del fields["motion"], fields["slip"]
     if (index := s.index.get(i)) is not None:
         fields["failure_index"] = index
     found = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}

@@ -12,7 +12,7 @@ from app.schema.section import fail, not_one_of, show
 
 
 def file(
-    *suffixes: str, check: Callable[[Path], None] | None = None, folder: bool = False
+    *suffixes: str, check: Callable[[Path], object] | None = None, folder: bool = False
 ) -> BeforeValidator:
     """A file that exists, relative to the case's folder; `check` raises ValueError or OSError.
 

@@ -14,6 +14,7 @@ from app.case.case import Case
 from app.case.library import ORIGIN
 from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table
+from app.laws.courses import ROTATIONS
 from app.laws.failure import MEMORY
 from app.laws.materials import Rigid
 from app.laws.thermal import PressureConductance
@@ -66,6 +67,10 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
             lines.append("    conductance: perfect, one temperature")
     if solid(case):
         lines += ["supports", *_table(case.supports)]
+        lines += ["motions"] if case.motions else []
+        for n, m in case.motions.items():
+            turn = f"turns by {m.rotation.axes} about {plain(m.about)} mm: {m.rotation.course.told}"
+            lines.append(f"  {n}: {m.region} {turn}; translation {m.translation}")
         lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
     lines += ["not measured", *([*_not_measured(case)] or ["  none"])]
     if case.conducts:
@@ -120,7 +125,8 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
         fields = entry.model_dump(mode="json", exclude_none=True)
         kind, place = fields.pop("kind", ""), fields.pop("boundary", "")
         words = [f"{kind} on {place}" if place else kind] if kind else []
-        words += [f"{k} {plain(v)}" for k, v in fields.items() if k not in ORIGIN]
+        told = {k: getattr(getattr(entry, k), "told", plain(v)) for k, v in fields.items()}
+        words += [f"{k} {text}" for k, text in told.items() if k not in ORIGIN]
         lines.append(f"  {name}: {', '.join(words)}")
     return lines or ["  none"]
 
@@ -129,7 +135,10 @@ def _not_measured(case: Case) -> Iterable[str]:
     """Names of regions and loads whose values are not measured, a line for each status."""
     for status in ("assumed", "unverified", None):
         found = []
-        for section, parts in (("regions", case.regions), ("loads", case.loads)):
+        courses = {name: motion.rotation.course for name, motion in case.motions.items()}
+        loads = {name: getattr(load, "course", None) or load for name, load in case.loads.items()}
+        parts: Any
+        for section, parts in (("regions", case.regions), ("motions", courses), ("loads", loads)):
             names = [name for name, part in parts.items() if part.status == status]
             those = f"{section} {', '.join(names)}" if len(names) < len(parts) else f"all {section}"
             found += [those] * bool(names)
@@ -222,6 +231,12 @@ def warnings(case: Case) -> list[str]:
     if case.geometry.has_gruen_zones and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
             messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
+    messages += [
+        f"motions.{n}.rotation.course: all angles are below 0.5 degrees: radians by mistake?"
+        for n, motion in case.motions.items()
+        for columns in [motion.rotation.course.columns]
+        if 0.0 < max(abs(a) for r in ROTATIONS for a in columns.get(r, ())) < math.radians(0.5)
+    ]
     laws: list[tuple[str, Any]] = [(f"regions.{n}", r) for n, r in case.regions.items()]
     laws += [
         (f"fatigue.laws.{n}", x) for n, x in (case.fatigue.laws if case.fatigue else {}).items()

@@ -67,7 +67,8 @@ def judge(case: Case, found: Parts) -> list[str]:
     bodies = BodiesOnMesh(case, found)
     torn, split = _contradictions(case, found)
     tight, apart = _gaps(case, found)
-    errors = [*bodies.unheld(), *torn, *tight]
+    driven, idle = _moved(case, found)
+    errors = [*driven, *bodies.unheld(), *torn, *tight]
     if errors:
         # A crack is often why.
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
@@ -81,6 +82,7 @@ def judge(case: Case, found: Parts) -> list[str]:
         *_far(case, found),
         *_too_stiff(case, found),
         *_strained(case, found),
+        *idle,
     ]
 
 
@@ -125,6 +127,23 @@ def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
                     f"{text}: '{two}' is used there, and stresses grow without limit as the "
                     "mesh is refined"
                 )
+    return errors, notes
+
+
+def _moved(case: Case, found: Parts) -> tuple[list[str], list[str]]:
+    """Errors on supports of regions that move as a whole, notes on loads of those that stay."""
+    errors, notes = [], []
+    for name, motion in case.motions.items():
+        own = {k for k, piece in enumerate(found.pieces) if piece.region == motion.region}
+        on = {boundary for boundary, pieces in found.boundaries.items() if own & pieces.keys()}
+        held = ", ".join(n for n, support in case.supports.items() if support.boundary in on)
+        loads = ", ".join(n for n, load in case.loads.items() if on.intersection(load.boundaries))
+        if held:
+            text = f"{motion.region} moves, and supports hold it ({held})"
+            errors.append(f"motions.{name}.region: {text}; expected `translation: held` instead")
+        if loads and motion.translation == "held":
+            text = f"{motion.region} does not give way to {loads}: its place is given"
+            notes.append(f"motions.{name}.translation: {text}")
     return errors, notes
 
 

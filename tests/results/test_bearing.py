@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from app.arrays import Floats
+from app.report import pictures, run_report
 from app.results.reading import Results, Run
 from meshes.data import exterior_facets
 from tests import restarted, support
@@ -100,6 +101,29 @@ def test_the_last_two_cycles(ball: Results) -> None:
     assert ball.summary["interfaces"]["bearing"]["dissipation_cycle"] == pytest.approx(last)
     assert change["dissipation"] == pytest.approx(abs(last - first) / last, rel=1e-6)
     assert 0 < change["torque"] < 0.05 and 0 < change["centre"] < 1e-3
+
+
+def test_a_ball_is_written_where_it_has_turned(ball: Results) -> None:
+    """In space, and on the page: its sentence, the cup's map, which keeps arcs from its pole."""
+    run = Run(ball.folder)
+    k = int(np.argmin(np.abs(run.times - 1.2)))
+    θ = math.radians(np.interp(2 * run.times[k] % 1, [0, 0.3, 0.7, 1], [0, 20, -10, 0]))
+    R = np.array([[math.cos(θ), 0, math.sin(θ)], [0, 1, 0], [-math.sin(θ), 0, math.cos(θ)]])
+    row = int(np.argmin(np.abs(ball.history["time [-]"] - run.times[k])))
+    centre = [ball.history[f"bearing centre.{axis} [mm]"][row] for axis in "xyz"]
+    head = run.nodes_of(run.regions["head"])
+    x = run.points[head]
+    np.testing.assert_allclose(x + run.displacement(k)[head], x @ R.T + centre, atol=1e-9)
+    files = [path.name for path in run_report.write(ball.folder)]
+    assert "map_bearing.png" in files
+    page = (ball.folder / "report.html").read_text()
+    assert "friction on bearing resists the motion with up to" in page and "slides less" not in page
+    inner = x[np.linalg.norm(x, axis=1) > RADIUS - 1e-6]
+    inner = inner[inner[:, 2] > 0][:99].reshape(-1, 3, 3)
+    flat = pictures.spread(np.concatenate([inner, inner * [-1, -1, 1]]))
+    assert flat is not None
+    arcs = RADIUS * np.arccos(inner[..., 2] / RADIUS)
+    assert np.linalg.norm(flat[: len(inner)], axis=2) == pytest.approx(arcs, abs=1e-6)
 
 
 def test_power_and_swing_of_the_temperature(tmp_path: Path) -> None:

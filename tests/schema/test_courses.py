@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from app.case.case import dump, load
+from app.errors import InputError
 from app.laws.courses import ROTATIONS, Course
 from app.laws.loads import Force
 from app.laws.motions import Motion
+from app.soundness import preview
 from tests import support
 
 GAIT = """\
@@ -79,13 +82,48 @@ def test_a_course_serves_a_motion_and_a_load_and_is_written_with_the_case(tmp_pa
     case = load(tmp_path / "case.yaml").config
     assert support.case(dump(case)) == case
     ball, law = case.motions["ball"], case.interfaces["lower_upper"]
-    assert np.degrees(ball.angles_at(0.75)) == pytest.approx([3.5, 0, -4])
+    assert np.degrees(ball.rotation.course.at(ROTATIONS, 0.75)) == pytest.approx([3.5, 0, -4])
     assert law.wear_coefficient == pytest.approx(1.07e-9, rel=1e-15)
     assert law.values == {"μ": 0.06} and law.form == ("contact", True)
     forces = [load for load in case.loads.values() if isinstance(load, Force)]
     assert forces[0].force_at(0.25) == pytest.approx((0, 0, -1650))
     assert forces[1].force_at(0.5) == pytest.approx((20, 0, -4))
     assert forces[1].resultant == (30, 0, -8)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ("600, x", "line 4: 'x kN' is not a force such as '1800 N'"),
+        ("50, 3", "line 4: its time is not above 0.1 s, that of the row before"),
+        ("600", "line 4: has 3 values; expected 4: time, force, rotation z, rotation x"),
+    ],
+)
+def test_faults_of_a_file_tell_its_line(wrong: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / "gait.csv").write_text(GAIT.replace("600, 3", wrong, 1))
+    (tmp_path / "case.yaml").write_text(CASE.partition("loads:")[0])
+    with pytest.raises(InputError, match=re.escape(f"gait.csv: {text}")) as caught:
+        load(tmp_path / "case.yaml")
+    assert caught.value.messages[0].startswith(f"{tmp_path / 'case.yaml'}:23:27: motions.ball")
+
+
+def test_a_course_is_found_by_name_or_beside_the_case_that_names_it(tmp_path: Path) -> None:
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "gait.csv").write_text(GAIT)
+    (tmp_path / "lib" / "below.yaml").write_text(CASE)
+    (tmp_path / "case.yaml").write_text("base: lib/below.yaml\n")
+    found = load(tmp_path / "case.yaml", ["motions.ball.rotation.course=iso_14242_1"]).config
+    course, own = found.motions["ball"].rotation.course, found.loads["hip"].course
+    assert own.rows[-1] == "1100, 0.3, 2, 25" and course.status == "unverified"
+    x, y, z = (np.degrees(course.columns[name]) for name in ROTATIONS)
+    for angles, least, most in ((x, -18, 25), (y, -4, 7), (z, -2, 10)):
+        assert (angles.min(), angles.max()) == pytest.approx((least, most))
+        assert angles[0] == pytest.approx(angles[-1])
+    force = dict(zip(course.columns["time"], course.columns["force"], strict=True))
+    assert force[0.12] == force[0.5] == 3000 and force[0.62] == force[1.0] == 300
+    assert "unverified: all motions" in preview.describe(
+        found, {"regions": {"lower": {}, "upper": {}}}
+    )
 
 
 def test_the_first_letter_of_axes_is_the_outermost() -> None:

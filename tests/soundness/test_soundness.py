@@ -58,6 +58,14 @@ loads:
 """
 
 
+MOTION = """
+motions:
+  turn:
+    {region: metal, about: [5 mm, 5 mm, 5 mm], translation: held,
+     rotation: {axes: xyz, course: ["time [s], rotation z [deg]", "0, 0", "1, 0.4"]}}
+"""
+
+
 def build(case: Case) -> MeshData:
     return meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
 
@@ -462,3 +470,16 @@ def test_only_bonded_interfaces_join_bodies() -> None:
     assert np.allclose(gaps_of(opens, found)["bone_metal"], 0.1)
     holds = case.model_copy(update={"interfaces": {"bone_metal": SimpleNamespace(can_open=False)}})
     assert len(groups_of(holds, found)) == 1
+
+
+def test_a_region_that_moves_has_no_supports_and_if_held_gives_way_to_no_load() -> None:
+    notes = preview.warnings(support.case(TWO + MOTION))
+    text = "motions.turn.rotation.course: all angles are below 0.5 degrees: radians by mistake?"
+    assert notes == [text]
+    (note,) = judged(TWO + MOTION)
+    assert note == "motions.turn.translation: metal does not give way to press: its place is given"
+    with pytest.raises(InputError) as caught:
+        judged(TWO + MOTION.replace("metal", "bone"))
+    assert caught.value.messages[0].startswith(
+        "motions.turn.region: bone moves, and supports hold it (floor)"
+    )
