@@ -250,13 +250,13 @@ class Problem:
         """
         if q is None or self.contact is None or self.contact.large is None:
             return
-        regions = [r.region for r in self.scene.rigid]
-        for m in self.scene.motions:
-            if m.region in regions:
-                rows, reach = self.contact.apart(m.region)
-                k = regions.index(m.region)
-                way = self.stiffness.constraints.push(k, self.f, u, reach)
-                q.array.reshape(-1, 3)[rows] -= way
+        pushed = self.stiffness.constraints.pushed(self.f)
+        nodal = self.stiffness.constraints.expand(pushed).array_r.reshape(-1, 3)
+        nodes = self.contact.points.dof[self.contact.own.rows]
+        way = nodal[nodes - self.space.dofmap.index_map.local_range[0]]
+        reach, far = self.contact.reach(way), self.contact.large.rows
+        u.axpy(reach, pushed)
+        q.array.reshape(-1, 3)[far] -= reach * way[far]
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].

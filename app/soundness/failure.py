@@ -210,7 +210,9 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
         springs = held.reshape(6 * n, 6 * n) + comm.allreduce(pressed.T @ pressed)
         rest = np.linalg.solve(np.eye(6 * n) + springs / SPRING**2, F)
     forces = np.maximum(0.0, -(openings @ rest)).sum(axis=1) / SPRING**2
-    friction = np.array([c.law.friction for c in problem.scene.contacts])[own.interface]
+    # A ball is not wedged by the rim of its cup, which it clears.
+    of = np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
+    friction = of[own.interface]
     holds = comm.allreduce(float(friction * forces @ np.linalg.norm(jumps @ rest, axis=1)))
     if rest @ F <= max(UNBORNE * (F @ F), holds):
         return []

@@ -23,7 +23,7 @@ from app.scene.scene import build_scene
 from app.soundness.loose_bodies import BodiesOnMesh
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
 from app.system.layout import point_text
-from meshes.data import boundary_areas, boundary_facets, interface_facets
+from meshes.data import boundary_areas, interface_facets
 from meshes.pieces import Parts, parts
 
 if TYPE_CHECKING:
@@ -192,31 +192,26 @@ def _sides_apart(case: Case, found: Parts) -> list[str]:
 
 
 def _followers(case: Case, found: Parts) -> list[str]:
-    """Surfaces that slide far, nodes of which something else moves too."""
-    errors, contacts = [], build_scene(case).contacts if found.faces else ()
-    nodes = {
-        c.name: np.unique(
-            boundary_facets(found.data, c.between[1])
-            if c.between
-            else interface_facets(found.data, c.name)[0]
-        )
-        for c in contacts
-    }
-    others = {f"interfaces.{name}": on for name, on in nodes.items()}
-    for name, s in case.supports.items():
-        if s.kind != "foundation" and found.boundaries.get(s.boundary):
-            on = np.concatenate([*found.boundaries[s.boundary].values()])
-            others[f"supports.{name}"] = on
+    """Nodes of surfaces that slide far which something else moves too."""
+
+    def nodes(boundary: str) -> NDArray[np.int64]:
+        return np.concatenate([np.zeros(0, int), *found.boundaries.get(boundary, {}).values()])
+
+    contacts = build_scene(case).contacts if found.faces else ()
+    fixed = {n: s.boundary for n, s in case.supports.items() if s.kind != "foundation"}
+    moved = {f"supports.{name}": nodes(boundary) for name, boundary in fixed.items()}
     for c in contacts:
-        for key, on in others.items() if c.between else ():
-            both = np.intersect1d(nodes[c.name], on)
-            if len(both) and key != f"interfaces.{c.name}":
-                errors.append(
-                    f"{key}: moves {len(both)} nodes of {c.between[1]}, e.g. at "
-                    f"{point_text(found.x[both[0]])}, which follow what they slide on by "
-                    f"interfaces.{c.name}; expected a boundary without them"
-                )
-    return errors
+        on = nodes(c.between[1]) if c.between else found.on_interface(c.name)
+        moved[f"interfaces.{c.name}"] = on
+    return [
+        f"{key}: moves {len(both)} nodes of {c.between[1]}, e.g. at "
+        f"{point_text(found.x[both[0]])}, which follow what they slide on by interfaces.{c.name}; "
+        "expected a boundary without them"
+        for c in contacts
+        for key, on in moved.items()
+        if c.between and key != (own := f"interfaces.{c.name}")
+        if len(both := np.intersect1d(moved[own], on))
+    ]
 
 
 def _meets(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
