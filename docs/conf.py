@@ -46,6 +46,7 @@ patient
 your_hip
 ct
 loads
+head_cup
 heat
 error
 many-runs

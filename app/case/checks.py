@@ -268,7 +268,8 @@ def _sliding(case: Any) -> Iterable[Fault]:
         if other := taken.get((path[0], part)):
             yield Fault(path, f"{part} is in {path[0]}.{other} already; expected another")
         taken[path[0], part] = path[1]
-    motions, courses = tuple(case.motions or ()), bool(case.motions)
+    motions = tuple(case.motions or ())
+    courses = any(motion.course for _, _, motion in _entries(case, "motions"))
     for _, name, load in _entries(case, "loads"):
         courses |= getattr(load, "course", None) is not None
         followed = getattr(load, "follows", None)

@@ -211,7 +211,14 @@ add_quantity(
     # Of sides that slide far, at the end and over a cycle.
     _interface("torque", "N mm", vector=True, order=MOTION),
     *(
-        _interface(f"torque_{key}", "N mm", digits=1, label=f"torque{words}", order=MOTION)
+        _interface(
+            f"torque_{key}",
+            "N mm",
+            digits=1,
+            label=f"torque{words}",
+            order=MOTION,
+            headline=key == "max",
+        )
         for key, words in (("size", ""), ("along", " along the motion"), ("max", ", max"))
     ),
     _interface("centre", "mm", vector=True, order=MOTION),
@@ -230,6 +237,7 @@ add_quantity(
             label=f"wear in {of}, {words}",
             order=TRACTION if unit == "mm" else MOTION,
             peak="max" in key,
+            headline=f"{key}{times}" in ("volume_million", "depth_p99_million"),
         )
         for times, of, digits in (("", "a cycle", 9), ("_million", "a million cycles", 2))
         for key, words, unit in (

@@ -44,12 +44,17 @@ class Motion(Named):
     """Region that moves; one motion for each."""
     about: Point
     """Point that it turns about (mm)."""
-    rotation: Rotation
-    """Given angles."""
+    rotation: Rotation | None = None
+    """Given angles; without them it does not turn."""
     translation: Literal["free", "held"] = "free"
     """Whether the point moves as loads and contact want, or stays."""
     largest_step: PositiveAngle = math.radians(5.0)
     """Largest turn in a load step; longer ones are divided."""
+
+    @property
+    def course(self) -> Course | None:
+        """Course of its angles."""
+        return self.rotation.course if self.rotation else None
 
     def rotation_at(self, s: float, part: float = 1.0) -> Floats:
         """Rotation by a part of the angles at a part of a cycle from 0 to 1 (3, 3).
@@ -59,6 +64,8 @@ class Motion(Named):
         """
         from scipy.spatial.transform import Rotation as Turn
 
+        if self.rotation is None:
+            return Turn.identity().as_matrix()
         columns = [f"rotation {axis}" for axis in self.rotation.axes]
         angles = [part * angle for angle in self.rotation.course.at(columns, s)]
         # Capitals are axes that turn with it.

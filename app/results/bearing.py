@@ -68,8 +68,8 @@ class Bearing:
         self.interface: Ints = np.zeros(len(self.dof), dtype=np.int64)
         self.bodies = np.full((len(self.dof), 1), self._body)
         self.triangles = (self.surface.triangles,)
-        of_loads = (getattr(load, "course", None) for load in case.loads.values())
-        courses = *(m.rotation.course for m in case.motions.values()), *of_loads
+        parts = *case.motions.values(), *case.loads.values()
+        courses = (getattr(part, "course", None) for part in parts)
         times = next((course.times for course in courses if course), (0.0,))
         self._period = times[-1] - times[0]
         self._effusivity = _effusivity(case, (c.master, c.slave))
@@ -100,6 +100,8 @@ class Bearing:
         arm, turn = s.arm[rows], rotation_vector(now @ before.T)
         torque = np.cross(arm, s.weight[rows, None] * s.friction[rows]).sum(axis=0)
         centre, peak = self._translation(), rows[int(np.argmax(s.pressure[rows]))]
+        if motion and np.isfinite(scene.moduli[motion.region]):  # deforms in its own axes
+            centre = now @ centre
         spent = np.column_stack([s.dissipation[rows], s.weight[rows] * s.path[rows]])
         dose = (spent - self._here[:, 0]) / self._slave.areas[:, None]
         places = self._slave.sampled(dose, 12, arm @ middle + self._centre)

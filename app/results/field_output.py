@@ -211,7 +211,10 @@ class MechanicalFields:
         scene, x = self._problem.scene, self.space.tabulate_dof_coordinates()[nodes.dof]
         for m in scene.motions:
             at = nodes.body == self.bodies.of_region[m.region]
-            u[at] += (x[at] - m.about) @ (scene.rotation(m, self._problem.time).T - np.eye(3))
+            R = scene.rotation(m, self._problem.time)
+            if np.isfinite(scene.moduli[m.region]):  # deforms in its own axes
+                u[at] = u[at] @ R.T
+            u[at] += (x[at] - m.about) @ (R.T - np.eye(3))
         point: dict[str, Floats] = {"displacement": u, **_named(self._nodal_stress(nodes))}
         if samples is not None:
             assert self._problem.contact is not None

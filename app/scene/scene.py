@@ -217,7 +217,8 @@ def course(stages: Sequence[Stage], time: float) -> tuple[float, float]:
 
 
 def _stages(case: Case) -> tuple[Stage, ...]:
-    follow = case.motions or any(getattr(load, "course", None) for load in case.loads.values())
+    parts = *case.motions.values(), *case.loads.values()
+    follow = any(getattr(part, "course", None) for part in parts)
     return (*case.stages[:-1], case.stages[-1].repeating()) if follow else case.stages
 
 

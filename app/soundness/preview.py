@@ -69,7 +69,8 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
         lines += ["supports", *_table(case.supports)]
         lines += ["motions"] if case.motions else []
         for n, m in case.motions.items():
-            turn = f"turns by {m.rotation.axes} about {plain(m.about)} mm: {m.rotation.course.told}"
+            turn = f"turns about {plain(m.about)} mm by "
+            turn += f"{m.rotation.axes}: {m.rotation.course.told}" if m.rotation else "nothing"
             lines.append(f"  {n}: {m.region} {turn}; translation {m.translation}")
         lines += ["loads", *_table(case.loads), *(f"  {words}" for words in resultant(case))]
     lines += ["not measured", *([*_not_measured(case)] or ["  none"])]
@@ -135,7 +136,7 @@ def _not_measured(case: Case) -> Iterable[str]:
     """Names of regions and loads whose values are not measured, a line for each status."""
     for status in ("assumed", "unverified", None):
         found = []
-        courses = {name: motion.rotation.course for name, motion in case.motions.items()}
+        courses = {name: course for name, m in case.motions.items() if (course := m.course)}
         loads = {name: getattr(load, "course", None) or load for name, load in case.loads.items()}
         parts: Any
         for section, parts in (("regions", case.regions), ("motions", courses), ("loads", loads)):
@@ -234,7 +235,7 @@ def warnings(case: Case) -> list[str]:
     messages += [
         f"motions.{n}.rotation.course: all angles are below 0.5 degrees: radians by mistake?"
         for n, motion in case.motions.items()
-        for columns in [motion.rotation.course.columns]
+        for columns in ([motion.course.columns] if motion.course else [])
         if 0.0 < max(abs(a) for r in ROTATIONS for a in columns.get(r, ())) < math.radians(0.5)
     ]
     laws: list[tuple[str, Any]] = [(f"regions.{n}", r) for n, r in case.regions.items()]

@@ -138,8 +138,8 @@ def _moved(case: Case, found: Parts) -> tuple[list[str], list[str]]:
         on = {boundary for boundary, pieces in found.boundaries.items() if own & pieces.keys()}
         held = ", ".join(n for n, support in case.supports.items() if support.boundary in on)
         loads = ", ".join(n for n, load in case.loads.items() if on.intersection(load.boundaries))
-        if held:
-            text = f"{motion.region} moves, and supports hold it ({held})"
+        if held and motion.course:
+            text = f"{motion.region} turns, and supports hold it ({held})"
             errors.append(f"motions.{name}.region: {text}; expected `translation: held` instead")
         if loads and motion.translation == "held":
             text = f"{motion.region} does not give way to {loads}: its place is given"

@@ -582,6 +582,26 @@ def check_strength(summary: dict[str, Any]) -> None:
     assert summary["balance"]["energy"] < 1e-9
 
 
+def check_gait(s: dict[str, Any]) -> None:
+    """Torque is a little above mu F R; the worn volume is k over mu times the work of friction."""
+    q = s["interfaces"]["bearing"]
+    assert 1.0 < q["torque_max"] / (0.06 * 3000 * 14) < 1.1
+    assert q["wear_volume"] == pytest.approx(1.07e-9 / 0.06 * q["dissipation_cycle"], rel=1e-9)
+
+
+def check_pressed(s: dict[str, Any]) -> None:
+    """The head sinks as in an axisymmetric solution of second order (tests/axisymmetric.py)."""
+    centre = s["interfaces"]["bearing"]["centre"]
+    assert centre[2] - 0.1 == pytest.approx(0.04538, rel=0.05)
+
+
+def check_drawn(s: dict[str, Any]) -> None:
+    """Friction is mu N, and the last cycle is the one before it."""
+    assert s["interfaces"]["sole"]["force"] == pytest.approx([120, 0, -400], abs=1e-5)
+    assert max(s["cycles"]["draw"]["change"]["sole"].values()) < 1e-6
+    assert s["cycles"]["draw"]["dissipation"][-1] == pytest.approx(120 * 60, rel=1e-3)
+
+
 SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = {
     "iso_7206_4.yaml": (check_bench, ["mesh.size=10 mm", "output.error=false"]),
     "blocks.yaml": (None, ["mesh.size=3 mm"]),
@@ -617,6 +637,12 @@ SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = 
         ],
     ),
     "interface_strength.yaml": (check_strength, ["mesh.size=10 mm", "stages.0.increments=6"]),
+    "head_cup.yaml": (
+        check_gait,
+        ["mesh.size=4 mm", "stages.1.increments=8", "motions.ball.largest_step=30 deg"],
+    ),
+    "head_cup_static.yaml": (check_pressed, ["mesh.size=4 mm"]),
+    "sliding_block.yaml": (check_drawn, ["stages.1.increments=3"]),
     "walk.yaml": (partial(check_history, steps=4), ["mesh.size=10 mm", "stages.0.cycles=4"]),
     "residual.yaml": (
         check_residual,

@@ -481,5 +481,5 @@ def test_a_region_that_moves_has_no_supports_and_if_held_gives_way_to_no_load() 
     with pytest.raises(InputError) as caught:
         judged(TWO + MOTION.replace("metal", "bone"))
     assert caught.value.messages[0].startswith(
-        "motions.turn.region: bone moves, and supports hold it (floor)"
+        "motions.turn.region: bone turns, and supports hold it (floor)"
     )

@@ -1,0 +1,58 @@
+r"""Draw the picture of docs/howto/head_cup.md: torque through a cycle, and where the liner wears.
+
+./mantle run configs/head_cup.yaml -o out/head_cup
+./mantle shell -c 'python3 docs/head_cup.py out/head_cup'
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from app.results.reading import Run
+from app.system.style import curve, grid, panels
+
+FIGURE = Path(__file__).with_name("head_cup.png")
+PLACE = "bearing"
+
+
+def main(folder: Path) -> None:
+    """Friction torque beside that of a hand formula; worn depth and pressure on the liner."""
+    run = Run(folder)
+    figure, (left, middle, right) = panels(3, 3, 4.2, 3.6)
+    h, radius = run.history, float(run.case["geometry"]["head_diameter"].split()[0]) / 2
+    friction = run.case["interfaces"][PLACE]["friction_coefficient"]
+    part = h["time [-]"] - (len(run.case["stages"]) - 1)
+    on = part > 0
+    force = np.sqrt(sum(h[f"{PLACE} force.{axis} [N]"] ** 2 for axis in "xyz"))
+    torque = h[f"{PLACE} torque_size [N mm]"]
+    curve(left, list(100 * part[on]), list(1e-3 * torque[on]), 0, "finite elements")
+    curve(left, list(100 * part[on]), list(1e-3 * friction * radius * force[on]), 1, "μ F R")
+    left.set_title("friction torque (N m)", fontsize=11, loc="left")
+    left.set_xlabel("part of the cycle (%)")
+    left.legend(frameon=False)
+    grid(left)
+    body = np.isin(np.arange(len(run.points)), run.cells[run.region == run.regions["liner"]])
+    at = body & run.on_interface(PLACE) & (run.points[:, 2] > 0)  # from above once
+    x = run.points[at]
+    peak = int(
+        np.argmax([run.at_interface(PLACE, "pressure", k).max() for k in range(len(run.times))])
+    )
+    fields = {
+        "worn in a million cycles (mm)": 1e6 * run.at_interface(PLACE, "wear")[at],
+        "pressure where it is largest (MPa)": run.at_interface(PLACE, "pressure", peak)[at],
+    }
+    for axes, (title, values) in zip((middle, right), fields.items(), strict=True):
+        filled = axes.tricontourf(x[:, 0], x[:, 1], values, 14, cmap="YlOrRd")
+        axes.set_title(title, fontsize=11, loc="left")
+        axes.set_xlabel("medial x (mm)")
+        axes.set_ylabel("anterior y (mm)")
+        axes.set_aspect("equal")
+        figure.colorbar(filled, ax=axes)
+    figure.savefig(FIGURE, dpi=110)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
