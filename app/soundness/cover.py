@@ -83,7 +83,5 @@ class Cover:
     def _largest(self, here: Bools, values: Floats) -> tuple[float, str]:
         """The largest of values at some own points, and its place; collective."""
         assert self._problem.contact is not None
-        x: list[list[float]] = self._problem.contact.own.x[here].tolist()
-        local = list(zip(map(float, values), x, strict=True))
-        value, place = max(v for part in self._problem.comm.allgather(local) for v in part)
-        return value, point_text(place)
+        every, x = gather(self._problem.comm, values, self._problem.contact.own.x[here])
+        return float(every.max()), point_text(x[int(np.argmax(every))])
