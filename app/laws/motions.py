@@ -44,6 +44,8 @@ class Motion(Named):
     """Region that moves; one motion for each."""
     about: Point
     """Point that it turns about (mm)."""
+    boundary: Name | None = None
+    """Boundary that is driven, of an elastic region: it moves as a rigid one. Loads act there."""
     rotation: Rotation | None = None
     """Given angles; without them it does not turn."""
     translation: Literal["free", "held"] = "free"

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from app.arrays import Bools, Floats, Ints
-from app.mechanics.constraints import touched_nodes
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
 from app.numerics.deflation import CoarseSpace
 from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import from_triplets, matrix_sum
-from app.scene.bodies import cell_tags
+from app.scene.bodies import cell_tags, touched_nodes
 
 # A direction is free if a law resists less than this part of it.
 RESISTED = 0.5

@@ -12,13 +12,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError, everywhere
+from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import from_rows
-from app.scene.bodies import Bodies, boundary_facets, cell_tags
+from app.scene.bodies import Bodies, boundary_facets, cell_tags, nodes_on, touched_nodes
 from app.scene.frames import Frames
 from app.scene.scene import Scene
 from meshes.contact_facets import gather
@@ -27,6 +28,8 @@ from meshes.distribute import TaggedMesh
 # A motion of a rigid region is constrained if its supports resist it by more than this fraction of
 # the motion they resist most.
 _HELD = 1e-9
+# In place of a rigid region: nodes that follow others.
+FOLLOWS = -2
 
 
 def _support_of_dofs(
@@ -94,6 +97,8 @@ class Constraints:
 
     Attributes:
         transforms: Whether P is not the identity.
+        G: Displacements of all nodes by those of nodes that follow none, if some follow.
+        follows: Whether its pattern changes as surfaces slide far on each other.
         constrained: Own unknowns that supports hold (n,).
         unit: Values of the own unknowns by each support at full amplitude (s, n).
         reacting: Own nodal components through which supports act (3 own nodes,).
@@ -111,13 +116,18 @@ class Constraints:
         space: fem.FunctionSpace,
         stage: int,
         frames: Frames | None,
+        followers: Followers | None = None,
     ) -> None:
         own = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
         self._bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None
-        self.transforms = bool(scene.rigid or frames)
+        self._P0: PETSc.Mat | None = None
+        self._followers, self.follows = followers, followers is not None
+        self.transforms = bool(scene.rigid or frames or followers)
         if self.transforms:
             self._transform(scene, tagged, space, own, frames)
+            self._P0 = self._P
+            self.follow()
             return
         self.constrained: Bools = own.ravel() >= 0
         prescribed = _prescribed_values(scene, space, own, None)
@@ -142,25 +152,33 @@ class Constraints:
             cells = np.flatnonzero(cell_tags(tagged) == tagged.regions[body.region])
             region[touched_nodes(space, cells)[:nodes]] = k
             for c in scene.contacts:
-                if c.between and body.region in c.master:
+                if c.between and c.master == (body.region,):
                     # Points that slide far over it: it moves them, and their jumps.
-                    f = boundary_facets(tagged, c.between[1]).facets.astype(np.int32)
-                    there = fem.locate_dofs_topological(space, 2, f)
+                    there = nodes_on(tagged, space, c.between[1])
                     region[there[there < nodes]] = k
-        free = np.flatnonzero(region < 0)
+        rigid = len(scene.rigid)
+        for k, m in enumerate(scene.driven, rigid):
+            there = nodes_on(tagged, space, str(m.boundary))
+            region[there[there < nodes]] = k
+        if self._followers:
+            low, high = space.dofmap.index_map.local_range
+            follow = self._followers.following
+            region[follow[(follow >= low) & (follow < high)] - low] = FOLLOWS
+        free = np.flatnonzero(region == -1)
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         turned = np.zeros(nodes, dtype=bool)
         if frames:
             rows, places = frames.own(space.dofmap.index_map)
-            axes[rows], turned[rows] = frames.axes[places], region[rows] < 0
-        n = 3 * len(free) + (6 * len(scene.rigid) if comm.rank == 0 else 0)
+            axes[rows], turned[rows] = frames.axes[places], region[rows] == -1
+        moving = [r.region for r in scene.rigid] + [m.region for m in scene.driven]
+        n = 3 * len(free) + (6 * len(moving) if comm.rank == 0 else 0)
         start, tail = comm.exscan(n) or 0, comm.bcast(3 * len(free))
         self.constrained = np.zeros(n, dtype=bool)
         self.constrained[: 3 * len(free)] = (own[free] >= 0).ravel()
         prescribed = _prescribed_values(scene, space, own, axes)
         self.unit = np.zeros((len(prescribed), n))
         self.unit[:, : 3 * len(free)] = prescribed[:, free].reshape(len(prescribed), 3 * len(free))
-        reacting = (own >= 0) & (region < 0)[:, None]
+        reacting = (own >= 0) & (region == -1)[:, None]
         reacting[turned] = reacting[turned].any(axis=1, keepdims=True)
         self.modes = np.zeros((6, n))
         modes = axes[free].swapaxes(1, 2) @ rigid_modes(x[free])
@@ -171,11 +189,11 @@ class Constraints:
         entries[free, :, 0] = 1
         columns[turned, :, :3] = columns[turned, :, 0][:, None]
         entries[turned, :, :3] = axes[turned]
-        for k, body in enumerate(scene.rigid):
+        for k, name in enumerate(moving):
             here, place = np.flatnonzero(region == k), tail + 6 * k
             columns[here] = place + np.arange(6)
             entries[here], rank = self._add_rigid(
-                comm, scene, body.region, place, x[here], axes[here], own[here], prescribed[:, here]
+                comm, scene, name, place, x[here], axes[here], own[here], prescribed[:, here]
             )
             reacting[here] |= rank > 0
         self.reacting = reacting.ravel()
@@ -232,6 +250,12 @@ class Constraints:
             self.modes[:, place : place + 6] = (basis.T @ whole).T
         return local @ basis, rank
 
+    def follow(self) -> None:
+        """Let nodes follow the current pairs of their surfaces; collective."""
+        if self._followers:
+            self.G = self._followers.matrix()
+            self._P = self.G.matMult(self._P0)
+
     def pushed(self, f: PETSc.Vec) -> PETSc.Vec:
         """Motion of the rigid regions alone, along forces f on the unknowns, where free."""
         u = f.duplicate()
@@ -269,27 +293,19 @@ class Constraints:
     def contract(self, nodal: PETSc.Vec) -> PETSc.Vec:
         """Find ũ from U = P ũ by the normal equations; collective.
 
-        P^T P is the identity but for a 6 x 6 block on rank 0 per rigid region, which block Jacobi
-        solves exactly.
+        Nodes that follow others do not count: P^T P is the identity then but for a 6 x 6 block on
+        rank 0 per rigid region, which block Jacobi solves exactly.
         """
-        if not self._P:
+        if not (P := self._P0):
             return nodal.copy()
-        solver = PETSc.KSP().create(self._P.comm)
-        solver.setOperators(self._P.transposeMatMult(self._P))
+        solver = PETSc.KSP().create(P.comm)
+        solver.setOperators(P.transposeMatMult(P))
         solver.setType("preonly")
         solver.getPC().setType("bjacobi")
-        u = self._P.createVecRight()
-        solver.solve(self.vector(nodal), u)
+        u, right = P.createVecRight(), P.createVecRight()
+        P.multTranspose(nodal, right)
+        solver.solve(right, u)
         return u
-
-
-def touched_nodes(space: fem.FunctionSpace, cells: Ints) -> Bools:
-    """Whether local nodes of a vector space belong to cells of any rank (n,); collective."""
-    marks = fem.Function(space)
-    marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[cells])] = 1
-    marks.x.scatter_reverse(la.InsertMode.add)
-    marks.x.scatter_forward()
-    return np.asarray(marks.x.array[::3] > 0)
 
 
 def _held_motions(

@@ -32,6 +32,7 @@ from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Constraints
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_points import ContactState, OwnPoints, prescribed_jump, refuse_supports
+from app.mechanics.followers import Followers
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.sliding import ACCURACY, Sliding
 from app.numerics.sparse import owners
@@ -150,7 +151,7 @@ class TrialState:
             least=np.minimum(old.least, dissipated),
             contact_work=old.contact_work + weight * pushed,
             work=old.work
-            + weight * np.einsum("pi,pi->p", (force + old.force) / 2, self.jump - old.jump),
+            + weight * np.einsum("pi,pi->p", (force + old.force) / 2, self.jump - c.carried),
             own=law.history,
         )
 
@@ -168,6 +169,8 @@ class ContactInterfaces:
         state: Their committed state.
         gap: Initial gap at the current time (n, 3) [mm].
         large: Points that slide far, if any.
+        committed_at: Jumps at which they were paired in the committed state (n, 3) [mm].
+        carried: Committed jumps, with the pairs of now (n, 3) [mm].
         reference: Jumps at which nothing has slid since the last committed step (n, 3) [mm].
         prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
         linear_about: Forces (n, 3) [MPa] about which the laws are linearized; None: about none.
@@ -176,8 +179,9 @@ class ContactInterfaces:
         InputError: An interface has no facets on this mesh.
     """
 
-    saved = ("state",)
+    saved = ("state", "committed_at")
     linear_about: Floats | None = None
+    committed_at: Floats | None = None
 
     def __init__(
         self,
@@ -189,6 +193,7 @@ class ContactInterfaces:
         frames: Frames | None,
         augmentation_factor: float,
         timing: Timing,
+        followers: Followers | None = None,
     ) -> None:
         self._supports = scene.supports
         self.comm = tagged.mesh.comm
@@ -211,7 +216,8 @@ class ContactInterfaces:
         ]
         self.coupling = JumpCoupling(mechanics, constraints, entries, number, len(rows))
         far = any(c.between for c in scene.contacts)
-        self.large = Sliding(scene, tagged, space, self.own) if far else None
+        sliding = scene, tagged, space, self.own, self.points.dof[rows], followers
+        self.large = Sliding(*sliding) if far else None
         self.law = PointLaw(self.comm, self.own, timing)
         self.begin(scene, augmentation_factor)
 
@@ -241,6 +247,7 @@ class ContactInterfaces:
             self.large.begin(scene)
         self._committed = 0.0
         self.state: ContactState = ContactState.at_rest(self.own.x * 0.0, self.law.history)
+        self.carry(None)
         self.set_time(0.0)
         self.state.opening = self.opening(self.state.jump)
 
@@ -259,12 +266,12 @@ class ContactInterfaces:
             self.gap = gap_vectors(self.own.normals, self.own.faces, gap)
         else:
             self.large.set_time(self._committed, time)
-            self._pair(self.state.jump)
+            self.pair_at(self.state.jump)
         self.prescribed = np.zeros((len(self.own), 3))
         for support, jump in zip(self._supports, self._by_supports, strict=True):
             self.prescribed += amplitude(support.history, time) * jump
 
-    def _pair(self, jump: Floats) -> None:
+    def pair_at(self, jump: Floats) -> None:
         """Pair the points that slide far, at jumps (n, 3) [mm]: gaps, normals, reference."""
         assert self.large is not None
         rows, own, found = self.large.rows, self.own, self.large.pair(jump)
@@ -285,19 +292,30 @@ class ContactInterfaces:
         largest, by = (self.comm.allreduce(float(v), MPI.MAX) for v in local)
         if by <= ACCURACY * largest:
             return False
-        self._pair(trial.jump)
+        self.pair_at(trial.jump)
         return True
 
     def commit(self, state: ContactState, time: float) -> None:
         """Set the committed state, and its time."""
         self.state, self._committed = state, time
+        self.carry(None)
         if self.large is not None:
             self.large.set_time(time, time)
+            self.committed_at = self._paired_at
+
+    def carry(self, jump: Floats | None) -> None:
+        """Set the committed jumps (n, 3) as pairs of now tell them; None: they are the same."""
+        self._carried = jump
+
+    @property
+    def carried(self) -> Floats:
+        """Committed jumps, with the pairs of now (n, 3) [mm]."""
+        return self.state.jump if self._carried is None else self._carried
 
     @property
     def reference(self) -> Floats:
         """Jumps at which nothing has slid since the last committed step (n, 3) [mm]."""
-        return self.state.jump if self.large is None else self.large.reference(self.state.jump)
+        return self.carried if self.large is None else self.large.reference(self.carried)
 
     def opening(self, jump: Floats) -> Floats:
         """Jumps (n, 3) with the initial gap; where points slide far along the normal alone."""
@@ -327,12 +345,12 @@ class ContactInterfaces:
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
 
     def reach(self, way: Floats) -> float:
-        """How far bodies go along ways of own points (n, 3) to touch them, in ways; collective.
+        """How far bodies go along ways at points (m, 3) that slide far, in ways; collective.
 
         Further than where they touch; 0 if any does, or none is before them.
         """
         assert self.large is not None
-        rows, way = self.large.rows, way[self.large.rows]
+        rows = self.large.rows
         gap = self._clearance[rows] + self.large.paired.gap
         along = np.einsum("pi,pi->p", self.own.normals[rows, 0], way)
         before = along > FACING * np.linalg.norm(way, axis=1)

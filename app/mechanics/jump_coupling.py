@@ -10,7 +10,7 @@ from dolfinx import fem
 from app.arrays import Bools, Floats, Ints
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
-from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum
+from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum, renew
 from meshes.contact_points import Entries
 
 
@@ -70,7 +70,7 @@ class JumpCoupling:
         """Reassemble, in the same matrices, for changed stiffness or supports."""
         new = self._assembled(mechanics, constraints)
         for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
-            values.copy(matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            renew(matrix, values, constraints.follows)
 
     def equilibrium(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> Floats:
         """Equilibrium e = C^T u + D q - f_q at own points (n, 3) [N]; -e is the force W F."""

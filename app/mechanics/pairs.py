@@ -121,7 +121,7 @@ class SmoothSurface:
         beyond = at_rim & (np.linalg.norm(along, axis=1) > BESIDE * np.sqrt(self._area[facet]))
         return ~beyond & (np.einsum("pi,pi->p", n, normals) < -FACING)
 
-    def smooth_gap(self, points: Floats) -> tuple[Floats, Floats]:
+    def gap(self, points: Floats) -> tuple[Floats, Floats]:
         r"""Distance from the smooth surface (p,) [mm], positive outside, and its normal (p, 3).
 
         .. math:: g = (x - p)·n - \tfrac12 \sum_i L_i (x_i - p)·n_i

@@ -19,6 +19,7 @@ from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.creep import CreepState
 from app.mechanics.external_forces import Forces
+from app.mechanics.followers import Followers, soft
 from app.mechanics.stiffness import Stiffness, rounding
 from app.mechanics.stress_history import StressHistory
 from app.mechanics.thermal_strain import ThermalStrain
@@ -27,6 +28,9 @@ from app.scene.bodies import bodies_of
 from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
+
+# Displacements of own nodes without the translations of bodies that turn, and these by motion.
+Moved = tuple[Floats, dict[str, Floats]]
 
 
 class Problem:
@@ -54,7 +58,7 @@ class Problem:
         InputError: The scene does not fit the mesh.
     """
 
-    saved = ("time", "stiffness", "u", "mechanics", "contact", "history")
+    saved = ("time", "stiffness", "u", "mechanics", "contact", "history", "contact_work")
 
     def __init__(
         self,
@@ -76,10 +80,15 @@ class Problem:
             else None
         )
         parts = scene, tagged, self.bodies, self.mechanics
-        self.stiffness: Stiffness = Stiffness(*parts, like.stiffness if like else None)
+        sliding = scene, tagged, self.bodies, self.space
+        self.followers = Followers(*sliding) if soft(scene) else None
+        shared = like.stiffness if like else None
+        self.stiffness: Stiffness = Stiffness(*parts, shared, self.followers)
         constraints, frames = self.stiffness.constraints, self.stiffness.frames
         self.contact = (
-            ContactInterfaces(*parts, constraints, frames, augmentation_factor, timing)
+            ContactInterfaces(
+                *parts, constraints, frames, augmentation_factor, timing, self.followers
+            )
             if scene.contacts
             else None
         )
@@ -91,7 +100,16 @@ class Problem:
         self.thermal_strain = (
             ThermalStrain(scene, self.mechanics, self.bodies) if self.mechanics.swelling else None
         )
+        self._rest: Floats = np.zeros((self.space.dofmap.index_map.size_local, 3))
+        self._at_rest()
         self.set_time(0.0)
+
+    def _at_rest(self) -> None:
+        ways: dict[str, Floats] = (
+            {name: np.zeros(3) for name in self.followers.turning} if self.followers else {}
+        )
+        self._committed = self._pressed = self._rest, ways
+        self.contact_work = 0.0
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
         """Reset to the unloaded state, with other loads and laws; matrices stay; collective.
@@ -102,6 +120,7 @@ class Problem:
         """
         self.scene = scene
         self.set_stage(0, self.stiffness.K.createVecRight())
+        self._at_rest()
         for state in (self.u, *self.moved.values(), *self.mechanics.swelling.values()):
             state.x.array[:] = 0
         if self.history:
@@ -138,12 +157,23 @@ class Problem:
 
     def take_up(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Set the unknowns to the restored displacement and jumps; collective."""
-        self.stiffness.constraints.contract(self.u.x.petsc_vec).copy(u)
+        if self.followers and self.contact and (jump := self.contact.committed_at) is not None:
+            self.contact.pair_at(jump)
+            self._follow_pairs()
+        size = len(self._rest)
+        nodal: Floats = self.u.x.array[: 3 * size].reshape(-1, 3)
+        if self.followers:
+            nodal = self.followers.with_motion(*self.followers.without_motion(nodal))[1]
+        given = PETSc.Vec().createWithArray(nodal.ravel(), comm=self.comm)
+        self.stiffness.constraints.contract(given).copy(u)
         if self.contact:
             assert q is not None
             self.contact.commit(self.contact.state, self.time)
             q.array[:] = self.contact.state.jump.ravel()
         self.update_displacements(u, q)
+        if self.followers and q is not None:
+            self._committed = self._by_body()
+            self._pressed = self._contact_forces(self.trial(u, q))
         if self.history:
             self.history.begin_at(self.displacements())
 
@@ -166,14 +196,20 @@ class Problem:
         """Set loads, supports and gaps to a time; the state itself is unchanged."""
         self.time, time = time, self.scene.load_time(time)
         self.load_time = time
+        if self.followers:
+            self.followers.set_time(time)
+        if self.contact:
+            self.contact.set_time(time)
+            self._follow_pairs()
+        self._set_forces(time)
+
+    def _set_forces(self, time: float) -> None:
         action = self.forces.at(time)
         nodal = PETSc.Vec().createWithArray(action.nodal, comm=self.comm)
         self.f, self.f_q = self.stiffness.constraints.vector(nodal), action.jump
         self.load_size = float(self.f.norm())
         amplitudes = [amplitude(s.history, time) for s in self.scene.supports]
         self.prescribed = self.stiffness.prescribed(self.f, amplitudes)
-        if self.contact:
-            self.contact.set_time(time)
         self.mechanics.set_amplitudes(
             {
                 (e.region, k): amplitude(s.history, time)
@@ -241,7 +277,79 @@ class Problem:
 
     def pair(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
         """Pair points that slide far anew, if their gaps are wrong in a state; collective."""
-        return self.contact is not None and self.contact.pair(self.trial(u, q))
+        if self.contact is None or not self.contact.large:
+            return False
+        trial = self.trial(u, q)
+        self.update_displacements(u, q)
+        nodal = self._by_body() if self.followers else None
+        if not self.contact.pair(trial):
+            return False
+        if nodal is not None:
+            self._follow_pairs()
+            self._set_forces(self.load_time)
+            self._express(nodal, u, q)
+        return True
+
+    def _follow_pairs(self) -> None:
+        """Let nodes follow the surfaces that they are paired with now; collective."""
+        if not (self.contact and self.followers and self.followers.changed):
+            return
+        constraints = self.stiffness.constraints
+        constraints.follow()
+        self.stiffness.update()
+        self.contact.coupling.update(self.mechanics, constraints)
+        u, q = self.stiffness.K.createVecRight(), self.contact.coupling.D.createVecRight()
+        q.array[:] = self.contact.state.jump.ravel()
+        self._express(self._committed, u, q)
+        self.contact.carry(q.array.reshape(-1, 3).copy())
+
+    def carry(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
+        """Start from the committed displacements, whatever surfaces face each other now."""
+        if self.followers and q is not None:
+            self._express(self._committed, u, q)
+
+    def _contact_forces(self, trial: TrialState) -> Moved:
+        """Forces on own nodes where surfaces slide far [N], and their sums on bodies that turn."""
+        assert self.followers is not None and trial.contact.large is not None
+        rows, on_slaves = trial.contact.large.rows, np.zeros_like(self._rest)
+        on_slaves[self._own_nodes(rows)] = trial.equilibrium[rows]
+        handed = self.handed(on_slaves.ravel()).reshape(-1, 3)
+        return on_slaves - handed, self.followers.totals(on_slaves - handed)
+
+    def handed(self, nodal: Floats) -> Floats:
+        """Forces (3 nodes,) [N] that nodes hand to those that they follow; collective."""
+        if not self.followers:
+            return 0.0 * nodal
+        only, G = self.followers.only(nodal), self.stiffness.constraints.G
+        found = G.createVecLeft()
+        G.multTranspose(PETSc.Vec().createWithArray(only, comm=self.comm), found)
+        return self.followers.in_bodies(found.array.reshape(-1, 3)).ravel()
+
+    def _own_nodes(self, points: Ints) -> Ints:
+        assert self.contact is not None
+        dofs = self.contact.points.dof[self.contact.own.rows[points]]
+        return np.asarray(dofs - self.space.dofmap.index_map.local_range[0])
+
+    def _by_body(self) -> Moved:
+        """Displacement of own nodes, each as its body moves, as of `Followers.without_motion`."""
+        assert self.followers is not None
+        nodes = self.space.dofmap.index_map.size_local
+        found = self.u.x.array[: 3 * nodes].reshape(-1, 3).copy()
+        for i, dofs in self.followers.own_slaves().items():
+            slave = self.bodies.of_region[self.scene.contacts[i].slave[0]]
+            found[dofs] = self.moved[slave].x.array.reshape(-1, 3)[dofs]
+        return self.followers.without_motion(found)
+
+    def _express(self, moved: Moved, u: PETSc.Vec, q: PETSc.Vec) -> None:
+        """Set unknowns and jumps to displacements, as turned and paired now; collective."""
+        assert self.followers is not None
+        constraints, (nodal, given) = self.stiffness.constraints, self.followers.with_motion(*moved)
+        constraints.contract(PETSc.Vec().createWithArray(given.ravel(), comm=self.comm)).copy(u)
+        apart = nodal - constraints.expand(u).array.reshape(-1, 3)
+        contact = self.contact
+        assert contact is not None and contact.large is not None
+        rows = contact.large.rows
+        q.array.reshape(-1, 3)[rows] = apart[self._own_nodes(rows)]
 
     def approach(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Bring rigid bodies that touch nothing to where their loads push them; collective.
@@ -252,11 +360,10 @@ class Problem:
             return
         pushed = self.stiffness.constraints.pushed(self.f)
         nodal = self.stiffness.constraints.expand(pushed).array_r.reshape(-1, 3)
-        nodes = self.contact.points.dof[self.contact.own.rows]
-        way = nodal[nodes - self.space.dofmap.index_map.local_range[0]]
-        reach, far = self.contact.reach(way), self.contact.large.rows
+        way = nodal[self._own_nodes(self.contact.large.rows)]
+        reach = self.contact.reach(way)
         u.axpy(reach, pushed)
-        q.array.reshape(-1, 3)[far] -= reach * way[far]
+        q.array.reshape(-1, 3)[self.contact.large.rows] -= reach * way
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
@@ -302,6 +409,16 @@ class Problem:
             function.x.petsc_vec.array[:own] = nodal.array + extra.array
             function.x.scatter_forward()
 
+    def in_space(self, nodal: Floats) -> Floats:
+        """Vectors at own nodes (3 nodes,) from the axes of bodies that turn to those of space."""
+        return (
+            nodal if not self.followers else self.followers.in_space(nodal.reshape(-1, 3)).ravel()
+        )
+
+    def places(self, x: Floats) -> Floats:
+        """Positions of own nodes (nodes, 3) [mm] with the turns of their bodies."""
+        return self.followers.places(x) if self.followers else x
+
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last updated."""
         return [self.moved.get(b, self.u) for b in range(len(self.bodies.names))]
@@ -310,5 +427,14 @@ class Problem:
         """Commit a converged state, after `update_displacements`."""
         if trial is not None:
             trial.contact.commit(trial.committed(), self.time)
+        if trial is not None and self.followers:
+            forces, moved = self._contact_forces(trial), self._by_body()
+            (f0, F0), (f1, F1) = self._pressed, forces
+            (u0, t0), (u1, t1) = self._committed, moved
+            work = float(((f0 + f1) * (u1 - u0)).sum())
+            if self.comm.rank == 0:
+                work += sum(float((F0[k] + F1[k]) @ (t1[k] - t0[k])) for k in F1)
+            self.contact_work -= work / 2
+            self._pressed, self._committed = forces, moved
         if self.history:
             self.history.commit(self.displacements())

@@ -25,6 +25,8 @@ from dolfinx import fem
 from app.arrays import Floats, Ints
 from app.errors import InputError
 from app.mechanics.contact_points import OwnPoints
+from app.mechanics.followers import Followers
+from app.mechanics.pairs import SmoothSurface
 from app.mechanics.rigid_surfaces import RigidSurface, fitted
 from app.numerics.rigid_motions import rotation_vector
 from app.scene.bodies import boundary_facets, facet_nodes
@@ -65,13 +67,23 @@ class Sliding:
     """
 
     def __init__(
-        self, scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace, own: OwnPoints
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        space: fem.FunctionSpace,
+        own: OwnPoints,
+        dofs: Ints,
+        followers: Followers | None,
     ) -> None:
         apart = [i for i, c in enumerate(scene.contacts) if c.between]
         self.rows: Ints = np.flatnonzero(np.isin(own.interface, apart))
         self._of = own.interface[self.rows]
         self._own, self._apart = own, apart
-        self._surfaces = {i: surface_of(scene.contacts[i], tagged, space) for i in apart}
+        self._comm, self._dofs, self._followers = tagged.mesh.comm, dofs[self.rows], followers
+        meshed: dict[int, SmoothSurface] = followers.masters if followers else {}
+        self._surfaces = {
+            i: surface_of(scene.contacts[i], tagged, space, meshed.get(i)) for i in apart
+        }
         self.begin(scene)
 
     def begin(self, scene: Scene) -> None:
@@ -97,16 +109,28 @@ class Sliding:
         self.turn = self._each({i: rotation_vector(now[i] @ before[i].T) for i in now})
 
     def pair(self, jump: Floats) -> Paired:
-        """Pair the points, at jumps of all own points (n, 3) [mm]."""
-        way, R = self._arm + jump[self.rows], self.rotation
-        x = self._centre + np.einsum("pji,pj->pi", R, way)
+        """Pair the points, at jumps of all own points (n, 3) [mm]; collective."""
+        self.paired = self._at(jump)
+        for i in self._followers.sides if self._followers else ():
+            here = self._of == i
+            dofs, x = gather(self._comm, self._dofs[here], self._places(jump)[here])
+            assert self._followers is not None
+            self._followers.pair(i, x[np.argsort(dofs)])
+        return self.paired
+
+    def _places(self, jump: Floats) -> Floats:
+        """Points in the axes of the bodies that they slide on (m, 3) [mm]."""
+        way = self._arm + jump[self.rows]
+        return self._centre + np.einsum("pji,pj->pi", self.rotation, way)
+
+    def _at(self, jump: Floats) -> Paired:
+        way, R, x = self._arm + jump[self.rows], self.rotation, self._places(jump)
         gap, normal = np.zeros(len(x)), np.zeros(x.shape)
         for i, surface in self._surfaces.items():
             here = self._of == i
             gap[here], normal[here] = surface.gap(x[here])
         normal = np.einsum("pij,pj->pi", R, normal)
-        self.paired = Paired(gap, normal, way - gap[:, None] * normal)
-        return self.paired
+        return Paired(gap, normal, way - gap[:, None] * normal)
 
     def reference(self, jump: Floats) -> Floats:
         """Jumps (n, 3) [mm] at which nothing has slid since the committed ones."""
@@ -118,13 +142,16 @@ class Sliding:
         """Error of the gap linearized about jumps before, at jumps; both (n, 3): (m,) [mm]."""
         known, change = self.paired, (jump - before)[self.rows]
         line = known.gap + np.einsum("pi,pi->p", known.normal, change)
-        exact = self.pair(jump).gap
-        self.paired = known
-        return np.abs(exact - line)
+        return np.abs(self._at(jump).gap - line)
 
 
-def surface_of(interface: Interface, tagged: TaggedMesh, space: fem.FunctionSpace) -> RigidSurface:
-    """The surface of the master of an interface; collective.
+def surface_of(
+    interface: Interface,
+    tagged: TaggedMesh,
+    space: fem.FunctionSpace,
+    meshed: SmoothSurface | None,
+) -> RigidSurface | SmoothSurface:
+    """The surface of the master of an interface, by formula if it has one; collective.
 
     Raises:
         InputError: It has no formula.
@@ -137,9 +164,11 @@ def surface_of(interface: Interface, tagged: TaggedMesh, space: fem.FunctionSpac
     normals = nodal_normals(x[:, :3], inside, NODES[:3]).reshape(-1, 3)
     nodes, n = gather(tagged.mesh.comm, corners, normals)
     found = fitted(nodes, n / np.linalg.norm(n, axis=1)[:, None])
-    if found is None:
+    if found is not None:
+        return found
+    if meshed is None:
         raise InputError(
             f"interfaces.{interface.name}: boundary '{name}' of the rigid region is no plane, "
             "sphere or cylinder; allowed: these, or an elastic region"
         )
-    return found
+    return meshed

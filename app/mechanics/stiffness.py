@@ -11,7 +11,9 @@ import numpy as np
 from app.arrays import Floats
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
+from app.mechanics.followers import Followers
 from app.numerics.preconditioners import CoarseOrder, Inverse, near_null_space, stiffness_options
+from app.numerics.sparse import renew
 from app.scene.bodies import Bodies
 from app.scene.frames import frames_of
 from app.scene.scene import Scene
@@ -51,13 +53,15 @@ class Stiffness:
         bodies: Bodies,
         mechanics: BodyForms,
         reuse: Stiffness | None,
+        followers: Followers | None = None,
     ) -> None:
         space = mechanics.space
         self._parts = scene, tagged, bodies, space
         self.stage = self.version = 0
         self.frames = frames_of(*self._parts)
         self._form = mechanics.stiffness()
-        self.constraints = Constraints(*self._parts, self.stage, self.frames)
+        self._followers = followers
+        self.constraints = Constraints(*self._parts, self.stage, self.frames, followers)
         self.K = self._constrained()
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
@@ -91,7 +95,8 @@ class Stiffness:
     def update(self) -> None:
         """Reassemble in the same matrix; collective."""
         K = self._constrained()
-        K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        renew(self.K, K, self.constraints.follows)
+        self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.version += 1
 
     def set_stage(self, stage: int, u: PETSc.Vec) -> bool:
@@ -104,7 +109,7 @@ class Stiffness:
         if all(scene.holds(s, before) == scene.holds(s, stage) for s in scene.supports):
             return False
         old = self.constraints
-        self.constraints = Constraints(*self._parts, stage, self.frames)
+        self.constraints = Constraints(*self._parts, stage, self.frames, self._followers)
         self.constraints.carry(u, old)
         self.update()
         self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))

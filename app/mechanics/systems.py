@@ -18,7 +18,7 @@ from app.mechanics.problem import Problem
 from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
-from app.numerics.sparse import block_diagonal, fill
+from app.numerics.sparse import block_diagonal, fill, renew
 from app.numerics.system import Measure, System, size
 
 if TYPE_CHECKING:
@@ -174,7 +174,12 @@ class ContactSystem(BondedSystem):
         """Stiffness, coupling without constrained rows, stiffness of the jumps."""
         if self._coupled != self._problem.stiffness.version:
             self._coupled = self._problem.stiffness.version
-            self.contact.coupling.C.copy(self._C)
+            coupling, follows = self.contact.coupling, self._problem.stiffness.constraints.follows
+            if follows:
+                renew(self._C, coupling.C, anew=True)
+                renew(self._A_qu, self.times.matMult(coupling.Ct), anew=True)
+            else:
+                coupling.C.copy(self._C)
             self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
         return self._problem.stiffness.K, self._C, self.contact.coupling.D
 

@@ -61,6 +61,15 @@ def from_rows(
     return A
 
 
+def renew(A: PETSc.Mat, B: PETSc.Mat, anew: bool) -> None:
+    """Give a matrix the values of another one in place, and if asked its pattern; collective."""
+    if anew:
+        A.setPreallocationCSR(B.getValuesCSR())
+        A.assemble()
+    else:
+        B.copy(A, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+
+
 def diagonal(comm: MPI.Comm, values: Floats) -> PETSc.Mat:
     """Diagonal matrix of own values (n,); collective."""
     n = len(values)

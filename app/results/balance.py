@@ -46,7 +46,7 @@ class _State:
     external: Pairs  # loads, reactions and free strains with their motions
     setting: Pairs  # forces of curing regions with their displacement
     energy: float  # stored [N mm]
-    outer: Floats  # loads, reactions and forces of springs (3 nodes,) [N]
+    outer: Floats  # loads, reactions, of springs and between bodies meshed apart (3 nodes,) [N]
     reaction: Floats  # reactions alone (3 nodes,) [N]
     left: Floats  # forces on unknowns and jumps that nothing balances [N]
 
@@ -117,7 +117,7 @@ class Balance:
         nodes = problem.space.tabulate_dof_coordinates()[
             : len(problem.stiffness.constraints.reacting) // 3
         ]
-        self._arm = nodes - about
+        self._nodes, self._about = nodes, about
         self._rest = self._measure(problem.stiffness.K.createVecLeft(), None)
         self.begin()
 
@@ -154,7 +154,8 @@ class Balance:
             setting, energy = [*setting, *elastic], 0.0
         acting = problem.forces.applied(problem.load_time)
         left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)
-        reaction = np.where(constraints.reacting, left, 0.0)
+        handed = problem.handed(left)
+        reaction = np.where(constraints.reacting, left + handed, 0.0)
         loose = constraints.vector(PETSc.Vec().createWithArray(left, comm=problem.comm))
         missing = held_q = jump
         if trial is not None:
@@ -162,6 +163,8 @@ class Balance:
             held_q = (e - trial.contact.own.project_free(e)).ravel()
             missing = inner.jump - acting.jump - e.ravel()
         outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()
+        outer, displacement = map(problem.in_space, (outer, displacement))
+        passed = problem.in_space(problem.followers.only(left) - handed) if problem.followers else 0
         external = [(outer, displacement), (acting.jump + held_q, jump)]
         for free, form in self._swelling:
             work = assembled_vector(form).array.copy()
@@ -171,8 +174,8 @@ class Balance:
             external.append((np.array([fem.assemble_scalar(form)]), strain))
         springs = assembled_vector(self._springs).array if self._springs else 0.0
         set_in = [(f.array, displacements[b].x.array[: len(outer)].copy()) for b, f in setting]
-        left = np.concatenate([loose.array[~constraints.constrained], missing])
-        return _State(external, set_in, float(energy), outer - springs, reaction, left)
+        total = np.concatenate([loose.array[~constraints.constrained], missing])
+        return _State(external, set_in, float(energy), outer - springs + passed, reaction, total)
 
     def update(self, u: PETSc.Vec, trial: TrialState | None) -> None:
         """Add a committed step with updated displacements; collective."""
@@ -180,6 +183,8 @@ class Balance:
         self._last = new
         problem, comm = self._problem, self._problem.comm
         contact = trial.contact.state.work.sum() if trial else 0.0
+        if problem.followers:
+            contact = problem.contact_work
         works = (_work(a, b) for a, b in ((old.external, new.external), (old.setting, new.setting)))
         local = [*works, contact, new.energy]
         work, set_in, *stored = comm.allreduce(np.array(local)).tolist()
@@ -199,16 +204,16 @@ class Balance:
     def _forces(self, new: _State, scale: float) -> None:
         problem, comm = self._problem, self._problem.comm
         outer = new.outer.reshape(-1, 3)
-        force, moment = comm.allreduce(
-            np.array([outer.sum(axis=0), np.cross(self._arm, outer).sum(axis=0)])
-        )
+        arm = problem.places(self._nodes) - self._about
+        sums = np.array([outer.sum(axis=0), np.cross(arm, outer).sum(axis=0)])
+        force, moment = comm.allreduce(sums)
         loads = sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.load_time))
         reactions = comm.allreduce(np.abs(new.reaction).sum(), MPI.SUM)
         # After unloading only forces of rounding are left.
         scale = self._largest = max(self._largest, scale, float(loads), float(reactions))
         left = float(np.sqrt(comm.allreduce(new.left @ new.left)))
         self.force = _relative(max(left, float(np.linalg.norm(force))), scale)
-        far = comm.allreduce(np.linalg.norm(self._arm, axis=1).max(initial=0.0), MPI.MAX)
+        far = comm.allreduce(np.linalg.norm(arm, axis=1).max(initial=0.0), MPI.MAX)
         self.moment = _relative(float(np.linalg.norm(moment)), scale * float(far))
 
 

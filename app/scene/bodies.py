@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import basix
 import numpy as np
-from dolfinx import fem
+from dolfinx import fem, la
 from numpy.typing import NDArray
 
-from app.arrays import Ints
+from app.arrays import Bools, Ints
 from app.errors import InputError
 from app.laws.materials import Rigid
 from app.scene.scene import Interface
@@ -235,3 +235,18 @@ def facet_coordinates(tagged: TaggedMesh, f: FacetCells) -> tuple[NDArray, NDArr
     geometry = tagged.mesh.geometry
     centres = geometry.x[geometry.dofmap[f.cells][:, :4]].mean(axis=1).reshape(-1, 3)
     return geometry.x[_at_facets(geometry.dofmap, f)], centres
+
+
+def nodes_on(tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Ints:
+    """Local nodes of a boundary; collective."""
+    facets = boundary_facets(tagged, boundary).facets.astype(np.int32)
+    return np.asarray(fem.locate_dofs_topological(space, 2, facets), dtype=np.int64)
+
+
+def touched_nodes(space: fem.FunctionSpace, cells: Ints) -> Bools:
+    """Whether local nodes of a vector space belong to cells of any rank (n,); collective."""
+    marks = fem.Function(space)
+    marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[cells])] = 1
+    marks.x.scatter_reverse(la.InsertMode.add)
+    marks.x.scatter_forward()
+    return np.asarray(marks.x.array[::3] > 0)

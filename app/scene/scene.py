@@ -133,6 +133,15 @@ class Scene:
             return float(self.load_cases[-1] + 1)
         return k + self.stages[k].reached(time - k)
 
+    def is_rigid(self, interface: Interface) -> bool:
+        """Whether the master of an interface is a rigid region."""
+        return any(r.region in interface.master for r in self.rigid)
+
+    @property
+    def driven(self) -> tuple[Motion, ...]:
+        """Motions that drive a boundary of an elastic region."""
+        return tuple(m for m in self.motions if m.boundary)
+
     def motion_of(self, regions: Sequence[str]) -> Motion | None:
         """The motion of some of the regions, if there is one."""
         return next((m for m in self.motions if m.region in regions), None)
@@ -224,16 +233,21 @@ def _stages(case: Case) -> tuple[Stage, ...]:
 
 def _loads(name: str, load: Load, case: Case) -> tuple[Load, ...]:
     """A load; of a force with a course or a motion its three components."""
-    if not isinstance(load, Force) or (load.course is None and load.follows is None):
+    moved = isinstance(load, Force) and (
+        load.course or load.follows or load.boundary in {m.boundary for m in case.motions.values()}
+    )
+    if not (isinstance(load, Force) and moved):
         return (load.named(name),)
     motion = case.motions[load.follows] if load.follows else None
+    # Nodes of an elastic region that turns have axes that turn with it.
+    own = next((m for m in case.motions.values() if m.boundary == load.boundary), None)
 
     def component(k: int, time: float) -> float:
         s, part = course(case.stages, time)
         F = load.force_at(s)
-        R = motion.rotation_at(s, part)[k] if motion else [float(k == i) for i in range(3)]
         factor = part if load.course else amplitude(load.history, time)
-        return factor * sum(a * b for a, b in zip(R, F, strict=True))
+        in_space = factor * (motion.rotation_at(s, part) @ F if motion else np.array(F))
+        return float((own.rotation_at(s, part).T @ in_space if own else in_space)[k])
 
     found = []
     for k, axis in enumerate(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))):

@@ -34,7 +34,7 @@ from app.version import __version__
 log = logging.getLogger("mantle")
 
 # Version of the file layout.
-FORMAT = 6
+FORMAT = 7
 # Stands for rows in the header, which is an array of its name.
 ROWS = "@rows"
 # Number of checkpoints kept.

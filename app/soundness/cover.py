@@ -9,9 +9,9 @@ import numpy as np
 from app.arrays import Bools, Floats
 from app.errors import InputError
 from app.mechanics.contact import TrialState
+from app.mechanics.followers import Side
 from app.mechanics.pairs import SmoothSurface
 from app.mechanics.problem import Problem
-from app.scene.bodies import boundary_facets, facet_nodes
 from app.scene.scene import Interface
 from app.system.layout import point_text
 from meshes.contact_facets import gather
@@ -31,11 +31,8 @@ class Cover:
         self._problem, self._masters = problem, dict[int, SmoothSurface]()
         for i, c in enumerate(problem.scene.contacts):
             if c.between:
-                f = boundary_facets(problem.tagged, c.between[0])
-                x, inside = facet_nodes(problem.tagged, problem.space, f)[2:]
-                x, inside = gather(problem.comm, x[:, :3], inside)
-                nodes, of = np.unique(x.reshape(-1, 3), axis=0, return_inverse=True)
-                self._masters[i] = SmoothSurface(nodes, of.reshape(-1, 3), x[:, 0] - inside)
+                side = Side.of(problem.tagged, problem.space, c.between[0])
+                self._masters[i] = SmoothSurface(side.x, side.triangles, side.outward)
         for c, here, beyond, apart, facet in self._points():
             depth, where = self._largest(here, np.where(beyond > 0, 0.0, -apart))
             if depth > facet:

@@ -217,6 +217,7 @@ class LoadStepper:
                 time = begin + reach * (end - begin)
                 set_load(reach)
                 problem.update_stiffness()
+                problem.carry(*solver.u_and_q())
                 for p in predictors:
                     p.predict(time)
                 predicted = predictors and not same(start, solver.x)

@@ -93,13 +93,13 @@ def test_closest_points_are_closer_than_dense_samples_of_all_facets() -> None:
     assert (distance * out)[np.abs(out) > 0.2].min() > 0
 
 
-def test_smooth_gap_and_normals_are_those_of_the_sphere() -> None:
+def test_gap_and_normals_are_those_of_the_sphere() -> None:
     """Far below the sagitta, of order h^4 on both sides; fitted normals within 0.1 degrees."""
     errors = []
     for n in (500, 2000, 8000):
         ball = sphere(n)
         off = np.linalg.norm(np.cross(ball.normals, ball.x / R), axis=1).max()
-        found = [(g, *ball.smooth_gap((R + g) * V)) for g in (-0.05, 0.0, 0.1)]
+        found = [(g, *ball.gap((R + g) * V)) for g in (-0.05, 0.0, 0.1)]
         errors.append([off, max(np.abs(gap - g).max() for g, gap, _ in found)])
         assert all(normal == pytest.approx(V, abs=0.01) for *_, normal in found)
     orders = np.log2(np.array(errors)[:-1] / np.array(errors)[1:])
@@ -115,7 +115,7 @@ def test_turned_together_the_pairs_stay() -> None:
     first = matrix(mortar(cup.x, cup.triangles, ball))
     second = matrix(mortar(cup.x @ TURN.T, cup.triangles, turned))
     assert second == pytest.approx(first, abs=1e-11) and (np.abs(first) > 0.01).sum() > 2000
-    (gap, normal), (gap_, normal_) = ball.smooth_gap(cup.x), turned.smooth_gap(cup.x @ TURN.T)
+    (gap, normal), (gap_, normal_) = ball.gap(cup.x), turned.gap(cup.x @ TURN.T)
     assert gap_ == pytest.approx(gap, abs=1e-12) and np.allclose(normal_, normal @ TURN.T)
 
 

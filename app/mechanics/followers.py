@@ -1,0 +1,246 @@
+r"""Surfaces that follow deformable ones they slide on: rows of displacements in terms of others.
+
+The slave's nodes of a sliding interface follow the master's surface,
+
+.. math:: u_s = Π R u_m + q, \qquad U = G P_0 ũ + B q,
+
+with Π the dual mortar matrix of the current pairs (`mechanics.pairs`), R the rotation of the
+master, in whose own axes u_m is, and G the identity but for nodes that follow. Both surfaces are
+linear between vertices: the middle of an edge follows its ends. A driven boundary moves by a
+translation t in space, R^T t in the axes of its body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+
+from app.arrays import Floats, Ints
+from app.mechanics.pairs import Pairs, SmoothSurface, mortar
+from app.numerics.sparse import from_triplets
+from app.scene.bodies import (
+    Bodies,
+    boundary_facets,
+    cell_tags,
+    facet_nodes,
+    nodes_on,
+    touched_nodes,
+)
+from app.scene.scene import Interface, Scene
+from meshes.contact_facets import gather
+from meshes.distribute import TaggedMesh
+
+# Points further from the master than this part of an edge have rows of shape functions.
+REACH = 0.1
+
+
+@dataclass(frozen=True)
+class Side:
+    """Surface of a body at a sliding interface, replicated.
+
+    Attributes:
+        dofs: Global blocked dofs of its vertices (n,), rising.
+        x: Their positions (n, 3) [mm].
+        triangles: Vertices of its facets (f, 3).
+        outward: A vector out of the body for each facet (f, 3).
+        edges: Dof of the middle of each edge, and its two vertices (e, 3); none at first order.
+    """
+
+    dofs: Ints
+    x: Floats
+    triangles: Ints
+    outward: Floats
+    edges: Ints
+
+    @classmethod
+    def of(cls, tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Side:
+        """Gather a boundary on every rank; collective."""
+        _, dofs, x, inside = facet_nodes(tagged, space, boundary_facets(tagged, boundary))
+        dofs, x, inside = gather(tagged.mesh.comm, dofs, x[:, :3], inside)
+        vertices, first, of = np.unique(dofs[:, :3], return_index=True, return_inverse=True)
+        triangles = of.reshape(-1, 3)
+        # The middle of an edge of a facet is opposite its vertex of the same number.
+        ends = triangles[:, [[1, 2], [2, 0], [0, 1]]]
+        edges = np.concatenate([dofs[:, 3:, None], ends[:, : dofs.shape[1] - 3]], axis=2)
+        _, one = np.unique(edges[..., 0], return_index=True)
+        edges = edges.reshape(-1, 3)[one]
+        return cls(vertices, x.reshape(-1, 3)[first], triangles, x[:, 0] - inside, edges)
+
+
+def soft(scene: Scene) -> dict[int, Interface]:
+    """Interfaces that slide far on deformable bodies, by number."""
+    contacts = enumerate(scene.contacts)
+    return {i: c for i, c in contacts if c.between and not scene.is_rigid(c)}
+
+
+class Followers:
+    """Slaves of interfaces that slide far on deformable bodies; made collectively.
+
+    Attributes:
+        sides: Master and slave of each such interface, by its number.
+        masters: Surface of each master, by the number of the interface.
+        following: Global dofs without unknowns of their own, rising (n,).
+        turning: Own nodes of each body that turns, and those of its driven boundary, by motion.
+        rotations: Rotation of each of them (3, 3).
+        pairs: Rows of Π of each interface.
+        changed: Whether they have changed since `matrix`.
+    """
+
+    def __init__(
+        self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace
+    ) -> None:
+        interfaces = soft(scene)
+        self._scene, nodes = scene, space.dofmap.index_map.size_local
+        self._comm, self._map = tagged.mesh.comm, space.dofmap.index_map
+        self.sides: dict[int, tuple[Side, Side]] = {}
+        for i, c in interfaces.items():
+            assert c.between is not None
+            master, slave = (Side.of(tagged, space, name) for name in c.between)
+            self.sides[i] = master, slave
+        self.masters = {
+            i: SmoothSurface(m.x, m.triangles, m.outward) for i, (m, _) in self.sides.items()
+        }
+        parts = [(s.dofs, s.edges[:, 0], m.edges[:, 0]) for m, s in self.sides.values()]
+        self.following = np.unique(np.concatenate([dofs for part in parts for dofs in part]))
+        self.changed = True
+        self.turning: dict[str, tuple[Ints, Ints]] = {}
+        for m in scene.driven:
+            of_body = bodies.of_tag[cell_tags(tagged)] == bodies.of_region[m.region]
+            own = np.flatnonzero(touched_nodes(space, np.flatnonzero(of_body))[:nodes])
+            driven = nodes_on(tagged, space, str(m.boundary))
+            self.turning[m.name] = own, driven[driven < nodes]
+        motions = {i: scene.motion_of(c.master) for i, c in interfaces.items()}
+        self._motions = {i: m.name if m else "" for i, m in motions.items()}
+        self.rotations: dict[str, Floats] = dict.fromkeys(("", *self.turning), np.eye(3))
+        self.pairs = {i: self.paired(i, slave.x) for i, (_, slave) in self.sides.items()}
+
+    def paired(self, i: int, x: Floats) -> Pairs:
+        """Rows of Π of an interface, its slave's vertices at x in the master's axes (n, 3) [mm]."""
+        slave, master = self.sides[i][1], self.masters[i]
+        edge = np.linalg.norm(np.diff(slave.x[slave.triangles[:, :2]], axis=1), axis=2).mean()
+        return mortar(x, slave.triangles, master, reach=REACH * float(edge))
+
+    def own_slaves(self) -> dict[int, Ints]:
+        """Local own nodes of the slave of each interface."""
+        low, high = self._map.local_range
+        every = {i: np.concatenate([s.dofs, s.edges[:, 0]]) for i, (_, s) in self.sides.items()}
+        return {i: d[(d >= low) & (d < high)] - low for i, d in every.items()}
+
+    def pair(self, i: int, x: Floats) -> None:
+        """Pair the surfaces of an interface anew, as `paired`."""
+        found = self.paired(i, x)
+        parts = zip(found[:3], self.pairs[i][:3], strict=True)
+        self.changed |= not all(np.array_equal(a, b) for a, b in parts)
+        self.pairs[i] = found
+
+    def set_time(self, time: float) -> None:
+        """Turn the bodies to a time."""
+        for m in self._scene.driven:
+            R, before = self._scene.rotation(m, time), self.rotations[m.name]
+            self.changed |= not np.array_equal(R, before)
+            self.rotations[m.name] = R
+
+    def without_motion(self, nodal: Floats) -> tuple[Floats, dict[str, Floats]]:
+        """Displacements of own nodes (n, 3) less their bodies' translations, and these (3,) [mm].
+
+        The translations are in space; collective.
+        """
+        rest, ways = nodal.copy(), {}
+        for name, (own, driven) in self.turning.items():
+            R = self.rotations[name]
+            total = self._comm.allreduce(np.append(nodal[driven].sum(axis=0), len(driven)))
+            ways[name] = R @ total[:3] / total[3]
+            rest[own] -= R.T @ ways[name]
+        return rest, ways
+
+    def totals(self, forces: Floats) -> dict[str, Floats]:
+        """Sum of forces on nodes of each body that turns (3,), along axes of space; collective."""
+        return {
+            name: self._comm.allreduce(self.rotations[name] @ forces[own].sum(axis=0))
+            for name, (own, _) in self.turning.items()
+        }
+
+    def with_motion(self, rest: Floats, ways: Mapping[str, Floats]) -> tuple[Floats, Floats]:
+        """Displacements (n, 3) with translations; the same, of driven nodes along axes of space."""
+        nodal = rest.copy()
+        for name, (own, _) in self.turning.items():
+            nodal[own] += self.rotations[name].T @ ways[name]
+        given = nodal.copy()
+        for name, (_, driven) in self.turning.items():
+            given[driven] = ways[name]
+        return nodal, given
+
+    def only(self, nodal: Floats) -> Floats:
+        """Values at own nodes (3 nodes,), zero but where they follow others."""
+        low, high = self._map.local_range
+        here, found = self.following, np.zeros_like(nodal)
+        rows = here[(here >= low) & (here < high)] - low
+        found.reshape(-1, 3)[rows] = nodal.reshape(-1, 3)[rows]
+        return found
+
+    def in_bodies(self, given: Floats) -> Floats:
+        """Vectors at own nodes (n, 3), of driven ones along axes of space, in those of bodies."""
+        found = given.copy()
+        for name, (_, driven) in self.turning.items():
+            found[driven] = given[driven] @ self.rotations[name]
+        return found
+
+    def in_space(self, nodal: Floats) -> Floats:
+        """Vectors at own nodes (n, 3), from the axes of their bodies to those of space."""
+        found = nodal.copy()
+        for name, (own, _) in self.turning.items():
+            found[own] = nodal[own] @ self.rotations[name].T
+        return found
+
+    def places(self, x: Floats) -> Floats:
+        """Positions of own nodes (n, 3) [mm], turned."""
+        found = x.copy()
+        for m in self._scene.driven:
+            own, about = self.turning[m.name][0], np.array(m.about)
+            found[own] = about + (x[own] - about) @ self.rotations[m.name].T
+        return found
+
+    def matrix(self) -> PETSc.Mat:
+        """G, from displacements of nodes that follow none to those of all; collective."""
+        self.changed = False
+        low, high = self._map.local_range
+        own = np.setdiff1d(np.arange(low, high), self.following)
+        rows, columns, blocks = [own], [own], [np.broadcast_to(np.eye(3), (len(own), 3, 3))]
+
+        def add(row: Ints, column: Ints, block: Floats) -> None:
+            here = (row >= low) & (row < high)
+            for part, values in zip((rows, columns, blocks), (row, column, block), strict=True):
+                part.append(values[here])
+
+        for i, (master, slave) in self.sides.items():
+            pairs, R = self.pairs[i], self.rotations[self._motions[i]]
+            blocks_of = pairs.values[:, None, None] * R
+            at = master.dofs[pairs.columns]
+            add(slave.dofs[pairs.rows], at, blocks_of)
+            half = np.broadcast_to(np.eye(3) / 2, (len(master.edges), 3, 3))
+            # Middles of the slave's edges: half of the rows of either end.
+            count = np.bincount(pairs.rows, minlength=len(slave.dofs))
+            begin = np.cumsum(count) - count
+            for end in (1, 2):
+                add(master.edges[:, 0], master.dofs[master.edges[:, end]], half)
+                of = slave.edges[:, end]
+                edge = np.repeat(np.arange(len(of)), count[of])
+                entry = np.arange(len(edge)) + np.repeat(
+                    begin[of] - (np.cumsum(count[of]) - count[of]), count[of]
+                )
+                add(slave.edges[edge, 0], at[entry], blocks_of[entry] / 2)
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        block: Floats = np.concatenate(blocks)
+        for name, (_, driven) in self.turning.items():
+            given = np.isin(column, gather(self._comm, driven + low)[0])
+            block[given] = block[given] @ self.rotations[name].T
+        k, i3, j3 = np.indices(block.shape).reshape(3, -1)
+        size = 3 * (high - low)
+        return from_triplets(
+            self._comm, size, size, 3 * (row[k] - low) + i3, 3 * column[k] + j3, block.ravel()
+        )
