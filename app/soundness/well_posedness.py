@@ -131,8 +131,24 @@ def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
 
 
 def _moved(case: Case, found: Parts) -> tuple[list[str], list[str]]:
-    """Errors on supports of regions that move as a whole, notes on loads of those that stay."""
+    """Errors on supports of regions that move as a whole, notes on loads of those that stay.
+
+    An error, too, where nothing says how a rigid region turns on which another slides far: a turn
+    that is found feels contact where it was before it slid.
+    """
     errors, notes = [], []
+    told = {motion.region for motion in case.motions.values()}
+    fixed = [s.boundary for s in case.supports.values() if s.kind == "fixed"]
+    told |= {found.pieces[k].region for name in fixed for k in found.boundaries.get(name, ())}
+    for name, law in case.interfaces.items():
+        for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
+            far = getattr(law, "sliding", "small") == "finite" and region not in told
+            if far and isinstance(case.regions[region], Rigid):
+                errors.append(
+                    f"interfaces.{name}: nothing says how the rigid {region} turns; expected "
+                    f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}, or "
+                    "a fixed support"
+                )
     for name, motion in case.motions.items():
         own = {k for k, piece in enumerate(found.pieces) if piece.region == motion.region}
         on = {boundary for boundary, pieces in found.boundaries.items() if own & pieces.keys()}

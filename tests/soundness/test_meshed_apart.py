@@ -26,6 +26,8 @@ interfaces:
   bearing: {kind: contact, friction_coefficient: 0.06, sliding: finite}
 supports:
   outside: {kind: fixed, boundary: liner_outer}
+motions:
+  ball: {region: head, about: head_centre}
 """
 TURN = """motions={ball: {region: head, about: head_centre, rotation: {axes: yxz, course:
 ["time [s], rotation y [deg]", "0, 0", "1, 25"]}}}"""
@@ -41,6 +43,8 @@ interfaces:
        between: [plate_bottom, block_top]}}
 supports:
   floor: {{kind: fixed, boundary: block_bottom}}
+motions:
+  plate: {{region: plate, about: [0 mm, 0 mm, 0 mm]}}
 """
 SHELL = (
     BALL.replace("ness: 8 mm", "ness: 8 mm, shell_thickness: 3 mm")
@@ -73,10 +77,11 @@ def test_sliding_contact_holds_a_body_and_coincident_nodes_are_no_crack() -> Non
     assert judged(BALL) == judged(BLOCK) == []
 
 
-def test_nothing_resists_the_turn_of_a_smooth_ball_but_its_motion() -> None:
-    (note,) = judged(BALL, SMOOTH)
-    assert note.startswith("hardly anything holds body 'head': it is free to turn about x, y, z")
-    assert judged(BALL, SMOOTH, TURN) == []
+def test_somebody_says_how_a_rigid_body_turns_that_slides_far() -> None:
+    with pytest.raises(InputError, match=r"^interfaces\.b: nothing says how the rigid plate turns"):
+        judged(BLOCK, "motions={}")
+    held = "supports.top={kind: fixed, boundary: plate_top}"
+    assert judged(BLOCK, "motions={}", held) == judged(BALL, SMOOTH, TURN) == []
 
 
 @pytest.mark.parametrize(
