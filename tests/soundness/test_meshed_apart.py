@@ -57,7 +57,9 @@ BOTH = BLOCK.replace("{b: [plate, block]}", "{b: [plate, block], d: [block, plat
 UNDER = """interfaces.d={kind: contact, friction_coefficient: 0, sliding: finite,
   between: [block_bottom, plate_top]}"""
 # Pressed to the plate, then drawn along it.
-DRAWN = BLOCK.replace("kind: fixed,", "kind: displacement, x: 30 mm, y: 0 mm, history: [0, 1],")
+DRAWN = BLOCK.partition("motions:")[0].replace(
+    "kind: fixed,", "kind: displacement, x: 30 mm, y: 0 mm, history: [0, 1],"
+)
 DRAWN += """\
   table: {kind: fixed, boundary: plate_top}
 loads: {up: {kind: force, boundary: block_bottom, force: [0 N, 0 N, 500 N], history: [1, 1]}}
