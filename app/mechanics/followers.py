@@ -181,6 +181,16 @@ class Followers:
             given[driven] = ways[name]
         return nodal, given
 
+    def following_driven(self, nodal: Floats) -> Floats:
+        """Displacements (n, 3) [mm] with bodies that turn moved as their driven boundaries.
+
+        Those of driven nodes are along axes of space; collective.
+        """
+        rest, ways = nodal.copy(), self.without_motion(nodal)[1]
+        for own, _ in self.turning.values():
+            rest[own] = 0
+        return self.with_motion(rest, ways)[1]
+
     def only(self, nodal: Floats) -> Floats:
         """Values at own nodes (3 nodes,), zero but where they follow others."""
         low, high = self._map.local_range

@@ -360,18 +360,17 @@ class Problem:
         """
         if q is None or self.contact is None or self.contact.large is None:
             return
-        moving = [r.region for r in self.scene.rigid] + [m.region for m in self.scene.driven]
-        for m in self.scene.motions:
-            if m.region not in moving:
-                continue
-            rows, reach = self.contact.apart(m.region)
-            k, push = moving.index(m.region), self.stiffness.constraints.push
-            if not m.boundary:
-                q.array.reshape(-1, 3)[rows] -= push(k, self.f, u, reach)
-                continue
-            self.update_displacements(u, q)
-            rest, ways = self._by_body()
-            self._express((rest, {**ways, m.name: ways[m.name] + push(k, self.f, u, reach)}), u, q)
+        constraints, rows = self.stiffness.constraints, self.contact.large.rows
+        pushed = constraints.pushed(self.f)
+        nodal = constraints.expand(pushed).array_r.reshape(-1, 3)
+        if self.followers:
+            given = self.followers.following_driven(nodal).ravel()
+            pushed = constraints.contract(PETSc.Vec().createWithArray(given, comm=self.comm))
+            nodal = constraints.expand(pushed).array_r.reshape(-1, 3)
+        way = nodal[self._own_nodes(rows)]
+        reach = self.contact.reach(way)
+        u.axpy(reach, pushed)
+        q.array.reshape(-1, 3)[rows] -= reach * way
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
