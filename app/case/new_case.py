@@ -19,7 +19,6 @@ from app.errors import InputError, MantleError
 # Pairs of regions of a mesh that meet, and its interior surfaces.
 Meeting = Callable[[Any, Any], tuple[list[tuple[str, str]], list[str]]]
 FOLDER = configs.FOLDER / "start"
-KINDS = ("femur", "cylinders", "blocks", "file")
 STEMS = {"titanium": "Ti-6Al-4V", "cocr": "CoCrMo", "steel": "316L"}
 SCHEMA = f"# yaml-language-server: $schema={configs.FOLDER / 'schema.json'}\n"
 LAW = "{kind: bonded} # or, where they may part: {kind: contact, friction_coefficient: 0.3}"

@@ -121,7 +121,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "--accuracy": dict(metavar="PART", help="pick mesh size and order for errors below, e.g. 0.05"),
     "--mesh": dict(action="store_true", help="make the mesh and give exact sizes"),
     "--kind": dict(
-        choices=("femur", "cylinders", "blocks", "file"),
+        choices=("femur", "cylinders", "blocks", "head_cup", "file"),
         default="femur",
         help="its geometry (default femur, standing on one leg); file: a mesh of gmsh, NAME.msh",
     ),

@@ -8,8 +8,6 @@ directions than x, y, z have unknowns along axes of their own (`scene.frames`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -258,25 +256,13 @@ class Constraints:
             self.G = self._followers.matrix()
             self._P = self.G.matMult(self._P0)
 
-    def push(self, k: int, f: PETSc.Vec, u: PETSc.Vec, reach: Callable[[Floats], float]) -> Floats:
-        """Move rigid region k along forces f on the unknowns where it is free; collective.
-
-        It goes as far as ``reach`` says of a unit way (3,), in u. Returns its way (3,) [mm].
-        """
-        place, step = 0, np.zeros(6)
-        way: Floats = np.zeros(3)
-        if u.comm.rank == 0:
-            place = sorted(self._bases)[k]
+    def pushed(self, f: PETSc.Vec) -> PETSc.Vec:
+        """Motion of the rigid regions alone, along forces f on the unknowns, where free."""
+        u = f.duplicate()
+        for place in self._bases:
             here = slice(place, place + 6)
-            step[:] = np.where(self.constrained[here], 0.0, f.array_r[here])
-            way = (self._bases[place] @ step)[:3]
-        way = u.comm.tompi4py().bcast(way)
-        size = float(np.linalg.norm(way))
-        if size:
-            size = reach(np.asarray(way / size)) / size
-        if u.comm.rank == 0:
-            u.array[place : place + 6] += size * step
-        return size * way
+            u.array[here] = np.where(self.constrained[here], 0.0, f.array_r[here])
+        return u
 
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
         """P^T K P."""

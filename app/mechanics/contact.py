@@ -17,7 +17,6 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -203,6 +202,11 @@ class ContactInterfaces:
         holds, axes = held_at(frames, tagged, bodies, space, scene.supports, self.facets)
         self.points, entries = contact_points(self.facets, holds, parts, axes)
         refuse_supports(scene, bodies, holds, self.points, entries)
+        apart = np.isin(
+            self.points.interface, [i for i in range(parts) if scene.contacts[i].between]
+        )
+        # The one face of a point that slides far is that of the surface under it.
+        self.points.faces[apart], self.points.normals[apart, 1:] = 1, 0.0
         rows, number = owners(self.comm, space.dofmap.index_map, self.points.dof)
         self.own = OwnPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
@@ -340,25 +344,20 @@ class ContactInterfaces:
                 tied |= here
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
 
-    def apart(self, region: str) -> tuple[Ints, Callable[[Floats], float]]:
-        """Own points that slide over a body, and how far it is from them along a unit way (3,).
+    def reach(self, way: Floats) -> float:
+        """How far bodies go along ways at points (m, 3) that slide far, in ways; collective.
 
-        It is 0 if they touch already, or do not face it; further than where they touch.
+        Further than where they touch; 0 if any does, or none is before them.
         """
         assert self.large is not None
-        over = [i for i, c in enumerate(self._contacts) if c.between and region in c.master]
-        here = np.isin(self.own.interface[self.large.rows], over)
-        rows = self.large.rows[here]
-        gap = self._clearance[rows] + self.large.paired.gap[here]
-        touch = bool((gap <= 0).any() or self.state.force[rows].any())
-
-        def reach(way: Floats) -> float:
-            slope = self.own.normals[rows, 0] @ way
-            near = np.min(gap / slope, where=slope > FACING, initial=np.inf)
-            found, touches = self.comm.allreduce(near, MPI.MIN), self.comm.allreduce(touch, MPI.LOR)
-            return 0.0 if touches or not np.isfinite(found) else BEYOND * float(found)
-
-        return rows, reach
+        rows = self.large.rows
+        gap = self._clearance[rows] + self.large.paired.gap
+        along = np.einsum("pi,pi->p", self.own.normals[rows, 0], way)
+        before = along > FACING * np.linalg.norm(way, axis=1)
+        near = float(np.min(gap[before] / along[before], initial=np.inf))
+        touch = (gap <= 0).any() or self.state.force[rows].any()
+        reach = self.comm.allreduce(0.0 if touch else near, MPI.MIN)
+        return BEYOND * reach if np.isfinite(reach) else 0.0
 
     def augmentation(self) -> dict[str, float]:
         """As `PointLaw.augmentation`, by the name of the interface; collective."""

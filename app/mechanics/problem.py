@@ -358,13 +358,12 @@ class Problem:
         """
         if q is None or self.contact is None or self.contact.large is None:
             return
-        regions = [r.region for r in self.scene.rigid]
-        for m in self.scene.motions:
-            if m.region in regions:
-                rows, reach = self.contact.apart(m.region)
-                k = regions.index(m.region)
-                way = self.stiffness.constraints.push(k, self.f, u, reach)
-                q.array.reshape(-1, 3)[rows] -= way
+        pushed = self.stiffness.constraints.pushed(self.f)
+        nodal = self.stiffness.constraints.expand(pushed).array_r.reshape(-1, 3)
+        way = nodal[self._own_nodes(self.contact.large.rows)]
+        reach = self.contact.reach(way)
+        u.axpy(reach, pushed)
+        q.array.reshape(-1, 3)[self.contact.large.rows] -= reach * way
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from app.case.case import Case
-from app.laws.materials import Conductor, TransverselyIsotropic
+from app.laws.materials import Conductor, Rigid, TransverselyIsotropic
 from app.numerics.choice import SolverChoice
 from app.scene.scene import build_scene
 from app.system.layout import count, duration, plain
@@ -194,10 +194,11 @@ def exact_size(case: Case, data: MeshData, available: float = math.inf) -> str:
 
     from meshes.data import EDGES, interface_nodes
 
-    tetrahedra = data.cells[:, :4]
-    nodes = corners = len(np.unique(tetrahedra))
+    rigid = [data.regions[n] for n, r in case.regions.items() if isinstance(r, Rigid)]
+    elastic = data.cells[~np.isin(data.cell_tags, rigid), :4]
+    nodes, corners = len(np.unique(elastic)), len(np.unique(data.cells[:, :4]))
     if case.mesh.order == 2:
-        nodes += len(np.unique(np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0))
+        nodes += len(np.unique(np.sort(elastic[:, EDGES].reshape(-1, 2), axis=1), axis=0))
     each = {n: len(interface_nodes(data, n, case.faces)) for n in case.interfaces}
     size = _size(case, len(data.cells), nodes, corners, each)
     lines = [_told("size", case, size, available)]

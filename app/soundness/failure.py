@@ -210,7 +210,9 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
         springs = held.reshape(6 * n, 6 * n) + comm.allreduce(pressed.T @ pressed)
         rest = np.linalg.solve(np.eye(6 * n) + springs / SPRING**2, F)
     forces = np.maximum(0.0, -(openings @ rest)).sum(axis=1) / SPRING**2
-    friction = np.array([c.law.friction for c in problem.scene.contacts])[own.interface]
+    # A ball is not wedged by the rim of its cup, which it clears.
+    of = np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
+    friction = of[own.interface]
     holds = comm.allreduce(float(friction * forces @ np.linalg.norm(jumps @ rest, axis=1)))
     if rest @ F <= max(UNBORNE * (F @ F), holds):
         return []
@@ -239,7 +241,7 @@ def explain(
         return Explanation(outcome, scales=scales)
     trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
-    free = pulled_off(problem, contact) if scales else []
+    free = pulled_off(problem, contact) if scales or contact.large else []
     free = free or loose_bodies.free_bodies(problem, trial)
     free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
     friction = [] if free else loose_bodies.sliding(problem, contact)

@@ -225,9 +225,9 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
         problem, contact, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R)
     )
     total = float(np.sum(contact.points.weight)) or 1.0
-    held = [slice(6 * body, 6 * body + 6) for body in supported(problem)]
-    for here in [*held, *(slice(6 * body + 3, 6 * body + 6) for body in turning(problem))]:
-        A[here, here] += total * np.eye(here.stop - here.start)
+    # What turns is free if nothing is before it, see `failure.pulled_off`.
+    for body in {*supported(problem), *turning(problem)}:
+        A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free = vectors[:, values <= FREE * max(values[-1], total)]
     near = [(contact.points.bodies == b).any(axis=1) for b in range(len(names))]

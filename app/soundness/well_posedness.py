@@ -19,6 +19,7 @@ from app.case.quantities import largest
 from app.errors import InputError
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
+from app.scene.scene import build_scene
 from app.soundness.loose_bodies import BodiesOnMesh
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
 from app.system.layout import point_text
@@ -59,7 +60,7 @@ def judge(case: Case, found: Parts) -> list[str]:
         InputError: It cannot be solved: with all the reasons.
     """
     notes = [*found.data.notes.get("told", ()), *_cracks(case, found), *_size(case, found)]
-    if errors := [*_on_axis(case, found), *_sides_apart(case, found)]:
+    if errors := [*_on_axis(case, found), *_sides_apart(case, found), *_followers(case, found)]:
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
     if all(isinstance(region, Conductor) for region in case.regions.values()):
         return notes
@@ -121,8 +122,24 @@ def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
 
 
 def _moved(case: Case, found: Parts) -> tuple[list[str], list[str]]:
-    """Errors on supports of regions that move as a whole, notes on loads of those that stay."""
+    """Errors on supports of regions that move as a whole, notes on loads of those that stay.
+
+    An error, too, where nothing says how a rigid region turns on which another slides far: a turn
+    that is found feels contact where it was before it slid.
+    """
     errors, notes = [], []
+    told = {motion.region for motion in case.motions.values()}
+    fixed = [s.boundary for s in case.supports.values() if s.kind == "fixed"]
+    told |= {found.pieces[k].region for name in fixed for k in found.boundaries.get(name, ())}
+    for name, law in case.interfaces.items():
+        for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
+            far = getattr(law, "sliding", "small") == "finite" and region not in told
+            if far and isinstance(case.regions[region], Rigid):
+                errors.append(
+                    f"interfaces.{name}: nothing says how the rigid {region} turns; expected "
+                    f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}, or "
+                    "a fixed support"
+                )
     for name, motion in case.motions.items():
         own = {k for k, piece in enumerate(found.pieces) if piece.region == motion.region}
         on = {boundary for boundary, pieces in found.boundaries.items() if own & pieces.keys()}
@@ -179,6 +196,29 @@ def _sides_apart(case: Case, found: Parts) -> list[str]:
                 text = f"{face} is a surface of {' and '.join(on) or 'no region'}; expected one of "
                 errors.append(f"interfaces.{name}.between: {text}{'/'.join(side)} alone")
     return errors
+
+
+def _followers(case: Case, found: Parts) -> list[str]:
+    """Nodes of surfaces that slide far which something else moves too."""
+
+    def nodes(boundary: str) -> NDArray[np.int64]:
+        return np.concatenate([np.zeros(0, int), *found.boundaries.get(boundary, {}).values()])
+
+    contacts = build_scene(case).contacts if found.faces else ()
+    fixed = {n: s.boundary for n, s in case.supports.items() if s.kind != "foundation"}
+    moved = {f"supports.{name}": nodes(boundary) for name, boundary in fixed.items()}
+    for c in contacts:
+        on = nodes(c.between[1]) if c.between else found.on_interface(c.name)
+        moved[f"interfaces.{c.name}"] = on
+    return [
+        f"{key}: moves {len(both)} nodes of {c.between[1]}, e.g. at "
+        f"{point_text(found.x[both[0]])}, which follow what they slide on by interfaces.{c.name}; "
+        "expected a boundary without them"
+        for c in contacts
+        for key, on in moved.items()
+        if c.between and key != (own := f"interfaces.{c.name}")
+        if len(both := np.intersect1d(moved[own], on))
+    ]
 
 
 def _meets(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:

@@ -21,6 +21,7 @@ from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.scene import Stage
+from app.soundness.cover import Cover
 from app.soundness.failure import explain, proportional
 from app.soundness.loose_bodies import held_by_facets, runaway
 from app.stepping.energy_control import HALVINGS, by_energy, overshoot, spent
@@ -151,7 +152,7 @@ class LoadStepper:
         """Put extrapolation before the other predictors."""
         self._line = Extrapolation(self.solver, self.problem.scene.last_turn)
         self.predictors = (self._line, *self.predictors)
-        self._progress = Progress()
+        self._progress, self._cover = Progress(), Cover(self.problem)
 
     def _solve(self) -> NewtonResult:
         """Solve, until points that slide far are paired with the surface that they touch."""
@@ -315,14 +316,16 @@ class LoadStepper:
         problem = self.problem
         u, q = self.solver.u_and_q()
         trial = problem.trial(u, q) if q is not None else None
+        part = 100 * (time - int(time)) or 100
         if trial is not None and (
             away := held_by_facets(problem, trial) or runaway(problem, trial)
         ):
-            part = 100 * (time - int(time)) or 100
             raise ConvergenceError(
                 f"stage '{stage.name}' at {part:.3g} % of it: {away} [{Reason.LOOSE_BODY}]\n"
                 "  what to change: hold the body (a support, friction, an elastic foundation)"
             )
+        if trial is not None and (left := self._cover.left(trial)):
+            raise ConvergenceError(f"stage '{stage.name}' at {part:.3g} % of it: {left}")
         problem.update_displacements(u, q)
         problem.commit(trial)
         for p in self.predictors:

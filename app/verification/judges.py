@@ -74,14 +74,16 @@ def same(
         found.append(Sample(_off(run.displacement(step), u), note=f"displacement at time {time:g}"))
         for name in run.contacts:
             pressure = other.at_interface(name, "pressure", step)[k] * stresses
-            gap, slip = (other.at_interface(name, q, step) * lengths for q in ("gap", "slip"))
+            gap = other.at_interface(name, "gap", step) * lengths
+            slips = f"{name}_slip" in other.point_fields  # not where sides slide far
+            slip = other.at_interface(name, "slip", step) * lengths if slips else 0 * u
             # Gap and slip are one vector; rounding alone has no scale of its own.
             jump = float(max(np.abs(gap).max(), np.abs(slip).max(), NOTHING * np.abs(u).max()))
             shear = other.at_interface(name, "shear", step)[k] * stresses
             peak = float(pressure.max())
             for quantity, reference, scale in (
                 ("gap", gap[k], jump),
-                ("slip", slip[k] @ R.T, jump),
+                *[("slip", slip[k] @ R.T, jump)] * slips,
                 ("pressure", pressure, peak),
                 ("shear", shear, peak),
             ):

@@ -16,6 +16,7 @@ from app.verification.check import Check, each, ladder, problem
 from app.verification.closed_forms_cohesion import cohesion_problems
 from app.verification.closed_forms_creep import creep_problems
 from app.verification.closed_forms_layer import layer_problems
+from app.verification.closed_forms_slip import slip_problems
 from app.verification.heat_problems import heat_problems
 from app.verification.measures import BONE, CEMENT, SLICE, TITANIUM
 from app.verification.remodelling_problems import remodelling_problems
@@ -27,7 +28,7 @@ QUICK = {
     *("cook_0.499", "lame_plane_strain_3", "lame_p2_curved", "patch_fibre_111"),
     *("uniaxial_along_fibre", "incline", "foundation_bar_end", "oval_fit_p1", "oval_pressure_p2"),
     *("sine_p2", "layers_bonded", "heat_slab", "heat_bars", "heat_contact_resistance"),
-    *("layer_cycle", "layer_turned", "layer_corner"),
+    *("layer_cycle", "layer_turned", "layer_corner", "slip_drawn", "slip_wear"),
     *("cure_adiabatic_23C", "cure_isothermal_23C", "cure_heat", "cure_order_backward_euler"),
     *("creep_constant_stress", "creep_relaxation", "cohesive_bar", "cohesive_unloading"),
 }
@@ -41,7 +42,7 @@ def problems() -> list[Check]:
     klarbring = Check("klarbring", what, (), measures.klarbring, 1e-9)
     every = [*(check for kind in kinds for check in kind()), klarbring, *heat_problems()]
     every += [*cement_problems(), *creep_problems(), *layer_problems(), *remodelling_problems()]
-    every += cohesion_problems()
+    every += [*cohesion_problems(), *slip_problems()]
     every = [replace(p, tier="quick") if p.name in QUICK else p for p in every]
     return [*every, *validation()]
 

@@ -33,7 +33,7 @@ $EndPhysicalNames
 """
 
 
-@pytest.mark.parametrize("kind", ["femur", "cylinders", "blocks"])
+@pytest.mark.parametrize("kind", ["femur", "cylinders", "blocks", "head_cup"])
 def test_what_init_writes_is_short_and_right(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

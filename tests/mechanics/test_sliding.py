@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import meshes
 from app.arrays import Floats
+from app.errors import ConvergenceError
 from app.mechanics.contact import TrialState
 from app.numerics.rigid_motions import rotation_vector
 from app.stepping.load_steps import LoadStep, LoadStepper
@@ -261,3 +262,12 @@ def test_a_head_finds_its_cup(μ: float, force: tuple[float, float, float]) -> N
     steps = solve(*changes, clearance, QUARTER, stages(1), tagged=tagged)
     assert steps[0].iterations <= 12
     np.testing.assert_allclose(steps[0].force, force, rtol=1e-9, atol=1e-8)
+
+
+def test_a_head_that_falls_out() -> None:
+    """Off its cup from the start, or in the middle of a course."""
+    for load in (loaded(-FORCE, -FORCE), loaded(FORCE, -FORCE)):
+        with pytest.raises(
+            ConvergenceError, match=r"head.* and the loads pull there \[loose-body\]"
+        ):
+            solve(QUARTER, stages(5), load)

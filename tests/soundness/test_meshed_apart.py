@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from mpi4py import MPI
+
+import numpy as np
 import pytest
 
-from app.errors import InputError
+from app.errors import ConvergenceError, InputError
 from app.soundness import cost, well_posedness
 from meshes import build
+from meshes.distribute import distribute
 from tests import support
 
 BALL = """
@@ -20,6 +26,8 @@ interfaces:
   bearing: {kind: contact, friction_coefficient: 0.06, sliding: finite}
 supports:
   outside: {kind: fixed, boundary: liner_outer}
+motions:
+  ball: {region: head, about: head_centre}
 """
 TURN = """motions={ball: {region: head, about: head_centre, rotation: {axes: yxz, course:
 ["time [s], rotation y [deg]", "0, 0", "1, 25"]}}}"""
@@ -35,6 +43,8 @@ interfaces:
        between: [plate_bottom, block_top]}}
 supports:
   floor: {{kind: fixed, boundary: block_bottom}}
+motions:
+  plate: {{region: plate, about: [0 mm, 0 mm, 0 mm]}}
 """
 SHELL = (
     BALL.replace("ness: 8 mm", "ness: 8 mm, shell_thickness: 3 mm")
@@ -43,6 +53,18 @@ SHELL = (
 )
 FINITE = """.liner_shell={kind: contact, friction_coefficient: 0.1, sliding: finite,
 between: [liner_rim, shell_outer]}"""
+BOTH = BLOCK.replace("{b: [plate, block]}", "{b: [plate, block], d: [block, plate]}")
+UNDER = """interfaces.d={kind: contact, friction_coefficient: 0, sliding: finite,
+  between: [block_bottom, plate_top]}"""
+# Pressed to the plate, then drawn along it.
+DRAWN = BLOCK.partition("motions:")[0].replace(
+    "kind: fixed,", "kind: displacement, x: 30 mm, y: 0 mm, history: [0, 1],"
+)
+DRAWN += """\
+  table: {kind: fixed, boundary: plate_top}
+loads: {up: {kind: force, boundary: block_bottom, force: [0 N, 0 N, 500 N], history: [1, 1]}}
+stages: [{name: press}, {name: draw, increments: 4}]
+"""
 SMOOTH = "interfaces.bearing.friction_coefficient=0"
 
 
@@ -57,10 +79,11 @@ def test_sliding_contact_holds_a_body_and_coincident_nodes_are_no_crack() -> Non
     assert judged(BALL) == judged(BLOCK) == []
 
 
-def test_nothing_resists_the_turn_of_a_smooth_ball_but_its_motion() -> None:
-    (note,) = judged(BALL, SMOOTH)
-    assert note.startswith("hardly anything holds body 'head': it is free to turn about x, y, z")
-    assert judged(BALL, SMOOTH, TURN) == []
+def test_somebody_says_how_a_rigid_body_turns_that_slides_far() -> None:
+    with pytest.raises(InputError, match=r"^interfaces\.b: nothing says how the rigid plate turns"):
+        judged(BLOCK, "motions={}")
+    held = "supports.top={kind: fixed, boundary: plate_top}"
+    assert judged(BLOCK, "motions={}", held) == judged(BALL, SMOOTH, TURN) == []
 
 
 @pytest.mark.parametrize(
@@ -75,6 +98,51 @@ def test_nothing_resists_the_turn_of_a_smooth_ball_but_its_motion() -> None:
 def test_interfaces_that_do_not_fit_are_refused(text: str, change: str, error: str) -> None:
     with pytest.raises(InputError, match=rf"^interfaces\.{error}"):
         judged(text, f"interfaces{change}")
+
+
+def test_nodes_that_slide_far_are_moved_by_nothing_else() -> None:
+    """A support at the rim of a liner; two boundaries with the same nodes."""
+    rim = r"^supports.rim: moves 36 nodes of liner_inner, .* mm, which .* by interfaces.bearing;"
+    with pytest.raises(InputError, match=rim):
+        judged(BALL, "supports.rim={kind: fixed, boundary: liner_rim}")
+    case = support.case(BOTH, UNDER)
+    data = build(case.geometry, case.mesh)
+    tags = data.boundaries["block_bottom"] + data.boundaries["block_top"]
+    joined = replace(data, boundaries={**data.boundaries, "block_bottom": tags})
+    with pytest.raises(InputError, match=r"interfaces.d: moves .* of block_top,.* interfaces.b;"):
+        well_posedness.judge(case, well_posedness.look(case, joined))
+
+
+def drawn(
+    *overrides: str, plate: float = 0.0, step: float = 0.0, bow: float = 0.0
+) -> support.Solved:
+    """Draw the block, its top lower at both ends, the plate moved along z [mm] and bowed."""
+    case = support.case(DRAWN, *overrides)
+    data = build(case.geometry, case.mesh)
+    x, nodes = data.points.copy(), np.unique(data.cells[data.cell_tags == data.regions["plate"]])
+    block = np.setdiff1d(np.arange(len(x)), nodes)
+    x[block, 2] -= step * (1 + x[block, 2] / 10) * (np.abs(x[block, 0]) > 5)
+    x[nodes, 2] += plate + bow * x[nodes, 0] ** 3
+    return support.solve(case, tagged=distribute(replace(data, points=x), MPI.COMM_SELF))
+
+
+@pytest.mark.parametrize(("plate", "step"), [(0, 0), (-1, 0), (1, 0), (0, 5)])
+def test_a_block_is_drawn_far(plate: float, step: float) -> None:
+    """Friction is mu N all the way, from an overlap or a gap too, and at edges of the block."""
+    solved = drawn(plate=plate, step=step)
+    force = solved.last.weight @ solved.last.force
+    assert force[2] == pytest.approx(-500)
+    assert np.linalg.norm(force[:2]) == pytest.approx(150, rel=1e-7)
+
+
+def test_a_block_that_leaves_its_plate_or_is_in_it_or_has_none_is_refused() -> None:
+    left = r"at 100 %.* \(10, .* of 'block_top' has left 'plate_bottom' .* (6|5.99) mm beyond"
+    with pytest.raises(ConvergenceError, match=left):
+        drawn("supports.floor.x=40 mm")
+    with pytest.raises(InputError, match=r"^interfaces.b: its bodies overlap by 6 mm at .* more"):
+        drawn(plate=-6.0)
+    with pytest.raises(InputError, match=r"^interfaces.b: boundary 'plate_bottom' .* no plane"):
+        drawn(bow=1e-3)
 
 
 def test_the_nodes_of_the_second_side_count_as_those_of_the_interface() -> None:

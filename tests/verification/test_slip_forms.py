@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from app.verification.closed_forms_slip import CUP
 from tests import axisymmetric
 
 # Ball of 14 mm, outside of the cup 22 mm, by clearance [mm]: sink [um], mean pressure within 20
@@ -21,5 +22,6 @@ def test_a_ball_sinks_into_its_cup(clearance: float) -> None:
     sink, pressure, edge = axisymmetric.pressed(14, 14 + clearance, 22, 54)
     assert (1e3 * sink, pressure) == pytest.approx(KNOWN[clearance][:2], rel=5e-3)
     assert edge == pytest.approx(KNOWN[clearance][2], abs=0.5)
+    assert (1e3 * sink, pressure) == pytest.approx(CUP[clearance], rel=1e-3)
     coarse = axisymmetric.pressed(14, 14 + clearance, 22, 36)
     assert (sink, pressure) == pytest.approx(coarse[:2], rel=3e-3)

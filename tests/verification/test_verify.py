@@ -31,7 +31,7 @@ def test_problems_are_well_posed() -> None:
     """Unique short names; cases that exist and say how to run them; ladders that go down."""
     everything = problems()
     names = [p.name for p in everything]
-    assert len(set(names)) == len(names) == 131 + 18
+    assert len(set(names)) == len(names) == 131 + 10 + 18
     assert max(map(len, names)) <= 26
     for tier in ("default", "long"):
         for p in (p.up_to(tier) for p in everything):
@@ -59,7 +59,7 @@ def test_all_pass(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert (tmp_path / "verify.png").stat().st_size > 5_000
     assert (
         engine.run("verify", Options(tmp_path, 2))
-        and "141 checks: 136 passed, 5 missed" in caplog.text
+        and "151 checks: 146 passed, 5 missed" in caplog.text
     )
     assert re.search(r"(\d+) runs: \1 done already", caplog.text)
     entry = next(e for e in entries if e["name"] == "lame_plane_strain_3")
