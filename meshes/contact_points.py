@@ -31,13 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.arrays import Bools, Floats, Ints
-from meshes.contact_facets import (
-    InterfaceFacets,
-    drop_held,
-    faces_around,
-    projectors,
-    shared,
-)
+from meshes.contact_facets import InterfaceFacets, drop_held, faces_around, projectors, shared
 
 # Parts of a jump below this are rounding.
 ROUNDING = 1e-12

@@ -65,10 +65,7 @@ class ReferenceBody:
 
 
 def make(
-    outline: Floats,
-    through: Sequence[int],
-    segments: Sequence[Segment],
-    coarser: float = COARSER,
+    outline: Floats, through: Sequence[int], segments: Sequence[Segment], coarser: float = COARSER
 ) -> ReferenceBody:
     """Mesh the body.
 

@@ -8,12 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from app.campaigns.runs import Result
-from app.campaigns.work_precision import (
-    HIGHEST_ORDER,
-    NOT_CONVERGING,
-    ErrorPoint,
-    ReferenceValue,
-)
+from app.campaigns.work_precision import HIGHEST_ORDER, NOT_CONVERGING, ErrorPoint, ReferenceValue
 from app.case.quantities import Quantity
 from app.case.sweep import PlannedRun
 from app.system import layout

@@ -242,11 +242,9 @@ def free_strain(comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> Poi
         "shrinkage": cure.shrinkage,
     }
     names = ("a_old", "T_old", "a", "T", *constants)
-
-    def increment(x: dict[str, Expr]) -> list[Expr]:
-        return [forms.free_strain_increment(*(x[k] for k in names))]
-
-    law = Pointwise(comm, nodes, dict.fromkeys(names, 1), increment)
+    increment = forms.free_strain_increment
+    sizes = dict.fromkeys(names, 1)
+    law = Pointwise(comm, nodes, sizes, lambda x: [increment(*(x[k] for k in names))])
     law.set(**constants)
     return law
 

@@ -29,10 +29,7 @@ ROUNDING = 2.0
 # Heat has this part of the solver's tolerance: errors of hundreds of solves add up in its balance,
 # and temperatures are kept between their bounds to 1e-9 of the range.
 STRICTER = 1e-2
-KEPT_FACTORS: Options = {
-    "pc_type": "python",
-    "pc_python_type": "app.heat.matrices.KeptFactors",
-}
+KEPT_FACTORS: Options = {"pc_type": "python", "pc_python_type": "app.heat.matrices.KeptFactors"}
 
 
 @dataclass(frozen=True)

@@ -69,9 +69,7 @@ class InterfaceNodes:
     """Nodes that the regions on the two sides of an interface share."""
 
     def __init__(
-        self,
-        nodes: Mapping[str, ThermalNodes],
-        interface: tuple[Sequence[str], Sequence[str]],
+        self, nodes: Mapping[str, ThermalNodes], interface: tuple[Sequence[str], Sequence[str]]
     ) -> None:
         first, second = (np.concatenate([nodes[r].dof for r in side]) for side in interface)
         self._dof = np.intersect1d(first, second)

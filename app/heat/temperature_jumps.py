@@ -54,12 +54,7 @@ class TemperatureJumps:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        tagged: TaggedMesh,
-        bodies: Bodies,
-        forms: HeatForms,
-        held: Ints,
+        self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, forms: HeatForms, held: Ints
     ) -> None:
         contacts = scene.thermal_contacts
         comm, index_map = forms.comm, forms.space.dofmap.index_map

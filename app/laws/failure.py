@@ -34,11 +34,10 @@ class Weibull(Section):
         return (above * (above > 0) / self.scale) ** self.shape / self.reference_volume
 
 
-def _rising(ends: tuple[float, float]) -> tuple[float, float]:
-    return ends if ends[0] < ends[1] else fail("its second stress is not above the first")
-
-
-Measured = Annotated[tuple[Strength, Strength], Pair("[7 MPa, 25 MPa]"), AfterValidator(_rising)]
+_RISING = AfterValidator(
+    lambda ends: ends if ends[0] < ends[1] else fail("its second stress is not above the first")
+)
+Measured = Annotated[tuple[Strength, Strength], Pair("[7 MPa, 25 MPa]"), _RISING]
 
 
 class InterfaceStrength(Section):

@@ -40,9 +40,7 @@ def _point(value: object, info: ValidationInfo) -> object:
 
 
 Point = Annotated[
-    tuple[Length, Length, Length],
-    Triple("[0 mm, 0 mm, 50 mm]"),
-    BeforeValidator(_point),
+    tuple[Length, Length, Length], Triple("[0 mm, 0 mm, 50 mm]"), BeforeValidator(_point)
 ]
 
 

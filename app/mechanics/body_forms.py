@@ -261,12 +261,7 @@ class BodyForms:
 
     def energy_density(self, e: Elastic, ε: Any) -> Any:
         """Strain energy density of a region for an elastic strain [MPa]."""
-        return self._relative.get(e.region, 1) * self.largest_energy_density(e, ε)
-
-    def largest_energy_density(self, e: Elastic, ε: Any) -> Any:
-        """The same where the region is stiffest [MPa]."""
-        coefficients, fibre = self._constants[e.region]
-        return e.energy(ε, coefficients, fibre)
+        return self._relative.get(e.region, 1) * e.energy(ε, *self._constants[e.region])
 
     def over(self, e: Elastic, dx: ufl.Measure, tag: int | None = None) -> ufl.Measure:
         """Measure of a region, by its own tag or another.

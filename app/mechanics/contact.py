@@ -263,7 +263,7 @@ class ContactInterfaces:
             here = self.own.interface == i
             gap[here] = gap_at(self._full_gap[here], c.history, time)
         if self.large is None:
-            self.gap = gap_vectors(self.own.normals, self.own.faces, gap)
+            self.gap = gap_vectors(self.own.normals, gap)
         else:
             self.large.set_time(self._committed, time)
             self.pair_at(self.state.jump)
@@ -279,7 +279,7 @@ class ContactInterfaces:
         self.law.turn_normals(rows)
         self._paired_at, gap = jump.copy(), self._clearance.copy()
         gap[rows] += found.gap - np.einsum("pi,pi->p", found.normal, jump[rows])
-        self.gap = gap_vectors(own.normals, own.faces, gap)
+        self.gap = gap_vectors(own.normals, gap)
 
     def pair(self, trial: TrialState) -> bool:
         """Pair the points that slide far anew if their gaps are wrong in a state; collective."""

@@ -45,8 +45,7 @@ class PointForces:
         force: Interface force per area (n, 3) [MPa].
         by_multiplier: Its generalized derivative by the multiplier (n, 3, 3) [-].
         by_jump: Its generalized derivative by the jump (n, 3, 3) [MPa/mm].
-        resisted: Part of a change of the jump that is resisted (n, 3, 3) [-]: of contact, the first
-            derivative.
+        stiffness: That of the trial force (n,) [MPa/mm].
         pressures: Pressure on each face, positive in compression (n, 3) [MPa].
         status: OPEN, STICK or SLIP (n,).
         history: New values of the history variables of the laws, by name: (n, ...).
@@ -57,11 +56,24 @@ class PointForces:
     force: Floats
     by_multiplier: Floats
     by_jump: Floats
-    resisted: Floats
+    stiffness: Floats
     pressures: Floats
     status: Ints
     history: Mapping[str, Floats]
     told: Mapping[str, Floats]
+
+    @property
+    def resisted(self) -> Floats:
+        """Part of a change of the jump that is resisted (n, 3, 3) [-].
+
+        Of contact it is the first derivative, of what else resists its share beside the trial
+        force.
+        """
+        r = self.stiffness[:, None, None]
+        own = self.by_jump - r * self.by_multiplier
+        sizes, axes = np.linalg.eigh((own + own.transpose(0, 2, 1)) / 2)
+        shares = np.maximum(sizes, 0.0) / (np.abs(sizes) + r[:, 0])
+        return self.by_multiplier + (axes * shares[:, None, :]) @ axes.transpose(0, 2, 1)
 
 
 # Rows of points with the same number of faces and laws of the same form, with their compiled law
@@ -142,7 +154,11 @@ class PointLaw:
             other = law.beside
             beside = None if other is None else _compile(self._comm, normals, other)
             if isinstance(law, Cohesive):
-                compiled = _compile_bond(self._comm, len(rows), law)
+                # Its damage is the same whatever the faces.
+                inputs = (*law.values, *law.history, "opened", "slid", "live")
+                note = _note(law, str(law.form))
+                sizes = dict.fromkeys(inputs, 1)
+                compiled = Pointwise(self._comm, len(rows), sizes, law.bond, note)
             else:
                 compiled = _compile(self._comm, normals, law)
             groups.append((rows, law, compiled, beside))
@@ -219,7 +235,7 @@ class PointLaw:
             force=np.zeros((n, 3)),
             by_multiplier=np.zeros((n, 3, 3)),
             by_jump=np.zeros((n, 3, 3)),
-            resisted=np.zeros((n, 3, 3)),
+            stiffness=r,
             pressures=np.zeros((n, 3)),
             status=np.zeros(n, dtype=np.int64),
             history={name: values.copy() for name, values in state.own.items()},
@@ -234,12 +250,8 @@ class PointLaw:
                 found = compiled.named(**known)
             out.force[rows] = found["force"]
             slope = found.get("by_multiplier", 0.0)
-            out.by_multiplier[rows] = out.resisted[rows] = slope
-            along = out.by_jump[rows] = found.get("by_jump", r[rows, None, None] * slope)
-            if "by_jump" in found:
-                sizes, axes = np.linalg.eigh((along + along.transpose(0, 2, 1)) / 2)
-                sizes = np.maximum(sizes, 0.0) / (np.abs(sizes) + r[rows, None])
-                out.resisted[rows] = (axes * sizes[:, None, :]) @ axes.transpose(0, 2, 1)
+            out.by_multiplier[rows] = slope
+            out.by_jump[rows] = found.get("by_jump", r[rows, None, None] * slope)
             p = found["pressures"]
             out.pressures[rows, : p.shape[1]] = p
             out.status[rows] = np.rint(found["status"]).astype(np.int64)
@@ -338,7 +350,7 @@ class PointLaw:
         slid = own.tangential(old, np.ones((len(own), 3), dtype=bool))
         trial = force + self.stiffness[:, None] * (opening - slid)
         out.force[tied] = own.project_free(trial)[tied]
-        out.by_multiplier[tied] = out.resisted[tied] = np.eye(3)
+        out.by_multiplier[tied] = np.eye(3)
         out.by_jump[tied] = (self.stiffness[:, None, None] * np.eye(3))[tied]
         out.status[tied] = STICK
 
@@ -370,12 +382,6 @@ def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     return compiled
 
 
-def _compile_bond(comm: MPI.Comm, n: int, law: Cohesive) -> Pointwise:
-    """The damage of n points, whatever their faces."""
-    sizes = dict.fromkeys((*law.values, *law.history, "opened", "slid", "live"), 1)
-    return Pointwise(comm, n, sizes, law.bond, _note(law, str(law.form)))
-
-
 def _note(law: InterfaceLaw, key: str) -> Path | None:
     module = sys.modules[type(law).__module__]
     known = getattr(module, "__file__", None) is not None
@@ -392,16 +398,11 @@ def _compliance(normals: Floats, faces: Ints, across: float, along: float) -> Fl
     return np.linalg.inv(along * np.eye(3) + (across - along) * mean)
 
 
-def gap_vectors(normals: Floats, faces: Ints, gap: Floats) -> Floats:
+def gap_vectors(normals: Floats, gap: Floats) -> Floats:
     """Vectors g (n, 3) with g . n_k the given normal gap on every face of each point [mm].
 
     Args:
         normals: Unit normals of the faces, zero beyond their number (n, 3, 3).
-        faces: Number of faces (n,).
         gap: Initial gap (n,) [mm].
     """
-    gram = np.einsum("pki,pli->pkl", normals, normals)
-    unused = np.arange(3)[None, :] >= faces[:, None]
-    gram[unused[:, :, None] & np.eye(3, dtype=bool)] = 1
-    right = np.where(unused, 0.0, gap[:, None])
-    return np.einsum("pk,pki->pi", np.linalg.solve(gram, right[:, :, None])[:, :, 0], normals)
+    return np.linalg.pinv(normals).sum(axis=2) * gap[:, None]

@@ -134,12 +134,9 @@ class StressHistory:
             if self._body[r] == body
         ]
 
-    def internal_work(self, body: int, v: Any) -> Any:
-        """Work of the stress of a body in a displacement v [N mm]."""
-        return self._work_of(self._stress, body, v)
-
-    def _work_of(self, stress: fem.Function, body: int, v: Any) -> Any:
-        σ = elasticity.symmetric(list(stress))
+    def internal_work(self, body: int, v: Any, stress: fem.Function | None = None) -> Any:
+        """Work of the stress of a body, or another stress there, in a displacement v [N mm]."""
+        σ = elasticity.symmetric(list(self._stress if stress is None else stress))
         return sum(
             loads.mechanical_work(σ, elasticity.strain(v)) * dx for _, dx in self._regions(body)
         )
@@ -161,7 +158,7 @@ class StressHistory:
             loads.mechanical_work(self._stress_of(e, ε, 1), elasticity.strain(v)) * dx
             for e, dx in self._regions(body)
         )
-        return held - self._work_of(self._left, body, v)
+        return held - self.internal_work(body, v, self._left)
 
     def set(self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]) -> None:
         """Set degrees of cure and free strains at the end of the step, for the next `stiffen`.

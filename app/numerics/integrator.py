@@ -134,18 +134,19 @@ class Controller:
     A step follows from the error of the last one and its growth since the one before
     (Gustafsson's predictive controller; Hairer and Wanner II, IV.8), which foresees an ignition.
 
+    Attributes:
+        events: Times that no step may cross, rising [s].
+
     Args:
         method: Runge-Kutta method.
-        events: Times that no step may cross [s], in any order.
-        first: First step to try [s].
     """
 
     saved = ("_next", "_last")
+    events: Sequence[float] = ()
 
-    def __init__(self, method: Method, events: Sequence[float] = (), first: float = 0.0) -> None:
+    def __init__(self, method: Method) -> None:
         self._power = 1 / method.estimate_order
-        self.events = sorted(events)
-        self.begin(first)
+        self.begin(0.0)
 
     def begin(self, first: float) -> None:
         """Begin a stage with a first step to try [s]."""

@@ -114,12 +114,14 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         yield "factorizing the contact block"
     if contact is None:
         return
+    other = "basic" if solver.usual_search == "bt" else "bt"
     for remedy in AUGMENTATIONS:
         if solver.converged:
             return
         if remedy is None:
             if not hopeless(solver):
-                yield _switch_search(solver)
+                solver.use_search(other)
+                yield "full Newton steps" if other == "basic" else "line search"
             solver.use_search(solver.usual_search)
             continue
         factor, continues = remedy
@@ -141,13 +143,6 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         contact.scale_augmentation(solver.augmentation)
         times = f"{share:g} times the default"
         yield f"augmentation {solver.augmentation:.3g} r, {times}{_values(contact)}"
-
-
-def _switch_search(solver: Solver) -> str:
-    """Switch the line search on or off; the remedy in words."""
-    other = "basic" if solver.usual_search == "bt" else "bt"
-    solver.use_search(other)
-    return "full Newton steps" if other == "basic" else "line search"
 
 
 def hopeless(solver: Solver) -> bool:

@@ -30,10 +30,9 @@ def rigid_modes(x: Floats) -> Floats:
 
 def rotation_vector(R: Floats) -> Floats:
     """Vector (3,) of a rotation (3, 3) by less than half a turn [rad]."""
-    axial = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
-    sine = float(np.linalg.norm(axial))
-    angle = float(np.arctan2(sine, (np.trace(R) - 1) / 2))
-    return axial * (angle / sine if sine > 0 else 1.0)
+    from scipy.spatial.transform import Rotation  # imported late: few cases turn anything
+
+    return np.asarray(Rotation.from_matrix(R).as_rotvec())
 
 
 def add_relative(matrix: Floats, a: int, b: int, resistance: Floats) -> None:

@@ -69,11 +69,6 @@ class Panel:
     lines: Sequence[Line]
 
 
-def too_few(panels: Sequence[Panel]) -> bool:
-    """Whether no curve has two points."""
-    return all(len(x.numbers) < 2 for p in panels for x in p.lines)
-
-
 def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> list[Path]:
     """Draw panels over x in rows of some columns with a common legend: a PNG, an SVG and a PDF."""
     columns = min(columns, len(panels))

@@ -24,23 +24,18 @@ from app.system.layout import plain
 APPLICANT = "the applicant writes this"
 LEFT = (APPLICANT,)
 # Names of the factors, in their order, and what they belong to.
-VERIFICATION = ("code verification", "calculation verification")
-VALIDATION = ("validation: computational model", "validation: comparator", "validation: assessment")
-PARTS = (
-    (VERIFICATION[0], "software quality assurance"),
-    (VERIFICATION[0], "numerical code verification"),
-    (VERIFICATION[1], "discretization error"),
-    (VERIFICATION[1], "numerical solver error"),
-    (VERIFICATION[1], "use error"),
-    (VALIDATION[0], "model form"),
-    (VALIDATION[0], "model inputs"),
-    (VALIDATION[1], "test samples"),
-    (VALIDATION[1], "test conditions"),
-    (VALIDATION[2], "equivalency of inputs"),
-    (VALIDATION[2], "output comparison"),
-    ("applicability", "relevance of the quantities of interest"),
-    ("applicability", "relevance of the validation to the context of use"),
-)
+FACTORS = {
+    "code verification": ("software quality assurance", "numerical code verification"),
+    "calculation verification": ("discretization error", "numerical solver error", "use error"),
+    "validation: computational model": ("model form", "model inputs"),
+    "validation: comparator": ("test samples", "test conditions"),
+    "validation: assessment": ("equivalency of inputs", "output comparison"),
+    "applicability": (
+        "relevance of the quantities of interest",
+        "relevance of the validation to the context of use",
+    ),
+}
+PARTS = [(part, name) for part, names in FACTORS.items() for name in names]
 
 
 class Factor(NamedTuple):

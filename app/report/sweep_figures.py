@@ -13,7 +13,7 @@ from urllib.parse import quote
 from app.campaigns.uncertainty import correlation
 from app.case import keys, quantities
 from app.report import page
-from app.report.curves import ROUNDED, Line, Panel, draw, drawing, too_few
+from app.report.curves import ROUNDED, Line, Panel, draw, drawing
 from app.report.page import Blocks
 from app.report.sweep_results import PERCENTILES, SweptCase, by_part, magnitude, named
 from app.schema.units import NUMBER, conversion
@@ -139,7 +139,7 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[Blocks, 
             if any(_varies([n.value for n in line.numbers.values()]) for line in lines):
                 panels.append(Panel(text, unit or "value", lines))
         panels = panels[:MOST_PANELS]
-        if too_few(panels):
+        if all(len(line.numbers) < 2 for panel in panels for line in panel.lines):
             continue
         words, unit = title(key), levels(done, key)[0]
         x = f"{words} ({unit})" if unit else words

@@ -260,13 +260,7 @@ class HeatBalance:
         self.heats: dict[str, float] = {}
 
     def update(
-        self,
-        step: float,
-        heats: Flows,
-        end: Flows,
-        stored: float,
-        moved: float,
-        least: float = 0.0,
+        self, step: float, heats: Flows, end: Flows, stored: float, moved: float, least: float = 0.0
     ) -> None:
         """Add an accepted step.
 

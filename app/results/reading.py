@@ -219,10 +219,7 @@ class Run(Results):
         return areas
 
     def norms(
-        self,
-        exact: Callable[[Floats, Ints], Floats],
-        values: Floats | None = None,
-        degree: int = 6,
+        self, exact: Callable[[Floats, Ints], Floats], values: Floats | None = None, degree: int = 6
     ) -> tuple[float, float, float]:
         """L2 norms of the error of a field, of the field and of the exact one.
 

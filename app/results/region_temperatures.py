@@ -150,8 +150,9 @@ class RegionTemperatures:
         It ends at some seconds with rates of change [K/s], which are given if it began with a kink.
         """
         last, now = self.before[-1], (seconds, self.now)
-        if rates:
-            return bend_after_kink(last, now, rates[self.nodes.body][self.nodes.dof])
+        if rates:  # the state before is of no use
+            rise = rates[self.nodes.body][self.nodes.dof] * (seconds - last[0])
+            return _between((rise - (self.now - last[1])) / 4, last[1], self.now)
         return bend(self.before[max(len(self.before) - 2, 0)], last, now)
 
     def expose(self, bends: Floats, pieces: int, step: float) -> None:
@@ -277,12 +278,6 @@ def bend(before: State, start: State, end: State) -> Floats:
     h = t2 - t1
     curvature = ((c - b) / h - (b - a) / (t1 - t0)) / (t2 - t0)
     return _between(curvature * h**2 / 4, b, c)
-
-
-def bend_after_kink(start: State, end: State, rate: Floats) -> Floats:
-    """As `bend` where the state before is of no use, by the rate of change at the end [K/s]."""
-    (t1, b), (t2, c) = start, end
-    return _between((rate * (t2 - t1) - (c - b)) / 4, b, c)
 
 
 def _between(bend: Floats, start: Floats, end: Floats) -> Floats:

@@ -72,18 +72,9 @@ def judge(case: Case, found: Parts) -> list[str]:
     if errors:
         # A crack is often why.
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
-    return [
-        *notes,
-        *bodies.loosely_held(),
-        *split,
-        *_clamped(case, found),
-        *apart,
-        *_not_enforced(case, found),
-        *_far(case, found),
-        *_too_stiff(case, found),
-        *_strained(case, found),
-        *idle,
-    ]
+    notes += [*bodies.loosely_held(), *split, *_clamped(case, found), *apart]
+    notes += [*_not_enforced(case, found), *_far(case, found), *_too_stiff(case, found)]
+    return [*notes, *_strained(case, found), *idle]
 
 
 # What contradicts itself

@@ -31,10 +31,7 @@ _WORLD_MARKS = ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "SLURM_STEP_ID"
 # Variables with the rank of a process, by process manager.
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 # On one node only shared memory is needed; looking for a network fails audibly.
-ONE_NODE = {
-    "OMPI_MCA_btl": "self,sm",
-    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
-}
+ONE_NODE = {"OMPI_MCA_btl": "self,sm", "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe"}
 _RULE = b"-" * 74 + b"\n"
 _BANNER = re.compile(rb"-{74}\s+(prterun|mpirun|MPI_ABORT) ")
 # Banners that repeat the application's message, and messages of a job manager that closes down.

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import meshes
 from app.case.case import Case
@@ -16,9 +17,7 @@ from meshes.data import MeshData
 from meshes.quality import BAD, sicn
 
 # About (1, 2, 3) by 40 degrees: no axis goes to an axis.
-_AXIS, _ANGLE = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0), np.radians(40.0)
-_CROSS = np.cross(np.eye(3), _AXIS).T
-ROTATION = np.eye(3) + np.sin(_ANGLE) * _CROSS + (1 - np.cos(_ANGLE)) * _CROSS @ _CROSS
+ROTATION = Rotation.from_rotvec(np.radians(40.0) / np.sqrt(14.0) * np.arange(1, 4)).as_matrix()
 ROUNDS = 8
 
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import null_space
 
 from app.arrays import Floats
 
@@ -51,19 +52,12 @@ class Fibrous:
 
     def stress(self, strain: Floats, fibre: Sequence[float]) -> Floats:
         """Stress (3, 3) [MPa] of a tensor strain (3, 3), the fibre along a direction (3,)."""
-        R, (i, j) = _frame(fibre), np.array(VOIGT).T
+        axis, (i, j) = np.asarray([fibre]) / np.linalg.norm(fibre), np.array(VOIGT).T
+        R = np.column_stack([null_space(axis), axis.T])
         engineering = (R.T @ strain @ R)[i, j] * [1, 1, 1, 2, 2, 2]
         σ = np.zeros((3, 3))
         σ[i, j] = σ[j, i] = np.linalg.solve(self.compliance(), engineering)
         return np.asarray(R @ σ @ R.T)
-
-
-def _frame(axis: Sequence[float]) -> Floats:
-    """A rotation (3, 3) whose third column is the direction of an axis."""
-    c = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
-    a = np.cross(np.eye(3)[np.argmin(np.abs(c))], c)
-    a /= np.linalg.norm(a)
-    return np.column_stack([a, np.cross(c, a), c])
 
 
 def sine(x: Floats, amplitude: float, side: float) -> Floats:

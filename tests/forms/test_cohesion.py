@@ -133,6 +133,11 @@ def test_a_broken_point_rubs_and_an_unbonded_share_does_from_the_start() -> None
     np.testing.assert_allclose(out.told["dissipated"], 0.4 * 3.0 * (0.5 - 1.2 / 1000), rtol=1e-9)
     each = Points(2, μ=(0.4, 0.2), free=1.0).at(pressed, np.tile([0.5, 0.0, 0.0], (2, 1)))
     np.testing.assert_allclose(each.force[:, 0], [0.4 * 3.0, 0.2 * 3.0], rtol=1e-9)
+    # Contact beside a broken bond resists as contact alone: whole where it sticks.
+    stuck = points.at(pressed, np.zeros((2, 3)))
+    np.testing.assert_allclose(stuck.resisted, np.tile(np.eye(3), (2, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(out.resisted[:, 2, 2], 1.0, rtol=1e-9)
+    assert not points.at(-pressed, np.tile([0.0, 0.0, 0.1], (2, 1))).resisted.any()
     share = Points(1, μ=(0.4,), free=0.25)
     slid = share.at(pressed[:1], np.array([[1e-4, 0.0, 0.0]]))
     assert slid.force[0, 0] == pytest.approx(0.75 * K * 1e-4, abs=0.25 * 0.4 * 3.0 + 1e-9)

@@ -377,7 +377,7 @@ def test_gap_vectors_open_every_face() -> None:
         normals = np.zeros((50, 3, 3))
         normals[:, :faces] = p.normals[:, :faces]
         gap = np.linspace(-1, 1, 50)
-        g = gap_vectors(normals, np.full(50, faces), gap)
+        g = gap_vectors(normals, gap)
         opened = np.einsum("nki,ni->nk", normals[:, :faces], g)
         assert np.abs(opened - gap[:, None]).max(initial=0) < 1e-12
         assert faces or not g.any()

@@ -291,7 +291,9 @@ def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = T
         cure = as_temperature(y[1], errors[1], max(p.gain, RISE))
         return float(max(np.abs(errors[0]).max(), np.abs(cure).max())) / tolerance
 
-    control = Controller(table, [*p.curing.events, end], first_step(slope, norm, end))
+    control = Controller(table)
+    control.events = sorted([*p.curing.events, end])
+    control.begin(first_step(slope, norm, end))
     rows = [(seconds, y[0][0], y[1][0], slope[1][0])]
     while seconds < end * (1 - 1e-9):
         dt = control.propose(seconds)
