@@ -236,12 +236,9 @@ def free_strain(comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> Poi
 
     ``expansion`` is the coefficient of thermal expansion [1/K], n the ``nodes`` on this rank.
     """
-    constants: dict[str, Any] = {
-        "gel": cure.gel,
-        "expansion": expansion,
-        "shrinkage": cure.shrinkage,
-    }
-    names = ("a_old", "T_old", "a", "T", *constants)
+    constants: dict[str, Any] = {"gel": cure.gel, "shrinkage": cure.shrinkage}
+    constants["expansion"] = expansion
+    names = ("a_old", "T_old", "a", "T", "gel", "expansion", "shrinkage")
     increment = forms.free_strain_increment
     sizes = dict.fromkeys(names, 1)
     law = Pointwise(comm, nodes, sizes, lambda x: [increment(*(x[k] for k in names))])

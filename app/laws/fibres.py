@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from app.arrays import Floats
 
 Vector = tuple[float, float, float]
+ORIGIN: Vector = (0.0, 0.0, 0.0)
 
 
 class Straight(Section):
@@ -24,7 +25,7 @@ class Straight(Section):
     kind: ClassVar[str] = "straight"
     # Whether the direction varies in space.
     turns: ClassVar[bool] = False
-    through: ClassVar[Vector] = (0.0, 0.0, 0.0)
+    through: ClassVar[Vector] = ORIGIN
 
     axis: Axis = (0.0, 0.0, 1.0)
     """Direction; any length but zero, normalised."""
@@ -42,11 +43,7 @@ class Circumferential(Section):
     kind: Literal["circumferential"] = "circumferential"
     axis: Axis = (0.0, 0.0, 1.0)
     """Direction of the axis; any length but zero, normalised."""
-    through: Annotated[tuple[Length, Length, Length], Triple("[0 mm, 0 mm, 0 mm]")] = (
-        0.0,
-        0.0,
-        0.0,
-    )
+    through: Annotated[tuple[Length, Length, Length], Triple("[0 mm, 0 mm, 0 mm]")] = ORIGIN
     """A point of the axis."""
 
     def direction(self, mesh: Any, constant: Callable[[Vector], Any]) -> Expr:
