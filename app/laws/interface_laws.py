@@ -352,10 +352,9 @@ class Cohesive(InterfaceLaw):
 
         from forms.cohesion import Cohesion, bond
 
-        names = ["stiffness", "tensile_strength", "shear_strength", "tensile_energy"]
-        names += ["shear_energy", "mixing_exponent", "unbonded"]
-        K, N, S, G_I, G_II, η, unbonded = (x[name] for name in names)
-        law = Cohesion(K, N, S, G_I, G_II, η, unbonded, self.softening == "exponential")
+        names = ("stiffness", "tensile_strength", "shear_strength", "tensile_energy")
+        names += ("shear_energy", "mixing_exponent", "unbonded")
+        law = Cohesion(*(x[name] for name in names), self.softening == "exponential")
         return bond(law, variable(x["opened"]), variable(x["slid"]), x, x["live"])
 
     @property
