@@ -37,8 +37,13 @@ METAL, PLUG, CORTEX = "#b8c0cc", "0.85", "#d62728"  # the last: edges of what to
 # Edges cut by a plane, in order around the section, by the signs of the four vertices: bit v is
 # set where vertex v is on the positive side. Edges are numbered as in data.EDGES.
 _RINGS = {
-    **{0b0001: (0, 2, 3), 0b0010: (0, 1, 5), 0b0100: (1, 2, 4), 0b1000: (3, 4, 5)},
-    **{0b0011: (2, 1, 5, 3), 0b0101: (0, 1, 4, 3), 0b0110: (0, 2, 4, 5)},
+    0b0001: (0, 2, 3),
+    0b0010: (0, 1, 5),
+    0b0100: (1, 2, 4),
+    0b1000: (3, 4, 5),
+    0b0011: (2, 1, 5, 3),
+    0b0101: (0, 1, 4, 3),
+    0b0110: (0, 2, 4, 5),
 }
 
 

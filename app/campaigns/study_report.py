@@ -212,9 +212,16 @@ def _point_record(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
 
 
 def _run_record(r: StudyRun) -> dict[str, Any]:
-    found: dict[str, Any] = {"line": r.line, "overrides": r.planned.changes, "status": r.status}
-    found |= {"message": r.result.message, "folder": str(r.result.folder), "time": r.time}
-    return found | {key: r.result.summary.get(key) for key in ("timing", "solver")}
+    return {
+        "line": r.line,
+        "overrides": r.planned.changes,
+        "status": r.status,
+        "message": r.result.message,
+        "folder": str(r.result.folder),
+        "time": r.time,
+        "timing": r.result.summary.get("timing"),
+        "solver": r.result.summary.get("solver"),
+    }
 
 
 def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:

@@ -25,11 +25,23 @@ MOTION, TRACTION, STRESS, HEAT, DOSE = (0.8, 1.3), (0.8, 0.8), (0.8, 1.0), (1.5,
 RISK = (0.8, 0.99)
 # Dimension of each unit in summary.json, with its article.
 UNITS = {
-    **{"mm": "a length", "mm^2": "an area", "mm^3": "a volume", "N": "a force"},
-    **{"MPa": "a stress", "N mm": "an energy", "deg": "an angle", "s": "a time"},
-    **{"degC": "a temperature", "K": "a temperature difference", "W": "a power"},
-    **{"W/m^2": "a heat flux", "W/(m^2 K)": "an entropy production", "min": "a thermal dose"},
-    **{"1/year": "a rate", "1/s": "a rate", "-": "a number"},
+    "mm": "a length",
+    "mm^2": "an area",
+    "mm^3": "a volume",
+    "N": "a force",
+    "MPa": "a stress",
+    "N mm": "an energy",
+    "deg": "an angle",
+    "s": "a time",
+    "degC": "a temperature",
+    "K": "a temperature difference",
+    "W": "a power",
+    "W/m^2": "a heat flux",
+    "W/(m^2 K)": "an entropy production",
+    "min": "a thermal dose",
+    "1/year": "a rate",
+    "1/s": "a rate",
+    "-": "a number",
 }
 # Units of tables in terms of those of summary.json, and as printed.
 FACTORS = {"um": 1e3, "%": 100.0, "um/m": 1e6}
@@ -170,9 +182,14 @@ for _key, _word, _unit, _shown, _digits, _order in (
     add_quantity(
         _how(f"{_key}_max", label=f"{_word}, max", peak=True, history=_key != "slip_path"),
         *(
-            _how(f"{_key}_{p}", label=f"{_word}, {p}", order=_order, history=own, headline=own)
-            for p in ("p95", "p99")
-            for own in [p == _main and _key != "slip_path"]
+            _how(
+                f"{_key}_{part}",
+                label=f"{_word}, {part}",
+                order=_order,
+                history=part == _main and _key != "slip_path",
+                headline=part == _main and _key != "slip_path",
+            )
+            for part in ("p95", "p99")
         ),
         _how(f"{_key}_mean", label=f"{_word}, mean", order=MOTION),
     )

@@ -256,8 +256,15 @@ def _doctor(options: argparse.Namespace) -> int:
 
 
 COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
-    **{"init": _init, "check": _check, "mesh": _mesh, "report": _report},
-    **dict.fromkeys(("study", "sweep"), _campaign),
-    **dict.fromkeys(("verify", "stress", "bench"), _suite),
-    **{"explain": _explain, "doctor": _doctor},
+    "init": _init,
+    "check": _check,
+    "mesh": _mesh,
+    "study": _campaign,
+    "sweep": _campaign,
+    "report": _report,
+    "verify": _suite,
+    "stress": _suite,
+    "bench": _suite,
+    "explain": _explain,
+    "doctor": _doctor,
 }

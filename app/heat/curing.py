@@ -236,9 +236,12 @@ def free_strain(comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> Poi
 
     ``expansion`` is the coefficient of thermal expansion [1/K], n the ``nodes`` on this rank.
     """
-    constants: dict[str, Any] = {"gel": cure.gel, "shrinkage": cure.shrinkage}
-    constants["expansion"] = expansion
-    names = ("a_old", "T_old", "a", "T", "gel", "expansion", "shrinkage")
+    constants: dict[str, Any] = {
+        "gel": cure.gel,
+        "expansion": expansion,
+        "shrinkage": cure.shrinkage,
+    }
+    names = ("a_old", "T_old", "a", "T", *constants)
     increment = forms.free_strain_increment
     sizes = dict.fromkeys(names, 1)
     law = Pointwise(comm, nodes, sizes, lambda x: [increment(*(x[k] for k in names))])

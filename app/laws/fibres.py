@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from app.arrays import Floats
 
 Vector = tuple[float, float, float]
-ORIGIN: Vector = (0.0, 0.0, 0.0)
 
 
 class Straight(Section):
@@ -25,7 +24,7 @@ class Straight(Section):
     kind: ClassVar[str] = "straight"
     # Whether the direction varies in space.
     turns: ClassVar[bool] = False
-    through: ClassVar[Vector] = ORIGIN
+    through: ClassVar[Vector] = (0.0, 0.0, 0.0)
 
     axis: Axis = (0.0, 0.0, 1.0)
     """Direction; any length but zero, normalised."""
@@ -43,7 +42,11 @@ class Circumferential(Section):
     kind: Literal["circumferential"] = "circumferential"
     axis: Axis = (0.0, 0.0, 1.0)
     """Direction of the axis; any length but zero, normalised."""
-    through: Annotated[tuple[Length, Length, Length], Triple("[0 mm, 0 mm, 0 mm]")] = ORIGIN
+    through: Annotated[tuple[Length, Length, Length], Triple("[0 mm, 0 mm, 0 mm]")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
     """A point of the axis."""
 
     def direction(self, mesh: Any, constant: Callable[[Vector], Any]) -> Expr:

@@ -355,10 +355,16 @@ class Cohesive(InterfaceLaw):
 
         from forms.cohesion import Cohesion, bond
 
-        names = ["stiffness", "tensile_strength", "shear_strength", "tensile_energy"]
-        names += ["shear_energy", "mixing_exponent", "unbonded"]
-        K, N, S, G_I, G_II, η, unbonded = (x[name] for name in names)
-        law = Cohesion(K, N, S, G_I, G_II, η, unbonded, self.softening == "exponential")
+        law = Cohesion(
+            K=x["stiffness"],
+            N=x["tensile_strength"],
+            S=x["shear_strength"],
+            G_I=x["tensile_energy"],
+            G_II=x["shear_energy"],
+            η=x["mixing_exponent"],
+            unbonded=x["unbonded"],
+            exponential=self.softening == "exponential",
+        )
         return bond(law, variable(x["opened"]), variable(x["slid"]), x, x["live"])
 
     @property

@@ -32,9 +32,16 @@ PRICE, USUAL = 30, 8
 CONDITION_ITERATIONS = 20
 # Names of the blocks and methods in the log.
 BLOCKS = {"displacement": "bodies", "jump": "contact", "temperature_jump": "jumps of temperature"}
-METHODS = {"cg": "CG", "fgmres": "FGMRES", "cholesky": "Cholesky", "lu": "LU", "sor": "SOR"}
-METHODS |= {"gamg": "algebraic multigrid", "mg": "multigrid by degree"}
-METHODS |= {"telescope": "direct on one rank"}
+METHODS = {
+    "cg": "CG",
+    "fgmres": "FGMRES",
+    "gamg": "algebraic multigrid",
+    "mg": "multigrid by degree",
+    "cholesky": "Cholesky",
+    "telescope": "direct on one rank",
+    "lu": "LU",
+    "sor": "SOR",
+}
 
 
 class Linear:

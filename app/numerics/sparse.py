@@ -46,8 +46,15 @@ def from_rows(
     comm: MPI.Comm, sizes: tuple[int, int], start: NDArray, columns: NDArray, values: Floats
 ) -> PETSc.Mat:
     """Matrix from compressed own rows and its sizes on this rank; collective."""
-    rows = *(v.astype(PETSc.IntType) for v in (start, columns)), values.astype(PETSc.ScalarType)
-    A = PETSc.Mat().createAIJ([(size, None) for size in sizes], csr=rows, comm=comm)
+    A = PETSc.Mat().createAIJ(
+        ((sizes[0], None), (sizes[1], None)),
+        csr=(
+            start.astype(PETSc.IntType),
+            columns.astype(PETSc.IntType),
+            values.astype(PETSc.ScalarType),
+        ),
+        comm=comm,
+    )
     A.assemble()
     # Ranks set their own rows only: no messages about others.
     A.setOption(PETSc.Mat.Option.NO_OFF_PROC_ENTRIES, True)

@@ -79,9 +79,14 @@ def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> list[Path
     handles = style.handles(every)
     if len(handles) > 1:
         room = 95 * columns // 2 // (max(map(len, handles)) + 8)  # names in a row
-        look = {"loc": "outside lower center", "frameon": False, "fontsize": 9}
-        columns = max(1, min(len(handles), room))
-        figure.legend(handles.values(), handles.keys(), ncols=columns, **look)
+        figure.legend(
+            handles.values(),
+            handles.keys(),
+            loc="outside lower center",
+            ncols=max(1, min(len(handles), room)),
+            frameon=False,
+            fontsize=9,
+        )
     files = [path.with_suffix(suffix) for suffix in (".png", ".svg", ".pdf")]
     for file in files:
         figure.savefig(file, dpi=120)
@@ -152,10 +157,15 @@ def of_history(history: History) -> tuple[list[Panel], str]:
             points = zip(times[known].tolist(), (factor * values[known]).tolist(), strict=True)
             lines.setdefault(key, {})[place] = {t: Number(v) for t, v in points}
     places = list(dict.fromkeys(p for own in lines.values() for p in own))
-    found = []
-    for key in (key for key in SHOWN if key in lines):
-        own = [Line(p.replace("_", " "), places.index(p), of) for p, of in lines[key].items()]
-        found.append(Panel(SHOWN[key][0], printed(SHOWN[key][1]), own))
+    found = [
+        Panel(
+            SHOWN[key][0],
+            printed(SHOWN[key][1]),
+            [Line(p.replace("_", " "), places.index(p), own) for p, own in lines[key].items()],
+        )
+        for key in SHOWN
+        if key in lines
+    ]
     return found, "time (s)" if x == SECONDS else "time (each stage takes 1)"
 
 

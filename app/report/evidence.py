@@ -6,7 +6,7 @@ these words.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -86,16 +86,23 @@ def factors(
     """The factors of a run, with outcomes of verification and validation problems."""
     validated = [c for c in checks if c["group"] == "validation"]
     verified = [c for c in checks if c["group"] != "validation"]
-    solved = (v.text for v in closing_lines.verdict(dict(summary)) if v.text.startswith(SOLVED))
-    notes = [f"{c['name']}: {c['note']}" for c in validated if c["note"]]
-    sentences: tuple[Iterable[str], ...] = (
-        *(_software(record), _code(verified), _discretization(summary), solved),
-        *(_use(summary, record), _form(case), _inputs(case), notes or LEFT, LEFT, LEFT),
-        [*map(_outcome, validated)] or LEFT,
+    measured = tuple(_outcome(c) for c in validated)
+    sentences: tuple[tuple[str, ...], ...] = (
+        tuple(_software(record)),
+        tuple(_code(verified)),
+        tuple(_discretization(summary)),
+        tuple(v.text for v in closing_lines.verdict(dict(summary)) if v.text.startswith(SOLVED)),
+        tuple(_use(summary, record)),
+        tuple(_form(case)),
+        tuple(_inputs(case)),
+        tuple(f"{c['name']}: {c['note']}" for c in validated if c["note"]) or LEFT,
+        LEFT,
+        LEFT,
+        measured or LEFT,
         (f"the question: {case.question}",) if case.question else LEFT,
         (f"the context of use: {case.context_of_use}", *LEFT) if case.context_of_use else LEFT,
     )
-    return [Factor(k + 1, *PARTS[k], tuple(s)) for k, s in enumerate(sentences)]
+    return [Factor(k + 1, *PARTS[k], s) for k, s in enumerate(sentences)]
 
 
 # Verdicts of a run that are about the solver.

@@ -51,7 +51,12 @@ def _full_disk(what: str) -> Iterator[None]:
 
 def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
     """Write on rank 0; a full disk or a folder without rights stops every rank."""
-    on_root(comm, _full_disk(what)(action), share=False)
+
+    def guarded() -> None:
+        with _full_disk(what):
+            action()
+
+    on_root(comm, guarded, share=False)
 
 
 class Writer:

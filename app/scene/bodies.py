@@ -23,9 +23,16 @@ from meshes.contact_facets import InterfaceFacets, gather, sorted_facets
 from meshes.distribute import TaggedMesh
 
 # Nodes of each facet of a tetrahedron: vertices, then the middles of the edges opposite them.
-_CELL = basix.CellType.tetrahedron
-_FACETS = zip(basix.topology(_CELL)[2], basix.cell.sub_entity_connectivity(_CELL)[2], strict=True)
-FACET_NODES = np.array([[*corners, *(4 + edge for edge in parts[1])] for corners, parts in _FACETS])
+FACET_NODES = np.array(
+    [
+        [*vertices, *(4 + edge for edge in parts[1])]
+        for vertices, parts in zip(
+            basix.topology(basix.CellType.tetrahedron)[2],
+            basix.cell.sub_entity_connectivity(basix.CellType.tetrahedron)[2],
+            strict=True,
+        )
+    ]
+)
 
 
 @dataclass(frozen=True)

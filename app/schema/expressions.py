@@ -21,9 +21,14 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-OPERATORS: dict[type[ast.AST], str] = {
-    **{ast.Add: "add", ast.Sub: "subtract", ast.Mult: "multiply", ast.Div: "divide"},
-    **{ast.Pow: "power", ast.USub: "negative", ast.UAdd: "positive"},
+OPERATORS = {
+    ast.Add: "add",
+    ast.Sub: "subtract",
+    ast.Mult: "multiply",
+    ast.Div: "divide",
+    ast.Pow: "power",
+    ast.USub: "negative",
+    ast.UAdd: "positive",
 }
 # name in the language -> numpy function and allowed numbers of arguments
 FUNCTIONS: dict[str, tuple[str, int, int]] = {

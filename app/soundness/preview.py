@@ -171,16 +171,27 @@ Range = tuple[float, float]
 # between dry ice and burning.
 TEMPERATURES = (190.0, 800.0)
 USUAL = {
-    **dict.fromkeys([f"{way}conductivity" for way in ("", "axial_", "transverse_")], (1e-2, 3e3)),
-    **{"density": (1e-11, 2.3e-8), "specific_heat": (1e8, 1.5e10)},
-    **dict.fromkeys(("initial_temperature", "reference_temperature"), TEMPERATURES),
+    "conductivity": (1e-2, 3e3),
+    "axial_conductivity": (1e-2, 3e3),
+    "transverse_conductivity": (1e-2, 3e3),
+    "density": (1e-11, 2.3e-8),
+    "specific_heat": (1e8, 1.5e10),
+    "initial_temperature": TEMPERATURES,
+    "reference_temperature": TEMPERATURES,
     "thermal_expansion": (1e-8, 1e-3),
 }
 MODULI = ("youngs_modulus", "axial_youngs_modulus", "transverse_youngs_modulus")
 # Young's moduli by the name of a region, else of all from gel to diamond [MPa]: wide enough for any
 # such material, too narrow for a factor of a thousand.
-STIFFNESS = {"cancellous": (5.0, 2e4), "cortical": (1e3, 1e5), "bone": (50.0, 1e5)}
-STIFFNESS |= {"cement": (100.0, 2e4), "stem": (1e3, 5e5), "metal": (5e3, 1e6), "": (1e-3, 1.5e6)}
+STIFFNESS = {
+    "cancellous": (5.0, 2e4),
+    "cortical": (1e3, 1e5),
+    "bone": (50.0, 1e5),
+    "cement": (100.0, 2e4),
+    "stem": (1e3, 5e5),
+    "metal": (5e3, 1e6),
+    "": (1e-3, 1.5e6),
+}
 # Forces on a hip from that of a finger to that of a fall [N].
 HIP_FORCES = (20.0, 5e4)
 

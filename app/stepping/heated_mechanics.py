@@ -104,8 +104,12 @@ class HeatedMechanics:
                     T=self._temperatures[c.body].x.array[c.dof],
                 )[0]
                 self._strains[k].x.scatter_forward()
-        fields = self._temperatures, self._degrees, self._strains
-        self._last = ThermalState(*([f.x.array.copy() for f in own] for own in fields))
+        self._last = ThermalState(
+            *(
+                [f.x.array.copy() for f in functions]
+                for functions in (self._temperatures, self._degrees, self._strains)
+            )
+        )
         return self._last
 
     def _distance(self, now: ThermalState) -> float:
@@ -135,8 +139,12 @@ class HeatedMechanics:
         Free strain grows from gelation on, temperature and cure all the way.
         """
         problem, scene = self._load_stepper.problem, self._operators.scene
-        ends = ([*state.temperatures, *state.degrees] for state in (a, b))
-        for f, x, y in zip([*self._temperatures, *self._degrees], *ends, strict=True):
+        for f, x, y in zip(
+            [*self._temperatures, *self._degrees],
+            [*a.temperatures, *a.degrees],
+            [*b.temperatures, *b.degrees],
+            strict=True,
+        ):
             f.x.array[:] = (1 - s) * x + s * y
         for k, cure in enumerate(scene.cures):
             share = since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)

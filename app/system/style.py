@@ -50,6 +50,14 @@ def curve(axes: Any, x: Sequence[Any], y: Sequence[Any], k: int, label: str) -> 
 
 def crosses(axes: Any, x: Sequence[Any], k: int, height: float) -> None:
     """Draw the failed points of the k-th curve at a fraction of the axes' height."""
-    look = {"color": COLOURS[k % len(COLOURS)], "ms": 8.5, "mew": 2.1, "zorder": 5}
-    look |= {"transform": axes.get_xaxis_transform(), "label": "failed" if len(x) else None}
-    axes.plot(x, [height] * len(x), "x", **look)
+    axes.plot(
+        x,
+        [height] * len(x),
+        "x",
+        transform=axes.get_xaxis_transform(),
+        color=COLOURS[k % len(COLOURS)],
+        ms=8.5,
+        mew=2.1,
+        label="failed" if len(x) else None,
+        zorder=5,
+    )

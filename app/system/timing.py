@@ -13,9 +13,15 @@ from pathlib import Path
 log = logging.getLogger("mantle")
 
 # Description of each phase.
-DOING = {"mesh": "meshing", "assemble": "setting the equations up", "solve": "solving"}
-DOING |= {"compile": "loading forms, or compiling them", "error": "estimating errors"}
-DOING |= {"factorize": "setting the preconditioner up", "output": "computing and writing results"}
+DOING = {
+    "mesh": "meshing",
+    "assemble": "setting the equations up",
+    "compile": "loading forms, or compiling them",
+    "factorize": "setting the preconditioner up",
+    "solve": "solving",
+    "output": "computing and writing results",
+    "error": "estimating errors",
+}
 # Long phases that occur once; the others are logged at the level of debugging.
 ANNOUNCED = ("mesh", "assemble", "factorize", "error")
 

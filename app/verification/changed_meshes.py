@@ -63,8 +63,15 @@ def mirrored(data: MeshData) -> MeshData:
         tags, marks = np.tile(tags, 2), np.tile(marks, 2)
     keep = ~np.isin(marks, planes)
     boundaries = {n: t for n, t in data.boundaries.items() if not n.startswith("symmetry")}
-    data = replace(data, points=x, cells=cells, cell_tags=tags, boundaries=boundaries)
-    return replace(data, facets=facets[keep], facet_tags=marks[keep])
+    return replace(
+        data,
+        points=x,
+        cells=cells,
+        cell_tags=tags,
+        facets=facets[keep],
+        facet_tags=marks[keep],
+        boundaries=boundaries,
+    )
 
 
 CHANGES: dict[str, Callable[[MeshData], MeshData]] = {

@@ -43,6 +43,7 @@ from app.verification.extreme_cohesion import breaking
 from app.verification.heat_problems import heat_problems
 from app.verification.invariance_cases import condensed, invariants
 from app.verification.problems import problems
+from app.verification.remodelling_problems import densities
 from app.verification.validation import GROUP
 
 log = logging.getLogger("mantle")
@@ -58,7 +59,7 @@ def stress_rows() -> list[Check]:
     stiff = [p for p in heat_problems() if p.group == "stiff"]
     heat = [replace(p, name=p.name.replace("stiff", "heat", 1), group="heat") for p in stiff]
     rows = [*extremes(), *breaking(), *invariants()]
-    return [*rows, *creep_rows(), *heat, *condensed(rows)]
+    return [*rows, *creep_rows(), *densities(), *heat, *condensed(rows)]
 
 
 # The checks of each command.

@@ -25,10 +25,14 @@ def heat_problems() -> list[Check]:
 
 def _steady() -> Iterator[Check]:
     conductances = (1.0, 300.0, 1e6)
-    what = "temperatures of two bars, over their range, and flux; 1 to 1e6 W/(m2 K)"
-    bars = [partial(measures.bars, conductance=1e-3 * h) for h in conductances]
-    runs = [(f"interfaces.cement_bone.conductance={h} W/(m^2 K)",) for h in conductances]
-    yield problem("heat_bars", what, "two_bars", bars, 1e-6, runs)
+    yield problem(
+        "heat_bars",
+        "temperatures of two bars, over their range, and flux; 1 to 1e6 W/(m2 K)",
+        "two_bars",
+        [partial(measures.bars, conductance=1e-3 * h) for h in conductances],
+        1e-6,
+        [(f"interfaces.cement_bone.conductance={h} W/(m^2 K)",) for h in conductances],
+    )
     what = "temperatures of two rings, relative in L2"
     sizes: tuple[float, ...] = (1, 0.5, 0.35, 0.25)
     yield ladder("heat_rings", what, "two_rings", measures.rings, 1e-4, SLICE, sizes)
@@ -101,8 +105,14 @@ def _setting() -> Iterator[Check]:
         ("backward_euler", 1.0, (40, 80, 160), 0.02),
         ("sdirk4", 4.0, (4, 6, 8, 12), 1e-5),
     ):
-        case, by = "verification/exotherm.yaml", f"time={{method: {method}}}"
-        runs = tuple(CheckRun(case, (by, *_forced(end / n, n)), size=end / n) for n in counts)
+        runs = tuple(
+            CheckRun(
+                "verification/exotherm.yaml",
+                (f"time={{method: {method}}}", *_forced(end / n, n)),
+                size=end / n,
+            )
+            for n in counts
+        )
         what = "degree of cure after 300 s in steps of one length, relative"
         judge, rung = each(degree, last=True), "time step (s)"
         yield Check(f"cure_order_{method}", what, runs, judge, tolerance, order, rung=rung)

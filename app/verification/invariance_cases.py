@@ -69,7 +69,16 @@ def _loads() -> Iterator[Check]:
 
 
 def _units() -> Iterator[Check]:
-    """The same model a thousand times as small or large."""
+    """Other units, and the same model a thousand times as small or large."""
+    words = (
+        *("geometry.stem_radius=0.007 m", "geometry.cement_thickness=0.4 cm"),
+        *("geometry.bone_thickness=5000 um", "geometry.length=0.024 m"),
+        *("geometry.taper=0.02617993877991494 rad", "mesh.size=0.0035 m", "mesh.far_size=0.5 cm"),
+        *("regions.stem.youngs_modulus=1.1e11 Pa", "regions.cement.youngs_modulus=2.2 GPa"),
+        "regions.bone.youngs_modulus=1.7e10 N/m^2",
+        *("loads.push.force=[0 N, 0 N, -0.9 kN]", "loads.lateral.force=[3e5 mN, 0.2 kN, 0 N]"),
+    )
+    yield row("units/m, Pa, kN", (run(STEM, *words), run(STEM)), judges.same, 1e-8)
     kinds = (("m, Pa", "metres", 1e-3, 1e6), ("um", "micrometres", 1e3, 1e-6))
     for name, mesh, lengths, stresses in kinds:
         moduli = {"stem": 110e3, "cement": 2200.0, "bone": 17e3}

@@ -82,10 +82,15 @@ def _sines() -> Iterator[Check]:
 def _fibre_rings() -> Iterator[Check]:
     for lay in ("circumferential", "radial"):
         ring = exact.FibreRing(5, 10, 10.0, measures.WOOD, lay == "radial")
-        what = f"displacement of a pressed ring of {lay} fibres, relative in L2"
-        moved = partial(measures.in_l2, fields=[ring.displacement])
-        own, sizes = (f"regions.ring.fibre.kind={lay}", "mesh.size={} mm"), (1, 0.5, 0.35, 0.25)
-        yield ladder(f"fibre_ring_{lay}", what, "fibre_ring", moved, 0.01, own, sizes)
+        yield ladder(
+            f"fibre_ring_{lay}",
+            f"displacement of a pressed ring of {lay} fibres, relative in L2",
+            "fibre_ring",
+            partial(measures.in_l2, fields=[ring.displacement]),
+            0.01,
+            (f"regions.ring.fibre.kind={lay}", "mesh.size={} mm"),
+            (1, 0.5, 0.35, 0.25),
+        )
 
 
 _RUNGS = (1.6, 0.8, 0.4, 0.25)
@@ -108,10 +113,14 @@ def _press_fits() -> Iterator[Check]:
         else:
             yield problem(name, what, case, mean, 0.005, [(*half, *_slice(0.4))])
     reference = exact.lame_pressure(0.01, 7.0, 10.0, TITANIUM, CEMENT)
-    what = "the same, plane strain, 3 mm, by curved cells of second order [MPa], relative"
-    mean = partial(measures.number, name="stem_cement.pressure_mean", reference=reference)
-    runs = [("mesh.order=2", "mesh.curved=true", *_slice(0.8))]
-    yield problem("lame_p2_curved", what, "lame_plane_strain", mean, 1e-3, runs)
+    yield problem(
+        "lame_p2_curved",
+        "the same, plane strain, 3 mm, by curved cells of second order [MPa], relative",
+        "lame_plane_strain",
+        partial(measures.number, name="stem_cement.pressure_mean", reference=reference),
+        1e-3,
+        [("mesh.order=2", "mesh.curved=true", *_slice(0.8))],
+    )
 
 
 def _oval_fits() -> Iterator[Check]:
@@ -174,15 +183,24 @@ def _friction() -> Iterator[Check]:
 
 def _wall() -> Iterator[Check]:
     key = "interfaces.wall_bar"
-    what = "force of a bar on a wall [N] and penetration, relative; augmentation 1 to 1e6 MPa/mm"
-    runs = [(f"{key}.augmentation={r} MPa/mm",) for r in 10.0 ** np.arange(0, 7)]
-    yield problem("wall_augmented", what, "wall", measures.wall_force, 1e-10, runs)
+    yield problem(
+        "wall_augmented",
+        "force of a bar on a wall [N] and penetration, relative; augmentation 1 to 1e6 MPa/mm",
+        "wall",
+        measures.wall_force,
+        1e-10,
+        [(f"{key}.augmentation={r} MPa/mm",) for r in 10.0 ** np.arange(0, 7)],
+    )
     law = "{{kind: penalty, friction_coefficient: 0.3, penalty: {} MPa/mm}}"
     penalties = 10.0 ** np.arange(2, 9)
-    what = "penetration by the penalty's law [mm], relative; penalty 1e2 to 1e8 MPa/mm"
-    judges = [partial(measures.penetration, penalty=float(r)) for r in penalties]
-    runs = [(f"{key}={law.format(r)}",) for r in penalties]
-    yield problem("wall_penalty", what, "wall", judges, 1e-6, runs)
+    yield problem(
+        "wall_penalty",
+        "penetration by the penalty's law [mm], relative; penalty 1e2 to 1e8 MPa/mm",
+        "wall",
+        [partial(measures.penetration, penalty=float(r)) for r in penalties],
+        1e-6,
+        [(f"{key}={law.format(r)}",) for r in penalties],
+    )
 
 
 def _cook() -> Iterator[Check]:

@@ -31,7 +31,7 @@ def test_the_plan() -> None:
     assert {"augmentation", "penalty", "modulus", "poisson", "friction", "thin mantle"} < set(rows)
     assert {"loads", "units", "floating", "taper", "cycles", "increments"} < set(rows)
     assert {"symmetry", "bad cells", "heat", "layer", "creep", "cohesion"} < set(rows)
-    assert len(small) == 248 and len(everything) == 570
+    assert len(small) == 257 and len(everything) == 580
     assert len({c.name for c in everything}) == len(everything)
     names = {c.name for c in small if c.name.startswith("augmentation_E_50:1_mu_0.4")}
     assert {name.split("_")[-1] for name in names} == {f"{10.0**k:.2g}" for k in range(-4, 5) if k}
