@@ -268,6 +268,13 @@ def _sliding(case: Any) -> Iterable[Fault]:
         if other := taken.get((path[0], part)):
             yield Fault(path, f"{part} is in {path[0]}.{other} already; expected another")
         taken[path[0], part] = path[1]
+    for _, name, motion in _entries(case, "motions"):
+        region = (case.regions or {}).get(motion.region)
+        if region is not None and isinstance(region, Rigid) == bool(motion.boundary):
+            text = f"{motion.region} is elastic; expected `boundary`, the part that is driven"
+            if motion.boundary:
+                text = f"{motion.region} is rigid, driven as a whole; expected no `boundary`"
+            yield Fault(("motions", name, "region"), text)
     motions = tuple(case.motions or ())
     courses = any(motion.course for _, _, motion in _entries(case, "motions"))
     for _, name, load in _entries(case, "loads"):

@@ -292,7 +292,8 @@ def runaway(problem: Problem, trial: TrialState) -> str:
         elastic = forces / (term.modulus * size)
         if largest > RUNAWAY * size and largest > LOOSE * elastic:
             free = free_bodies(problem, trial)
-            if term.between and not free:
+            pressed = (trial.law.pressures[contact.own.interface == i] > 0).any()
+            if term.between and any(problem.comm.allgather(bool(pressed))):
                 continue  # it slides far
             how = (
                 f"moved {largest:.3g} mm apart or along each other, {100 * largest / size:.0f} % "
@@ -300,7 +301,8 @@ def runaway(problem: Problem, trial: TrialState) -> str:
                 if largest < size
                 else "left each other for good"
             )
-            by = "" if free else ": nothing holds them but the facets of the mesh"
+            lost = free or term.between
+            by = "" if lost else ": nothing holds them but the facets of the mesh"
             return "; ".join([*free, f"the sides of interface '{term.name}' {how}{by}"])
     return ""
 

@@ -61,7 +61,7 @@ loads:
 MOTION = """
 motions:
   turn:
-    {region: metal, about: [5 mm, 5 mm, 5 mm], translation: held,
+    {region: metal, boundary: top, about: [5 mm, 5 mm, 5 mm], translation: held,
      rotation: {axes: xyz, course: ["time [s], rotation z [deg]", "0, 0", "1, 0.4"]}}
 """
 
@@ -479,7 +479,7 @@ def test_a_region_that_moves_has_no_supports_and_if_held_gives_way_to_no_load() 
     (note,) = judged(TWO + MOTION)
     assert note == "motions.turn.translation: metal does not give way to press: its place is given"
     with pytest.raises(InputError) as caught:
-        judged(TWO + MOTION.replace("metal", "bone"))
+        judged(TWO + MOTION.replace("metal, boundary: top", "bone, boundary: bottom"))
     assert caught.value.messages[0].startswith(
         "motions.turn.region: bone turns, and supports hold it (floor)"
     )
