@@ -147,8 +147,12 @@ class ContactSystem(BondedSystem):
         times, added = self.factors = contact.row_factors(self.trial.law)
         fill(self.times, times)
         fill(self._added, added)
-        self.times.matMult(contact.coupling.Ct, result=self._A_qu)
-        self.times.matMult(contact.coupling.D, result=self._A_qq)
+        for product, A in ((self._A_qu, contact.coupling.Ct), (self._A_qq, contact.coupling.D)):
+            if self._problem.stiffness.constraints.follows:
+                # On several ranks a product knows the pattern of its factors as they were.
+                renew(product, self.times.matMult(A), anew=True)
+            else:
+                self.times.matMult(A, result=product)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def exact(self, linear: str) -> Condensed | None:
@@ -177,7 +181,6 @@ class ContactSystem(BondedSystem):
             coupling, follows = self.contact.coupling, self._problem.stiffness.constraints.follows
             if follows:
                 renew(self._C, coupling.C, anew=True)
-                renew(self._A_qu, self.times.matMult(coupling.Ct), anew=True)
             else:
                 coupling.C.copy(self._C)
             self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)

@@ -19,6 +19,8 @@ from app.system.folders import saved
 from app.verification.changed_meshes import ROTATION, change
 from tests import coupled, restarted, support
 from tests.command_line.test_run import COARSE
+from tests.mechanics.test_followers import COCR
+from tests.mechanics.test_followers import QUARTER as TURN
 from tests.mechanics.test_oblique import QUARTER, vector
 from tests.mechanics.test_sliding import CUP, SWING, stages
 from tests.simulation import test_variations
@@ -156,6 +158,7 @@ CASES: dict[str, tuple[str, tuple[str, ...], dict[int, tuple[str, ...]]]] = {
     "creep": (test_creep.STEM, (EXACT,), {1: (), 2: ()}),
     "corrected": (SETTING, (*SHORT, EXACT), {1: (), 3: ()}),
     "large slip": (CUP, (SWING, stages(6)), {1: (), 2: (), 3: ()}),
+    "deformable head": (CUP, (COCR, TURN, stages(3), EXACT), {1: (), 2: ()}),
 }
 
 
