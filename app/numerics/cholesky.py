@@ -10,7 +10,7 @@ import hashlib
 import importlib.util
 import os
 import tempfile
-from functools import cache
+from functools import cache, partial
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
@@ -77,6 +77,11 @@ def library() -> Any:
     return module
 
 
+def _free(ffi: Any, lib: Any, common: Any, L: Any) -> None:
+    lib.cholmod_l_free_factor(ffi.new("cholmod_factor **", L), common)
+    lib.cholmod_l_finish(common)
+
+
 class Cholesky:
     """Factors L L^T of a symmetric matrix, ordered by nodes of three unknowns, some nodes last.
 
@@ -101,15 +106,11 @@ class Cholesky:
         common.method[0].ordering = self._lib.CHOLMOD_GIVEN
         matrix, kept = self._sparse(A)
         none = self._ffi.NULL
-        self._L = self._ffi.gc(
-            self._lib.cholmod_l_analyze_p(matrix, self._ints(order), none, 0, common), self._free
-        )
+        L = self._lib.cholmod_l_analyze_p(matrix, self._ints(order), none, 0, common)
+        # Nothing that refers to this object: in a circle the factors would never be freed.
+        self._L = self._ffi.gc(L, partial(_free, self._ffi, self._lib, common))
         del kept
         self.flops, self.entries = float(common.fl), float(common.lnz)
-
-    def _free(self, L: Any) -> None:
-        self._lib.cholmod_l_free_factor(self._ffi.new("cholmod_factor **", L), self._common)
-        self._lib.cholmod_l_finish(self._common)
 
     def _ints(self, values: Ints) -> Any:
         return self._ffi.cast("int64_t *", values.ctypes.data)

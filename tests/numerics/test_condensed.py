@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -43,6 +44,14 @@ def test_last_block_is_the_factor_of_the_schur_complement() -> None:
     there = np.concatenate([y[:-108], c.last(b[-108:], transposed=True)])
     moved = np.linalg.solve(K, b[:-108] - C @ b[-108:])
     np.testing.assert_allclose(c.up(there), np.concatenate([moved, b[-108:]]), atol=1e-12)
+
+
+def test_factors_that_nothing_holds_are_freed() -> None:
+    """A motion makes new ones at each step: CHOLMOD's memory goes with the object."""
+    c = Cholesky(spring_grid(), 108)
+    gone = weakref.ref(c)
+    del c
+    assert gone() is None
 
 
 # Order, unknowns of displacement and jumps, GFlop and million entries of the factors; the number of
