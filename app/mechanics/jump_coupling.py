@@ -54,21 +54,24 @@ class JumpCoupling:
                 np.unique(row // 3),
             )
             self._strips[body] = mechanics.strip_stiffness(body, moved)
+        self._KB: dict[int, PETSc.Mat] = {}
         self.C, self.D, self.Ct = self._assembled(mechanics, constraints)
         self._work = self.Ct.createVecLeft()
 
     def _assembled(
-        self, mechanics: BodyForms, constraints: Constraints
+        self, mechanics: BodyForms, constraints: Constraints, paired: bool = False
     ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
-        moves = self.jump_to_displacement
-        KB = {b: assembled_matrix(self._strips[b]).matMult(B) for b, B in moves.items()}
+        moves, KB = self.jump_to_displacement, self._KB
+        if not paired:
+            for b, B in moves.items():
+                KB[b] = assembled_matrix(self._strips[b]).matMult(B)
         C = constraints.rows(matrix_sum(list(KB.values())))
         D = matrix_sum([B.transposeMatMult(KB[b]) for b, B in moves.items()])
         return C, D, C.copy().transpose()
 
-    def update(self, mechanics: BodyForms, constraints: Constraints) -> None:
-        """Reassemble, in the same matrices, for changed stiffness or supports."""
-        new = self._assembled(mechanics, constraints)
+    def update(self, mechanics: BodyForms, constraints: Constraints, paired: bool = False) -> None:
+        """Reassemble, in the same matrices, for changed stiffness, supports, or pairs alone."""
+        new = self._assembled(mechanics, constraints, paired)
         for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
             renew(matrix, values, constraints.follows)
 

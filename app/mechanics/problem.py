@@ -298,8 +298,8 @@ class Problem:
             return
         constraints = self.stiffness.constraints
         constraints.follow()
-        self.stiffness.update()
-        self.contact.coupling.update(self.mechanics, constraints)
+        self.stiffness.update(paired=True)
+        self.contact.coupling.update(self.mechanics, constraints, paired=True)
         u, q = self.stiffness.K.createVecRight(), self.contact.coupling.D.createVecRight()
         q.array[:] = self.contact.state.jump.ravel()
         self._express(self._committed, u, q)

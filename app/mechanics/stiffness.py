@@ -74,8 +74,10 @@ class Stiffness:
         options = stiffness_options("auto", self.K, scene.order, lower)
         self.inverse = Inverse(self.K, lambda: self.version, options, lower)
 
-    def _constrained(self) -> PETSc.Mat:
-        K = self.constraints.matrix(assembled_matrix(self._form))
+    def _constrained(self, paired: bool = False) -> PETSc.Mat:
+        if not paired:
+            self._nodal = assembled_matrix(self._form)
+        K = self.constraints.matrix(self._nodal)
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.rows = K.getOwnershipRange()[0] + np.flatnonzero(self.constraints.constrained)
         self.rows = self.rows.astype(PETSc.IntType)
@@ -92,9 +94,9 @@ class Stiffness:
         self.diagonal = K.getDiagonal()
         return K
 
-    def update(self) -> None:
-        """Reassemble in the same matrix; collective."""
-        K = self._constrained()
+    def update(self, paired: bool = False) -> None:
+        """Reassemble in the same matrix, or if surfaces are paired anew that alone; collective."""
+        K = self._constrained(paired)
         renew(self.K, K, self.constraints.follows)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.version += 1
