@@ -21,6 +21,8 @@ import numpy as np
 from dolfinx import fem
 
 from app.arrays import Floats, Ints
+from app.errors import InputError
+from app.laws.loads import BodyForce, Force
 from app.mechanics.pairs import Pairs, SmoothSurface, mortar, oriented
 from app.numerics.sparse import from_triplets
 from app.scene.bodies import (
@@ -28,6 +30,7 @@ from app.scene.bodies import (
     boundary_facets,
     cell_tags,
     facet_nodes,
+    facets_by_body,
     nodes_on,
     touched_nodes,
 )
@@ -77,6 +80,32 @@ def soft(scene: Scene) -> dict[int, Interface]:
     """Interfaces that slide far on deformable bodies, by number."""
     contacts = enumerate(scene.contacts)
     return {i: c for i, c in contacts if c.between and not scene.is_rigid(c)}
+
+
+def refuse_motions(scene: Scene, tagged: TaggedMesh, bodies: Bodies) -> None:
+    """Refuse motions of elastic regions that nothing follows, and loads that would turn with them.
+
+    Raises:
+        InputError: There is one; collective.
+    """
+    for m in scene.driven:
+        if not any(m.region in c.master for c in soft(scene).values()):
+            raise InputError(
+                f"motions.{m.name}.region: {m.region} is elastic, and nothing softer slides far on "
+                "it; expected the stiffer side of an interface with `sliding: finite`"
+            )
+        body = bodies.of_region[m.region]
+        for load in scene.loads:
+            on: set[int] = set()
+            if isinstance(load, BodyForce):
+                on = {bodies.of_region[r] for r in load.regions or bodies.of_region}
+            elif isinstance(load, Force) and load.boundary != m.boundary:
+                on = set(facets_by_body(tagged, bodies, load.boundary))
+            if body in on:
+                raise InputError(
+                    f"loads.{load.name}: acts on {m.region}, which turns; expected forces on "
+                    f"'{m.boundary}' alone, or pressures"
+                )
 
 
 class Followers:

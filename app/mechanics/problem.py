@@ -19,7 +19,7 @@ from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.creep import CreepState
 from app.mechanics.external_forces import Forces
-from app.mechanics.followers import Followers, soft
+from app.mechanics.followers import Followers, refuse_motions, soft
 from app.mechanics.stiffness import Stiffness, rounding
 from app.mechanics.stress_history import StressHistory
 from app.mechanics.thermal_strain import ThermalStrain
@@ -80,6 +80,7 @@ class Problem:
             else None
         )
         parts = scene, tagged, self.bodies, self.mechanics
+        refuse_motions(scene, tagged, self.bodies)
         sliding = scene, tagged, self.bodies, self.space
         self.followers = Followers(*sliding) if soft(scene) else None
         shared = like.stiffness if like else None

@@ -9,6 +9,7 @@ import pytest
 
 import meshes
 from app.case.geometries import Block, Blocks, MeshOptions
+from app.errors import InputError
 from meshes.data import MeshData
 from tests import restarted, support
 from tests.mechanics.test_sliding import CUP, FORCE, FRICTION, R, solve, stages, turning
@@ -141,3 +142,26 @@ def test_friction_balances_on_a_deformable_head(head: str, tmp_path: Path) -> No
     assert max(balance.values()) < 1e-8
     output = restarted.on(path, tmp_path, files[1], head, QUARTER, stages(3))
     restarted.assert_same(tmp_path / "whole", output)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        (
+            ["loads.hip.boundary=head_surface"],
+            r"^loads\.hip: acts on head, which turns; expected forces on 'head_bore' alone",
+        ),
+        (
+            ["loads.weight={kind: body_force, density: [0 N/mm^3, 0 N/mm^3, -1e-4 N/mm^3]}"],
+            r"^loads\.weight: acts on head, which turns",
+        ),
+        (
+            ["motions.ball.region=liner", "motions.ball.boundary=liner_outer"],
+            r"^motions\.ball\.region: liner is elastic, and nothing softer slides far on it",
+        ),
+    ],
+)
+def test_what_cannot_turn_is_refused(changes: list[str], complaint: str) -> None:
+    """A slave, forces beside the driven boundary, weight: each names its place and remedy."""
+    with pytest.raises(InputError, match=complaint):
+        support.assemble(support.case(CUP, COCR, QUARTER, *changes))
