@@ -161,9 +161,7 @@ class Constraints:
             there = nodes_on(tagged, space, str(m.boundary))
             region[there[there < nodes]] = k
         if self._followers:
-            low, high = space.dofmap.index_map.local_range
-            follow = self._followers.following
-            region[follow[(follow >= low) & (follow < high)] - low] = FOLLOWS
+            region[self._followers.own_following] = FOLLOWS
         free = np.flatnonzero(region == -1)
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         turned = np.zeros(nodes, dtype=bool)

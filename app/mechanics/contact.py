@@ -216,7 +216,7 @@ class ContactInterfaces:
         ]
         self.coupling = JumpCoupling(mechanics, constraints, entries, number, len(rows))
         far = any(c.between for c in scene.contacts)
-        sliding = scene, tagged, space, self.own, self.points.dof[rows], followers
+        sliding = scene, tagged, space, self.own, followers
         self.large = Sliding(*sliding) if far else None
         self.law = PointLaw(self.comm, self.own, timing)
         self.begin(scene, augmentation_factor)

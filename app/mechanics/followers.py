@@ -47,7 +47,7 @@ class Side:
     """Surface of a body at a sliding interface, replicated.
 
     Attributes:
-        dofs: Global blocked dofs of its vertices (n,), rising.
+        dofs: Global blocked dofs of its vertices (n,), which are in the order of their numbers.
         x: Their positions (n, 3) [mm].
         triangles: Vertices of its facets, counterclockwise seen from outside (f, 3).
         outward: A vector out of the body for each facet (f, 3).
@@ -63,10 +63,13 @@ class Side:
     @classmethod
     def of(cls, tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Side:
         """Gather a boundary on every rank; collective."""
-        _, dofs, x, inside = facet_nodes(tagged, space, boundary_facets(tagged, boundary))
-        dofs, x, inside = gather(tagged.mesh.comm, dofs, x[:, :3], inside)
-        vertices, first, of = np.unique(dofs[:, :3], return_index=True, return_inverse=True)
-        triangles = of.reshape(-1, 3)
+        f = facet_nodes(tagged, space, boundary_facets(tagged, boundary))
+        numbers, dofs, x, inside = gather(tagged.mesh.comm, *f)
+        # The same on any number of ranks.
+        order = np.lexsort(np.sort(numbers, axis=1).T)
+        numbers, dofs, x, inside = numbers[order], dofs[order], x[order, :3], inside[order]
+        _, first, of = np.unique(numbers, return_index=True, return_inverse=True)
+        vertices, triangles = dofs[:, :3].ravel()[first], of.reshape(-1, 3)
         # The middle of an edge of a facet is opposite its vertex of the same number.
         ends = triangles[:, [[1, 2], [2, 0], [0, 1]]]
         edges = np.concatenate([dofs[:, 3:, None], ends[:, : dofs.shape[1] - 3]], axis=2)
@@ -74,6 +77,10 @@ class Side:
         edges = edges.reshape(-1, 3)[one]
         outward, x = x[:, 0] - inside, x.reshape(-1, 3)[first]
         return cls(vertices, x, oriented(x, triangles, outward), outward, edges)
+
+    def smooth(self) -> SmoothSurface:
+        """The smooth surface that it approximates."""
+        return SmoothSurface(self.x, self.triangles, self.outward)
 
 
 def soft(scene: Scene) -> dict[int, Interface]:
@@ -132,9 +139,7 @@ class Followers:
             assert c.between is not None
             master, slave = (Side.of(tagged, space, name) for name in c.between)
             self.sides[i] = master, slave
-        self.masters = {
-            i: SmoothSurface(m.x, m.triangles, m.outward) for i, (m, _) in self.sides.items()
-        }
+        self.masters = {i: master.smooth() for i, (master, _) in self.sides.items()}
         parts = [(s.dofs, s.edges[:, 0], m.edges[:, 0]) for m, s in self.sides.values()]
         self.following = np.unique(np.concatenate([dofs for part in parts for dofs in part]))
         self.changed = True
@@ -162,9 +167,18 @@ class Followers:
 
     def own_slaves(self) -> dict[int, Ints]:
         """Local own nodes of the slave of each interface."""
-        low, high = self._map.local_range
         every = {i: np.concatenate([s.dofs, s.edges[:, 0]]) for i, (_, s) in self.sides.items()}
-        return {i: d[(d >= low) & (d < high)] - low for i, d in every.items()}
+        return {i: self._own(dofs) for i, dofs in every.items()}
+
+    def _own(self, dofs: Ints) -> Ints:
+        """Local numbers of the own nodes among global dofs."""
+        low, high = self._map.local_range
+        return dofs[(dofs >= low) & (dofs < high)] - low
+
+    @property
+    def own_following(self) -> Ints:
+        """Local own nodes that follow others."""
+        return self._own(self.following)
 
     def pair(self, i: int, x: Floats) -> None:
         """Pair the surfaces of an interface anew, as `paired`."""
@@ -222,9 +236,7 @@ class Followers:
 
     def only(self, nodal: Floats) -> Floats:
         """Values at own nodes (3 nodes,), zero but where they follow others."""
-        low, high = self._map.local_range
-        here, found = self.following, np.zeros_like(nodal)
-        rows = here[(here >= low) & (here < high)] - low
+        rows, found = self.own_following, np.zeros_like(nodal)
         found.reshape(-1, 3)[rows] = nodal.reshape(-1, 3)[rows]
         return found
 

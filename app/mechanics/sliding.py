@@ -72,14 +72,13 @@ class Sliding:
         tagged: TaggedMesh,
         space: fem.FunctionSpace,
         own: OwnPoints,
-        dofs: Ints,
         followers: Followers | None,
     ) -> None:
         apart = [i for i, c in enumerate(scene.contacts) if c.between]
         self.rows: Ints = np.flatnonzero(np.isin(own.interface, apart))
         self._of = own.interface[self.rows]
         self._own, self._apart = own, apart
-        self._comm, self._dofs, self._followers = tagged.mesh.comm, dofs[self.rows], followers
+        self._comm, self._followers = tagged.mesh.comm, followers
         meshed: dict[int, SmoothSurface] = followers.masters if followers else {}
         self._surfaces = {
             i: surface_of(scene.contacts[i], tagged, space, meshed.get(i)) for i in apart
@@ -113,9 +112,10 @@ class Sliding:
         self.paired = self._at(jump)
         for i in self._followers.sides if self._followers else ():
             here = self._of == i
-            dofs, x = gather(self._comm, self._dofs[here], self._places(jump)[here])
+            number = self._own.rows[self.rows[here]]  # in the order of the vertices
+            number, x = gather(self._comm, number, self._places(jump)[here])
             assert self._followers is not None
-            self._followers.pair(i, x[np.argsort(dofs)])
+            self._followers.pair(i, x[np.argsort(number)])
         return self.paired
 
     def _places(self, jump: Floats) -> Floats:

@@ -15,14 +15,13 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
+from app.mechanics.followers import Side
 from app.mechanics.pairs import SmoothSurface
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rotation_vector
 from app.results.interface_numbers import ContactSamples
 from app.results.percentiles import percentile
-from app.scene.bodies import boundary_facets, facet_nodes
 from app.scene.scene import Stage
-from meshes.contact_facets import gather, sorted_facets
 
 MILLION = 1e6  # cycles
 MILLIWATT = 1e-3
@@ -64,7 +63,8 @@ class Bearing:
             np.searchsorted(self._rows, triangles),
             -points.normals[triangles[:, 0], 0],
         )
-        self.surface, self.dof = _surface(problem, c.between[0])
+        side = Side.of(problem.tagged, problem.space, c.between[0])
+        self.surface, self.dof = side.smooth(), side.dofs
         self.interface: Ints = np.zeros(len(self.dof), dtype=np.int64)
         self.bodies = np.full((len(self.dof), 1), self._body)
         self.triangles = (self.surface.triangles,)
@@ -206,18 +206,6 @@ class Bearing:
         last, first = float(now[-1, 7]) or 1.0, float(before[-1, 7])
         found = {"torque": torque / (largest or 1.0)} if self._motion else {}
         return found | {"centre": off, "dissipation": abs(last - first) / last}
-
-
-def _surface(problem: Problem, boundary: str) -> tuple[SmoothSurface, Ints]:
-    """A boundary on every rank, and the global blocked dofs of its nodes (m,); collective."""
-    f = boundary_facets(problem.tagged, boundary)
-    vertices, dofs, x, inside = gather(problem.comm, *facet_nodes(problem.tagged, problem.space, f))
-    none = np.zeros((len(x), 2), dtype=np.int64)
-    whole = sorted_facets(none[:, 0], vertices, none, dofs, x, inside, none.astype(float))
-    _, first, at = np.unique(whole.vertices, return_index=True, return_inverse=True)
-    x = whole.x.reshape(-1, 3)[first]
-    surface = SmoothSurface(x, at.reshape(-1, 3), -whole.normal[:, 0])
-    return surface, whole.dofs[:, :3].ravel()[first]
 
 
 def _effusivity(case: Case, sides: Sequence[Sequence[str]]) -> float:

@@ -32,7 +32,7 @@ class Cover:
         for i, c in enumerate(problem.scene.contacts):
             if c.between:
                 side = Side.of(problem.tagged, problem.space, c.between[0])
-                self._masters[i] = SmoothSurface(side.x, side.triangles, side.outward)
+                self._masters[i] = side.smooth()
         for c, here, beyond, apart, facet in self._points():
             depth, where = self._largest(here, np.where(beyond > 0, 0.0, -apart))
             if depth > facet:
