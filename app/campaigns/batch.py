@@ -99,13 +99,14 @@ def run(
     runs = runs_of(jobs, folder, here)
     total, due, pending = len({r.id for r in runs}), 0.0, dict[str, BatchRun]()
 
-    def results(over: bool) -> list[Result]:
-        return [result_of(job, r, over=over) for job, r in zip(jobs, runs, strict=True)]
+    def results() -> list[Result]:
+        both = zip(jobs, runs, strict=True)
+        return [result_of(job, r, over=r.id not in pending) for job, r in both]
 
     def watch() -> None:
         nonlocal due
         if _log_ended(pending, total, lambda r: r.ended) and pending and time.monotonic() > due:
-            so_far(results(over=False))
+            so_far(results())
             due = time.monotonic() + OFTEN
 
     with writable(folder):
@@ -121,7 +122,7 @@ def run(
             try:
                 engine.execute(folder, cores, slurm, alone, watch)
             except KeyboardInterrupt:
-                so_far(results(over=False))
+                so_far(results())
                 text = f"stopped after {total - len(pending)} of {total} runs in {folder}"
                 raise StoppedError(f"{text}; the same command continues") from None
             # Those that began without ending have failed.
@@ -130,7 +131,7 @@ def run(
             jobs_said = (r.file("slurm") for r in pending.values())
             said = next((path for path in jobs_said if path.exists()), folder / "snakemake.log")
             raise EnvironmentProblem(f"Snakemake failed, see {said}:\n{tail(said)}")
-    return results(over=True)
+    return results()
 
 
 def plan(title: str, jobs: Sequence[Job], options: Options) -> str:

@@ -176,7 +176,7 @@ def _digest(text: str, case: Case, ranks: int) -> str:
 
 
 def result_of(job: Job, run: BatchRun, *, over: bool = True) -> Result:
-    """Result of a run; until all is over, one that has not ended counts as stopped."""
+    """Result of a run; one that is not over counts as stopped, whatever it ends with."""
     status = run.status()
     code, seconds = status or (LOST, 0.0)
     result = partial(Result, job, run.path)
@@ -186,8 +186,7 @@ def result_of(job: Job, run: BatchRun, *, over: bool = True) -> Result:
         why = "; ".join(reasons_not_to_use(summary))
         code = UnusableError.exit_code if why else 0
         return result(code, seconds, summary, f"do not use: {why}" if why else "")
-    # A run that was stopped before it could listen ends by the signal.
-    if not over and (not run.ended or code - 128 in (signal.SIGINT, signal.SIGTERM)):
+    if not over:
         return result(StoppedError.exit_code, 0.0, {}, "")
     with suppress(OSError):
         # A process that continues with other runs leaves the reason in the folder of this one.

@@ -269,7 +269,7 @@ class Constraints:
 
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
         """P^T K P."""
-        return K.ptap(self._P) if self._P else K
+        return self._P.transposeMatMult(K.matMult(self._P)) if self._P else K
 
     def rows(self, C: PETSc.Mat) -> PETSc.Mat:
         """P^T C."""

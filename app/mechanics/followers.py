@@ -300,9 +300,9 @@ class Followers:
         for name, (_, driven) in self.turning.items():
             given = np.isin(column, gather(self._comm, driven + low)[0])
             block[given] = block[given] @ self.rotations[name].T
-        k, i3, j3 = np.indices(block.shape).reshape(3, -1)
+        k, i3, j3 = np.nonzero(block)  # most blocks are multiples of the identity
         size = 3 * (high - low)
         self._G = from_triplets(
-            self._comm, size, size, 3 * (row[k] - low) + i3, 3 * column[k] + j3, block.ravel()
+            self._comm, size, size, 3 * (row[k] - low) + i3, 3 * column[k] + j3, block[k, i3, j3]
         )
         return self._G

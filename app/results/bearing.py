@@ -46,7 +46,7 @@ class Bearing:
         numbers: Numbers of the last step.
     """
 
-    saved = ("numbers", "_time", "_way", "_track", "_tracks", "_here", "_there")
+    saved = ("numbers", "_time", "_way", "_track", "_tracks", "_bare", "_here", "_there")
 
     def __init__(self, problem: Problem, case: Case, i: int) -> None:
         contact, c = problem.contact, problem.scene.contacts[i]
@@ -82,11 +82,13 @@ class Bearing:
         # the cycle, and of the last cycle; at the master's nodes of this cycle, and of the last.
         self._here = np.zeros((len(self._rows), 3, 2))
         self._there = np.zeros((len(self.dof), 2, 2))
+        # Which points have faced no master after some step.
+        self._bare = np.zeros(len(self._rows), dtype=bool)
 
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of contact points and of the master's nodes, which every rank has."""
-        return {"_here": np.arange(len(self._here)), "_there": np.arange(len(self._there))}
+        return {key: np.arange(len(getattr(self, key))) for key in ("_bare", "_here", "_there")}
 
     def update(self, s: ContactSamples, stage: Stage, time: float, whole: bool) -> None:
         """Take in a step at its end, which may end an increment of its stage; collective."""
@@ -105,6 +107,9 @@ class Bearing:
         dose = (spent - self._here[:, 0]) / self._slave.areas[:, None]
         places = self._slave.sampled(dose, 12, arm @ middle + self._centre)
         self._there[:, 0] += self.surface.deposit(*places)
+        feet = arm @ now + self._centre
+        on, at, _ = self.surface.closest(feet)
+        self._bare |= ~self.surface.faces(feet, self._slave.normals @ now, on, at)
         self._here[:, 0], self._time = spent, time
         self.numbers = {
             "centre": centre.tolist(),
@@ -168,6 +173,8 @@ class Bearing:
             "slid_mean": float(self._weight @ fields["slid"][0] / self._weight.sum()),
             "slid_max_master": float(fields["slid"][1].max()),
         }
+        if self._bare.any():
+            found["uncovered_fraction"] = float(self._weight @ self._bare / self._weight.sum())
         if self._motion:
             track = np.array(self._tracks[-1] if self._tracks else self._track)
             found["torque_max"] = float(np.linalg.norm(track[:, 1:4], axis=1).max())

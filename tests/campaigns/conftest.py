@@ -25,6 +25,7 @@ class Bench:
         self.folder, self.out = folder, folder / "out put"
         self.case, self.sweep = folder / "case.yaml", folder / "sweep.yaml"
         self.tell(broken="", code="1", seconds="0", meet="1", awaited=".")
+        self.tell(interrupted="5")
         self.tell(**{"case.yaml": CASE, "sweep.yaml": SWEEP})
 
     def tell(self, **files: str) -> None:

@@ -5,7 +5,8 @@ orders, references and advice are known: slip_p99 = 0.04 (1 - 0.01 h^2) (1 + 10 
 pressure_p99 = 5 (1 + 0.04 h / order), penetration_max = 2 / r, a time of 8 / h seconds, and errors
 estimated as twice and eight times the true ones. Files in the folder of `conftest.Bench` tell it
 what to do: sizes, frictions and penalties that are ``broken`` and the ``code`` it then leaves with,
-the ``seconds`` of a run, how many ``meet``, and what is ``awaited`` by all but the first.
+the code it leaves with if ``interrupted``, the ``seconds`` of a run, how many ``meet``, and what is
+``awaited`` by all but the first.
 """
 
 from __future__ import annotations
@@ -103,4 +104,4 @@ if __name__ == "__main__":
     try:
         sys.exit(main())
     except KeyboardInterrupt:
-        sys.exit(5)
+        sys.exit(int(told("interrupted")))

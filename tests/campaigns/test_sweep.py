@@ -100,9 +100,13 @@ def test_the_table_grows_while_cases_run(bench: Bench, monkeypatch: pytest.Monke
     assert {s for statuses in written for s in statuses} == {"converged", "stopped"}
 
 
-def test_an_interrupted_sweep_has_its_table_and_goes_on(bench: Bench) -> None:
-    """Nothing is left running, and what is done is not run again."""
-    bench.tell(awaited="nothing")
+@pytest.mark.parametrize("code", ["5", "1"])
+def test_an_interrupted_sweep_has_its_table_and_goes_on(code: str, bench: Bench) -> None:
+    """Nothing is left running, and what is done is not run again.
+
+    Python that is interrupted before it has started leaves with 1.
+    """
+    bench.tell(awaited="nothing", interrupted=code)
 
     def interrupt() -> None:
         wait(bench.finished)
