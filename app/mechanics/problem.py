@@ -165,8 +165,6 @@ class Problem:
             self._follow_pairs()
         size = len(self._rest)
         nodal: Floats = self.u.x.array[: 3 * size].reshape(-1, 3)
-        if self.followers:
-            nodal = self.followers.with_motion(*self.followers.without_motion(nodal))[1]
         given = PETSc.Vec().createWithArray(nodal.ravel(), comm=self.comm)
         self.stiffness.constraints.contract(given).copy(u)
         if self.contact:
@@ -326,7 +324,7 @@ class Problem:
         only, G = self.followers.only(nodal), self.stiffness.constraints.G
         found = G.createVecLeft()
         G.multTranspose(PETSc.Vec().createWithArray(only, comm=self.comm), found)
-        return self.followers.in_bodies(found.array.reshape(-1, 3)).ravel()
+        return np.asarray(found.array)
 
     def _own_nodes(self, points: Ints) -> Ints:
         assert self.contact is not None
@@ -346,8 +344,8 @@ class Problem:
     def _express(self, moved: Moved, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Set unknowns and jumps to displacements, as turned and paired now; collective."""
         assert self.followers is not None
-        constraints, (nodal, given) = self.stiffness.constraints, self.followers.with_motion(*moved)
-        constraints.contract(PETSc.Vec().createWithArray(given.ravel(), comm=self.comm)).copy(u)
+        constraints, nodal = self.stiffness.constraints, self.followers.with_motion(*moved)
+        constraints.contract(PETSc.Vec().createWithArray(nodal.ravel(), comm=self.comm)).copy(u)
         apart = nodal - constraints.expand(u).array.reshape(-1, 3)
         contact = self.contact
         assert contact is not None and contact.large is not None
