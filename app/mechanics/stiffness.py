@@ -29,6 +29,7 @@ class Stiffness:
     Attributes:
         K: The matrix, constrained rows and columns set to a diagonal.
         version: Number of its changes, which outdate preconditioners.
+        pairings: Number of these by new pairs of surfaces alone.
         stage: The stage whose supports are active.
         frames: Nodes with axes of their own, if a support needs them.
         constraints: Map from unknowns to nodal displacements.
@@ -57,7 +58,7 @@ class Stiffness:
     ) -> None:
         space = mechanics.space
         self._parts = scene, tagged, bodies, space
-        self.stage = self.version = 0
+        self.stage = self.version = self.pairings = 0
         self.frames = frames_of(*self._parts)
         self._form = mechanics.stiffness()
         self._followers = followers
@@ -100,6 +101,7 @@ class Stiffness:
         renew(self.K, K, self.constraints.follows)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.version += 1
+        self.pairings += paired
 
     def set_stage(self, stage: int, u: PETSc.Vec) -> bool:
         """Activate the supports of a stage; reassemble and return True if they changed; collective.
