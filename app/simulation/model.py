@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -355,8 +356,7 @@ class Model:
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
             for name, bearing in m.bearings.items():
-                if bearing.numbers:  # companions that estimate errors have none
-                    numbers["interfaces"][name] |= bearing.numbers | bearing.cycle()
+                numbers["interfaces"][name] |= bearing.numbers | bearing.cycle()
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := m.bonds.numbers():
                 numbers["bonds"] = found
@@ -390,15 +390,22 @@ class Model:
         """Solve a companion case; returns its numbers; collective."""
         other = self._other(case, Timing("estimating errors"))
         last: TrialState | None = None
+        m = other.mechanics
+
+        def samples() -> ContactSamples | None:
+            return ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
 
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             nonlocal last
             last = trial
+            stage = other.scene.stages[math.ceil(step.time) - 1]
+            if m and m.bearings and (at := samples()):
+                for bearing in m.bearings.values():
+                    bearing.update(at, stage, step.time, step.whole)
 
         other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
-        m = other.mechanics
-        samples = ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
-        return other.numbers(samples) | other.places(samples)
+        at = samples()
+        return other.numbers(at) | other.places(at)
 
 
 def cheaper(case: Case, unknowns: int) -> Case | None:
