@@ -163,15 +163,12 @@ class KeptFactors:
         self.made = 0
         self._solves = self._applied = 0
         self._seen = self._current = -1
-        self._used = 0.0
+        self._entries = 0.0
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Factor the first matrix; collective."""
         if not self.made:
             self._of = pc.getOperators()[1]
-            self._pc = PETSc.PC().create(self._of.comm)
-            self._pc.setOptionsPrefix(f"mantle_heat_factors_{id(self)}_")
-            self._joined = PETSc.Mat() if self._of.getType() == "nest" else self._of
             self._factor()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
@@ -199,18 +196,23 @@ class KeptFactors:
         return float(diagonal.norm(PETSc.NormType.N1)) > MOVED * self._size
 
     def _factor(self) -> None:
-        if self._of.getType() == "nest":
-            used = self._of.getNestSubMatrix(0, 0).getInfo()["nz_used"]
-            if used != self._used:  # another pattern
-                self._joined, self._used = PETSc.Mat(), used
+        nest = self._of.getType() == "nest"
+        block = self._of.getNestSubMatrix(0, 0) if nest else self._of
+        entries = block.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+        if new := entries != self._entries:  # the first, or of another pattern
+            self._joined = PETSc.Mat() if nest else self._of
+            self._pc = PETSc.PC().create(self._of.comm)
+            self._pc.setOptionsPrefix(f"mantle_heat_factors_{id(self)}_")
+            self._entries = entries
+        if nest:
             self._of.convert("aij", out=self._joined)
         self._joined.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._pc.setReusePreconditioner(False)
         self._pc.setOperators(self._joined)
-        if self.made:
-            self._pc.setUp()
-        else:
+        if new:
             configure(self._pc, on_one_rank(FACTORED, self._of.comm.size))
+        else:
+            self._pc.setUp()
         self._pc.setReusePreconditioner(True)
         self._diagonal = self._of.getDiagonal()
         self._size = float(self._diagonal.norm(PETSc.NormType.N1))

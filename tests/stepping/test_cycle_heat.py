@@ -106,11 +106,20 @@ def test_a_ball_that_spins_is_as_warm_all_around(tmp_path: Path) -> None:
     assert first[0] < 0.01 * first[1]
 
 
+# Three steps of turning and a minute of warming.
+WARM = heated(
+    (14, 0.4),
+    "5000 W/(m^2 K)",
+    "stages=[{name: press}, {name: turn, increments: 3}, {name: warm, duration: 60 s}]",
+    "loads.hip.force=[300 N, 200 N, 2000 N]",
+    "motions.ball.largest_step=20 deg",
+    "time={first_step: 5 s, tolerance: 1 K}",
+    f"interfaces.bearing.friction_heating={SHARE}",
+)
+
+
 def test_a_restart_while_the_bodies_warm(tmp_path: Path) -> None:
-    stages = "stages=[{name: press}, {name: turn, increments: 3}, {name: warm, duration: 60 s}]"
-    few = stages, "motions.ball.largest_step=20 deg", "time={first_step: 5 s, tolerance: 1 K}"
-    changes = heated((14, 0.4), "5000 W/(m^2 K)", *few)
-    case, files = restarted.whole(CASE, tmp_path, *changes)
+    case, files = restarted.whole(CASE, tmp_path, *WARM)
     for file in files[4::3]:
-        part = restarted.on(case, tmp_path, file, *changes)
+        part = restarted.on(case, tmp_path, file, *WARM)
         restarted.assert_same(tmp_path / "whole", part, nothing=1e-6)
