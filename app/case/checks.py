@@ -17,6 +17,14 @@ from app.laws.materials import Conductor, Elastic, Rigid
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
+# What a stage with courses does not do besides, and why.
+UNLIKE_COURSES = {
+    "creep_cycles": "needs loads that stay",
+    "creep_time": "needs loads that stay",
+    "remodels": "has load cases of its own",
+    "fracture_step": "may turn the loads back",
+}
+
 
 def cross_check(case: Any) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
@@ -285,10 +293,16 @@ def _sliding(case: Any) -> Iterable[Fault]:
             yield Fault(("loads", name, "follows"), text)
     stages = case.stages or ()
     if courses and stages and all(stage.takes_time for stage in stages):
-        key = ("stages", len(stages) - 1, "steady" if stages[-1].steady else "duration")
+        last = "steady" if stages[-1].steady else "duration"
         text = "a cycle takes no time: in it temperature swings by 2 q sqrt(t/pi) / (e1 + e2)"
         text += ", about half a kelvin, which is not solved; expected a stage without one before"
-        yield Fault(key, f"{text} it, for the courses: their mean heat then flows in this one")
+        text += " it, for the courses: their mean heat then flows in this one"
+        yield Fault(("stages", len(stages) - 1, last), text)
+    through = max((i for i, s in enumerate(stages) if not s.takes_time), default=0)
+    for key, why in UNLIKE_COURSES.items() if courses and stages else ():
+        if getattr(stages[through], key):
+            text = f"{why}, and courses run through this stage, the last that takes no time"
+            yield Fault(("stages", through, key), f"{text}; expected an earlier one")
     yield from _sliding_heat(case, courses)
 
 

@@ -249,6 +249,7 @@ add_quantity(
             ),
         )
     ),
+    _interface("uncovered_fraction", "-", "%", 1, exact=True),
     _interface("friction_power", "W", digits=3, order=MOTION),
     _interface("temperature_swing", "K", label="swing of the temperature", order=TRACTION),
     _interface("stored_energy", "N mm", history=True),

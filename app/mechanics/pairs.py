@@ -21,7 +21,7 @@ from app.arrays import Bools, Floats, Ints
 from meshes.contact_facets import foot
 
 CANDIDATES = 16  # facets, by the distance of their centres, among which the closest is sought
-NEIGHBOURS = 13  # through which the paraboloid of a node is fitted
+NEIGHBOURS = 13  # through which the quadric of a node is fitted
 FACING = 0.5  # -cosine of the angle of two normals that face each other, at least
 BESIDE = 0.01  # of a facet's size: a point beyond the rim by less than this is above it
 # Weights and two coordinates of points that integrate polynomials of degree 6 on a triangle
@@ -123,15 +123,17 @@ class SmoothSurface:
     def gap(self, points: Floats) -> tuple[Floats, Floats]:
         r"""Distance from the smooth surface (p,) [mm], positive outside, and its normal (p, 3).
 
-        .. math:: g = (x - p)·n - \tfrac12 \sum_i L_i (x_i - p)·n_i
+        .. math:: g = (x - p)·n - \frac{\sum_i L_i (x_i - p)·n_i}{1 + |\sum_i L_i n_i|}
 
-        of the closest point p of a flat facet: what the surface rises over the facet is half of
-        what its tangent planes at the vertices x_i do. The error is of order h^4.
+        of the closest point p of a flat facet: what the surface rises over the facet is about half
+        of what its tangent planes at the vertices x_i do, on spheres and cylinders exactly this.
         """
         facet, at, _ = self.closest(points)
-        n, p, nodes = self.normal(facet, at), self._mean(self.x, facet, at), self.triangles[facet]
-        rise = np.einsum("pk,pki,pki->p", at, self.x[nodes] - p[:, None], self.normals[nodes]) / 2
-        return np.einsum("pi,pi->p", points - p, n) - rise, n
+        mean, p = self._mean(self.normals, facet, at), self._mean(self.x, facet, at)
+        size, nodes = np.linalg.norm(mean, axis=1), self.triangles[facet]
+        rise = np.einsum("pk,pki,pki->p", at, self.x[nodes] - p[:, None], self.normals[nodes])
+        n = mean / size[:, None]
+        return np.einsum("pi,pi->p", points - p, n) - rise / (1 + size), n
 
     def deposit(self, points: Floats, values: Floats) -> Floats:
         """Sums at the nodes (n, k) of values at points (p, k), by the closest points."""
@@ -215,14 +217,15 @@ def rule(points: int) -> tuple[Floats, Floats]:
 
 
 def _fitted_normals(x: Floats, triangles: Ints, vectors: Floats, near: Ints) -> Floats:
-    """Unit normals (n, 3) at nodes of paraboloids through them, fitted to near ones (n, k)."""
+    """Unit normals (n, 3) at nodes of quadrics through them, fitted to near ones (n, k)."""
     n = _unit(np.stack([_sums(triangles, np.repeat(v, 3), len(x)) for v in vectors.T], 1))
     axes = np.linalg.svd(n[:, None])[2][:, 1:]  # two tangents of each node
     away = x[near] - x[:, None]
     away /= np.linalg.norm(away, axis=2).max(axis=1)[:, None, None]
     a, b = np.einsum("nki,nji->jnk", away, axes)
     height = np.einsum("nki,ni->nk", away, n)
-    fit = np.linalg.pinv(np.stack([a, b, a * a, a * b, b * b], axis=2))
+    squares = a * a, a * b, b * b, a * height, b * height, height * height
+    fit = np.linalg.pinv(np.stack([a, b, *squares], axis=2))
     slope = np.einsum("njk,nk->nj", fit[:, :2], height)
     return _unit(n - np.einsum("nj,nji->ni", slope, axes))
 

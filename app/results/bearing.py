@@ -15,7 +15,6 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
-from app.mechanics.followers import Side
 from app.mechanics.pairs import SmoothSurface
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rotation_vector
@@ -47,11 +46,11 @@ class Bearing:
         numbers: Numbers of the last step.
     """
 
-    saved = ("numbers", "_time", "_way", "_track", "_tracks", "_here", "_there")
+    saved = ("numbers", "_time", "_way", "_track", "_tracks", "_bare", "_here", "_there")
 
     def __init__(self, problem: Problem, case: Case, i: int) -> None:
         contact, c = problem.contact, problem.scene.contacts[i]
-        assert contact is not None and c.between is not None
+        assert contact is not None and contact.large is not None
         self._problem, self._contact = problem, c
         self._body = problem.bodies.of_region[c.master[0]]
         self._motion = problem.scene.motion_of(c.master)
@@ -63,8 +62,8 @@ class Bearing:
             np.searchsorted(self._rows, triangles),
             -points.normals[triangles[:, 0], 0],
         )
-        side = Side.of(problem.tagged, problem.space, c.between[0])
-        self.surface, self.dof = side.smooth(), side.dofs
+        master = contact.large.masters[i]
+        self.surface, self.dof = master.smooth, master.dofs
         self.interface: Ints = np.zeros(len(self.dof), dtype=np.int64)
         self.bodies = np.full((len(self.dof), 1), self._body)
         self.triangles = (self.surface.triangles,)
@@ -80,11 +79,13 @@ class Bearing:
         # the cycle, and of the last cycle; at the master's nodes of this cycle, and of the last.
         self._here = np.zeros((len(self._rows), 3, 2))
         self._there = np.zeros((len(self.dof), 2, 2))
+        # Which points have faced no master after some step.
+        self._bare = np.zeros(len(self._rows), dtype=bool)
 
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of contact points and of the master's nodes, which every rank has."""
-        return {"_here": np.arange(len(self._here)), "_there": np.arange(len(self._there))}
+        return {key: np.arange(len(getattr(self, key))) for key in ("_bare", "_here", "_there")}
 
     def update(self, s: ContactSamples, stage: Stage, time: float, whole: bool) -> None:
         """Take in a step at its end, which may end an increment of its stage; collective.
@@ -108,6 +109,9 @@ class Bearing:
         dose = (spent - self._here[:, 0]) / self._slave.areas[:, None]
         places = self._slave.sampled(dose, 12, arm @ middle + self._centre)
         self._there[:, 0] += self.surface.deposit(*places)
+        feet = arm @ now + self._centre
+        on, at, _ = self.surface.closest(feet)
+        self._bare |= ~self.surface.faces(feet, self._slave.normals @ now, on, at)
         self._here[:, 0], self._time = spent, time
         self.numbers = {
             "centre": centre.tolist(),
@@ -171,6 +175,8 @@ class Bearing:
             "slid_mean": float(self._weight @ fields["slid"][0] / self._weight.sum()),
             "slid_max_master": float(fields["slid"][1].max()),
         }
+        if self._bare.any():
+            found["uncovered_fraction"] = float(self._weight @ self._bare / self._weight.sum())
         if self._motion:
             track = np.array(self._tracks[-1] if self._tracks else self._track)
             found["torque_max"] = float(np.linalg.norm(track[:, 1:4], axis=1).max())

@@ -333,6 +333,8 @@ SENTENCES = {
     "normal {normal_mean} (mean), shear {shear_mean}",
     "torque_max": "{name}: friction torque {torque_max} at most in a cycle",
     "dissipation_cycle": "{name}: {dissipation_cycle} dissipated and {slid_max} slid in a cycle",
+    "uncovered_fraction": "{name}: {uncovered_fraction} of the slave's area faced no master at "
+    "some time, where nothing can press",
     "wear_volume": "{name}: {wear_volume_million} worn in a million cycles, "
     "{wear_depth_max_million} at the deepest, {wear_depth_p99_million} (p99)",
     "strength": "{name}: a hundredth of its area fails at {failure_load_factor} of this load; "
@@ -350,7 +352,7 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
         rows[section][name] = numbers
     for section in ("interfaces", "regions"):
         yield from _table(section, rows[section])
-    for key in ("torque_max", "dissipation_cycle", "wear_volume"):
+    for key in ("torque_max", "dissipation_cycle", "wear_volume", "uncovered_fraction"):
         own = (row for row in rows["interfaces"].items() if key in row[1])
         yield from (_sentence("interfaces", *row, text=key) for row in own)
     yield from (_sentence("bonds", *row) for row in rows["bonds"].items())

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from app.arrays import Bools, Floats
+from app.arrays import Floats, Ints
 from app.errors import InputError
 from app.mechanics.contact import TrialState
-from app.mechanics.followers import Side
-from app.mechanics.pairs import SmoothSurface
 from app.mechanics.problem import Problem
 from app.scene.scene import Interface
 from app.system.layout import point_text
@@ -28,11 +26,7 @@ class Cover:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._problem, self._masters = problem, dict[int, SmoothSurface]()
-        for i, c in enumerate(problem.scene.contacts):
-            if c.between:
-                side = Side.of(problem.tagged, problem.space, c.between[0])
-                self._masters[i] = side.smooth()
+        self._problem = problem
         for c, here, beyond, apart, facet in self._points():
             depth, where = self._largest(here, np.where(beyond > 0, 0.0, -apart))
             if depth > facet:
@@ -58,26 +52,25 @@ class Cover:
 
     def _points(
         self, jump: Floats | float = 0.0
-    ) -> Iterator[tuple[Interface, Bools, Floats, Floats, float]]:
+    ) -> Iterator[tuple[Interface, Ints, Floats, Floats, float]]:
         """Interfaces at jumps of all own points (n, 3) [mm].
 
-        With their points (n,), how far each (m,) is beyond the rim, 0 if it is not, and from the
+        With their points (m,), how far each (m,) is beyond the rim, 0 if it is not, and from the
         surface, and the size of a facet [mm].
         """
-        contact, scene = self._problem.contact, self._problem.scene
-        for i, surface in self._masters.items():
-            assert contact is not None and contact.large is not None
-            here, c, facet = contact.own.interface == i, scene.contacts[i], contact.edge_lengths[i]
-            motion = scene.motion_of(c.master)
-            about = np.array(motion.about if motion else np.zeros(3))
-            R = contact.large.rotation[here[contact.large.rows]]
-            x = about + np.einsum("pji,pj->pi", R, (contact.own.x + jump - about)[here])
-            on, at, apart = surface.closest(x)
+        contact = self._problem.contact
+        if contact is None or (large := contact.large) is None:
+            return
+        places = large.places(contact.own.x * 0.0 + jump)
+        for i, master in large.masters.items():
+            surface, facet, here = master.smooth, contact.edge_lengths[i], large.of == i
+            on, at, apart = surface.closest(x := places[here])
             away = x - np.einsum("pk,pki->pi", at, surface.x[surface.triangles[on]])
             beside = np.linalg.norm(np.cross(away, surface.normal(on, at)), axis=1)
-            yield c, here, np.where(beside > OFF * facet, beside, 0.0), apart, facet
+            beyond = np.where(beside > OFF * facet, beside, 0.0)
+            yield self._problem.scene.contacts[i], large.rows[here], beyond, apart, facet
 
-    def _largest(self, here: Bools, values: Floats) -> tuple[float, str]:
+    def _largest(self, here: Ints, values: Floats) -> tuple[float, str]:
         """The largest of values at some own points, and its place; collective."""
         assert self._problem.contact is not None
         every, x = gather(self._problem.comm, values, self._problem.contact.own.x[here])

@@ -130,7 +130,7 @@ class CycleHeat:
         """Heat of friction into the nodes of master and slave, and triplets of X; collective."""
         from scipy import sparse  # imported late: few runs need it
 
-        own, surface, smooth = self._contact.own, master.smooth(), slave.smooth()
+        own, surface, smooth = self._contact.own, master.smooth, slave.smooth
         here = own.interface == [other.name for other in self._scene.contacts].index(c.name)
         m, n = len(master.dofs), len(slave.dofs)
         least, slope, cap = c.law.conductances

@@ -156,11 +156,13 @@ class LoadStepper:
 
     def _solve(self) -> NewtonResult:
         """Solve, until points that slide far are paired with the surface that they touch."""
-        self.problem.approach(*self.solver.u_and_q())
+        problem, (u, q) = self.problem, self.solver.u_and_q()
+        if problem.contact:
+            problem.contact.approach(problem.stiffness.constraints, problem.f, u, q)
         outcome = solve(self.solver)
         self.total.count(outcome)
         for _ in range(PAIRINGS):
-            if not (outcome.converged and self.problem.pair(*self.solver.u_and_q())):
+            if not (outcome.converged and problem.pair(*self.solver.u_and_q())):
                 return outcome
             again = solve(self.solver)
             self.total.count(again)
@@ -217,7 +219,8 @@ class LoadStepper:
                 time = begin + reach * (end - begin)
                 set_load(reach)
                 problem.update_stiffness()
-                problem.carry(*solver.u_and_q())
+                if problem.sliding:
+                    problem.sliding.carry(*solver.u_and_q())
                 for p in predictors:
                     p.predict(time)
                 predicted = predictors and not same(start, solver.x)

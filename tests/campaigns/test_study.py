@@ -325,6 +325,7 @@ ELSEWHERE = {
     *(f"{name}.{axis}" for name in ("torque", "centre") for axis in "xyz"),
     *("torque_size", "torque_along", "torque_max", "eccentricity", "dissipation_cycle"),
     *("slid_max", "slid_mean", "slid_max_master", "friction_power", "temperature_swing"),
+    "uncovered_fraction",
     *(f"wear_volume{times}" for times in ("", "_million")),
     *(
         f"wear_depth_{how}{side}{times}"

@@ -10,6 +10,7 @@ import pytest
 
 from app.arrays import Floats
 from app.report import pictures, run_report
+from app.results import closing_lines
 from app.results.reading import Results, Run
 from meshes.data import exterior_facets
 from tests import restarted, support
@@ -63,6 +64,7 @@ def test_torque_is_the_sum_of_friction_on_its_arms(ball: Results) -> None:
     force = FRICTION * p * liner
     expected = RADIUS * (force * np.hypot(n[:, 0], n[:, 2])).sum()
     found = ball.summary["interfaces"]["bearing"]
+    assert "uncovered_fraction" not in found
     assert found["torque_along"] == pytest.approx(-expected, rel=1e-3)
     assert abs(found["torque"][1]) == pytest.approx(expected, rel=1e-3)
     assert found["torque_max"] >= found["torque_size"] * (1 - 1e-12)
@@ -92,6 +94,22 @@ def test_wear_is_that_of_archard_on_both_sides(ball: Results) -> None:
     assert found["wear_depth_max_million"] == pytest.approx(1e6 * worn[sides[0] > 0].max())
 
 
+def test_the_share_of_a_cup_that_faces_a_bore_is_told(tmp_path: Path) -> None:
+    """That within the opening of the ball's bore of 13 mm, which is turned from -z to -x."""
+    course = '["time [s], rotation y [deg]", "0, 0", "1, 90"]'
+    moved = (f"motions.ball.rotation.course={course}", "motions.ball.largest_step=45 deg")
+    found = support.run(CASE, tmp_path, *moved, "stages=[{name: press}, {name: turn}]")
+    run = Run(found.folder)
+    liner = areas(run, "liner")
+    opening = math.asin(13 / 2 / RADIUS)
+    over = -run.points[:, 0] > np.linalg.norm(run.points, axis=1) * math.cos(opening)
+    share = liner @ over / liner.sum()
+    bearing = found.summary["interfaces"]["bearing"]
+    assert share > 0.05 and bearing["uncovered_fraction"] == pytest.approx(share, rel=0.02)
+    told = [line for line in closing_lines.lines(found.summary) if "faced no master" in line]
+    assert len(told) == 1 and told[0].startswith(f"bearing: {100 * share:.1f} % of the slave")
+
+
 def test_the_last_two_cycles(ball: Results) -> None:
     """The first cycle begins where the load was pressed on, the second where that one ended."""
     change = ball.summary["cycles"]["turn"]["change"]["bearing"]
@@ -118,6 +136,7 @@ def test_a_ball_is_written_where_it_has_turned(ball: Results) -> None:
     assert "map_bearing.png" in files
     page = (ball.folder / "report.html").read_text()
     assert "friction on bearing resists the motion with up to" in page and "slides less" not in page
+    assert "30 µm" not in page
     inner = x[np.linalg.norm(x, axis=1) > RADIUS - 1e-6]
     inner = inner[inner[:, 2] > 0][:99].reshape(-1, 3, 3)
     flat = pictures.spread(np.concatenate([inner, inner * [-1, -1, 1]]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 from mpi4py import MPI
@@ -9,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+from app.case.case import load
 from app.errors import ConvergenceError, InputError
 from app.soundness import cost, well_posedness
 from meshes import build
@@ -143,6 +145,14 @@ def test_a_block_that_leaves_its_plate_or_is_in_it_or_has_none_is_refused() -> N
         drawn(plate=-6.0)
     with pytest.raises(InputError, match=r"^interfaces.b: boundary 'plate_bottom' .* no plane"):
         drawn(bow=1e-3)
+
+
+@pytest.mark.parametrize("name", ["head_cup", "head_cup_static"])
+def test_a_rigid_head_has_no_unknowns_in_the_estimate_either(name: str) -> None:
+    case = load(support.CONFIGS / f"{name}.yaml").config
+    told = cost.exact_size(case, build(case.geometry, case.mesh))
+    counted = re.search(r"([\d\s]+) unknowns", told)
+    assert counted and 0.8 < cost.unknowns(case) / float("".join(counted[1].split())) < 1.25
 
 
 def test_the_nodes_of_the_second_side_count_as_those_of_the_interface() -> None:
