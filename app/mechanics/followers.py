@@ -6,8 +6,8 @@ The slave's nodes of a sliding interface follow the master's surface,
 
 with Π the dual mortar matrix of the current pairs (`mechanics.pairs`), R the rotation of the
 master, in whose own axes u_m is, and G the identity but for nodes that follow. Both surfaces are
-linear between vertices: the middle of an edge follows its ends. A driven boundary moves by a
-translation t in space, R^T t in the axes of its body.
+linear between vertices: the middle of an edge follows its ends. Displacements, those of a driven
+boundary too, are along the axes of their body.
 """
 
 from __future__ import annotations
@@ -213,25 +213,19 @@ class Followers:
             for name, (own, _) in self.turning.items()
         }
 
-    def with_motion(self, rest: Floats, ways: Mapping[str, Floats]) -> tuple[Floats, Floats]:
-        """Displacements (n, 3) with translations; the same, of driven nodes along axes of space."""
+    def with_motion(self, rest: Floats, ways: Mapping[str, Floats]) -> Floats:
+        """Displacements of own nodes (n, 3) with translations as of `without_motion`."""
         nodal = rest.copy()
         for name, (own, _) in self.turning.items():
             nodal[own] += self.rotations[name].T @ ways[name]
-        given = nodal.copy()
-        for name, (_, driven) in self.turning.items():
-            given[driven] = ways[name]
-        return nodal, given
+        return nodal
 
     def following_driven(self, nodal: Floats) -> Floats:
-        """Displacements (n, 3) [mm] with bodies that turn moved as their driven boundaries.
-
-        Those of driven nodes are along axes of space; collective.
-        """
+        """Displacements (n, 3) [mm] with bodies that turn moved as their driven boundaries."""
         rest, ways = nodal.copy(), self.without_motion(nodal)[1]
         for own, _ in self.turning.values():
             rest[own] = 0
-        return self.with_motion(rest, ways)[1]
+        return self.with_motion(rest, ways)
 
     def only(self, nodal: Floats) -> Floats:
         """Vectors at own nodes (3 nodes), zero but where they follow others."""
@@ -244,11 +238,7 @@ class Followers:
         sums = self._G.createVecLeft()
         only = PETSc.Vec().createWithArray(self.only(nodal).ravel(), comm=self._comm)
         self._G.multTranspose(only, sums)
-        found = sums.array_r.copy()
-        vectors = found.reshape(-1, 3)
-        for name, (_, driven) in self.turning.items():
-            vectors[driven] = vectors[driven] @ self.rotations[name]
-        return found.reshape(nodal.shape)
+        return np.asarray(sums.array_r.reshape(nodal.shape))
 
     def in_space(self, nodal: Floats) -> Floats:
         """Vectors at own nodes (3 nodes), from the axes of their bodies to those of space."""
@@ -297,9 +287,6 @@ class Followers:
                 add(slave.edges[edge, 0], at[entry], blocks_of[entry] / 2)
         row, column = np.concatenate(rows), np.concatenate(columns)
         block: Floats = np.concatenate(blocks)
-        for name, (_, driven) in self.turning.items():
-            given = np.isin(column, gather(self._comm, driven + low)[0])
-            block[given] = block[given] @ self.rotations[name].T
         k, i3, j3 = np.nonzero(block)  # most blocks are multiples of the identity
         size = 3 * (high - low)
         self._G = from_triplets(

@@ -78,24 +78,18 @@ class SlidingBodies:
 
     def _express(self, moved: Moved, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Set unknowns and jumps to displacements, as turned and paired now; collective."""
-        constraints, (nodal, given) = (
-            self._stiffness.constraints,
-            self._followers.with_motion(*moved),
-        )
-        constraints.contract(given).copy(u)
+        constraints, nodal = self._stiffness.constraints, self._followers.with_motion(*moved)
+        constraints.contract(nodal).copy(u)
         large, apart = self._contact.large, nodal - constraints.expand(u).array.reshape(-1, 3)
         assert large is not None
         q.array.reshape(-1, 3)[large.rows] = apart[large.nodes]
 
     def taken_up(self) -> Floats:
-        """Pair surfaces as in the restored state; its displacement at own nodes (n, 3) [mm].
-
-        Of driven nodes it is along axes of space; collective.
-        """
+        """Pair surfaces as in the restored state; its displacement at own nodes (n, 3) [mm]."""
         if (jump := self._contact.committed_at) is not None:
             self._contact.pair_at(jump)
             self.follow()
-        return self._followers.with_motion(*self._followers.without_motion(self._nodal))[1]
+        return self._nodal
 
     def begin_at(self, trial: TrialState) -> None:
         """Begin at a restored state with updated displacements; collective."""

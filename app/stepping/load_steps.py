@@ -314,7 +314,7 @@ class LoadStepper:
         The step ends at ``time``, and an increment if ``whole``; it ``started`` at a wall time.
 
         Raises:
-            ConvergenceError: A body runs away.
+            ConvergenceError: A body runs away or tips.
         """
         problem = self.problem
         u, q = self.solver.u_and_q()
@@ -338,3 +338,5 @@ class LoadStepper:
         seconds = clock.perf_counter() - started
         step = LoadStep(self.total.steps, stage.name, time, outcome, seconds, whole)
         self.on_step(step, trial)
+        if tipped := self._cover.tipped():
+            raise ConvergenceError(f"stage '{stage.name}' at {part:.3g} % of it: {tipped}")

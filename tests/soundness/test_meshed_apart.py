@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 
@@ -145,6 +146,21 @@ def test_a_block_that_leaves_its_plate_or_is_in_it_or_has_none_is_refused() -> N
         drawn(plate=-6.0)
     with pytest.raises(InputError, match=r"^interfaces.b: boundary 'plate_bottom' .* no plane"):
         drawn(bow=1e-3)
+
+
+def test_elastic_bodies_that_tip_are_told_where_forces_are_off_by_a_hundredth() -> None:
+    """Drawn up a slope θ the block takes F tan(θ + arctan μ), but surfaces do not turn."""
+    stiff = "regions.plate={youngs_modulus: 210 GPa, poisson_ratio: 0.3, tissue: other}"
+
+    def tilted(θ: float) -> support.Solved:
+        table = "boundary: plate_top, x: 0 mm, y: 0 mm, history: [1, 1]"
+        return drawn(stiff, f"supports.table={{kind: displacement, z: {θ} * x, {table}}}")
+
+    last = tilted(0.009).last
+    error = 500 * math.tan(0.009 + math.atan(0.3)) - np.linalg.norm(last.weight @ last.force[:, :2])
+    assert 0.009 * 500 < error < 0.01 * 500
+    with pytest.raises(ConvergenceError, match=r"(block|plate)' has tipped by 0.6[0-9]* degrees"):
+        tilted(0.011)
 
 
 @pytest.mark.parametrize("name", ["head_cup", "head_cup_static"])
