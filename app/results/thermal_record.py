@@ -116,12 +116,12 @@ class ThermalRecord:
         interfaces: Interfaces,
         bone: Sequence[str],
         probes: Mapping[str, Probe],
-        faces: Mapping[str, tuple[Ints, Ints]],
+        faces: Mapping[str, tuple[Ints, Ints]] | None = None,
     ) -> None:
         self._comm, self._forms = forms.comm, forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
         self._interfaces = {
-            n: InterfaceNodes(self._nodes, s, faces.get(n)) for n, s in interfaces.items()
+            n: InterfaceNodes(self._nodes, s, (faces or {}).get(n)) for n, s in interfaces.items()
         }
         self.bone = bone
         self._bone_sides: list[Side] = []
