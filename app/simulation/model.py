@@ -228,7 +228,7 @@ class Model:
         if self.scene.coupled and (m := self.mechanics) is not None:
             coupled = CoupledSystem(self.scene, heat, m.problem, m.solver.blocks())
         state = HeatState(self.scene, heat, self._solver(coupled or heat), coupled)
-        return ThermalModel(self._case, state)
+        return ThermalModel(self._case, state, m.problem if (m := self.mechanics) else None)
 
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
@@ -269,13 +269,16 @@ class Model:
         load_stepper = heat_stepper = creep_stepper = None
         if risk := self.risk:
             on_step = risk.before(on_step)
+        begin = on_stage
+        if (t := self.thermal) and (cycle := t.sliding):
+            on_step, begin = cycle.before(on_step), cycle.before_stage(on_stage)
         if m := self.mechanics:
             load_stepper = LoadStepper(
                 m.problem, m.solver, on_step, on_trouble, self._predictors(m)
             )
             if m.problem.creep:
                 creep_stepper = CreepStepper(load_stepper)
-        if t := self.thermal:
+        if t:
 
             def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
                 t.update(accepted)
@@ -293,7 +296,7 @@ class Model:
             self.remodeller = Remodeller(load_stepper, m.stresses, self._intact)
         steppers = self._steppers = load_stepper, heat_stepper, creep_stepper
         steps = self.remodeller
-        run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume(), steps)
+        run_stages(self.scene.stages, *steppers, begin, checkpoint_point, resume(), steps)
         total = Summary()
         for part in steppers[:2]:
             if part is not None:

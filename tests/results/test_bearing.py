@@ -166,6 +166,7 @@ def test_power_and_swing_of_the_temperature(tmp_path: Path) -> None:
         tmp_path,
         f"regions.head.thermal={thermal.format(16)}",
         f"regions.liner.thermal={thermal.format(0.25)}",
+        "interfaces.bearing.conductance=1000 W/(m^2 K)",
         "heat.pelvis={kind: temperature, boundary: liner_outer, temperature: 37 degC}",
         "heat.neck={kind: temperature, boundary: head_surface, temperature: 37 degC}",
         "stages=[{name: press}, {name: rest, steady: true}, {name: turn, increments: 6}]",
