@@ -83,11 +83,7 @@ class ContactSamples:
     ) -> None:
         contact, history = trial.contact, trial.contact.state
         own, points = contact.own, contact.points
-        order = np.argsort(np.concatenate(problem.comm.allgather(own.rows)))
-
-        def whole(values: Floats) -> Any:
-            return np.concatenate(problem.comm.allgather(values))[order]
-
+        whole: Any = contact.whole
         self.interface, self.x, self.weight = points.interface, points.x, points.weight
         opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, own.normals)
         used = np.arange(3)[None, :] < own.faces[:, None]
@@ -339,6 +335,4 @@ def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
 
 def _clearance(contact: ContactInterfaces) -> Floats:
     """Initial gap at all contact points (n,) [mm]; 0 where supports constrain every component."""
-    here = np.zeros(len(contact.points.weight))
-    here[contact.own.rows] = np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0])
-    return contact.comm.allreduce(here)
+    return contact.whole(np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0]))

@@ -17,17 +17,8 @@ from tests import restarted, support
 
 RADIUS, FRICTION, WEAR, LOAD = 14.0, 0.06, 1.07e-9, 2000.0  # mm, -, mm2/N, N
 COURSE = '["time [s], rotation y [deg]", "0, 0", "0.3, 20", "0.7, -10", "1, 0"]'
-CASE = f"""
-geometry: {{kind: head_cup, head_diameter: 28 mm, radial_clearance: 0.1 mm,
-  liner_thickness: 8 mm, inclination: 0 deg, version: 0 deg}}
-mesh: {{size: 5 mm, far_size: 8 mm, order: 1}}
-regions:
-  head: {{rigid: true}}
-  liner: {{youngs_modulus: 1 GPa, poisson_ratio: 0.4}}
-interfaces:
-  bearing: {{kind: contact, friction_coefficient: {FRICTION}, sliding: finite,
-    wear_coefficient: 1.07e-6 mm^3/(N m)}}
-supports: {{outer: {{kind: fixed, boundary: liner_outer}}}}
+WORN = "finite, wear_coefficient: 1.07e-6 mm^3/(N m)"
+CASE = f"""{support.HEAD_CUP.replace("finite", WORN)}
 motions:
   ball: {{region: head, about: [0 mm, 0 mm, 0 mm], rotation: {{axes: yxz, course: {COURSE}}}}}
 loads: {{hip: {{kind: force, boundary: head_surface, force: [0 N, 0 N, {LOAD} N]}}}}
