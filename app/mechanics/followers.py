@@ -151,7 +151,7 @@ class Followers:
         self.turning: dict[str, tuple[Ints, Ints]] = {}
         for m in scene.driven:
             of_body = bodies.of_tag[cell_tags(tagged)] == bodies.of_region[m.region]
-            own = np.flatnonzero(touched_nodes(space, np.flatnonzero(of_body))[:nodes])
+            own = np.flatnonzero(touched_nodes(space, of_body))
             driven = nodes_on(tagged, space, str(m.boundary))
             self.turning[m.name] = own, driven[driven < nodes]
         motions = {i: scene.motion_of(c.master) for i, c in interfaces.items()}
