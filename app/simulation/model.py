@@ -398,10 +398,11 @@ class Model:
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             nonlocal last
             last = trial
-            for bearing in m.bearings.values() if m and trial else ():
-                now = ContactSamples(m.problem, trial, None, m.surfaces)
-                stage = other.scene.stages[math.ceil(step.time) - 1]
-                bearing.update(now, stage, step.time, step.whole)
+            stage = other.scene.stages[math.ceil(step.time) - 1]
+            if m and trial:
+                for bearing in m.bearings.values():
+                    now = ContactSamples(m.problem, trial, None, m.surfaces)
+                    bearing.update(now, stage, step.time, step.whole)
 
         other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
         samples = ContactSamples(m.problem, last, None, m.surfaces) if m and last else None

@@ -114,7 +114,7 @@ def test_the_share_of_a_cup_that_faces_a_bore_is_told(tmp_path: Path) -> None:
     share = liner @ ((x < 0) & (np.hypot(y, z) < 6.5 / RADIUS * np.hypot(x, np.hypot(y, z))))
     told = found.summary["interfaces"]["bearing"]["uncovered_fraction"]
     assert told == pytest.approx(share / liner.sum(), rel=0.02) and told > 0.05
-    assert f"bearing: {100 * told:.1f} % of the slave" in "".join(
+    assert f"bearing: {100 * told:.1f} % of the slave faced" in "".join(
         closing_lines.lines(found.summary)
     )
 
