@@ -1,4 +1,4 @@
-"""A head in its cup: names, spheres, volumes, straight edges of the bearing, quality."""
+"""A head in its cup: names, spheres, volumes, straight edges of the ball, quality."""
 
 from __future__ import annotations
 
@@ -53,7 +53,9 @@ def test_bodies_are_apart_named_and_on_their_spheres(size: float, order: int) ->
         on = boundary_facets(data, name)
         assert np.abs(away(data, on[:, :3]) - radius).max() < 1e-9
         assert np.isin(on, body).all()
-        if order == 2:  # straight edges
+        if order == 2 and name == "liner_inner":
+            assert np.abs(away(data, on[:, 3:]) - radius).max() < 1e-9
+        elif order == 2:  # straight edges
             ends = data.points[on[:, [[0, 1], [1, 2], [2, 0]]]].mean(axis=2)
             np.testing.assert_allclose(data.points[on[:, 3:]], ends, atol=1e-12)
     joint = interface_facets(data, "liner_shell")[0]
@@ -88,9 +90,10 @@ def test_volumes_and_areas_converge_to_the_formula(cup: MeshData) -> None:
         errors.append({name: abs(found[name] / value - 1) for name, value in exact().items()})
     coarse, fine = errors
     assert max(coarse.values()) < 0.03
-    for name in ("head", "liner", "head_surface", "liner_inner"):
+    for name in ("head", "head_surface"):
         assert 2.8 < coarse[name] / fine[name] < 5.5, name
-    assert max(fine[name] for name in ("shell", "shell_outer", "shell_rim")) < 5e-4
+    curved = "liner", "liner_inner", "shell", "shell_outer", "shell_rim"
+    assert max(fine[name] for name in curved) < 5e-4
     assert max(fine.values()) < 0.01
 
 
