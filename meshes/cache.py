@@ -32,6 +32,7 @@ def key(geometry: Any, mesh: Any) -> str:
     content["version"] = MESHER_VERSION
     if geometry.kind == "file":
         content["geometry"].pop("path", None)
+        content["apart"] = geometry.apart
     if of_files := getattr(geometry, "content", None):
         content["file"] = of_files
     if of_stem := getattr(getattr(geometry, "stem", None), "content", None):

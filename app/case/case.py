@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
 from app.case import checks, overlay, points
-from app.case.geometries import Geometry, MeshOptions
+from app.case.geometries import Geometry, MeshFile, MeshOptions
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
 from app.case.variations import Variations, expand, title_with_changes
 from app.errors import InputError
@@ -239,6 +239,8 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     """
     case, faults = valid_parts(file.data, folder)
     file.raise_all([*faults, *checks.cross_check(case)])
+    if isinstance(case.geometry, MeshFile):
+        case = case.model_copy(update={"geometry": case.geometry.parted(case.faces)})
     laws = {name: case.interfaces.get(name, Bonded()) for name in case.geometry.interface_sides}
     tissues = case.geometry.tissues
     regions = {

@@ -17,6 +17,14 @@ from app.laws.materials import Conductor, Elastic, Rigid
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
+# What a stage with courses does not do besides, and why.
+UNLIKE_COURSES = {
+    "creep_cycles": "needs loads that stay",
+    "creep_time": "needs loads that stay",
+    "remodels": "has load cases of its own",
+    "fracture_step": "may turn the loads back",
+}
+
 
 def cross_check(case: Any) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
@@ -288,6 +296,10 @@ def _sliding(case: Any) -> Iterable[Fault]:
             key = ("stages", len(case.stages) - 1, "steady" if stage.steady else "duration")
             text = "a cycle takes no time: in it temperature swings by 2 q sqrt(t/pi) / (e1 + e2)"
             yield Fault(key, f"{text}, about half a kelvin, which is not solved; leave it out")
+        for name, why in UNLIKE_COURSES.items():
+            if getattr(stage, name):
+                text = f"{why}, and courses run through the last stage; expected an earlier one"
+                yield Fault(("stages", len(case.stages) - 1, name), text)
 
 
 def quantities(case: Any, study: Any) -> Iterable[Fault]:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import content, counts, physical_names
@@ -209,6 +210,9 @@ class MeshFile(Shape):
     interfaces: Annotated[dict[Name, _TwoSides], MAPPING] = Field(default_factory=dict)
     """For each interface, the regions on its two sides (a name or a list of names each)."""
 
+    # Interfaces across which coincident nodes stay two; the case knows them.
+    _apart: tuple[str, ...] = PrivateAttr(())
+
     @model_validator(mode="after")
     def _known(self) -> MeshFile:
         for name, sides in self.interfaces.items():
@@ -249,6 +253,17 @@ class MeshFile(Shape):
     def joined(self) -> tuple[tuple[str, ...], ...]:
         """Regions on one side of an interface are one body."""
         return tuple(side for sides in self.interfaces.values() for side in sides)
+
+    @property
+    def apart(self) -> tuple[Sides, ...]:
+        """Sides of the interfaces across which nodes in one place stay two."""
+        return tuple(self.interfaces[name] for name in self._apart)
+
+    def parted(self, names: Iterable[str]) -> MeshFile:
+        """The same with the interfaces whose sides slide far."""
+        copy = self.model_copy()
+        copy._apart = tuple(names)
+        return copy
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Number of elements of any dimension in the file, an upper bound; 0 for a script."""

@@ -115,9 +115,13 @@ class HeadCup(Shape):
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra."""
-        inner, outer, turn = self.cup_radii[0], self.cup_radii[-1], 2.0 * math.pi
-        part = turn * (1.0 - math.cos(self.cover_angle))
-        own = mesh.model_copy(update={"size": self.head_size * mesh.size})
-        # The ball has its fine cells on one side.
+        inner, outer = self.cup_radii[0], self.cup_radii[-1]
+        part = 2.0 * math.pi * (1.0 - math.cos(self.cover_angle))
+        cup = graded_cells(part * inner**2, part / 3.0 * (outer**3 - inner**3), mesh)
+        return self.cells_apart("head", mesh) + cup
+
+    def cells_apart(self, region: str, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra of the head, which has its fine cells on one side."""
+        own, turn = mesh.model_copy(update={"size": self.head_size * mesh.size}), 2.0 * math.pi
         head = graded_cells(turn * self.head_radius**2, turn / 1.5 * self.head_radius**3, own)
-        return head + graded_cells(part * inner**2, part / 3.0 * (outer**3 - inner**3), mesh)
+        return head if region == "head" else 0

@@ -173,6 +173,10 @@ class Shape(Section):
         """Lines around, steps along and cells through the layers, where there are layers."""
         return {}
 
+    def cells_apart(self, region: str, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra of a region that is meshed apart; 0 if unknown."""
+        return 0
+
     @property
     def mantles(self) -> tuple[Mantle, ...]:
         """Cement mantles; none by default."""

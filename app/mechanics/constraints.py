@@ -97,7 +97,6 @@ class Constraints:
 
     Attributes:
         transforms: Whether P is not the identity.
-        G: Displacements of all nodes by those of nodes that follow none, if some follow.
         follows: Whether its pattern changes as surfaces slide far on each other.
         constrained: Own unknowns that supports hold (n,).
         unit: Values of the own unknowns by each support at full amplitude (s, n).
@@ -122,6 +121,7 @@ class Constraints:
         self._bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None
         self._P0: PETSc.Mat | None = None
+        self._comm = tagged.mesh.comm
         self._followers, self.follows = followers, followers is not None
         self.transforms = bool(scene.rigid or frames or followers)
         if self.transforms:
@@ -251,20 +251,25 @@ class Constraints:
     def follow(self) -> None:
         """Let nodes follow the current pairs of their surfaces; collective."""
         if self._followers:
-            self.G = self._followers.matrix()
-            self._P = self.G.matMult(self._P0)
+            self._P = self._followers.matrix().matMult(self._P0)
 
     def pushed(self, f: PETSc.Vec) -> PETSc.Vec:
-        """Motion of the rigid regions alone, along forces f on the unknowns, where free."""
+        """Motion of the rigid regions alone, along forces f on the unknowns, where free.
+
+        Bodies that turn move as their driven boundaries; collective.
+        """
         u = f.duplicate()
         for place in self._bases:
             here = slice(place, place + 6)
             u.array[here] = np.where(self.constrained[here], 0.0, f.array_r[here])
+        if self._followers:
+            nodal = self.expand(u).array_r.reshape(-1, 3)
+            u = self.contract(self._followers.following_driven(nodal))
         return u
 
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
         """P^T K P."""
-        return K.ptap(self._P) if self._P else K
+        return self._P.transposeMatMult(K.matMult(self._P)) if self._P else K
 
     def rows(self, C: PETSc.Mat) -> PETSc.Mat:
         """P^T C."""
@@ -288,20 +293,21 @@ class Constraints:
             own = slice(place, place + 6)
             u.array[own] = basis.T @ old._bases[place] @ u.array[own]
 
-    def contract(self, nodal: PETSc.Vec) -> PETSc.Vec:
-        """Find ũ from U = P ũ by the normal equations; collective.
+    def contract(self, nodal: Floats) -> PETSc.Vec:
+        """Find ũ from U = P ũ at own nodes (3 nodes) by the normal equations; collective.
 
         Nodes that follow others do not count: P^T P is the identity then but for a 6 x 6 block on
         rank 0 per rigid region, which block Jacobi solves exactly.
         """
+        given = PETSc.Vec().createWithArray(nodal.ravel(), comm=self._comm)
         if not (P := self._P0):
-            return nodal.copy()
+            return given.copy()
         solver = PETSc.KSP().create(P.comm)
         solver.setOperators(P.transposeMatMult(P))
         solver.setType("preonly")
         solver.getPC().setType("bjacobi")
         u, right = P.createVecRight(), P.createVecRight()
-        P.multTranspose(nodal, right)
+        P.multTranspose(given, right)
         solver.solve(right, u)
         return u
 

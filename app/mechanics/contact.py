@@ -35,9 +35,10 @@ from app.mechanics.contact_points import ContactState, OwnPoints, prescribed_jum
 from app.mechanics.followers import Followers
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.sliding import ACCURACY, Sliding
+from app.mechanics.stiffness import Stiffness
 from app.numerics.sparse import owners
 from app.scene.bodies import Bodies, contact_facets
-from app.scene.frames import Frames, held_at
+from app.scene.frames import held_at
 from app.scene.scene import Scene
 from app.system.timing import Timing
 from forms.contact import OPEN, SLIP
@@ -189,17 +190,16 @@ class ContactInterfaces:
         tagged: TaggedMesh,
         bodies: Bodies,
         mechanics: BodyForms,
-        constraints: Constraints,
-        frames: Frames | None,
+        stiffness: Stiffness,
         augmentation_factor: float,
         timing: Timing,
-        followers: Followers | None = None,
+        followers: Followers | None,
     ) -> None:
         self._supports = scene.supports
         self.comm = tagged.mesh.comm
         space, parts = mechanics.space, len(scene.contacts)
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
-        holds, axes = held_at(frames, tagged, bodies, space, scene.supports, self.facets)
+        holds, axes = held_at(stiffness.frames, tagged, bodies, space, scene.supports, self.facets)
         self.points, entries = contact_points(self.facets, holds, parts, axes)
         refuse_supports(scene, bodies, holds, self.points, entries)
         apart = np.isin(
@@ -214,9 +214,10 @@ class ContactInterfaces:
         self._by_supports = [
             prescribed_jump(self.points, k, s)[rows] for k, s in enumerate(scene.supports)
         ]
-        self.coupling = JumpCoupling(mechanics, constraints, entries, number, len(rows))
+        held = stiffness.constraints
+        self.coupling = JumpCoupling(mechanics, held, entries, number, len(rows))
         far = any(c.between for c in scene.contacts)
-        sliding = scene, tagged, space, self.own, followers
+        sliding = scene, tagged, space, self.own, self.points.dof[rows], followers
         self.large = Sliding(*sliding) if far else None
         self.law = PointLaw(self.comm, self.own, timing)
         self.begin(scene, augmentation_factor)
@@ -247,7 +248,7 @@ class ContactInterfaces:
             self.large.begin(scene)
         self._committed = 0.0
         self.state: ContactState = ContactState.at_rest(self.own.x * 0.0, self.law.history)
-        self.carry(None)
+        self.carried = self.state.jump
         self.set_time(0.0)
         self.state.opening = self.opening(self.state.jump)
 
@@ -298,19 +299,10 @@ class ContactInterfaces:
     def commit(self, state: ContactState, time: float) -> None:
         """Set the committed state, and its time."""
         self.state, self._committed = state, time
-        self.carry(None)
+        self.carried = state.jump
         if self.large is not None:
             self.large.set_time(time, time)
             self.committed_at = self._paired_at
-
-    def carry(self, jump: Floats | None) -> None:
-        """Set the committed jumps (n, 3) as pairs of now tell them; None: they are the same."""
-        self._carried = jump
-
-    @property
-    def carried(self) -> Floats:
-        """Committed jumps, with the pairs of now (n, 3) [mm]."""
-        return self.state.jump if self._carried is None else self._carried
 
     @property
     def reference(self) -> Floats:
@@ -344,20 +336,25 @@ class ContactInterfaces:
                 tied |= here
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
 
-    def reach(self, way: Floats) -> float:
-        """How far bodies go along ways at points (m, 3) that slide far, in ways; collective.
+    def approach(self, constraints: Constraints, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
+        """Bring bodies that touch nothing to where forces f [N] push them; collective.
 
-        Further than where they touch; 0 if any does, or none is before them.
+        Further than where their points touch. From there Newton finds which do, however small the
+        load: not from afar.
         """
-        assert self.large is not None
-        rows = self.large.rows
+        if self.large is None:
+            return
+        rows, pushed = self.large.rows, constraints.pushed(f)
+        way = constraints.expand(pushed).array_r.reshape(-1, 3)[self.large.nodes]
         gap = self._clearance[rows] + self.large.paired.gap
         along = np.einsum("pi,pi->p", self.own.normals[rows, 0], way)
         before = along > FACING * np.linalg.norm(way, axis=1)
         near = float(np.min(gap[before] / along[before], initial=np.inf))
         touch = (gap <= 0).any() or self.state.force[rows].any()
         reach = self.comm.allreduce(0.0 if touch else near, MPI.MIN)
-        return BEYOND * reach if np.isfinite(reach) else 0.0
+        if np.isfinite(reach):
+            u.axpy(BEYOND * reach, pushed)
+            q.array.reshape(-1, 3)[rows] -= BEYOND * reach * way
 
     def augmentation(self) -> dict[str, float]:
         """As `PointLaw.augmentation`, by the name of the interface; collective."""

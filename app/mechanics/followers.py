@@ -6,14 +6,15 @@ The slave's nodes of a sliding interface follow the master's surface,
 
 with Π the dual mortar matrix of the current pairs (`mechanics.pairs`), R the rotation of the
 master, in whose own axes u_m is, and G the identity but for nodes that follow. Both surfaces are
-linear between vertices: the middle of an edge follows its ends. A driven boundary moves by a
-translation t in space, R^T t in the axes of its body.
+linear between vertices: the middle of an edge follows its ends. Displacements, those of a driven
+boundary too, are along the axes of their body.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from petsc4py import PETSc
 
@@ -78,6 +79,7 @@ class Side:
         outward, x = x[:, 0] - inside, x.reshape(-1, 3)[first]
         return cls(vertices, x, oriented(x, triangles, outward), outward, edges)
 
+    @cached_property
     def smooth(self) -> SmoothSurface:
         """The smooth surface that it approximates."""
         return SmoothSurface(self.x, self.triangles, self.outward)
@@ -120,7 +122,7 @@ class Followers:
 
     Attributes:
         sides: Master and slave of each such interface, by its number.
-        masters: Surface of each master, by the number of the interface.
+        slaves: Body and own nodes of the slave of each interface.
         following: Global dofs without unknowns of their own, rising (n,).
         turning: Own nodes of each body that turns, and those of its driven boundary, by motion.
         rotations: Rotation of each of them (3, 3).
@@ -139,9 +141,12 @@ class Followers:
             assert c.between is not None
             master, slave = (Side.of(tagged, space, name) for name in c.between)
             self.sides[i] = master, slave
-        self.masters = {i: master.smooth() for i, (master, _) in self.sides.items()}
         parts = [(s.dofs, s.edges[:, 0], m.edges[:, 0]) for m, s in self.sides.values()]
         self.following = np.unique(np.concatenate([dofs for part in parts for dofs in part]))
+        self.slaves = [
+            (bodies.of_region[c.slave[0]], self._own(np.concatenate([s.dofs, s.edges[:, 0]])))
+            for c, (_, s) in zip(interfaces.values(), self.sides.values(), strict=True)
+        ]
         self.changed = True
         self.turning: dict[str, tuple[Ints, Ints]] = {}
         for m in scene.driven:
@@ -152,23 +157,24 @@ class Followers:
         motions = {i: scene.motion_of(c.master) for i, c in interfaces.items()}
         self._motions = {i: m.name if m else "" for i, m in motions.items()}
         self.rotations: dict[str, Floats] = dict.fromkeys(("", *self.turning), np.eye(3))
-        self.pairs = {i: self.paired(i, slave.x) for i, (_, slave) in self.sides.items()}
+        self.pairs: dict[int, Pairs] = {}
+        for i, (_, slave) in self.sides.items():
+            self.pair(i, slave.x)
 
     def begin(self, scene: Scene) -> None:
         """Set the motions of a run."""
         self._scene = scene
 
-    def paired(self, i: int, x: Floats) -> Pairs:
-        """Rows of Π of an interface, its slave's vertices at x in the master's axes (n, 3) [mm]."""
-        slave, master = self.sides[i][1], self.masters[i]
+    def pair(self, i: int, x: Floats) -> None:
+        """Pair an interface, its slave's vertices at x in the master's axes (n, 3) [mm]."""
+        master, slave = self.sides[i]
         edge = np.linalg.norm(np.diff(slave.x[slave.triangles[:, :2]], axis=1), axis=2).mean()
         points = getattr(self._scene.contacts[i].law, "quadrature", None) or 12
-        return mortar(x, slave.triangles, master, points, REACH * float(edge))
-
-    def own_slaves(self) -> dict[int, Ints]:
-        """Local own nodes of the slave of each interface."""
-        every = {i: np.concatenate([s.dofs, s.edges[:, 0]]) for i, (_, s) in self.sides.items()}
-        return {i: self._own(dofs) for i, dofs in every.items()}
+        found = mortar(x, slave.triangles, master.smooth, points, REACH * float(edge))
+        if before := self.pairs.get(i):
+            parts = zip(found[:3], before[:3], strict=True)
+            self.changed |= not all(np.array_equal(a, b) for a, b in parts)
+        self.pairs[i] = found
 
     def _own(self, dofs: Ints) -> Ints:
         """Local numbers of the own nodes among global dofs."""
@@ -179,13 +185,6 @@ class Followers:
     def own_following(self) -> Ints:
         """Local own nodes that follow others."""
         return self._own(self.following)
-
-    def pair(self, i: int, x: Floats) -> None:
-        """Pair the surfaces of an interface anew, as `paired`."""
-        found = self.paired(i, x)
-        parts = zip(found[:3], self.pairs[i][:3], strict=True)
-        self.changed |= not all(np.array_equal(a, b) for a, b in parts)
-        self.pairs[i] = found
 
     def set_time(self, time: float) -> None:
         """Turn the bodies to a time."""
@@ -214,44 +213,39 @@ class Followers:
             for name, (own, _) in self.turning.items()
         }
 
-    def with_motion(self, rest: Floats, ways: Mapping[str, Floats]) -> tuple[Floats, Floats]:
-        """Displacements (n, 3) with translations; the same, of driven nodes along axes of space."""
+    def with_motion(self, rest: Floats, ways: Mapping[str, Floats]) -> Floats:
+        """Displacements of own nodes (n, 3) with translations as of `without_motion`."""
         nodal = rest.copy()
         for name, (own, _) in self.turning.items():
             nodal[own] += self.rotations[name].T @ ways[name]
-        given = nodal.copy()
-        for name, (_, driven) in self.turning.items():
-            given[driven] = ways[name]
-        return nodal, given
+        return nodal
 
     def following_driven(self, nodal: Floats) -> Floats:
-        """Displacements (n, 3) [mm] with bodies that turn moved as their driven boundaries.
-
-        Those of driven nodes are along axes of space; collective.
-        """
+        """Displacements (n, 3) [mm] with bodies that turn moved as their driven boundaries."""
         rest, ways = nodal.copy(), self.without_motion(nodal)[1]
         for own, _ in self.turning.values():
             rest[own] = 0
-        return self.with_motion(rest, ways)[1]
+        return self.with_motion(rest, ways)
 
     def only(self, nodal: Floats) -> Floats:
-        """Values at own nodes (3 nodes,), zero but where they follow others."""
+        """Vectors at own nodes (3 nodes), zero but where they follow others."""
         rows, found = self.own_following, np.zeros_like(nodal)
         found.reshape(-1, 3)[rows] = nodal.reshape(-1, 3)[rows]
         return found
 
-    def in_bodies(self, given: Floats) -> Floats:
-        """Vectors at own nodes (n, 3), of driven ones along axes of space, in those of bodies."""
-        found = given.copy()
-        for name, (_, driven) in self.turning.items():
-            found[driven] = given[driven] @ self.rotations[name]
-        return found
+    def handed(self, nodal: Floats) -> Floats:
+        """Forces (3 nodes) [N] that own nodes hand to those that they follow; collective."""
+        sums = self._G.createVecLeft()
+        only = PETSc.Vec().createWithArray(self.only(nodal).ravel(), comm=self._comm)
+        self._G.multTranspose(only, sums)
+        return np.asarray(sums.array_r.reshape(nodal.shape))
 
     def in_space(self, nodal: Floats) -> Floats:
-        """Vectors at own nodes (n, 3), from the axes of their bodies to those of space."""
+        """Vectors at own nodes (3 nodes), from the axes of their bodies to those of space."""
         found = nodal.copy()
+        vectors = found.reshape(-1, 3)
         for name, (own, _) in self.turning.items():
-            found[own] = nodal[own] @ self.rotations[name].T
+            vectors[own] = vectors[own] @ self.rotations[name].T
         return found
 
     def places(self, x: Floats) -> Floats:
@@ -293,11 +287,9 @@ class Followers:
                 add(slave.edges[edge, 0], at[entry], blocks_of[entry] / 2)
         row, column = np.concatenate(rows), np.concatenate(columns)
         block: Floats = np.concatenate(blocks)
-        for name, (_, driven) in self.turning.items():
-            given = np.isin(column, gather(self._comm, driven + low)[0])
-            block[given] = block[given] @ self.rotations[name].T
-        k, i3, j3 = np.indices(block.shape).reshape(3, -1)
+        k, i3, j3 = np.nonzero(block)  # most blocks are multiples of the identity
         size = 3 * (high - low)
-        return from_triplets(
-            self._comm, size, size, 3 * (row[k] - low) + i3, 3 * column[k] + j3, block.ravel()
+        self._G = from_triplets(
+            self._comm, size, size, 3 * (row[k] - low) + i3, 3 * column[k] + j3, block[k, i3, j3]
         )
+        return self._G

@@ -20,6 +20,7 @@ from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.creep import CreepState
 from app.mechanics.external_forces import Forces
 from app.mechanics.followers import Followers, refuse_motions, soft
+from app.mechanics.sliding_bodies import SlidingBodies
 from app.mechanics.stiffness import Stiffness, rounding
 from app.mechanics.stress_history import StressHistory
 from app.mechanics.thermal_strain import ThermalStrain
@@ -28,9 +29,6 @@ from app.scene.bodies import bodies_of
 from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
-
-# Displacements of own nodes without the translations of bodies that turn, and these by motion.
-Moved = tuple[Floats, dict[str, Floats]]
 
 
 class Problem:
@@ -44,6 +42,8 @@ class Problem:
         thermal_strain: Thermal expansion of regions with constant moduli, if any.
         u: Displacement, the continuous field.
         moved: Displacement of each body that jumps move.
+        followers: Surfaces that slide far on deformable ones, if any.
+        sliding: State of bodies with such surfaces.
         time: Current time: stage k runs from k to k + 1.
         f: Forces on the unknowns of the displacement at that time [N].
         f_q: Forces on the jumps [N].
@@ -58,7 +58,7 @@ class Problem:
         InputError: The scene does not fit the mesh.
     """
 
-    saved = ("time", "stiffness", "u", "mechanics", "contact", "history", "contact_work")
+    saved = ("time", "stiffness", "u", "mechanics", "contact", "history", "sliding")
 
     def __init__(
         self,
@@ -81,15 +81,11 @@ class Problem:
         )
         parts = scene, tagged, self.bodies, self.mechanics
         refuse_motions(scene, tagged, self.bodies)
-        sliding = scene, tagged, self.bodies, self.space
-        self.followers = Followers(*sliding) if soft(scene) else None
+        self.followers = Followers(scene, tagged, self.bodies, self.space) if soft(scene) else None
         shared = like.stiffness if like else None
         self.stiffness: Stiffness = Stiffness(*parts, shared, self.followers)
-        constraints, frames = self.stiffness.constraints, self.stiffness.frames
         self.contact = (
-            ContactInterfaces(
-                *parts, constraints, frames, augmentation_factor, timing, self.followers
-            )
+            ContactInterfaces(*parts, self.stiffness, augmentation_factor, timing, self.followers)
             if scene.contacts
             else None
         )
@@ -97,20 +93,18 @@ class Problem:
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
             for b in (self.contact.coupling.jump_to_displacement if self.contact else ())
         }
+        self.sliding = (
+            SlidingBodies(
+                scene, self.mechanics, self.stiffness, self.contact, self.followers, self.moved
+            )
+            if self.contact and self.followers
+            else None
+        )
         self.forces = Forces(scene, self.mechanics, self.bodies, self.contact)
         self.thermal_strain = (
             ThermalStrain(scene, self.mechanics, self.bodies) if self.mechanics.swelling else None
         )
-        self._rest: Floats = np.zeros((self.space.dofmap.index_map.size_local, 3))
-        self._at_rest()
         self.set_time(0.0)
-
-    def _at_rest(self) -> None:
-        ways: dict[str, Floats] = (
-            {name: np.zeros(3) for name in self.followers.turning} if self.followers else {}
-        )
-        self._committed = self._pressed = self._rest, ways
-        self.contact_work = 0.0
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
         """Reset to the unloaded state, with other loads and laws; matrices stay; collective.
@@ -121,13 +115,12 @@ class Problem:
         """
         self.scene = scene
         self.set_stage(0, self.stiffness.K.createVecRight())
-        self._at_rest()
         for state in (self.u, *self.moved.values(), *self.mechanics.swelling.values()):
             state.x.array[:] = 0
         if self.history:
             self.history.begin()
-        if self.followers:
-            self.followers.begin(scene)
+        if self.sliding:
+            self.sliding.begin(scene)
         if self.contact:
             self.contact.begin(scene, augmentation_factor)
         self.forces = Forces(scene, self.mechanics, self.bodies, self.contact, self.forces)
@@ -160,23 +153,16 @@ class Problem:
 
     def take_up(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Set the unknowns to the restored displacement and jumps; collective."""
-        if self.followers and self.contact and (jump := self.contact.committed_at) is not None:
-            self.contact.pair_at(jump)
-            self._follow_pairs()
-        size = len(self._rest)
-        nodal: Floats = self.u.x.array[: 3 * size].reshape(-1, 3)
-        if self.followers:
-            nodal = self.followers.with_motion(*self.followers.without_motion(nodal))[1]
-        given = PETSc.Vec().createWithArray(nodal.ravel(), comm=self.comm)
-        self.stiffness.constraints.contract(given).copy(u)
+        own = 3 * self.space.dofmap.index_map.size_local
+        nodal = self.sliding.taken_up() if self.sliding else self.u.x.array[:own]
+        self.stiffness.constraints.contract(nodal).copy(u)
         if self.contact:
             assert q is not None
             self.contact.commit(self.contact.state, self.time)
             q.array[:] = self.contact.state.jump.ravel()
         self.update_displacements(u, q)
-        if self.followers and q is not None:
-            self._committed = self._by_body()
-            self._pressed = self._contact_forces(self.trial(u, q))
+        if self.sliding and q is not None:
+            self.sliding.begin_at(self.trial(u, q))
         if self.history:
             self.history.begin_at(self.displacements())
 
@@ -203,7 +189,8 @@ class Problem:
             self.followers.set_time(time)
         if self.contact:
             self.contact.set_time(time)
-            self._follow_pairs()
+        if self.sliding:
+            self.sliding.follow()
         self._set_forces(time)
 
     def _set_forces(self, time: float) -> None:
@@ -280,98 +267,16 @@ class Problem:
 
     def pair(self, u: PETSc.Vec, q: PETSc.Vec | None) -> bool:
         """Pair points that slide far anew, if their gaps are wrong in a state; collective."""
-        if self.contact is None or not self.contact.large:
+        if q is None or self.contact is None or self.contact.large is None:
             return False
         trial = self.trial(u, q)
         self.update_displacements(u, q)
-        nodal = self._by_body() if self.followers else None
-        if not self.contact.pair(trial):
-            return False
-        if nodal is not None:
-            self._follow_pairs()
+        if self.sliding is None:
+            return self.contact.pair(trial)
+        paired = self.sliding.pair(trial, u, q)
+        if paired:
             self._set_forces(self.load_time)
-            self._express(nodal, u, q)
-        return True
-
-    def _follow_pairs(self) -> None:
-        """Let nodes follow the surfaces that they are paired with now; collective."""
-        if not (self.contact and self.followers and self.followers.changed):
-            return
-        constraints = self.stiffness.constraints
-        constraints.follow()
-        self.stiffness.update(paired=True)
-        self.contact.coupling.update(self.mechanics, constraints, paired=True)
-        u, q = self.stiffness.K.createVecRight(), self.contact.coupling.D.createVecRight()
-        q.array[:] = self.contact.state.jump.ravel()
-        self._express(self._committed, u, q)
-        self.contact.carry(q.array.reshape(-1, 3).copy())
-
-    def carry(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
-        """Start from the committed displacements, whatever surfaces face each other now."""
-        if self.followers and q is not None:
-            self._express(self._committed, u, q)
-
-    def _contact_forces(self, trial: TrialState) -> Moved:
-        """Forces on own nodes where surfaces slide far [N], and their sums on bodies that turn."""
-        assert self.followers is not None and trial.contact.large is not None
-        rows, on_slaves = trial.contact.large.rows, np.zeros_like(self._rest)
-        on_slaves[self._own_nodes(rows)] = trial.equilibrium[rows]
-        handed = self.handed(on_slaves.ravel()).reshape(-1, 3)
-        return on_slaves - handed, self.followers.totals(on_slaves - handed)
-
-    def handed(self, nodal: Floats) -> Floats:
-        """Forces (3 nodes,) [N] that nodes hand to those that they follow; collective."""
-        if not self.followers:
-            return 0.0 * nodal
-        only, G = self.followers.only(nodal), self.stiffness.constraints.G
-        found = G.createVecLeft()
-        G.multTranspose(PETSc.Vec().createWithArray(only, comm=self.comm), found)
-        return self.followers.in_bodies(found.array.reshape(-1, 3)).ravel()
-
-    def _own_nodes(self, points: Ints) -> Ints:
-        assert self.contact is not None
-        dofs = self.contact.points.dof[self.contact.own.rows[points]]
-        return np.asarray(dofs - self.space.dofmap.index_map.local_range[0])
-
-    def _by_body(self) -> Moved:
-        """Displacement of own nodes, each as its body moves, as of `Followers.without_motion`."""
-        assert self.followers is not None
-        nodes = self.space.dofmap.index_map.size_local
-        found = self.u.x.array[: 3 * nodes].reshape(-1, 3).copy()
-        for i, dofs in self.followers.own_slaves().items():
-            slave = self.bodies.of_region[self.scene.contacts[i].slave[0]]
-            found[dofs] = self.moved[slave].x.array.reshape(-1, 3)[dofs]
-        return self.followers.without_motion(found)
-
-    def _express(self, moved: Moved, u: PETSc.Vec, q: PETSc.Vec) -> None:
-        """Set unknowns and jumps to displacements, as turned and paired now; collective."""
-        assert self.followers is not None
-        constraints, (nodal, given) = self.stiffness.constraints, self.followers.with_motion(*moved)
-        constraints.contract(PETSc.Vec().createWithArray(given.ravel(), comm=self.comm)).copy(u)
-        apart = nodal - constraints.expand(u).array.reshape(-1, 3)
-        contact = self.contact
-        assert contact is not None and contact.large is not None
-        rows = contact.large.rows
-        q.array.reshape(-1, 3)[rows] = apart[self._own_nodes(rows)]
-
-    def approach(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
-        """Bring bodies that touch nothing to where their loads push them; collective.
-
-        From there Newton finds which points touch, however small the load: not from afar.
-        """
-        if q is None or self.contact is None or self.contact.large is None:
-            return
-        constraints, rows = self.stiffness.constraints, self.contact.large.rows
-        pushed = constraints.pushed(self.f)
-        nodal = constraints.expand(pushed).array_r.reshape(-1, 3)
-        if self.followers:
-            given = self.followers.following_driven(nodal).ravel()
-            pushed = constraints.contract(PETSc.Vec().createWithArray(given, comm=self.comm))
-            nodal = constraints.expand(pushed).array_r.reshape(-1, 3)
-        way = nodal[self._own_nodes(rows)]
-        reach = self.contact.reach(way)
-        u.axpy(reach, pushed)
-        q.array.reshape(-1, 3)[rows] -= reach * way
+        return paired
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
@@ -417,16 +322,6 @@ class Problem:
             function.x.petsc_vec.array[:own] = nodal.array + extra.array
             function.x.scatter_forward()
 
-    def in_space(self, nodal: Floats) -> Floats:
-        """Vectors at own nodes (3 nodes,) from the axes of bodies that turn to those of space."""
-        return (
-            nodal if not self.followers else self.followers.in_space(nodal.reshape(-1, 3)).ravel()
-        )
-
-    def places(self, x: Floats) -> Floats:
-        """Positions of own nodes (nodes, 3) [mm] with the turns of their bodies."""
-        return self.followers.places(x) if self.followers else x
-
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last updated."""
         return [self.moved.get(b, self.u) for b in range(len(self.bodies.names))]
@@ -435,14 +330,7 @@ class Problem:
         """Commit a converged state, after `update_displacements`."""
         if trial is not None:
             trial.contact.commit(trial.committed(), self.time)
-        if trial is not None and self.followers:
-            forces, moved = self._contact_forces(trial), self._by_body()
-            (f0, F0), (f1, F1) = self._pressed, forces
-            (u0, t0), (u1, t1) = self._committed, moved
-            work = float(((f0 + f1) * (u1 - u0)).sum())
-            if self.comm.rank == 0:
-                work += sum(float((F0[k] + F1[k]) @ (t1[k] - t0[k])) for k in F1)
-            self.contact_work -= work / 2
-            self._pressed, self._committed = forces, moved
+            if self.sliding:
+                self.sliding.commit(trial)
         if self.history:
             self.history.commit(self.displacements())

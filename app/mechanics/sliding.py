@@ -25,12 +25,12 @@ from dolfinx import fem
 from app.arrays import Floats, Ints
 from app.errors import InputError
 from app.mechanics.contact_points import OwnPoints
-from app.mechanics.followers import Followers
+from app.mechanics.followers import Followers, Side
 from app.mechanics.pairs import SmoothSurface
 from app.mechanics.rigid_surfaces import RigidSurface, fitted
 from app.numerics.rigid_motions import rotation_vector
 from app.scene.bodies import boundary_facets, facet_nodes
-from app.scene.scene import Interface, Scene
+from app.scene.scene import Scene
 from meshes.contact_facets import NODES, gather, nodal_normals
 from meshes.distribute import TaggedMesh
 
@@ -58,9 +58,15 @@ class Sliding:
 
     Attributes:
         rows: These among own points (m,).
+        nodes: Local node of each (m,).
+        of: Interface of each (m,).
+        masters: What the sides of the interfaces slide on, as meshed, by number.
         paired: As of the last pairing.
         turn: Rotation vector of the body of each point since the last committed step (m, 3).
         rotation: Rotation of the body of each point (m, 3, 3).
+
+    Args:
+        dof: Global blocked dofs of the own points (n,).
 
     Raises:
         InputError: A rigid region has a surface without a formula.
@@ -72,17 +78,34 @@ class Sliding:
         tagged: TaggedMesh,
         space: fem.FunctionSpace,
         own: OwnPoints,
+        dof: Ints,
         followers: Followers | None,
     ) -> None:
         apart = [i for i, c in enumerate(scene.contacts) if c.between]
         self.rows: Ints = np.flatnonzero(np.isin(own.interface, apart))
-        self._of = own.interface[self.rows]
+        self.nodes: Ints = dof[self.rows] - space.dofmap.index_map.local_range[0]
+        self.of = own.interface[self.rows]
         self._own, self._apart = own, apart
         self._comm, self._followers = tagged.mesh.comm, followers
-        meshed: dict[int, SmoothSurface] = followers.masters if followers else {}
-        self._surfaces = {
-            i: surface_of(scene.contacts[i], tagged, space, meshed.get(i)) for i in apart
-        }
+        self.masters = (
+            {i: master for i, (master, _) in followers.sides.items()} if followers else {}
+        )
+        self._surfaces: dict[int, RigidSurface | SmoothSurface] = {}
+        for i in apart:
+            c, deforms = scene.contacts[i], i in self.masters
+            name = (c.between or ("",))[0]
+            if not deforms:
+                self.masters[i] = Side.of(tagged, space, name)
+            _, _, x, inside = facet_nodes(tagged, space, boundary_facets(tagged, name))
+            normals = nodal_normals(x[:, :3], inside, NODES[:3]).reshape(-1, 3)
+            nodes, n = gather(self._comm, x[:, :3].reshape(-1, 3), normals)
+            found = fitted(nodes, n / np.linalg.norm(n, axis=1)[:, None])
+            if not (found or deforms):
+                raise InputError(
+                    f"interfaces.{c.name}: boundary '{name}' of the rigid region is no plane, "
+                    "sphere or cylinder; allowed: these, or an elastic region"
+                )
+            self._surfaces[i] = found or self.masters[i].smooth
         self.begin(scene)
 
     def begin(self, scene: Scene) -> None:
@@ -96,7 +119,7 @@ class Sliding:
 
     def _each(self, values: dict[int, Floats]) -> Floats:
         """Values of the interfaces at their points."""
-        return np.array([values[i] for i in self._of]).reshape(-1, *values[self._apart[0]].shape)
+        return np.array([values[i] for i in self.of]).reshape(-1, *values[self._apart[0]].shape)
 
     def set_time(self, committed: float, time: float) -> None:
         """Set rotations to a time, and turns since that of the last committed step."""
@@ -111,23 +134,23 @@ class Sliding:
         """Pair the points, at jumps of all own points (n, 3) [mm]; collective."""
         self.paired = self._at(jump)
         for i in self._followers.sides if self._followers else ():
-            here = self._of == i
+            here = self.of == i
             number = self._own.rows[self.rows[here]]  # in the order of the vertices
-            number, x = gather(self._comm, number, self._places(jump)[here])
+            number, x = gather(self._comm, number, self.places(jump)[here])
             assert self._followers is not None
             self._followers.pair(i, x[np.argsort(number)])
         return self.paired
 
-    def _places(self, jump: Floats) -> Floats:
+    def places(self, jump: Floats) -> Floats:
         """Points in the axes of the bodies that they slide on (m, 3) [mm]."""
         way = self._arm + jump[self.rows]
         return self._centre + np.einsum("pji,pj->pi", self.rotation, way)
 
     def _at(self, jump: Floats) -> Paired:
-        way, R, x = self._arm + jump[self.rows], self.rotation, self._places(jump)
+        way, R, x = self._arm + jump[self.rows], self.rotation, self.places(jump)
         gap, normal = np.zeros(len(x)), np.zeros(x.shape)
         for i, surface in self._surfaces.items():
-            here = self._of == i
+            here = self.of == i
             gap[here], normal[here] = surface.gap(x[here])
         normal = np.einsum("pij,pj->pi", R, normal)
         return Paired(gap, normal, way - gap[:, None] * normal)
@@ -143,32 +166,3 @@ class Sliding:
         known, change = self.paired, (jump - before)[self.rows]
         line = known.gap + np.einsum("pi,pi->p", known.normal, change)
         return np.abs(self._at(jump).gap - line)
-
-
-def surface_of(
-    interface: Interface,
-    tagged: TaggedMesh,
-    space: fem.FunctionSpace,
-    meshed: SmoothSurface | None,
-) -> RigidSurface | SmoothSurface:
-    """The surface of the master of an interface, by formula if it has one; collective.
-
-    Raises:
-        InputError: It has no formula.
-    """
-    assert interface.between is not None
-    name = interface.between[0]
-    f = boundary_facets(tagged, name)
-    _, _, x, inside = facet_nodes(tagged, space, f)
-    corners = x[:, :3].reshape(-1, 3)
-    normals = nodal_normals(x[:, :3], inside, NODES[:3]).reshape(-1, 3)
-    nodes, n = gather(tagged.mesh.comm, corners, normals)
-    found = fitted(nodes, n / np.linalg.norm(n, axis=1)[:, None])
-    if found is not None:
-        return found
-    if meshed is None:
-        raise InputError(
-            f"interfaces.{interface.name}: boundary '{name}' of the rigid region is no plane, "
-            "sphere or cylinder; allowed: these, or an elastic region"
-        )
-    return meshed

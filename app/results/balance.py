@@ -154,7 +154,9 @@ class Balance:
             setting, energy = [*setting, *elastic], 0.0
         acting = problem.forces.applied(problem.load_time)
         left, jump = inner.nodal - acting.nodal, np.zeros_like(acting.jump)
-        handed = problem.handed(left)
+        handed = passed = 0.0 * left
+        if followers := problem.followers:
+            handed = followers.handed(left)
         reaction = np.where(constraints.reacting, left + handed, 0.0)
         loose = constraints.vector(PETSc.Vec().createWithArray(left, comm=problem.comm))
         missing = held_q = jump
@@ -163,8 +165,9 @@ class Balance:
             held_q = (e - trial.contact.own.project_free(e)).ravel()
             missing = inner.jump - acting.jump - e.ravel()
         outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()
-        outer, displacement = map(problem.in_space, (outer, displacement))
-        passed = problem.in_space(problem.followers.only(left) - handed) if problem.followers else 0
+        if followers:
+            passed = followers.only(left) - handed
+            outer, displacement, passed = map(followers.in_space, (outer, displacement, passed))
         external = [(outer, displacement), (acting.jump + held_q, jump)]
         for free, form in self._swelling:
             work = assembled_vector(form).array.copy()
@@ -183,8 +186,8 @@ class Balance:
         self._last = new
         problem, comm = self._problem, self._problem.comm
         contact = trial.contact.state.work.sum() if trial else 0.0
-        if problem.followers:
-            contact = problem.contact_work
+        if problem.sliding:
+            contact = problem.sliding.work
         works = (_work(a, b) for a, b in ((old.external, new.external), (old.setting, new.setting)))
         local = [*works, contact, new.energy]
         work, set_in, *stored = comm.allreduce(np.array(local)).tolist()
@@ -204,7 +207,8 @@ class Balance:
     def _forces(self, new: _State, scale: float) -> None:
         problem, comm = self._problem, self._problem.comm
         outer = new.outer.reshape(-1, 3)
-        arm = problem.places(self._nodes) - self._about
+        followers = problem.followers
+        arm = (followers.places(self._nodes) if followers else self._nodes) - self._about
         sums = np.array([outer.sum(axis=0), np.cross(arm, outer).sum(axis=0)])
         force, moment = comm.allreduce(sums)
         loads = sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.load_time))

@@ -15,7 +15,6 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
-from app.mechanics.followers import Side
 from app.mechanics.pairs import SmoothSurface
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rotation_vector
@@ -51,7 +50,7 @@ class Bearing:
 
     def __init__(self, problem: Problem, case: Case, i: int) -> None:
         contact, c = problem.contact, problem.scene.contacts[i]
-        assert contact is not None and c.between is not None
+        assert contact is not None and contact.large is not None
         self._problem, self._contact = problem, c
         self._body = problem.bodies.of_region[c.master[0]]
         self._motion = problem.scene.motion_of(c.master)
@@ -63,8 +62,8 @@ class Bearing:
             np.searchsorted(self._rows, triangles),
             -points.normals[triangles[:, 0], 0],
         )
-        side = Side.of(problem.tagged, problem.space, c.between[0])
-        self.surface, self.dof = side.smooth(), side.dofs
+        master = contact.large.masters[i]
+        self.surface, self.dof = master.smooth, master.dofs
         self.interface: Ints = np.zeros(len(self.dof), dtype=np.int64)
         self.bodies = np.full((len(self.dof), 1), self._body)
         self.triangles = (self.surface.triangles,)

@@ -188,7 +188,8 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> d
     at = surface.at[part]
     weight, x = s.weight[at], s.x[at]
     found: dict[str, Any] = {}  # of functions, what is asked for is computed
-    # Where sides slide far a jump is no motion of one against the other, and slips do not add up.
+    # Where sides slide far a jump is no motion of one against the other, slips do not add up, and
+    # a gap is no debonding.
     left_out = ("slip", "motion", "inducible") if s.contacts[i].between else ()
     for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
         field = surface.field(values, part)
@@ -201,7 +202,7 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> d
             f"{name}_mean": field.mean,
             f"{name}_max_at": x[k].tolist(),
         }
-        if name in ("gap", "slip", "motion"):
+        if name in ("gap", "slip", "motion") and not s.contacts[i].between:
             found[f"area_{name}_over_30um"] = partial(field.area_above, MICROMOTION)
     for name, state in (("open", OPEN), ("stick", STICK), ("slip", SLIP)):
         found[f"{name}_fraction"] = float(weight[s.status[at] == state].sum() / weight.sum())

@@ -73,7 +73,9 @@ def _estimated(case: Case) -> _Size:
     if not count:
         return _Size(0.0, UNKNOWN_SIZE / 3, 0.0, 0.0, 0.0)
     corners = NODES_PER_CELL * count + 50
-    nodes = corners + (EDGES_PER_CELL * count if case.mesh.order == 2 else 0)
+    rigid = (name for name, region in case.regions.items() if isinstance(region, Rigid))
+    moving = count - sum(case.geometry.cells_apart(name, case.mesh) for name in rigid)
+    nodes = (NODES_PER_CELL + EDGES_PER_CELL * (case.mesh.order == 2)) * moving + 50
     # Jumps are linear at either order; each interface has about the same share of the area.
     areas = case.geometry.interface_area / max(1, len(case.geometry.interface_sides))
     each = dict.fromkeys(case.interfaces, areas / (AREA_PER_NODE * case.mesh.size**2))

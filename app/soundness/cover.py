@@ -6,18 +6,21 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from app.arrays import Bools, Floats
+from app.arrays import Floats, Ints
 from app.errors import InputError
 from app.mechanics.contact import TrialState
-from app.mechanics.followers import Side
-from app.mechanics.pairs import SmoothSurface
 from app.mechanics.problem import Problem
+from app.numerics.rigid_motions import rigid_modes
+from app.scene.bodies import cell_tags, touched_nodes
 from app.scene.scene import Interface
 from app.system.layout import point_text
 from meshes.contact_facets import gather
 
 # A point is beyond the rim of a surface by more than this part of an edge.
 OFF = 0.25
+# Angle by which an elastic body may tip that no motion turns [rad]: forces of contact do not turn
+# with its surface, and are off by as much of the load (measured: 150 N for 155.5 N, 500 N on it).
+TIPPED = 0.01
 
 
 class Cover:
@@ -28,11 +31,15 @@ class Cover:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._problem, self._masters = problem, dict[int, SmoothSurface]()
-        for i, c in enumerate(problem.scene.contacts):
-            if c.between:
-                side = Side.of(problem.tagged, problem.space, c.between[0])
-                self._masters[i] = side.smooth()
+        self._problem = problem
+        scene, space = problem.scene, problem.space
+        far = [side for c in scene.contacts if c.between for side in (c.master, c.slave)]
+        free = {side[0] for side in far if not scene.motion_of(side)}
+        of_cell = problem.bodies.of_tag[cell_tags(problem.tagged)]
+        self._nodes: dict[int, Ints] = {}
+        for body in sorted({problem.bodies.of_region[r] for r in free if r in scene.moduli}):
+            nodes = touched_nodes(space, np.flatnonzero(of_cell == body))
+            self._nodes[body] = np.flatnonzero(nodes[: space.dofmap.index_map.size_local])
         for c, here, beyond, apart, facet in self._points():
             depth, where = self._largest(here, np.where(beyond > 0, 0.0, -apart))
             if depth > facet:
@@ -41,6 +48,22 @@ class Cover:
                     f"than a facet ({facet:.3g} mm); expected bodies that touch or are apart, and "
                     "`gap` for an interference"
                 )
+
+    def tipped(self) -> str:
+        """Sentence on an elastic body that has tipped, and what to change; collective."""
+        problem, u = self._problem, self._problem.displacements()
+        for body, nodes in self._nodes.items():
+            R = rigid_modes(problem.space.tabulate_dof_coordinates()[nodes]).reshape(-1, 6)
+            moved = R.T @ u[body].x.array.reshape(-1, 3)[nodes].ravel()
+            gram, sums = (problem.comm.allreduce(part) for part in (R.T @ R, moved))
+            angle = float(np.linalg.norm(np.linalg.solve(gram, sums)[3:]))
+            if angle > TIPPED:
+                return (
+                    f"body '{problem.bodies.names[body]}' has tipped by {np.degrees(angle):.2g} "
+                    "degrees where it slides far, and its surface does not turn with it\n"
+                    "  what to change: supports that keep it upright, or a motion of the master"
+                )
+        return ""
 
     def left(self, trial: TrialState) -> str:
         """Sentence on contact beyond the rim of a surface, and what to change; collective."""
@@ -58,26 +81,25 @@ class Cover:
 
     def _points(
         self, jump: Floats | float = 0.0
-    ) -> Iterator[tuple[Interface, Bools, Floats, Floats, float]]:
+    ) -> Iterator[tuple[Interface, Ints, Floats, Floats, float]]:
         """Interfaces at jumps of all own points (n, 3) [mm].
 
-        With their points (n,), how far each (m,) is beyond the rim, 0 if it is not, and from the
+        With their points (m,), how far each (m,) is beyond the rim, 0 if it is not, and from the
         surface, and the size of a facet [mm].
         """
-        contact, scene = self._problem.contact, self._problem.scene
-        for i, surface in self._masters.items():
-            assert contact is not None and contact.large is not None
-            here, c, facet = contact.own.interface == i, scene.contacts[i], contact.edge_lengths[i]
-            motion = scene.motion_of(c.master)
-            about = np.array(motion.about if motion else np.zeros(3))
-            R = contact.large.rotation[here[contact.large.rows]]
-            x = about + np.einsum("pji,pj->pi", R, (contact.own.x + jump - about)[here])
-            on, at, apart = surface.closest(x)
+        contact = self._problem.contact
+        if contact is None or (large := contact.large) is None:
+            return
+        places = large.places(contact.own.x * 0.0 + jump)
+        for i, master in large.masters.items():
+            surface, facet, here = master.smooth, contact.edge_lengths[i], large.of == i
+            on, at, apart = surface.closest(x := places[here])
             away = x - np.einsum("pk,pki->pi", at, surface.x[surface.triangles[on]])
             beside = np.linalg.norm(np.cross(away, surface.normal(on, at)), axis=1)
-            yield c, here, np.where(beside > OFF * facet, beside, 0.0), apart, facet
+            beyond = np.where(beside > OFF * facet, beside, 0.0)
+            yield self._problem.scene.contacts[i], large.rows[here], beyond, apart, facet
 
-    def _largest(self, here: Bools, values: Floats) -> tuple[float, str]:
+    def _largest(self, here: Ints, values: Floats) -> tuple[float, str]:
         """The largest of values at some own points, and its place; collective."""
         assert self._problem.contact is not None
         every, x = gather(self._problem.comm, values, self._problem.contact.own.x[here])

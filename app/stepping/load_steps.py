@@ -156,11 +156,13 @@ class LoadStepper:
 
     def _solve(self) -> NewtonResult:
         """Solve, until points that slide far are paired with the surface that they touch."""
-        self.problem.approach(*self.solver.u_and_q())
+        problem, (u, q) = self.problem, self.solver.u_and_q()
+        if problem.contact:
+            problem.contact.approach(problem.stiffness.constraints, problem.f, u, q)
         outcome = solve(self.solver)
         self.total.count(outcome)
         for _ in range(PAIRINGS):
-            if not (outcome.converged and self.problem.pair(*self.solver.u_and_q())):
+            if not (outcome.converged and problem.pair(*self.solver.u_and_q())):
                 return outcome
             again = solve(self.solver)
             self.total.count(again)
@@ -217,7 +219,8 @@ class LoadStepper:
                 time = begin + reach * (end - begin)
                 set_load(reach)
                 problem.update_stiffness()
-                problem.carry(*solver.u_and_q())
+                if problem.sliding:
+                    problem.sliding.carry(*solver.u_and_q())
                 for p in predictors:
                     p.predict(time)
                 predicted = predictors and not same(start, solver.x)
@@ -311,7 +314,7 @@ class LoadStepper:
         The step ends at ``time``, and an increment if ``whole``; it ``started`` at a wall time.
 
         Raises:
-            ConvergenceError: A body runs away.
+            ConvergenceError: A body runs away or tips.
         """
         problem = self.problem
         u, q = self.solver.u_and_q()
@@ -335,3 +338,5 @@ class LoadStepper:
         seconds = clock.perf_counter() - started
         step = LoadStep(self.total.steps, stage.name, time, outcome, seconds, whole)
         self.on_step(step, trial)
+        if tipped := self._cover.tipped():
+            raise ConvergenceError(f"stage '{stage.name}' at {part:.3g} % of it: {tipped}")

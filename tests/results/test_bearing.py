@@ -136,6 +136,7 @@ def test_a_ball_is_written_where_it_has_turned(ball: Results) -> None:
     assert "map_bearing.png" in files
     page = (ball.folder / "report.html").read_text()
     assert "friction on bearing resists the motion with up to" in page and "slides less" not in page
+    assert "30 µm" not in page
     inner = x[np.linalg.norm(x, axis=1) > RADIUS - 1e-6]
     inner = inner[inner[:, 2] > 0][:99].reshape(-1, 3, 3)
     flat = pictures.spread(np.concatenate([inner, inner * [-1, -1, 1]]))
