@@ -291,15 +291,38 @@ def _sliding(case: Any) -> Iterable[Fault]:
         if followed is not None and followed not in motions:
             text = f"there is no motion '{followed}'{did_you_mean(followed, motions)}"
             yield Fault(("loads", name, "follows"), text)
-    for stage in (case.stages or ())[-1:] if courses else ():
-        if stage.takes_time:
-            key = ("stages", len(case.stages) - 1, "steady" if stage.steady else "duration")
-            text = "a cycle takes no time: in it temperature swings by 2 q sqrt(t/pi) / (e1 + e2)"
-            yield Fault(key, f"{text}, about half a kelvin, which is not solved; leave it out")
-        for name, why in UNLIKE_COURSES.items():
-            if getattr(stage, name):
-                text = f"{why}, and courses run through the last stage; expected an earlier one"
-                yield Fault(("stages", len(case.stages) - 1, name), text)
+    stages = case.stages or ()
+    if courses and stages and all(stage.takes_time for stage in stages):
+        last = "steady" if stages[-1].steady else "duration"
+        text = "a cycle takes no time: in it temperature swings by 2 q sqrt(t/pi) / (e1 + e2)"
+        text += ", about half a kelvin, which is not solved; expected a stage without one before"
+        text += " it, for the courses: their mean heat then flows in this one"
+        yield Fault(("stages", len(stages) - 1, last), text)
+    through = max((i for i, s in enumerate(stages) if not s.takes_time), default=0)
+    for key, why in UNLIKE_COURSES.items() if courses and stages else ():
+        if getattr(stages[through], key):
+            text = f"{why}, and courses run through this stage, the last that takes no time"
+            yield Fault(("stages", through, key), f"{text}; expected an earlier one")
+    yield from _sliding_heat(case, courses)
+
+
+def _sliding_heat(case: Any, courses: bool) -> Iterable[Fault]:
+    """Surfaces that slide far without a conductance or a cycle; heat that depends on others."""
+    laws = {name: law for _, name, law in _entries(case, "interfaces")}
+    far = {n for n, law in laws.items() if getattr(law, "sliding", "small") == "finite"}
+    thermal = any(region.thermal is not None for _, _, region in _entries(case, "regions"))
+    for name, law in laws.items() if far and thermal else ():
+        heats = getattr(law, "friction_heating", None) is not None
+        path = ("interfaces", name, "friction_heating" if heats else "conductance")
+        if name not in far and (heats or law.conductances[1] > 0):
+            text = f"heat that depends on contact cannot go with {', '.join(far)}, which slides far"
+            yield Fault(path, f"{text}; expected a constant conductance")
+        elif name in far and heats and not courses:
+            text = "its heat is that of a cycle in its time; expected a course of a motion or load"
+            yield Fault(path, text)
+        if name in far and law.conductance is None:
+            text = "the two sides share no nodes; expected the conductance between them, large if "
+            yield Fault(("interfaces", name, "conductance"), text + "it is perfect")
 
 
 def quantities(case: Any, study: Any) -> Iterable[Fault]:

@@ -35,8 +35,9 @@ class Stage(Section):
     the load is found for which it uses that; it may fall. By default steps follow the load."""
     cycles: units.PositiveInteger = 1
     """How often loads, gaps and supports reach their values of the end of the stage. Between, they
-    go back to `valley`; `increments` are those of each way. In a last stage with courses: how often
-    those are repeated; nothing goes back, and `increments` are those of a cycle."""
+    go back to `valley`; `increments` are those of each way. In the last stage without a duration,
+    through which courses run: how often those are repeated; nothing goes back, and `increments` are
+    those of a cycle."""
     valley: units.Share = 0.1
     """What is left between two cycles of the change that the stage brings."""
     remodels: units.PositiveTime | None = None
@@ -52,6 +53,11 @@ class Stage(Section):
     """Largest error of the creep strain in a step, over the largest elastic strain."""
 
     _repeats: bool = PrivateAttr(False)
+
+    @property
+    def repeats(self) -> bool:
+        """Whether courses run through it."""
+        return self._repeats
 
     def repeating(self) -> Stage:
         """The stage with cycles of courses."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from petsc4py import PETSc
+
 import numpy as np
 
 from app.arrays import Floats, Ints
@@ -34,6 +36,31 @@ class FrictionHeating:
 
     nodal: Floats
     flows: dict[str, float]
+
+
+@dataclass(frozen=True)
+class MeanExchange:
+    """Exchange of heat between surfaces that share no nodes, set from outside.
+
+    Attributes:
+        matrix: Heat out of nodes by their temperatures (n, n) [N mm/(s K)].
+        body: Thermal body of own nodes on such surfaces, else 0 (n,).
+        slaves: Own nodes of the slave side of each interface.
+    """
+
+    matrix: PETSc.Mat
+    body: Ints
+    slaves: dict[str, Ints]
+
+    def heats(self, T: Floats) -> Floats:
+        """Heat out of own nodes of each body at temperatures [K], both (b, n) [N mm/s]."""
+        x, y = self.matrix.createVecs()
+        at = self.body, np.arange(len(self.body))
+        x.array[:] = T[at]
+        self.matrix.mult(x, y)
+        found = np.zeros_like(T)
+        found[at] = y.array
+        return found
 
 
 class HeatLoads:

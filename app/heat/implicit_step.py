@@ -18,6 +18,7 @@ import numpy as np
 
 from app.arrays import Floats
 from app.errors import InputError
+from app.heat.heat_loads import MeanExchange
 from app.heat.matrices import HeatMatrices
 from app.heat.operators import HeatOperators
 from app.laws.values import multiplier
@@ -152,6 +153,9 @@ class ImplicitStep(System):
                 points = o.jumps.points
                 for a, b in np.unique(points.bodies[points.interface == i], axis=0):
                     group[group == group[b]] = group[a]
+        for c in o.scene.sliding_heat:
+            a, b = (o.bodies.of_region[side[0]] for side in (c.master, c.slave))
+            group[group == group[b]] = group[a]
         lost = np.flatnonzero(~np.isin(group, group[reached]))
         if len(lost):
             raise InputError(
@@ -159,6 +163,12 @@ class ImplicitStep(System):
                 f"'{o.bodies.names[lost[0]]}'; allowed: a given temperature, convection or "
                 "perfusion on it, or an interface that conducts"
             )
+
+    def set_exchange(self, exchange: MeanExchange) -> None:
+        """Set the exchange of surfaces that slide far; collective."""
+        self.operators.exchange = exchange
+        self._blocks.set_exchange(exchange.matrix)
+        self._fill()
 
     def _fill(self) -> None:
         self._last, o = None, self.operators
@@ -194,6 +204,7 @@ class ImplicitStep(System):
         terms = [o.loads.exchanged(T), stored, -self._heats]
         terms += [-o.cure.heats(T)] if o.cure else []
         terms += [-o.friction.nodal] if o.friction else []
+        terms += [o.exchange.heats(T - o.reference)] if o.exchange else []
         lacking = np.empty_like(T)
         above, flow = self._work
         for b, K in enumerate(o.principle.matrices):
@@ -279,8 +290,16 @@ class ImplicitStep(System):
 
         By interface of finite conductance, without friction heat.
         """
-        names = [c.name for c in self.operators.scene.thermal_contacts]
-        sums, flux = np.zeros(len(names)), self.at(x).flux
-        if (j := self.operators.jumps) and flux:
-            sums += np.bincount(j.interface, j.weight * flux[0], minlength=len(names))
-        return dict(zip(names, map(float, self.comm.allreduce(sums)), strict=True))
+        here, o = self.at(x), self.operators
+        into_slave: dict[str, float] = {}
+        for i, c in enumerate(o.scene.thermal_contacts):
+            if (j := o.jumps) and here.flux:
+                at = j.interface == i
+                into_slave[c.name] = float(j.weight[at] @ here.flux[0][at])
+        if o.exchange:
+            out = o.exchange.heats(here.T - o.reference).sum(axis=0)
+            into_slave |= {n: -float(out[rows].sum()) for n, rows in o.exchange.slaves.items()}
+        turned = {c.name for c in (*o.scene.thermal_contacts, *o.scene.sliding_heat) if c.turned}
+        signed = [-heat if n in turned else heat for n, heat in into_slave.items()]
+        every = self.comm.allreduce(np.array(signed))
+        return dict(zip(into_slave, map(float, every), strict=True))

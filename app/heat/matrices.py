@@ -5,7 +5,8 @@ With A_b = M_b/h + K_b + R_b of each body, the blocks are
 .. math:: \sum_b A_b, \qquad C = \sum_b A_b B_b, \qquad C^T,
           \qquad \sum_b B_b^T A_b B_b - W \, ∂q/∂τ.
 
-Rows and columns of given temperatures and jumps are zero but for their diagonal.
+Rows and columns of given temperatures and jumps are zero but for their diagonal. To the first block
+comes the exchange of surfaces that slide far; what it is by jumps of nodes there is left out.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from app.arrays import Bools, Floats
 from app.heat.temperature_jumps import TemperatureJumps
 from app.numerics.preconditioners import FACTORED, configure, on_one_rank
-from app.numerics.sparse import matrix_sum
+from app.numerics.sparse import matrix_sum, renew
 
 # Number of solves with factors that cost one factorization (measured: 8 to 12 for 7 000 to 30 000).
 WORTH = 10
@@ -47,9 +48,9 @@ class HeatMatrices:
         self.version = 0
         self._jumps, self._held = jumps, held
         self._bodies = [k.copy() for k in K]
+        self._exchange: PETSc.Mat | None = None
         self._A = matrix_sum(self._bodies)
-        self._A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self._A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._keep_pattern()
         start = self._A.getOwnershipRange()[0]
         self._rows = (start + np.flatnonzero(held)).astype(PETSc.IntType)
         self._diagonal = self._A.createVecLeft()
@@ -68,6 +69,16 @@ class HeatMatrices:
         for v in vectors:
             v.set(0.0)
         return vectors
+
+    def _keep_pattern(self) -> None:
+        self._A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self._A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+
+    def set_exchange(self, exchange: PETSc.Mat) -> None:
+        """Set the exchange of surfaces that slide far, before `fill`; collective."""
+        self._exchange = exchange
+        renew(self._A, matrix_sum([*self._bodies, exchange]), True)
+        self._keep_pattern()
 
     def fill(self, K: Sequence[PETSc.Mat], added: Floats) -> None:
         """Set the linear parts; collective.
@@ -90,6 +101,8 @@ class HeatMatrices:
                 B.transposeMatMult(self._C[b], result=self._D[b])
                 C.axpy(1.0, self._C[b], structure=SUBSET)
                 D.axpy(1.0, self._D[b], structure=SUBSET)
+        if self._exchange is not None:
+            self._A.axpy(1.0, self._exchange, structure=SUBSET)
         self._A.getDiagonal(self._diagonal)
         self._typical = float(self._diagonal.sum()) / self._diagonal.getSize()
         self._A.zeroRowsColumns(self._rows, diag=self._typical)
@@ -150,14 +163,12 @@ class KeptFactors:
         self.made = 0
         self._solves = self._applied = 0
         self._seen = self._current = -1
+        self._entries = 0.0
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Factor the first matrix; collective."""
         if not self.made:
             self._of = pc.getOperators()[1]
-            self._pc = PETSc.PC().create(self._of.comm)
-            self._pc.setOptionsPrefix(f"mantle_heat_factors_{id(self)}_")
-            self._joined = PETSc.Mat() if self._of.getType() == "nest" else self._of
             self._factor()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
@@ -185,15 +196,23 @@ class KeptFactors:
         return float(diagonal.norm(PETSc.NormType.N1)) > MOVED * self._size
 
     def _factor(self) -> None:
-        if self._of.getType() == "nest":
+        nest = self._of.getType() == "nest"
+        block = self._of.getNestSubMatrix(0, 0) if nest else self._of
+        entries = block.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+        if new := entries != self._entries:  # the first, or of another pattern
+            self._joined = PETSc.Mat() if nest else self._of
+            self._pc = PETSc.PC().create(self._of.comm)
+            self._pc.setOptionsPrefix(f"mantle_heat_factors_{id(self)}_")
+            self._entries = entries
+        if nest:
             self._of.convert("aij", out=self._joined)
         self._joined.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._pc.setReusePreconditioner(False)
         self._pc.setOperators(self._joined)
-        if self.made:
-            self._pc.setUp()
-        else:
+        if new:
             configure(self._pc, on_one_rank(FACTORED, self._of.comm.size))
+        else:
+            self._pc.setUp()
         self._pc.setReusePreconditioner(True)
         self._diagonal = self._of.getDiagonal()
         self._size = float(self._diagonal.norm(PETSc.NormType.N1))

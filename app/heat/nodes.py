@@ -66,19 +66,30 @@ Side = Mapping[str, Ints]
 
 
 class InterfaceNodes:
-    """Nodes that the regions on the two sides of an interface share."""
+    """Nodes that the regions on the two sides of an interface share, or those of both if apart.
+
+    Attributes:
+        sides: Nodes of the first and the second side.
+        apart: Whether they share none: bodies meshed apart.
+
+    Args:
+        faces: Nodes of the two boundaries of bodies meshed apart.
+    """
 
     def __init__(
-        self, nodes: Mapping[str, ThermalNodes], interface: tuple[Sequence[str], Sequence[str]]
+        self,
+        nodes: Mapping[str, ThermalNodes],
+        interface: tuple[Sequence[str], Sequence[str]],
+        faces: tuple[Ints, Ints] | None = None,
     ) -> None:
         first, second = (np.concatenate([nodes[r].dof for r in side]) for side in interface)
-        self._dof = np.intersect1d(first, second)
+        self._dof, self.apart = np.intersect1d(first, second), faces is not None
         self.sides: list[Side] = [
-            {r: np.flatnonzero(np.isin(nodes[r].dof, self._dof)) for r in side}
-            for side in interface
+            {r: np.flatnonzero(np.isin(nodes[r].dof, on)) for r in side}
+            for side, on in zip(interface, faces or (self._dof, self._dof), strict=True)
         ]
         self._bodies = np.zeros((2, len(self._dof)), dtype=np.int64)
-        for bodies, side in zip(self._bodies, self.sides, strict=True):
+        for bodies, side in () if faces else zip(self._bodies, self.sides, strict=True):
             for region, rows in side.items():
                 n = nodes[region]
                 bodies[np.searchsorted(self._dof, n.dof[rows])] = n.body

@@ -23,7 +23,7 @@ from dolfinx import fem
 from app.arrays import Floats, Ints
 from app.heat.curing import CureHeat
 from app.heat.heat_forms import HeatForms
-from app.heat.heat_loads import FixedTemperatures, FrictionHeating, HeatLoads
+from app.heat.heat_loads import FixedTemperatures, FrictionHeating, HeatLoads, MeanExchange
 from app.heat.maximum_principle import MaximumPrinciple
 from app.heat.temperature_jumps import TemperatureJumps
 from app.numerics.saved_state import node_keys
@@ -49,6 +49,7 @@ class HeatOperators:
         reference: Temperature at which heat is zero [K].
         cure: Heat of cure, if anything cures.
         friction: Heat of friction, if an interface has any.
+        exchange: That of surfaces that slide far, once it is known.
         principle: The conduction matrices, corrected where necessary.
 
     Raises:
@@ -76,6 +77,7 @@ class HeatOperators:
         self.cure = CureHeat(scene, self.bodies, forms) if scene.cures else None
         rubbing = {f"friction {f.name}": 0.0 for f in scene.friction_heat}
         self.friction = FrictionHeating(forms.zeros(), rubbing) if rubbing else None
+        self.exchange: MeanExchange | None = None
         K = forms.conduction_by_body(scene.conductors)
         data = [c.initial_temperature for c in scene.conductors]
         data += [e.outside for e in self.loads.exchange]

@@ -113,12 +113,16 @@ class SmoothSurface:
 
     def faces(self, points: Floats, normals: Floats, facet: Ints, at: Floats) -> Bools:
         """Whether points with these outward unit normals (p, 3) face their closest points (p,)."""
+        above = self.beyond(points, facet, at) <= BESIDE * np.sqrt(self._area[facet])
+        return above & (np.einsum("pi,pi->p", self.normal(facet, at), normals) < -FACING)
+
+    def beyond(self, points: Floats, facet: Ints, at: Floats) -> Floats:
+        """How far points are beyond the rim, along the surface, 0 if above it (p,) [mm]."""
         n, away = self.normal(facet, at), points - self._mean(self.x, facet, at)
         along = away - np.einsum("pi,pi,pj->pj", away, n, n)
         at_rim = ((at == 0) & self._rim_edge[facet]).any(axis=1)
         at_rim |= ((at == 1) & self._rim_node[self.triangles[facet]]).any(axis=1)
-        beyond = at_rim & (np.linalg.norm(along, axis=1) > BESIDE * np.sqrt(self._area[facet]))
-        return ~beyond & (np.einsum("pi,pi->p", n, normals) < -FACING)
+        return np.where(at_rim, np.linalg.norm(along, axis=1), 0.0)
 
     def gap(self, points: Floats) -> tuple[Floats, Floats]:
         r"""Distance from the smooth surface (p,) [mm], positive outside, and its normal (p, 3).

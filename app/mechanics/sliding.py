@@ -141,6 +141,11 @@ class Sliding:
             self._followers.pair(i, x[np.argsort(number)])
         return self.paired
 
+    def touching(self, time: float) -> Floats:
+        """Where points touched last, in axes of the bodies as turned at a time (m, 3) [mm]."""
+        R = self._each({i: self._scene.rotation(m, time) for i, m in self._motion.items()})
+        return self._centre + np.einsum("pji,pj->pi", R, self.paired.arm)
+
     def places(self, jump: Floats) -> Floats:
         """Points in the axes of the bodies that they slide on (m, 3) [mm]."""
         way = self._arm + jump[self.rows]

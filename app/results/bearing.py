@@ -67,10 +67,7 @@ class Bearing:
         self.interface: Ints = np.zeros(len(self.dof), dtype=np.int64)
         self.bodies = np.full((len(self.dof), 1), self._body)
         self.triangles = (self.surface.triangles,)
-        parts = *case.motions.values(), *case.loads.values()
-        courses = (getattr(part, "course", None) for part in parts)
-        times = next((course.times for course in courses if course), (0.0,))
-        self._period = times[-1] - times[0]
+        self._period = problem.scene.period
         self._effusivity = _effusivity(case, (c.master, c.slave))
         self.numbers: dict[str, Any] = {}
         self._time = self._way = 0.0
@@ -91,7 +88,12 @@ class Bearing:
         return {key: np.arange(len(getattr(self, key))) for key in ("_bare", "_here", "_there")}
 
     def update(self, s: ContactSamples, stage: Stage, time: float, whole: bool) -> None:
-        """Take in a step at its end, which may end an increment of its stage; collective."""
+        """Take in a step at its end, which may end an increment of its stage; collective.
+
+        While heat flows the numbers of the last cycle stay.
+        """
+        if stage.takes_time:
+            return
         scene, rows, motion = self._problem.scene, self._rows, self._motion
         if math.ceil(time) > math.ceil(self._time):
             self._way, self._track, self._tracks = 0.0, [], []

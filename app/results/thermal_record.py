@@ -17,7 +17,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats
+from app.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.nodes import InterfaceNodes, Probe, Probes, Side, region_nodes
 from app.heat.operators import HeatOperators
@@ -100,6 +100,7 @@ class ThermalRecord:
         of_region: Thermal body of each region.
         interfaces: Regions on the first and second side of each interface, in the order of the
             case.
+        faces: Nodes of the two boundaries of those between bodies meshed apart.
 
     Raises:
         InputError: A probe is not in its region.
@@ -115,10 +116,13 @@ class ThermalRecord:
         interfaces: Interfaces,
         bone: Sequence[str],
         probes: Mapping[str, Probe],
+        faces: Mapping[str, tuple[Ints, Ints]] | None = None,
     ) -> None:
         self._comm, self._forms = forms.comm, forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
-        self._interfaces = {n: InterfaceNodes(self._nodes, s) for n, s in interfaces.items()}
+        self._interfaces = {
+            n: InterfaceNodes(self._nodes, s, (faces or {}).get(n)) for n, s in interfaces.items()
+        }
         self.bone = bone
         self._bone_sides: list[Side] = []
         for name, regions in interfaces.items():
@@ -189,13 +193,14 @@ class ThermalRecord:
             for which, side in zip(SIDES, nodes.sides, strict=True):
                 T = self._on(side, lambda r: r.now)
                 local[f"{name} temperature_max_{which} [degC]"] = T.max(initial=-np.inf) - CELSIUS
-            jump = np.abs(nodes.jump(temperatures)).max(initial=0.0)
-            local[f"{name} temperature_jump_max [K]"] = jump
+            if not nodes.apart:
+                jump = np.abs(nodes.jump(temperatures)).max(initial=0.0)
+                local[f"{name} temperature_jump_max [K]"] = jump
         highest = np.array(list(local.values()), dtype=np.float64)
         self._comm.Allreduce(MPI.IN_PLACE, highest, MPI.MAX)
         row = dict(zip(local, map(float, highest), strict=True))
         for name, e in self._extremes.items():
-            e.jump = max(e.jump, row[f"{name} temperature_jump_max [K]"])
+            e.jump = max(e.jump, row.get(f"{name} temperature_jump_max [K]", 0.0))
         probed = self._probes.values(temperatures)[:, 0] - CELSIUS
         row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
         self._seconds, self.row = seconds, {"seconds [s]": seconds, **row}
@@ -256,4 +261,4 @@ class ThermalRecord:
             result[f"temperature_max_{which}"] = peak - CELSIUS
             result[f"temperature_max_{which}_at"] = place
             result[f"temperature_max_{which}_time"] = when
-        return result | self._extremes[name].summary()
+        return result if self._interfaces[name].apart else result | self._extremes[name].summary()

@@ -20,6 +20,7 @@ from app.arrays import Field, Floats
 from app.case.case import Case
 from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
+from app.laws.courses import Course
 from app.laws.creep import Creep
 from app.laws.cure import Cure
 from app.laws.fibres import Straight
@@ -75,10 +76,12 @@ class Scene:
         conductors: Regions that conduct heat.
         thermal_contacts: Interfaces with a temperature jump.
         friction_heat: Interfaces heated by friction.
+        sliding_heat: Interfaces that slide far and exchange the mean heat of a cycle.
         expansions: Regions with thermal strain.
         time: Time stepping of heat; None without heat.
         coupled: Whether heat depends on contact, so that both are solved together.
         motions: Regions that turn as they are told.
+        period: Time that a cycle of courses takes, 0 without [s].
     """
 
     order: int
@@ -93,6 +96,7 @@ class Scene:
     heat: tuple[HeatCondition, ...] = ()
     thermal_contacts: tuple[Interface, ...] = ()
     friction_heat: tuple[Interface, ...] = ()
+    sliding_heat: tuple[Interface, ...] = ()
     expansions: tuple[Thermal, ...] = ()
     cures: tuple[Cure, ...] = ()
     remodelling: Remodelling | None = None
@@ -101,6 +105,7 @@ class Scene:
     coupled: bool = False
     bonds: tuple[Interface, ...] = ()
     motions: tuple[Motion, ...] = ()
+    period: float = 0.0
 
     @property
     def moduli(self) -> dict[str, float]:
@@ -183,6 +188,8 @@ def build_scene(case: Case) -> Scene:
     ]
     conducting = tuple(i for i in interfaces if i.law.conductance is not None)
     rubbing = tuple(i for i in interfaces if i.law.heated_by_friction is not None)
+    jumps = tuple(i for i in conducting if not i.between)
+    times = next((c.times for c in _courses(case)), (0.0,))
     return Scene(
         order=case.mesh.order,
         elastic=elastic,
@@ -196,11 +203,14 @@ def build_scene(case: Case) -> Scene:
         contacts=tuple(i for i in interfaces if i.law.can_part),
         bonds=tuple(i for i in interfaces if not i.law.can_part and math.isfinite(i.modulus)),
         stages=_stages(case),
+        period=times[-1] - times[0],
         conductors=tuple(thermal.values()),
         heat=tuple(condition.named(name) for name, condition in case.heat.items()),
-        thermal_contacts=conducting,
+        thermal_contacts=jumps,
         friction_heat=rubbing,
-        coupled=bool(rubbing) or any(i.law.conductances[1] > 0 for i in conducting),
+        sliding_heat=tuple(i for i in conducting if i.between),
+        coupled=any(not i.between for i in rubbing)
+        or any(i.law.conductances[1] > 0 for i in jumps),
         expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
         cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
         remodelling=law,
@@ -216,19 +226,27 @@ def build_scene(case: Case) -> Scene:
 def course(stages: Sequence[Stage], time: float) -> tuple[float, float]:
     """Part of a cycle at a time, and the part of its values that is there.
 
-    Cycles run through the last stage; before it values go to those of their beginning in the first.
+    Before the stage of the cycles values go to those of their beginning in the first, and after it
+    they stay.
     """
-    last = len(stages) - 1
+    last = next((k for k, s in enumerate(stages) if s.repeats), len(stages) - 1)
     if time <= last:
         return 0.0, min(time, 1.0)
-    passed = (time - last) * stages[-1].cycles
+    passed = min(time - last, 1.0) * stages[last].cycles
     return passed - math.ceil(passed - 1e-9) + 1, 1.0
 
 
-def _stages(case: Case) -> tuple[Stage, ...]:
+def _courses(case: Case) -> list[Course]:
     parts = *case.motions.values(), *case.loads.values()
-    follow = any(getattr(part, "course", None) for part in parts)
-    return (*case.stages[:-1], case.stages[-1].repeating()) if follow else case.stages
+    return [c for part in parts if (c := getattr(part, "course", None))]
+
+
+def _stages(case: Case) -> tuple[Stage, ...]:
+    """The stages; courses run through the last one that takes no time."""
+    if not _courses(case):
+        return case.stages
+    k = max(i for i, stage in enumerate(case.stages) if not stage.takes_time)
+    return (*case.stages[:k], case.stages[k].repeating(), *case.stages[k + 1 :])
 
 
 def _loads(name: str, load: Load, case: Case) -> tuple[Load, ...]:
@@ -241,9 +259,10 @@ def _loads(name: str, load: Load, case: Case) -> tuple[Load, ...]:
     motion = case.motions[load.follows] if load.follows else None
     # Nodes of an elastic region that turns have axes that turn with it.
     own = next((m for m in case.motions.values() if m.boundary == load.boundary), None)
+    stages = _stages(case)
 
     def component(k: int, time: float) -> float:
-        s, part = course(case.stages, time)
+        s, part = course(stages, time)
         F = load.force_at(s)
         factor = part if load.course else amplitude(load.history, time)
         in_space = factor * (motion.rotation_at(s, part) @ F if motion else np.array(F))

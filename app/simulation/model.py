@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -227,7 +228,7 @@ class Model:
         if self.scene.coupled and (m := self.mechanics) is not None:
             coupled = CoupledSystem(self.scene, heat, m.problem, m.solver.blocks())
         state = HeatState(self.scene, heat, self._solver(coupled or heat), coupled)
-        return ThermalModel(self._case, state)
+        return ThermalModel(self._case, state, m.problem if (m := self.mechanics) else None)
 
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
@@ -268,13 +269,16 @@ class Model:
         load_stepper = heat_stepper = creep_stepper = None
         if risk := self.risk:
             on_step = risk.before(on_step)
+        begin = on_stage
+        if (t := self.thermal) and (cycle := t.sliding):
+            on_step, begin = cycle.before(on_step), cycle.before_stage(on_stage)
         if m := self.mechanics:
             load_stepper = LoadStepper(
                 m.problem, m.solver, on_step, on_trouble, self._predictors(m)
             )
             if m.problem.creep:
                 creep_stepper = CreepStepper(load_stepper)
-        if t := self.thermal:
+        if t:
 
             def on_accepted(step: LoadStep, accepted: HeatStep) -> None:
                 t.update(accepted)
@@ -292,7 +296,7 @@ class Model:
             self.remodeller = Remodeller(load_stepper, m.stresses, self._intact)
         steppers = self._steppers = load_stepper, heat_stepper, creep_stepper
         steps = self.remodeller
-        run_stages(self.scene.stages, *steppers, on_stage, checkpoint_point, resume(), steps)
+        run_stages(self.scene.stages, *steppers, begin, checkpoint_point, resume(), steps)
         total = Summary()
         for part in steppers[:2]:
             if part is not None:
@@ -355,8 +359,7 @@ class Model:
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
             for name, bearing in m.bearings.items():
-                if bearing.numbers:  # companions that estimate errors have none
-                    numbers["interfaces"][name] |= bearing.numbers | bearing.cycle()
+                numbers["interfaces"][name] |= bearing.numbers | bearing.cycle()
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := m.bonds.numbers():
                 numbers["bonds"] = found
@@ -390,15 +393,22 @@ class Model:
         """Solve a companion case; returns its numbers; collective."""
         other = self._other(case, Timing("estimating errors"))
         last: TrialState | None = None
+        m = other.mechanics
+
+        def samples() -> ContactSamples | None:
+            return ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
 
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             nonlocal last
             last = trial
+            stage = other.scene.stages[math.ceil(step.time) - 1]
+            if m and m.bearings and (at := samples()):
+                for bearing in m.bearings.values():
+                    bearing.update(at, stage, step.time, step.whole)
 
         other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
-        m = other.mechanics
-        samples = ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
-        return other.numbers(samples) | other.places(samples)
+        at = samples()
+        return other.numbers(at) | other.places(at)
 
 
 def cheaper(case: Case, unknowns: int) -> Case | None:

@@ -6,9 +6,12 @@ from dolfinx import fem
 
 from app.case.case import Case
 from app.heat.operators import InitialJump
+from app.mechanics.problem import Problem
 from app.results.balance import HeatBalance
 from app.results.cure_record import CureRecord
 from app.results.thermal_record import ThermalRecord, exchange
+from app.scene.bodies import nodes_on
+from app.stepping.cycle_heat import CycleHeat
 from app.stepping.heat_state import HeatState, HeatStep
 
 # Heat below this multiple of its rounding error in a step counts as zero.
@@ -21,23 +24,31 @@ class ThermalModel:
     Attributes:
         record: Reported temperatures.
         cure: Reported degrees of cure, if anything cures.
+        sliding: Heat of surfaces that slide far, if there are any.
         flows: Heat per time at the end of the last step: into the model by condition, and through
             interfaces of finite conductance from the first side to the second [mW].
     """
 
-    saved = ("heating", "record", "_settled", "cure", "balance", "flows")
+    saved = ("heating", "record", "_settled", "cure", "balance", "flows", "sliding")
 
-    def __init__(self, case: Case, heating: HeatState) -> None:
+    def __init__(self, case: Case, heating: HeatState, problem: Problem | None) -> None:
         operators = heating.operators
         self.operators, self.heating = operators, heating
+        far = problem is not None and operators.scene.sliding_heat
+        self.sliding = CycleHeat(problem, heating.step) if problem and far else None
         self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
+        tagged, space = operators.tagged, operators.forms.space
         self.record = ThermalRecord(
-            operators.tagged,
+            tagged,
             operators.forms,
             operators.bodies.of_region,
             case.geometry.interface_sides,
             case.of_tissue("bone"),
             {name: (p.at, p.region) for name, p in case.output.probes.items()},
+            {
+                name: (nodes_on(tagged, space, first), nodes_on(tagged, space, second))
+                for name, (first, second) in case.faces.items()
+            },
         )
         self._first_contact = InitialJump(operators)
         # Once a steady state has been reached the first instants are over.

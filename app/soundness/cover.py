@@ -94,8 +94,7 @@ class Cover:
         for i, master in large.masters.items():
             surface, facet, here = master.smooth, contact.edge_lengths[i], large.of == i
             on, at, apart = surface.closest(x := places[here])
-            away = x - np.einsum("pk,pki->pi", at, surface.x[surface.triangles[on]])
-            beside = np.linalg.norm(np.cross(away, surface.normal(on, at)), axis=1)
+            beside = surface.beyond(x, on, at)
             beyond = np.where(beside > OFF * facet, beside, 0.0)
             yield self._problem.scene.contacts[i], large.rows[here], beyond, apart, facet
 

@@ -595,6 +595,16 @@ def check_pressed(s: dict[str, Any]) -> None:
     assert centre[2] - 0.1 == pytest.approx(0.04538, rel=0.05)
 
 
+def check_warm(s: dict[str, Any]) -> None:
+    """After an hour neck and shell take what friction makes, as hot as they have to be for that."""
+    flows = s["thermal"]["flows"]["into"]
+    assert flows["friction bearing"] == pytest.approx(
+        s["interfaces"]["bearing"]["dissipation_cycle"]
+    )
+    assert sum(flows.values()) == pytest.approx(0, abs=0.01 * flows["friction bearing"])
+    assert 40 < s["thermal"]["regions"]["head"]["temperature_end_max"] < 60
+
+
 def check_drawn(s: dict[str, Any]) -> None:
     """Friction is mu N, and the last cycle is the one before it."""
     assert s["interfaces"]["sole"]["force"] == pytest.approx([120, 0, -400], abs=1e-5)
@@ -640,6 +650,13 @@ SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = 
     "head_cup.yaml": (
         check_gait,
         ["mesh.size=4 mm", "stages.1.increments=8", "motions.ball.largest_step=30 deg"],
+    ),
+    "head_cup_heat.yaml": (
+        check_warm,
+        [
+            *("mesh.size=5 mm", "mesh.order=1", "stages.1.increments=8"),
+            *("motions.ball.largest_step=30 deg", "time.tolerance=1 K"),
+        ],
     ),
     "head_cup_static.yaml": (check_pressed, ["mesh.size=4 mm"]),
     "sliding_block.yaml": (check_drawn, ["stages.1.increments=3"]),

@@ -23,8 +23,10 @@ from tests.mechanics.test_followers import COCR
 from tests.mechanics.test_followers import QUARTER as TURN
 from tests.mechanics.test_oblique import QUARTER, vector
 from tests.mechanics.test_sliding import CUP, SWING, stages
+from tests.results import test_bearing
 from tests.simulation import test_variations
 from tests.stepping import test_creep, test_fracture
+from tests.stepping.test_cycle_heat import WARM
 
 pytestmark = pytest.mark.parallel
 # Residuals are below 1e-10 of the force scale (the default of `solver.tolerance`). A jump answers a
@@ -158,6 +160,7 @@ CASES: dict[str, tuple[str, tuple[str, ...], dict[int, tuple[str, ...]]]] = {
     "creep": (test_creep.STEM, (EXACT,), {1: (), 2: ()}),
     "corrected": (SETTING, (*SHORT, EXACT), {1: (), 3: ()}),
     "large slip": (CUP, (SWING, stages(6)), {1: (), 2: (), 3: ()}),
+    "heat of a cycle": (test_bearing.CASE, (*WARM, EXACT), {1: (), 2: (), 3: ()}),
     "deformable head": (CUP, (COCR, TURN, stages(3), EXACT), {1: (), 2: ()}),
 }
 

@@ -94,6 +94,16 @@ def test_wear_is_that_of_archard_on_both_sides(ball: Results) -> None:
     assert found["wear_depth_max_million"] == pytest.approx(1e6 * worn[sides[0] > 0].max())
 
 
+def test_torque_and_wear_of_a_finer_mesh_lie_within_the_estimated_errors(tmp_path: Path) -> None:
+    once = ("mesh.order=2", "stages=[{name: press}, {name: turn, increments: 6}]")
+    meshes = {"fine": ("mesh.size=3 mm",), "coarse": ("output.error=true",)}
+    runs = [support.run(CASE, tmp_path / name, *once, *own) for name, own in meshes.items()]
+    assert not runs[1].summary["error"]["failed"]  # on 10 mm, too, the ball stays in its cup
+    fine, coarse = (run.summary["interfaces"]["bearing"] for run in runs)
+    for key in ("torque_max", "dissipation_cycle", "slid_max", "wear_volume"):
+        assert 0 < abs(coarse[key] - fine[key]) < coarse[f"{key}_error"] < 0.3 * coarse[key]
+
+
 def test_the_share_of_a_cup_that_faces_a_bore_is_told(tmp_path: Path) -> None:
     """That within the opening of the ball's bore of 13 mm, which is turned from -z to -x."""
     course = '["time [s], rotation y [deg]", "0, 0", "1, 90"]'
@@ -156,6 +166,7 @@ def test_power_and_swing_of_the_temperature(tmp_path: Path) -> None:
         tmp_path,
         f"regions.head.thermal={thermal.format(16)}",
         f"regions.liner.thermal={thermal.format(0.25)}",
+        "interfaces.bearing.conductance=1000 W/(m^2 K)",
         "heat.pelvis={kind: temperature, boundary: liner_outer, temperature: 37 degC}",
         "heat.neck={kind: temperature, boundary: head_surface, temperature: 37 degC}",
         "stages=[{name: press}, {name: rest, steady: true}, {name: turn, increments: 6}]",

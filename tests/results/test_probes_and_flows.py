@@ -50,9 +50,18 @@ stages: [{name: rest, steady: true}]
 """
 
 
-def test_heat_flows_through_a_wall(tmp_path: Path) -> None:
-    """60 K over L1/k1 + 1/h + L2/k2 + 1/a, on 16 mm2."""
-    flows = support.run(WALL, tmp_path).summary["thermal"]["flows"]
+@pytest.mark.parametrize("moduli", [None, (1, 2), (2, 1)])
+def test_heat_flows_through_a_wall(moduli: tuple[int, int] | None, tmp_path: Path) -> None:
+    """60 K over L1/k1 + 1/h + L2/k2 + 1/a, on 16 mm2, whichever side is the stiffer."""
+    changes = ["supports={base: {kind: fixed, boundary: bottom}}"] if moduli else []
+    for region, E in zip(("hot", "cold"), moduli or (), strict=False):
+        solid = f"youngs_modulus: {E} GPa, poisson_ratio: 0.3"
+        heat = "initial_temperature: 37 degC, density: 1000 kg/m^3, specific_heat: 1000 J/(kg K)"
+        k = {"hot": 2, "cold": 0.5}[region]
+        changes.append(
+            f"regions.{region}={{{solid}, thermal: {{conductivity: {k} W/(m K), {heat}}}}}"
+        )
+    flows = support.run(WALL, tmp_path, *changes).summary["thermal"]["flows"]
     # In mm, mW and K: conductivities in mW/(mm K), coefficients in mW/(mm2 K).
     milliwatts = 60.0 / (5 / 2.0 + 1 / 0.4 + 3 / 0.5 + 1 / 0.2) * 16.0
     assert flows["into"] == pytest.approx({"stove": milliwatts, "air": -milliwatts}, rel=1e-6)

@@ -1,0 +1,151 @@
+r"""Heat of surfaces that slide far: friction and exchange, the means of a cycle of courses.
+
+Temperature takes minutes and a cycle seconds: heat sees what a cycle brings on average, on each
+surface in the axes of its own body. With D the friction power per cycle, β the part of it that
+enters the slave, h the conductance and Π of the pairs of the moment (`mechanics.pairs`),
+
+.. math:: Q_s = β \overline{D}, \quad Q_m = (1 - β) \overline{Π^T D}, \quad
+          X = \overline{E^T h W E}, \quad E = (1, -Π),
+
+and X T is the heat out of the nodes of both surfaces. Within a cycle temperatures swing by what
+`results.bearing` tells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from app.heat.heat_loads import MeanExchange
+from app.heat.implicit_step import ImplicitStep
+from app.mechanics.contact import TrialState
+from app.mechanics.followers import Side
+from app.mechanics.pairs import mortar
+from app.mechanics.problem import Problem
+from app.numerics.sparse import from_triplets
+from app.scene.scene import Interface, Stage
+from app.stepping.load_steps import LoadStep, OnStep
+from forms.interface_heat import friction_heat
+from meshes.contact_facets import gather
+
+
+class CycleHeat:
+    """Places, pressures and friction of the steps of a cycle, and the mean heat that they make.
+
+    Before a cycle it is that of the last state, without friction.
+    """
+
+    # Steps of this cycle, and of the last one, at own points (n, 6): part of the cycle, place in
+    # the axes of the master (3), pressure, and dissipation [N mm].
+    saved = ("_steps", "_cycle", "_time", "_spent")
+
+    def __init__(self, problem: Problem, step: ImplicitStep) -> None:
+        self._problem, self._step, self._scene = problem, step, problem.scene
+        assert problem.contact is not None and problem.contact.large is not None
+        self._contact, self._large = problem.contact, problem.contact.large
+        self._time, self._spent = 0.0, self._contact.own.weight * 0.0
+        self._steps: list[Floats] = []
+        self._cycle = [self._state(1.0, 0.0, self._spent, self._spent)]
+        self._changed = True
+
+    @property
+    def row_keys(self) -> Ints:
+        """Keys of own contact points."""
+        return self._contact.row_keys
+
+    def _state(self, part: float, time: float, pressure: Floats, spent: Floats) -> Floats:
+        found = np.zeros((len(spent), 6))
+        found[self._large.rows, 1:4] = self._large.touching(time)
+        found[:, 0], found[:, 4], found[:, 5] = part, pressure, spent
+        return found
+
+    def before(self, on_step: OnStep) -> OnStep:
+        """Take in each step of the mechanics before something else is done with it."""
+
+        def taken(step: LoadStep, trial: TrialState | None) -> None:
+            stage = self._scene.stages[math.ceil(step.time) - 1]
+            if trial is not None and not stage.takes_time:
+                self._take(stage, step, trial)
+            self._time = step.time
+            on_step(step, trial)
+
+        return taken
+
+    def _take(self, stage: Stage, step: LoadStep, trial: TrialState) -> None:
+        pressure, spent = trial.law.pressures[:, 0], self._contact.state.dissipation
+        self._changed = True
+        if stage.repeats:
+            begin = max(self._time, math.ceil(step.time) - 1)
+            part, middle = stage.cycles * (step.time - begin), (step.time + begin) / 2
+            self._steps.append(self._state(part, middle, pressure, spent - self._spent))
+            if step.whole and stage.turn(step.time):
+                self._cycle, self._steps = self._steps, []
+        else:
+            self._cycle = [self._state(1.0, step.time, pressure, 0.0 * spent)]
+        self._spent = spent.copy()
+
+    def before_stage(self, on_stage: Callable[[Stage], None]) -> Callable[[Stage], None]:
+        """Set the mean heat before a stage in which heat flows."""
+
+        def begin(stage: Stage) -> None:
+            if stage.takes_time and self._changed:
+                self._set()
+                self._changed = False
+            on_stage(stage)
+
+        return begin
+
+    def _set(self) -> None:
+        """Set friction and exchange of the heat; collective."""
+        operators, comm = self._step.operators, self._problem.comm
+        forms, of_region = operators.forms, operators.bodies.of_region
+        start, end = forms.space.dofmap.index_map.local_range
+        body: Ints = np.zeros(forms.owned, dtype=np.int64)
+        parts, slaves = [], {}
+        for c in self._scene.sliding_heat:
+            assert c.between is not None
+            sides = [Side.of(operators.tagged, forms.space, name) for name in c.between]
+            heat, exchange = self._means(c, *sides)
+            dofs = np.concatenate([side.dofs for side in sides])
+            own = (dofs >= start) & (dofs < end)
+            rows, split = dofs - start, len(sides[0].dofs)
+            body[rows[:split][own[:split]]] = of_region[c.master[0]]
+            body[rows[split:][own[split:]]] = of_region[c.slave[0]]
+            slaves[c.name] = rows[split:][own[split:]]
+            if (f := operators.friction) and f"friction {c.name}" in f.flows:
+                f.nodal[body[rows[own]], rows[own]] = heat[own]
+                f.flows[f"friction {c.name}"] = float(heat.sum())
+            i, j, value = exchange
+            parts.append((rows[i[own[i]]], dofs[j[own[i]]], value[own[i]]))
+        triplets = (np.concatenate(part) for part in zip(*parts, strict=True))
+        matrix = from_triplets(comm, forms.owned, forms.owned, *triplets)
+        self._step.set_exchange(MeanExchange(matrix, body, slaves))
+
+    def _means(
+        self, c: Interface, master: Side, slave: Side
+    ) -> tuple[Floats, tuple[Ints, Ints, Floats]]:
+        """Heat of friction into the nodes of master and slave, and triplets of X; collective."""
+        from scipy import sparse  # imported late: few runs need it
+
+        own, surface, smooth = self._contact.own, master.smooth, slave.smooth
+        here = own.interface == [other.name for other in self._scene.contacts].index(c.name)
+        m, n = len(master.dofs), len(slave.dofs)
+        least, slope, cap = c.law.conductances
+        heat, X = np.zeros(m + n), sparse.csr_array((m + n, m + n))
+        for state in self._cycle:
+            number, found = gather(self._problem.comm, own.rows[here], state[here])
+            part, *place, pressure, spent = found[np.argsort(number)].T
+            pairs = mortar(np.column_stack(place), slave.triangles, surface)
+            Π = sparse.csr_array((pairs.values, (pairs.rows, pairs.columns)), shape=(n, m))
+            E = sparse.hstack([-Π, sparse.eye_array(n)], format="csr")
+            h = np.minimum(least + slope * np.maximum(pressure, 0.0), cap) * pairs.covered
+            X += E.T @ sparse.diags_array(part * h * smooth.areas) @ E
+            into_master, into_slave = friction_heat(
+                spent / (self._scene.period or 1.0), c.slave_share
+            )
+            heat += np.concatenate([Π.T @ into_master, into_slave])
+        X = X.tocoo()
+        return heat, (*X.coords, X.data)

@@ -1,0 +1,125 @@
+"""Heat of a ball in its cup, the mean of a cycle: against lumped bodies, and symmetry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import meshes
+from app.results.reading import Results, Run
+from tests import restarted, support
+from tests.results.test_bearing import CASE, LOAD, RADIUS, areas
+
+ELASTIC = (
+    "regions.head={youngs_modulus: 200 GPa, poisson_ratio: 0.3}",
+    "motions.ball.boundary=head_bore",
+    "loads.hip.boundary=head_bore",
+)
+SHARE, NECK, SHELL, OUTSIDE = 0.7, 0.05, 0.02, 20.0  # of the head, mW/(mm2 K) twice, degC
+PRESSED = "{kind: pressure, open: 0 W/(m^2 K), per_pressure: 10 W/(m^2 K MPa)}"
+STEADY = "stages=[{name: press}, {name: turn, increments: 6}, {name: warm, steady: true}]"
+
+
+def heated(k: tuple[float, float], conductance: str, *changes: str) -> list[str]:
+    """Changes of CASE for conductivities of head and liner [W/(m K)], with surroundings."""
+    given = "density: 1000 kg/m^3, specific_heat: 1000 J/(kg K), initial_temperature: 37 degC"
+    out = "{{kind: convection, boundary: {}, coefficient: {} W/(m^2 K), ambient: {} degC}}"
+    return [
+        *changes,
+        f"regions.head.thermal={{conductivity: {k[0]} W/(m K), {given}}}",
+        f"regions.liner.thermal={{conductivity: {k[1]} W/(m K), {given}}}",
+        f"interfaces.bearing.conductance={conductance}",
+        f"heat.neck={out.format('head_bore', 1e3 * NECK, OUTSIDE)}",
+        f"heat.shell={out.format('liner_outer', 1e3 * SHELL, OUTSIDE)}",
+    ]
+
+
+def area(boundary: str) -> float:
+    """Area [mm2] of the facets of a boundary."""
+    case = support.case(CASE)
+    data = meshes.build(case.geometry, case.mesh)
+    x = data.points[data.facets[np.isin(data.facet_tags, data.boundaries[boundary])]]
+    return float(np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum() / 2)
+
+
+def assert_lumped(found: Results, h: float, head: float, liner: float = 0.0) -> None:
+    """Two bodies that conduct perfectly, between them h [mW/K], heated by so much [mW]."""
+    G, S = NECK * area("head_bore"), SHELL * area("liner_outer")
+    above = np.linalg.solve([[G + h, -h], [-h, S + h]], [head, liner])
+    thermal = found.summary["thermal"]
+    means = [thermal["regions"][name]["temperature_mean"] for name in ("head", "liner")]
+    assert means == pytest.approx(OUTSIDE + above, rel=1e-5)
+    assert thermal["flows"]["through"]["bearing"] == pytest.approx(h * -np.diff(above)[0], rel=1e-4)
+
+
+@pytest.mark.parametrize("changes", [(), ELASTIC], ids=["rigid", "elastic"])
+def test_friction_warms_two_bodies_that_conduct_perfectly(
+    changes: tuple[str, ...], tmp_path: Path
+) -> None:
+    """The heat of a cycle in its time of 1 s; between the bodies h times the cup's area."""
+    few = STEADY, "motions.ball.largest_step=20 deg", f"interfaces.bearing.friction_heating={SHARE}"
+    found = support.run(CASE, tmp_path, *heated((1e6, 1e6), "50 W/(m^2 K)", *changes, *few))
+    power = found.summary["interfaces"]["bearing"]["dissipation_cycle"]
+    assert found.summary["thermal"]["flows"]["into"]["friction bearing"] == pytest.approx(power)
+    assert_lumped(found, 0.05 * area("liner_inner"), SHARE * power, (1 - SHARE) * power)
+
+
+def test_without_a_course_what_touches_conducts(tmp_path: Path) -> None:
+    """Conductance per pressure times the sum of the pressures on the cup."""
+    still = "motions.ball={region: head, about: [0 mm, 0 mm, 0 mm]}"
+    stages = "stages=[{name: press}, {name: warm, steady: true}]"
+    warm = "heat.source={kind: source, regions: [head], density: 1e5 W/m^3}"
+    rub = "interfaces.bearing={kind: contact, friction_coefficient: 0, sliding: finite}"
+    changes = heated((1e6, 1e6), PRESSED, rub, still, stages)
+    found = support.run(CASE, tmp_path, *changes, warm)
+    liner = areas(run := Run(found.folder), "liner")
+    volume = float(run.volumes()[run.region == run.regions["head"]].sum())
+    pressed = float(liner @ run.on_points("bearing_pressure"))
+    assert pressed > LOAD
+    assert_lumped(found, 1e-2 * pressed, 0.1 * volume)
+
+
+def test_a_ball_that_spins_is_as_warm_all_around(tmp_path: Path) -> None:
+    """It is pressed beside the axis of its turns: the cup is warm there, the ball in a ring."""
+    course = '["time [s], rotation z [deg]", "0, 0", "1, 120", "2, 240", "3, 360"]'
+    few = (
+        f"motions.ball.rotation={{axes: zyx, course: {course}}}",
+        "motions.ball.largest_step=10 deg",
+        "loads.hip.force=[1400 N, 0 N, 1400 N]",
+        "stages=[{name: press}, {name: turn, increments: 36}, {name: warm, steady: true}]",
+        f"interfaces.bearing.friction_heating={SHARE}",
+        "mesh.size=3 mm",
+    )
+    found = support.run(CASE, tmp_path, *heated((0.2, 0.2), PRESSED, *few))
+    run = Run(found.folder)
+    T, first = run.on_points("temperature"), []
+    for region, radius in (("head", RADIUS), ("liner", RADIUS + 0.1)):
+        nodes = run.nodes_of(run.regions[region])
+        x, y, z = (v := run.points[nodes])[:, 0], v[:, 1], v[:, 2]
+        polar, round_z = np.degrees(np.arctan2(np.hypot(x, y), z)), np.arctan2(y, x)
+        ring = (np.abs(np.linalg.norm(v, axis=1) - radius) < 1e-3) & (np.abs(polar - 45) < 20)
+        parts = [polar**k for k in range(5)] + [np.cos(round_z), np.sin(round_z)]
+        fit = np.linalg.lstsq(np.stack(parts, 1)[ring], T[nodes[ring]])[0]
+        first.append(float(np.hypot(*fit[-2:])))
+    assert first[0] < 0.01 * first[1]
+
+
+# Three steps of turning and a minute of warming.
+WARM = heated(
+    (14, 0.4),
+    "5000 W/(m^2 K)",
+    "stages=[{name: press}, {name: turn, increments: 3}, {name: warm, duration: 60 s}]",
+    "loads.hip.force=[300 N, 200 N, 2000 N]",
+    "motions.ball.largest_step=20 deg",
+    "time={first_step: 5 s, tolerance: 1 K}",
+    f"interfaces.bearing.friction_heating={SHARE}",
+)
+
+
+def test_a_restart_while_the_bodies_warm(tmp_path: Path) -> None:
+    case, files = restarted.whole(CASE, tmp_path, *WARM)
+    for file in files[4::3]:
+        part = restarted.on(case, tmp_path, file, *WARM)
+        restarted.assert_same(tmp_path / "whole", part, nothing=1e-6)
