@@ -267,8 +267,8 @@ def _at_edges(
     bend: Floats = np.zeros((len(rows), 3, 3))
     if facets.nodes.shape[1] == 6:
         corner = first % (3 * len(edges))
-        ends = (facets.x[:, k].reshape(-1, 3)[corner] for k in (a, b))
-        bend = bends(*ends, facets.nodes[:, 3:].reshape(-1, 3)[corner])
+        start, end = (facets.x[:, k].reshape(-1, 3)[corner] for k in (a, b))
+        bend = bends(start, end, facets.nodes[:, 3:].reshape(-1, 3)[corner])
     # A jump prescribed at both ends may be constrained in the middle too.
     known, one, number = np.unique(points.vertex, return_index=True, return_inverse=True)
     held = np.zeros((len(known), 3), dtype=bool)
