@@ -91,6 +91,7 @@ class BodyForms:
 
     Attributes:
         bodies: Regions by body.
+        timing: Where the time that compiling takes is noted.
         varying_degree: Degree of quadrature where stress is history, fibres turn or the modulus
             varies: a constant stiffness needs one less.
         space: Displacement space.
@@ -112,7 +113,7 @@ class BodyForms:
 
     def __init__(self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, timing: Timing) -> None:
         self.scene, self.tagged, self.bodies = scene, tagged, bodies
-        self._timing = timing
+        self.timing = timing
         self.varying_degree = 2 * scene.order - 1
         self.history_degree = max(1, 2 * scene.order - 2) if scene.creeps else self.varying_degree
         self.mesh = tagged.mesh
@@ -349,7 +350,7 @@ class BodyForms:
         energy = sum(self.tangent_energy(b, self.u, dx) for b in range(len(self.bodies.names)))
         # Expanded, so that terms that drop out do not count among its coefficients.
         form = expand_derivatives(ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w))
-        with self._timing.phase("compile", "stiffness"):
+        with self.timing.phase("compile", "stiffness"):
             return fem.compile_form(self.mesh.comm, form)
 
     def stiffness(self) -> fem.Form:
@@ -378,7 +379,7 @@ class BodyForms:
 
     def form(self, form: Any) -> fem.Form:
         """Compile a form, counting the time."""
-        with self._timing.phase("compile", "forces"):
+        with self.timing.phase("compile", "forces"):
             return fem.form(form)
 
 

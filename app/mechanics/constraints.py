@@ -16,14 +16,14 @@ from dolfinx import fem
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError, everywhere
+from app.mechanics.body_forms import BodyForms
 from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import from_rows
-from app.scene.bodies import Bodies, boundary_facets, cell_tags, nodes_on, touched_nodes
+from app.scene.bodies import boundary_facets, cell_tags, nodes_on, touched_nodes
 from app.scene.frames import Frames
 from app.scene.scene import Scene
 from meshes.contact_facets import gather
-from meshes.distribute import TaggedMesh
 
 # A motion of a rigid region is constrained if its supports resist it by more than this fraction of
 # the motion they resist most.
@@ -32,20 +32,14 @@ _HELD = 1e-9
 FOLLOWS = -2
 
 
-def _support_of_dofs(
-    scene: Scene,
-    tagged: TaggedMesh,
-    bodies: Bodies,
-    space: fem.FunctionSpace,
-    stage: int,
-    frames: Frames | None,
-) -> Ints:
+def _support_of_dofs(mechanics: BodyForms, stage: int, frames: Frames | None) -> Ints:
     """Support that holds each own component in a stage, -1 where none does (nodes, 3).
 
     Components are along the axes of the node. Where supports on several bodies hold a node, the
     body of lowest number wins: it is the base of that node (see `meshes.contact_points`).
     """
-    index_map = space.dofmap.index_map
+    scene, tagged, bodies = mechanics.scene, mechanics.tagged, mechanics.bodies
+    space, index_map = mechanics.space, mechanics.space.dofmap.index_map
     support = np.full((index_map.size_local + index_map.num_ghosts, 3), -1, dtype=np.int64)
     rows, places = frames.own(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
     own = support[rows]
@@ -108,24 +102,18 @@ class Constraints:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        tagged: TaggedMesh,
-        bodies: Bodies,
-        space: fem.FunctionSpace,
-        stage: int,
-        frames: Frames | None,
-        followers: Followers | None = None,
+        self, mechanics: BodyForms, stage: int, frames: Frames | None, followers: Followers | None
     ) -> None:
-        own = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
+        scene, space = mechanics.scene, mechanics.space
+        own = _support_of_dofs(mechanics, stage, frames)
         self._bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None
         self._P0: PETSc.Mat | None = None
-        self._comm = tagged.mesh.comm
+        self._comm = mechanics.mesh.comm
         self._followers, self.follows = followers, followers is not None
         self.transforms = bool(scene.rigid or frames or followers)
         if self.transforms:
-            self._transform(scene, tagged, space, own, frames)
+            self._transform(mechanics, own, frames)
             self._P0 = self._P
             self.follow()
             return
@@ -136,15 +124,9 @@ class Constraints:
         x = space.tabulate_dof_coordinates()[: len(own)]
         self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
 
-    def _transform(
-        self,
-        scene: Scene,
-        tagged: TaggedMesh,
-        space: fem.FunctionSpace,
-        own: Ints,
-        frames: Frames | None,
-    ) -> None:
+    def _transform(self, mechanics: BodyForms, own: Ints, frames: Frames | None) -> None:
         """Build P, from the supports that hold own components (nodes, 3); collective."""
+        scene, tagged, space = mechanics.scene, mechanics.tagged, mechanics.space
         comm, nodes = tagged.mesh.comm, len(own)
         x = space.tabulate_dof_coordinates()[:nodes]
         region = np.full(nodes, -1, dtype=np.int64)

@@ -29,21 +29,17 @@ from app.arrays import Bools, Floats, Ints
 from app.errors import InputError
 from app.laws.values import amplitude, gap_at
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.constraints import Constraints
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_points import ContactState, OwnPoints, prescribed_jump, refuse_supports
-from app.mechanics.followers import Followers
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.sliding import ACCURACY, Sliding
 from app.mechanics.stiffness import Stiffness
 from app.numerics.sparse import owners
-from app.scene.bodies import Bodies, contact_facets
+from app.scene.bodies import contact_facets
 from app.scene.frames import held_at
 from app.scene.scene import Scene
-from app.system.timing import Timing
 from forms.contact import OPEN, SLIP
 from meshes.contact_points import contact_points
-from meshes.distribute import TaggedMesh
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6
@@ -186,17 +182,13 @@ class ContactInterfaces:
 
     def __init__(
         self,
-        scene: Scene,
-        tagged: TaggedMesh,
-        bodies: Bodies,
         mechanics: BodyForms,
         stiffness: Stiffness,
         augmentation_factor: float,
-        timing: Timing,
-        followers: Followers | None,
     ) -> None:
-        self._supports = scene.supports
-        self.comm = tagged.mesh.comm
+        scene, tagged, bodies = mechanics.scene, mechanics.tagged, mechanics.bodies
+        self._supports, self._stiffness = scene.supports, stiffness
+        self.comm = mechanics.mesh.comm
         space, parts = mechanics.space, len(scene.contacts)
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
         holds, axes = held_at(stiffness.frames, tagged, bodies, space, scene.supports, self.facets)
@@ -216,10 +208,9 @@ class ContactInterfaces:
         ]
         held = stiffness.constraints
         self.coupling = JumpCoupling(mechanics, held, entries, number, len(rows))
-        far = any(c.between for c in scene.contacts)
-        sliding = scene, tagged, space, self.own, self.points.dof[rows], followers
-        self.large = Sliding(*sliding) if far else None
-        self.law = PointLaw(self.comm, self.own, timing)
+        sliding = mechanics, self.own, self.points.dof[rows], stiffness.followers
+        self.large = Sliding(*sliding) if any(c.between for c in scene.contacts) else None
+        self.law = PointLaw(self.comm, self.own, mechanics.timing)
         self.begin(scene, augmentation_factor)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
@@ -252,9 +243,9 @@ class ContactInterfaces:
         self.set_time(0.0)
         self.state.opening = self.opening(self.state.jump)
 
-    def update_stiffness(self, mechanics: BodyForms, constraints: Constraints) -> None:
+    def update_stiffness(self) -> None:
         """Reassemble the coupling for changed stiffness or supports."""
-        self.coupling.update(mechanics, constraints)
+        self.coupling.update(self._stiffness.constraints)
         self.law.update_stiffness(self.coupling.local_stiffness())
 
     def set_time(self, time: float) -> None:
@@ -336,7 +327,7 @@ class ContactInterfaces:
                 tied |= here
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
 
-    def approach(self, constraints: Constraints, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
+    def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Bring bodies that touch nothing to where forces f [N] push them; collective.
 
         Further than where their points touch. From there Newton finds which do, however small the
@@ -344,7 +335,8 @@ class ContactInterfaces:
         """
         if self.large is None:
             return
-        rows, pushed = self.large.rows, constraints.pushed(f)
+        rows, constraints = self.large.rows, self._stiffness.constraints
+        pushed = constraints.pushed(f)
         way = constraints.expand(pushed).array_r.reshape(-1, 3)[self.large.nodes]
         gap = self._clearance[rows] + self.large.paired.gap
         along = np.einsum("pi,pi->p", self.own.normals[rows, 0], way)

@@ -19,7 +19,6 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.mechanics.body_forms import BodyForms, hats
-from app.scene.scene import Scene
 
 # Strain that counts as none, stress [MPa] that counts as none, least exponent m.
 NO_STRAIN, NO_STRESS, LEAST_M = 1e-30, 1e-12, 0.01
@@ -62,15 +61,10 @@ class CreepState:
     row_keys: Ints
 
     def __init__(
-        self,
-        scene: Scene,
-        mechanics: BodyForms,
-        rows: Mapping[str, Ints],
-        points: Floats,
-        weights: Floats,
+        self, mechanics: BodyForms, rows: Mapping[str, Ints], points: Floats, weights: Floats
     ) -> None:
         self._mechanics, self._comm = mechanics, mechanics.mesh.comm
-        laws, elastic = scene.creeps, {e.region: e for e in scene.elastic}
+        laws, elastic = mechanics.scene.creeps, {e.region: e for e in mechanics.scene.elastic}
         self.measure, self.unit = ("cycles", "-") if laws[0].per is None else ("time", "s")
         self.rows = np.concatenate([rows[c.region].ravel() for c in laws])
         sizes = [rows[c.region].size for c in laws]

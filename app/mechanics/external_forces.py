@@ -21,7 +21,6 @@ from app.laws.materials import Elastic
 from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms, OnBody, assembled_vector
 from app.mechanics.contact import ContactInterfaces
-from app.scene.bodies import Bodies
 from app.scene.scene import Scene
 
 
@@ -44,11 +43,10 @@ class Forces:
         self,
         scene: Scene,
         mechanics: BodyForms,
-        bodies: Bodies,
         contact: ContactInterfaces | None,
         known: Forces | None = None,
     ) -> None:
-        self._mechanics, self._bodies, self._contact = mechanics, bodies, contact
+        self._mechanics, self._bodies, self._contact = mechanics, mechanics.bodies, contact
         self.comm, self._given = mechanics.mesh.comm, scene.loads
         found: dict[Load, Action] = known._full if known else {}
         self._full: dict[Load, Action] = {

@@ -24,10 +24,10 @@ from dolfinx import fem
 from app.arrays import Floats, Ints
 from app.errors import InputError
 from app.laws.loads import BodyForce, Force
+from app.mechanics.body_forms import BodyForms
 from app.mechanics.pairs import Pairs, SmoothSurface, mortar, oriented
 from app.numerics.sparse import from_triplets
 from app.scene.bodies import (
-    Bodies,
     boundary_facets,
     cell_tags,
     facet_nodes,
@@ -96,12 +96,13 @@ def soft(scene: Scene) -> dict[int, Interface]:
     return {i: c for i, c in contacts if c.between and not scene.is_rigid(c)}
 
 
-def refuse_motions(scene: Scene, tagged: TaggedMesh, bodies: Bodies) -> None:
+def refuse_motions(mechanics: BodyForms) -> None:
     """Refuse motions of elastic regions that nothing follows, and loads that would turn with them.
 
     Raises:
         InputError: There is one; collective.
     """
+    scene, bodies = mechanics.scene, mechanics.bodies
     for m in scene.driven:
         if not any(m.region in c.master for c in soft(scene).values()):
             raise InputError(
@@ -114,7 +115,7 @@ def refuse_motions(scene: Scene, tagged: TaggedMesh, bodies: Bodies) -> None:
             if isinstance(load, BodyForce):
                 on = {bodies.of_region[r] for r in load.regions or bodies.of_region}
             elif isinstance(load, Force) and load.boundary != m.boundary:
-                on = set(facets_by_body(tagged, bodies, load.boundary))
+                on = set(facets_by_body(mechanics.tagged, bodies, load.boundary))
             if body in on:
                 raise InputError(
                     f"loads.{load.name}: acts on {m.region}, which turns; expected forces on "
@@ -135,10 +136,9 @@ class Followers:
         changed: Whether they have changed since `matrix`.
     """
 
-    def __init__(
-        self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace
-    ) -> None:
-        interfaces = soft(scene)
+    def __init__(self, mechanics: BodyForms) -> None:
+        scene, tagged, bodies = mechanics.scene, mechanics.tagged, mechanics.bodies
+        space, interfaces = mechanics.space, soft(scene)
         self._scene, nodes = scene, space.dofmap.index_map.size_local
         self._comm, self._map = tagged.mesh.comm, space.dofmap.index_map
         self.sides: dict[int, tuple[Side, Side]] = {}

@@ -55,11 +55,11 @@ class JumpCoupling:
             )
             self._strips[body] = mechanics.strip_stiffness(body, moved)
         self._KB: dict[int, PETSc.Mat] = {}
-        self.C, self.D, self.Ct = self._assembled(mechanics, constraints)
+        self.C, self.D, self.Ct = self._assembled(constraints)
         self._work = self.Ct.createVecLeft()
 
     def _assembled(
-        self, mechanics: BodyForms, constraints: Constraints, paired: bool = False
+        self, constraints: Constraints, paired: bool = False
     ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         moves, KB = self.jump_to_displacement, self._KB
         if not paired:
@@ -69,9 +69,9 @@ class JumpCoupling:
         D = matrix_sum([B.transposeMatMult(KB[b]) for b, B in moves.items()])
         return C, D, C.copy().transpose()
 
-    def update(self, mechanics: BodyForms, constraints: Constraints, paired: bool = False) -> None:
+    def update(self, constraints: Constraints, paired: bool = False) -> None:
         """Reassemble, in the same matrices, for changed stiffness, supports, or pairs alone."""
-        new = self._assembled(mechanics, constraints, paired)
+        new = self._assembled(constraints, paired)
         for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
             renew(matrix, values, constraints.follows)
 

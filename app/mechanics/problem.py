@@ -74,36 +74,24 @@ class Problem:
         self.mechanics = BodyForms(scene, tagged, self.bodies, timing)
         self.space = self.mechanics.space
         self.u = self.mechanics.u
-        self.history = (
-            StressHistory(scene, self.mechanics, self.bodies, timing)
-            if self.mechanics.history
-            else None
-        )
-        parts = scene, tagged, self.bodies, self.mechanics
-        refuse_motions(scene, tagged, self.bodies)
-        self.followers = Followers(scene, tagged, self.bodies, self.space) if soft(scene) else None
+        self.history = StressHistory(self.mechanics) if self.mechanics.history else None
+        refuse_motions(self.mechanics)
+        self.followers = Followers(self.mechanics) if soft(scene) else None
         shared = like.stiffness if like else None
-        self.stiffness: Stiffness = Stiffness(*parts, shared, self.followers)
-        self.contact = (
-            ContactInterfaces(*parts, self.stiffness, augmentation_factor, timing, self.followers)
-            if scene.contacts
-            else None
-        )
+        self.stiffness: Stiffness = Stiffness(self.mechanics, shared, self.followers)
+        parts = self.mechanics, self.stiffness
+        self.contact = ContactInterfaces(*parts, augmentation_factor) if scene.contacts else None
         self.moved = {
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
             for b in (self.contact.coupling.jump_to_displacement if self.contact else ())
         }
         self.sliding = (
-            SlidingBodies(
-                scene, self.mechanics, self.stiffness, self.contact, self.followers, self.moved
-            )
+            SlidingBodies(*parts, self.contact, self.followers, self.moved)
             if self.contact and self.followers
             else None
         )
-        self.forces = Forces(scene, self.mechanics, self.bodies, self.contact)
-        self.thermal_strain = (
-            ThermalStrain(scene, self.mechanics, self.bodies) if self.mechanics.swelling else None
-        )
+        self.forces = Forces(scene, self.mechanics, self.contact)
+        self.thermal_strain = ThermalStrain(self.mechanics) if self.mechanics.swelling else None
         self.set_time(0.0)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
@@ -123,7 +111,7 @@ class Problem:
             self.sliding.begin(scene)
         if self.contact:
             self.contact.begin(scene, augmentation_factor)
-        self.forces = Forces(scene, self.mechanics, self.bodies, self.contact, self.forces)
+        self.forces = Forces(scene, self.mechanics, self.contact, self.forces)
         self.set_time(0.0)
 
     def _renew(self) -> None:
@@ -132,7 +120,7 @@ class Problem:
 
     def _follow_stiffness(self) -> None:
         if self.contact:
-            self.contact.update_stiffness(self.mechanics, self.stiffness.constraints)
+            self.contact.update_stiffness()
         self.set_time(self.time)
 
     # Saved state

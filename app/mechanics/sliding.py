@@ -20,10 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import fem
 
 from app.arrays import Floats, Ints
 from app.errors import InputError
+from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_points import OwnPoints
 from app.mechanics.followers import Followers, Side
 from app.mechanics.pairs import SmoothSurface
@@ -32,7 +32,6 @@ from app.numerics.rigid_motions import rotation_vector
 from app.scene.bodies import boundary_facets, facet_nodes
 from app.scene.scene import Scene
 from meshes.contact_facets import NODES, gather, nodal_normals
-from meshes.distribute import TaggedMesh
 
 # Points are paired anew if the pressure may be wrong by this part of the largest.
 ACCURACY = 1e-3
@@ -74,13 +73,12 @@ class Sliding:
 
     def __init__(
         self,
-        scene: Scene,
-        tagged: TaggedMesh,
-        space: fem.FunctionSpace,
+        mechanics: BodyForms,
         own: OwnPoints,
         dof: Ints,
         followers: Followers | None,
     ) -> None:
+        scene, tagged, space = mechanics.scene, mechanics.tagged, mechanics.space
         apart = [i for i, c in enumerate(scene.contacts) if c.between]
         self.rows: Ints = np.flatnonzero(np.isin(own.interface, apart))
         self.nodes: Ints = dof[self.rows] - space.dofmap.index_map.local_range[0]

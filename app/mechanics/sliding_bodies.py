@@ -38,7 +38,6 @@ class SlidingBodies:
 
     def __init__(
         self,
-        scene: Scene,
         mechanics: BodyForms,
         stiffness: Stiffness,
         contact: ContactInterfaces,
@@ -47,7 +46,7 @@ class SlidingBodies:
     ) -> None:
         self._mechanics, self._stiffness, self._contact = mechanics, stiffness, contact
         self._followers, self._moved = followers, moved
-        self.begin(scene)
+        self.begin(mechanics.scene)
 
     def begin(self, scene: Scene) -> None:
         """Begin a run at rest; collective."""
@@ -102,7 +101,7 @@ class SlidingBodies:
         stiffness, coupling = self._stiffness, self._contact.coupling
         stiffness.constraints.follow()
         stiffness.update(paired=True)
-        coupling.update(self._mechanics, stiffness.constraints, paired=True)
+        coupling.update(stiffness.constraints, paired=True)
         u, q = stiffness.K.createVecRight(), coupling.D.createVecRight()
         q.array[:] = self._contact.state.jump.ravel()
         self.carry(u, q)

@@ -14,10 +14,7 @@ from app.mechanics.constraints import Constraints
 from app.mechanics.followers import Followers
 from app.numerics.preconditioners import CoarseOrder, Inverse, near_null_space, stiffness_options
 from app.numerics.sparse import renew
-from app.scene.bodies import Bodies
 from app.scene.frames import frames_of
-from app.scene.scene import Scene
-from meshes.distribute import TaggedMesh
 
 # Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
 ROUNDING = 2.0
@@ -30,6 +27,7 @@ class Stiffness:
         K: The matrix, constrained rows and columns set to a diagonal.
         version: Number of its changes, which outdate preconditioners.
         stage: The stage whose supports are active.
+        followers: Surfaces that slide far on deformable ones, if any.
         frames: Nodes with axes of their own, if a support needs them.
         constraints: Map from unknowns to nodal displacements.
         rows: Global numbers of the constrained rows of this rank.
@@ -48,20 +46,16 @@ class Stiffness:
 
     def __init__(
         self,
-        scene: Scene,
-        tagged: TaggedMesh,
-        bodies: Bodies,
         mechanics: BodyForms,
         reuse: Stiffness | None,
-        followers: Followers | None = None,
+        followers: Followers | None,
     ) -> None:
-        space = mechanics.space
-        self._parts = scene, tagged, bodies, space
-        self.stage = self.version = 0
-        self.frames = frames_of(*self._parts)
+        scene, space = mechanics.scene, mechanics.space
+        self._mechanics, self.stage, self.version = mechanics, 0, 0
+        self.frames = frames_of(scene, mechanics.tagged, mechanics.bodies, space)
         self._form = mechanics.stiffness()
-        self._followers = followers
-        self.constraints = Constraints(*self._parts, self.stage, self.frames, followers)
+        self.followers = followers
+        self.constraints = Constraints(mechanics, self.stage, self.frames, followers)
         self.K = self._constrained()
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
@@ -107,11 +101,11 @@ class Stiffness:
         The displacement of the unknowns u is kept.
         """
         before, self.stage = self.stage, stage
-        scene = self._parts[0]
+        scene = self._mechanics.scene
         if all(scene.holds(s, before) == scene.holds(s, stage) for s in scene.supports):
             return False
         old = self.constraints
-        self.constraints = Constraints(*self._parts, stage, self.frames, self._followers)
+        self.constraints = Constraints(self._mechanics, stage, self.frames, self.followers)
         self.constraints.carry(u, old)
         self.update()
         self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))

@@ -38,9 +38,6 @@ from app.mechanics.body_forms import BodyForms, assembled_vector
 from app.mechanics.creep import CreepState
 from app.numerics.pointwise import Pointwise
 from app.numerics.saved_state import LEFT_OUT
-from app.scene.bodies import Bodies
-from app.scene.scene import Scene
-from app.system.timing import Timing
 from forms import cure, elasticity, loads
 
 # Rows and columns of the components of elasticity.symmetric.
@@ -64,10 +61,10 @@ class StressHistory:
 
     saved = ("_stress", "creep")
 
-    def __init__(self, scene: Scene, mechanics: BodyForms, bodies: Bodies, timing: Timing) -> None:
-        self._mechanics = mechanics
+    def __init__(self, mechanics: BodyForms) -> None:
+        self._mechanics, scene = mechanics, mechanics.scene
         regions = sorted(mechanics.history)
-        self._body = {r: bodies.of_region[r] for r in regions}
+        self._body = {r: mechanics.bodies.of_region[r] for r in regions}
         self.bodies = sorted(set(self._body.values()))
         self._elastic = {e.region: e for e in scene.elastic if e.region in regions}
         for e in self._elastic.values():
@@ -91,7 +88,7 @@ class StressHistory:
         self._rise = {r: fem.Function(mechanics.scalars) for r in regions if r in free}
         # Growth and free strain of the last converged state, and those to come.
         nodes = len(next(iter(self._rise.values())).x.array) if self._rise else 0
-        with timing.phase("compile", "cure"):
+        with mechanics.timing.phase("compile", "cure"):
             self._growth = {c.region: _growth(mechanics.mesh.comm, c, nodes) for c in scene.cures}
         self._old = {r: (np.ones(nodes), np.zeros(nodes)) for r in self._rise} | {
             c.region: (self._growth[c.region](a=np.full(nodes, c.initial))[0], np.zeros(nodes))
@@ -101,13 +98,13 @@ class StressHistory:
         self.stiffen()
         self._cells = {r: mechanics.region_cells(r) for r in regions}
         rows = {r: space.dofmap.list[cells] for r, cells in self._cells.items()}
-        self.creep = CreepState(scene, mechanics, rows, points, weights) if scene.creeps else None
+        self.creep = CreepState(mechanics, rows, points, weights) if scene.creeps else None
         if self.creep:
             self.creep.row_keys = self.row_keys[self.creep.rows]
         v = ufl.TestFunction(mechanics.space)
         self._measure = mechanics.cells()
         self._forces = {b: mechanics.form(self._prestress(b, v)) for b in self.bodies}
-        with timing.phase("compile", "stress of cure"):
+        with mechanics.timing.phase("compile", "stress of cure"):
             self._increments = {
                 r: fem.Expression(
                     self._stress_of(e, elasticity.strain(self._step[self._body[r]]), -1),

@@ -20,17 +20,15 @@ from app.laws.materials import Elastic
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.stiffness import Stiffness
-from app.scene.bodies import Bodies
-from app.scene.scene import Scene
 
 
 class ThermalStrain:
     """Thermal expansion of the elastic regions of a scene."""
 
-    def __init__(self, scene: Scene, mechanics: BodyForms, bodies: Bodies) -> None:
-        self._mechanics = mechanics
+    def __init__(self, mechanics: BodyForms) -> None:
+        self._mechanics, scene = mechanics, mechanics.scene
         self._terms = [x for x in scene.expansions if x.region in mechanics.swelling]
-        self.body = {x.region: bodies.of_region[x.region] for x in self._terms}
+        self.body = {x.region: mechanics.bodies.of_region[x.region] for x in self._terms}
         self._elastic = {e.region: e for e in scene.elastic}
         self.assemble()
 

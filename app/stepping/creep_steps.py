@@ -126,7 +126,7 @@ class CreepStepper:
         def back() -> None:
             self._history.go_back(state)
             if contact and points:
-                contact.state = points
+                contact.state, contact.carried = points, points.jump
 
         solved = False
         try:

@@ -158,7 +158,7 @@ class LoadStepper:
         """Solve, until points that slide far are paired with the surface that they touch."""
         problem, (u, q) = self.problem, self.solver.u_and_q()
         if problem.contact:
-            problem.contact.approach(problem.stiffness.constraints, problem.f, u, q)
+            problem.contact.approach(problem.f, u, q)
         outcome = solve(self.solver)
         self.total.count(outcome)
         for _ in range(PAIRINGS):
