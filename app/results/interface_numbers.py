@@ -184,8 +184,7 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> d
     at = surface.at[part]
     weight, x = s.weight[at], s.x[at]
     found: dict[str, Any] = {}  # of functions, what is asked for is computed
-    # Where sides slide far a jump is no motion of one against the other, slips do not add up, and
-    # a gap is no debonding.
+    # Where sides slide far a jump is no motion, a gap no debonding, and slips do not add up.
     left_out = ("slip", "motion", "inducible") if s.contacts[i].between else ()
     for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
         field = surface.field(values, part)

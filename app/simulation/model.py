@@ -395,20 +395,18 @@ class Model:
         last: TrialState | None = None
         m = other.mechanics
 
-        def samples() -> ContactSamples | None:
-            return ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
-
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             nonlocal last
             last = trial
             stage = other.scene.stages[math.ceil(step.time) - 1]
-            if m and m.bearings and (at := samples()):
+            if m and trial:
                 for bearing in m.bearings.values():
-                    bearing.update(at, stage, step.time, step.whole)
+                    now = ContactSamples(m.problem, trial, None, m.surfaces)
+                    bearing.update(now, stage, step.time, step.whole)
 
         other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
-        at = samples()
-        return other.numbers(at) | other.places(at)
+        samples = ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
+        return other.numbers(samples) | other.places(samples)
 
 
 def cheaper(case: Case, unknowns: int) -> Case | None:
