@@ -136,6 +136,22 @@ def shape_functions(at: Floats, nodes: int) -> Floats:
     return np.concatenate([at * (2 * at - 1), middles], axis=1)
 
 
+def bends(start: Floats, end: Floats, middle: Floats) -> Floats:
+    r"""What the middle of a curved edge takes of the difference of its ends (e, 3, 3).
+
+    It is off the chord by σ, along which linear displacements change too. With t the unit vector
+    from end a to end b and L their distance,
+
+    .. math:: u_m = (u_a + u_b) / 2 + (σ ⊗ t - t ⊗ σ) (u_b - u_a) / L
+
+    is exact for translations, for rotations and for a widening in the plane of the edge.
+    """
+    off, chord = middle - (start + end) / 2, end - start
+    both = np.einsum("ei,ej->eij", off, chord)
+    length2 = np.einsum("ei,ei->e", chord, chord)
+    return (both - both.transpose(0, 2, 1)) / length2[:, None, None]
+
+
 def foot(x: Floats, corners: Floats) -> Floats:
     """Barycentric coordinates (n, 3) of the point of each triangle nearest to x (n, 3)."""
     edges, off = np.roll(corners, -1, axis=1) - corners, x[:, None] - corners

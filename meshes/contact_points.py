@@ -31,7 +31,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.arrays import Bools, Floats, Ints
-from meshes.contact_facets import InterfaceFacets, drop_held, faces_around, projectors, shared
+from meshes.contact_facets import (
+    InterfaceFacets,
+    bends,
+    drop_held,
+    faces_around,
+    projectors,
+    shared,
+)
 
 # Parts of a jump below this are rounding.
 ROUNDING = 1e-12
@@ -241,15 +248,10 @@ def _tree(
 def _at_edges(
     facets: InterfaceFacets, points: ContactPoints, body: Ints, point: Ints, blocks: Floats
 ) -> tuple[Ints, Ints, Ints, Floats]:
-    r"""Moves of edge nodes: the jump is linear along an edge, its middle takes half of both ends.
+    """Moves of edge nodes: the jump is linear along an edge, its middle takes half of both ends.
 
-    The middle of a curved edge is off its chord by σ, along which a linear jump changes too. With t
-    the unit vector from end a to end b and L their distance,
-
-    .. math:: q_m = (q_a + q_b) / 2 + (σ ⊗ t - t ⊗ σ) (q_b - q_a) / L
-
-    is exact for translations, for rotations and for a widening in the plane of the edge. Without
-    it, the opening of a cylinder is lost between its nodes at second order.
+    That of a curved edge takes its `bends`, too: without, the opening of a cylinder is lost between
+    its nodes at second order.
 
     Takes body, point and (3, 3) block of each move of a vertex; returns body, dof of the edge,
     point and block of each move of an edge node.
@@ -262,21 +264,18 @@ def _at_edges(
         np.column_stack([edges.reshape(-1, 3), np.repeat(side, 3)]) for side in facets.bodies.T
     ]
     rows, first = np.unique(np.concatenate(of_sides), axis=0, return_index=True)
-    bends: Floats = np.zeros((len(rows), 3, 3))
+    bend: Floats = np.zeros((len(rows), 3, 3))
     if facets.nodes.shape[1] == 6:
         corner = first % (3 * len(edges))
         start, end = (facets.x[:, k].reshape(-1, 3)[corner] for k in (a, b))
-        off, chord = facets.nodes[:, 3:].reshape(-1, 3)[corner] - (start + end) / 2, end - start
-        both = np.einsum("ei,ej->eij", off, chord)
-        length2 = np.einsum("ei,ei->e", chord, chord)
-        bends = (both - both.transpose(0, 2, 1)) / length2[:, None, None]
+        bend = bends(start, end, facets.nodes[:, 3:].reshape(-1, 3)[corner])
     # A jump prescribed at both ends may be constrained in the middle too.
     known, one, number = np.unique(points.vertex, return_index=True, return_inverse=True)
     held = np.zeros((len(known), 3), dtype=bool)
     np.logical_or.at(held, number, points.held)
     at = projectors(points.axes[one], held)[np.searchsorted(known, rows[:, 1:3])]
-    bends = (np.eye(3) - at[:, 0] @ at[:, 1]) @ bends
-    middles = np.concatenate([np.eye(3) / 2 - bends, np.eye(3) / 2 + bends])
+    bend = (np.eye(3) - at[:, 0] @ at[:, 1]) @ bend
+    middles = np.concatenate([np.eye(3) / 2 - bend, np.eye(3) / 2 + bend])
     # Of each (end, edge, body), the moves of the body at the end.
     stride = int(known[-1]) + 1
     key = body * stride + points.vertex[point]

@@ -10,16 +10,12 @@ import numpy as np
 from app.arrays import Floats, Ints
 from meshes.data import MeshData, assemble, exterior_facets, number
 from meshes.gmsh_child import grade, session, tetrahedra
-from meshes.quality import untangle
 
 Body = tuple[Floats, Ints, Ints]  # nodes, cells, and the layer of each cell
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:
     """Mesh a head with its bore, and a liner, within a shell if it has a thickness.
-
-    Edges on the two surfaces of the bearing are straight, also of curved cells: displacements
-    are linear there.
 
     Args:
         geometry: ``head_radius``, ``cup_radii``, ``bore_diameter``, ``bore_depth`` [mm],
@@ -43,10 +39,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     masks = {"head_surface": sphere, "head_bore": on_head & ~sphere, "liner_inner": inner}
     masks |= {f"{name}_rim": rim & (of == t) for name, t in regions.items() if t > 1}
     masks[geometry.boundary_names[-1]] = ~on_head & ~rim & ~inner
-    if mesh.curved:
-        flat = facets[sphere | inner]
-        points[flat[:, 3:]] = points[flat[:, [[0, 1], [1, 2], [2, 0]]]].mean(axis=2)
-        points = untangle(points, cells)
     points = points @ _turn(geometry.inclination, geometry.version).T
     return assemble(points, cells, tags, regions, geometry.interface_sides, masks, facets)
 

@@ -39,7 +39,7 @@ class Heated:
         timing = Timing()
         problem = Problem(change(build_scene(case)), support.mesh(case), 1.0, timing)
         solver = Solver(mechanical(problem), 1e-12, 50, "direct", {}, timing)
-        return cls(problem, solver, Stresses(problem, timing), Balance(problem, np.zeros(3)))
+        return cls(problem, solver, Stresses(problem), Balance(problem, np.zeros(3)))
 
     def scalar(self, field: float | Field) -> fem.Function:
         """A field at the vertices."""

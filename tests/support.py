@@ -64,6 +64,16 @@ interfaces:
 """
 TISSUES = MATERIALS + CONTACT
 # A block on another, and the first of their regions where they conduct heat.
+HEAD_CUP = """
+geometry: {kind: head_cup, head_diameter: 28 mm, radial_clearance: 0.1 mm, liner_thickness: 8 mm,
+  inclination: 0 deg, version: 0 deg}
+mesh: {size: 5 mm, far_size: 8 mm, order: 1}
+regions:
+  head: {rigid: true}
+  liner: {youngs_modulus: 1 GPa, poisson_ratio: 0.4}
+interfaces: {bearing: {kind: contact, friction_coefficient: 0.06, sliding: finite}}
+supports: {outer: {kind: fixed, boundary: liner_outer}}
+"""
 TWO_BLOCKS = """
 geometry:
   kind: blocks
@@ -135,7 +145,7 @@ class Solved:
 
     def stress(self, region: str) -> Floats:
         """Stress at the quadrature points of a region (n, 3, 3) [MPa]."""
-        return Stresses(self.problem, Timing()).evaluate(region).reshape(-1, 3, 3)
+        return Stresses(self.problem).evaluate(region).reshape(-1, 3, 3)
 
     def displacement(self, region: str) -> tuple[Floats, Floats]:
         """Positions and displacements of the nodes of a region (n, 3), in series [mm]."""

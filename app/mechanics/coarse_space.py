@@ -155,9 +155,8 @@ def _frame(x: Floats) -> Floats:
 
 def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bools:
     """Own nodal components of a body that no jump moves (n, 3); collective."""
-    space = problem.space
-    cells = np.flatnonzero(problem.bodies.of_tag[cell_tags(problem.tagged)] == body)
-    nodes = touched_nodes(space, cells)[: space.dofmap.index_map.size_local]
+    cells = problem.bodies.of_tag[cell_tags(problem.tagged)] == body
+    nodes = touched_nodes(problem.space, cells)
     own = np.repeat(nodes[:, None], 3, axis=1)
     if body in contact.coupling.jump_to_displacement:
         # There nodes are those of the other bodies.

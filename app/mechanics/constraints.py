@@ -131,8 +131,7 @@ class Constraints:
         x = space.tabulate_dof_coordinates()[:nodes]
         region = np.full(nodes, -1, dtype=np.int64)
         for k, body in enumerate(scene.rigid):
-            cells = np.flatnonzero(cell_tags(tagged) == tagged.regions[body.region])
-            region[touched_nodes(space, cells)[:nodes]] = k
+            region[touched_nodes(space, cell_tags(tagged) == tagged.regions[body.region])] = k
             for c in scene.contacts:
                 if c.between and c.master == (body.region,):
                     # Points that slide far over it: it moves them, and their jumps.

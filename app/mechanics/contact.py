@@ -39,6 +39,7 @@ from app.scene.bodies import contact_facets
 from app.scene.frames import held_at
 from app.scene.scene import Scene
 from forms.contact import OPEN, SLIP
+from meshes.contact_facets import gather
 from meshes.contact_points import contact_points
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
@@ -199,7 +200,7 @@ class ContactInterfaces:
         )
         # The one face of a point that slides far is that of the surface under it.
         self.points.faces[apart], self.points.normals[apart, 1:] = 1, 0.0
-        rows, number = owners(self.comm, space.dofmap.index_map, self.points.dof)
+        rows, self._number = owners(self.comm, space.dofmap.index_map, self.points.dof)
         self.own = OwnPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [float(edges[self.facets.interface == i].mean()) for i in range(parts)]
@@ -207,7 +208,7 @@ class ContactInterfaces:
             prescribed_jump(self.points, k, s)[rows] for k, s in enumerate(scene.supports)
         ]
         held = stiffness.constraints
-        self.coupling = JumpCoupling(mechanics, held, entries, number, len(rows))
+        self.coupling = JumpCoupling(mechanics, held, entries, self._number, len(rows))
         sliding = mechanics, self.own, self.points.dof[rows], stiffness.followers
         self.large = Sliding(*sliding) if any(c.between for c in scene.contacts) else None
         self.law = PointLaw(self.comm, self.own, mechanics.timing)
@@ -365,6 +366,10 @@ class ContactInterfaces:
     def scale_augmentation(self, factor: float) -> None:
         """As `PointLaw.scale_augmentation`."""
         self.law.scale_augmentation(factor)
+
+    def whole(self, values: Floats) -> Floats:
+        """Values at all points, from those at own ones (n, ...); collective."""
+        return np.asarray(gather(self.comm, values)[0][self._number])
 
     @property
     def row_keys(self) -> Ints:

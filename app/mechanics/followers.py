@@ -36,7 +36,7 @@ from app.scene.bodies import (
     touched_nodes,
 )
 from app.scene.scene import Interface, Scene
-from meshes.contact_facets import gather
+from meshes.contact_facets import bends, gather
 from meshes.distribute import TaggedMesh
 
 # Points further from the master than this part of an edge have rows of shape functions.
@@ -53,6 +53,7 @@ class Side:
         triangles: Vertices of its facets, counterclockwise seen from outside (f, 3).
         outward: A vector out of the body for each facet (f, 3).
         edges: Dof of the middle of each edge, and its two vertices (e, 3); none at first order.
+        halves: What the middles take of the displacements of their vertices (2, e, 3, 3).
     """
 
     dofs: Ints
@@ -60,6 +61,7 @@ class Side:
     triangles: Ints
     outward: Floats
     edges: Ints
+    halves: Floats
 
     @classmethod
     def of(cls, tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Side:
@@ -68,16 +70,19 @@ class Side:
         numbers, dofs, x, inside = gather(tagged.mesh.comm, *f)
         # The same on any number of ranks.
         order = np.lexsort(np.sort(numbers, axis=1).T)
-        numbers, dofs, x, inside = numbers[order], dofs[order], x[order, :3], inside[order]
+        numbers, dofs, x, inside = numbers[order], dofs[order], x[order], inside[order]
         _, first, of = np.unique(numbers, return_index=True, return_inverse=True)
         vertices, triangles = dofs[:, :3].ravel()[first], of.reshape(-1, 3)
         # The middle of an edge of a facet is opposite its vertex of the same number.
         ends = triangles[:, [[1, 2], [2, 0], [0, 1]]]
         edges = np.concatenate([dofs[:, 3:, None], ends[:, : dofs.shape[1] - 3]], axis=2)
         _, one = np.unique(edges[..., 0], return_index=True)
-        edges = edges.reshape(-1, 3)[one]
-        outward, x = x[:, 0] - inside, x.reshape(-1, 3)[first]
-        return cls(vertices, x, oriented(x, triangles, outward), outward, edges)
+        edges, middle = edges.reshape(-1, 3)[one], x[:, 3:].reshape(-1, 3)
+        outward, x = x[:, 0] - inside, x[:, :3].reshape(-1, 3)[first]
+        a, b = x[edges[:, 1:]].transpose(1, 0, 2)
+        bend = bends(a, b, middle[one] if len(middle) else (a + b) / 2)
+        halves = np.eye(3) / 2 + np.stack([-bend, bend])
+        return cls(vertices, x, oriented(x, triangles, outward), outward, edges, halves)
 
     @cached_property
     def smooth(self) -> SmoothSurface:
@@ -153,7 +158,7 @@ class Followers:
         self.turning: dict[str, tuple[Ints, Ints]] = {}
         for m in scene.driven:
             of_body = bodies.of_tag[cell_tags(tagged)] == bodies.of_region[m.region]
-            own = np.flatnonzero(touched_nodes(space, np.flatnonzero(of_body))[:nodes])
+            own = np.flatnonzero(touched_nodes(space, of_body))
             driven = nodes_on(tagged, space, str(m.boundary))
             self.turning[m.name] = own, driven[driven < nodes]
         motions = {i: scene.motion_of(c.master) for i, c in interfaces.items()}
@@ -275,18 +280,18 @@ class Followers:
             blocks_of = pairs.values[:, None, None] * R
             at = master.dofs[pairs.columns]
             add(slave.dofs[pairs.rows], at, blocks_of)
-            half = np.broadcast_to(np.eye(3) / 2, (len(master.edges), 3, 3))
-            # Middles of the slave's edges: half of the rows of either end.
+            # Middles of the slave's edges: half of the rows of either end, about.
             count = np.bincount(pairs.rows, minlength=len(slave.dofs))
             begin = np.cumsum(count) - count
             for end in (1, 2):
-                add(master.edges[:, 0], master.dofs[master.edges[:, end]], half)
+                add(master.edges[:, 0], master.dofs[master.edges[:, end]], master.halves[end - 1])
                 of = slave.edges[:, end]
                 edge = np.repeat(np.arange(len(of)), count[of])
                 entry = np.arange(len(edge)) + np.repeat(
                     begin[of] - (np.cumsum(count[of]) - count[of]), count[of]
                 )
-                add(slave.edges[edge, 0], at[entry], blocks_of[entry] / 2)
+                half = slave.halves[end - 1, edge]
+                add(slave.edges[edge, 0], at[entry], half @ blocks_of[entry])
         row, column = np.concatenate(rows), np.concatenate(columns)
         block: Floats = np.concatenate(blocks)
         k, i3, j3 = np.nonzero(block)  # most blocks are multiples of the identity

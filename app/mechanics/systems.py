@@ -178,11 +178,7 @@ class ContactSystem(BondedSystem):
         """Stiffness, coupling without constrained rows, stiffness of the jumps."""
         if self._coupled != self._problem.stiffness.version:
             self._coupled = self._problem.stiffness.version
-            coupling, follows = self.contact.coupling, self._problem.stiffness.constraints.follows
-            if follows:
-                renew(self._C, coupling.C, anew=True)
-            else:
-                coupling.C.copy(self._C)
+            renew(self._C, self.contact.coupling.C, anew=True)
             self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
         return self._problem.stiffness.K, self._C, self.contact.coupling.D
 

@@ -31,7 +31,6 @@ from app.results.interface_numbers import divided
 from app.results.percentiles import percentile
 from app.results.stresses import Stresses
 from app.stepping.load_steps import LoadStep, OnStep
-from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
 
 # Distance from edges within which numbers are apart [mm], and the angle by which such an edge turns
@@ -52,14 +51,12 @@ class CementRisk:
 
     saved = ("_valley", "_found")
 
-    def __init__(
-        self, case: Case, problem: Problem, borders: Borders | None, timing: Timing
-    ) -> None:
+    def __init__(self, case: Case, problem: Problem, borders: Borders | None) -> None:
         self._fatigue, self._stages, self._borders = case.fatigue, case.stages, borders
         self._tires = case.fatigue.region if case.fatigue else ""
         self._tagged, self._comm = problem.tagged, problem.comm
         self._weibull = {e.region: e.weibull for e in problem.scene.elastic if e.weibull}
-        self._stresses = Stresses(problem, timing, fine={*self._weibull, self._tires} - {""})
+        self._stresses = Stresses(problem, fine={*self._weibull, self._tires} - {""})
         self._parts: dict[str, dict[str, Bools]] = {}
         laws = case.fatigue.laws if case.fatigue else ()
         number = problem.tagged.mesh.topology.original_cell_index

@@ -333,8 +333,7 @@ SENTENCES = {
     "normal {normal_mean} (mean), shear {shear_mean}",
     "torque_max": "{name}: friction torque {torque_max} at most in a cycle",
     "dissipation_cycle": "{name}: {dissipation_cycle} dissipated and {slid_max} slid in a cycle",
-    "uncovered_fraction": "{name}: {uncovered_fraction} of the slave's area faced no master at "
-    "some time, where nothing can press",
+    "uncovered_fraction": "{name}: {uncovered_fraction} of the slave faced no master at some time",
     "wear_volume": "{name}: {wear_volume_million} worn in a million cycles, "
     "{wear_depth_max_million} at the deepest, {wear_depth_p99_million} (p99)",
     "strength": "{name}: a hundredth of its area fails at {failure_load_factor} of this load; "

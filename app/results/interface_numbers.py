@@ -83,11 +83,7 @@ class ContactSamples:
     ) -> None:
         contact, history = trial.contact, trial.contact.state
         own, points = contact.own, contact.points
-        order = np.argsort(np.concatenate(problem.comm.allgather(own.rows)))
-
-        def whole(values: Floats) -> Any:
-            return np.concatenate(problem.comm.allgather(values))[order]
-
+        whole: Any = contact.whole
         self.interface, self.x, self.weight = points.interface, points.x, points.weight
         opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, own.normals)
         used = np.arange(3)[None, :] < own.faces[:, None]
@@ -188,8 +184,7 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> d
     at = surface.at[part]
     weight, x = s.weight[at], s.x[at]
     found: dict[str, Any] = {}  # of functions, what is asked for is computed
-    # Where sides slide far a jump is no motion of one against the other, slips do not add up, and
-    # a gap is no debonding.
+    # Where sides slide far a jump is no motion, a gap no debonding, and slips do not add up.
     left_out = ("slip", "motion", "inducible") if s.contacts[i].between else ()
     for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
         field = surface.field(values, part)
@@ -339,6 +334,4 @@ def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
 
 def _clearance(contact: ContactInterfaces) -> Floats:
     """Initial gap at all contact points (n,) [mm]; 0 where supports constrain every component."""
-    here = np.zeros(len(contact.points.weight))
-    here[contact.own.rows] = np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0])
-    return contact.comm.allreduce(here)
+    return contact.whole(np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0]))

@@ -17,7 +17,6 @@ from app.laws.fibres import Circumferential
 from app.laws.materials import Elastic
 from app.mechanics.problem import Problem
 from app.results.percentiles import percentile
-from app.system.timing import Timing
 from forms import elasticity
 
 # Components of a symmetric tensor, in the order of `elasticity.symmetric`.
@@ -43,13 +42,11 @@ class Stresses:
     def __init__(
         self,
         problem: Problem,
-        timing: Timing,
         around_z: bool = False,
         depth: Field | None = None,
         fine: Collection[str] = (),
     ) -> None:
-        self._problem, self._timing, self._around_z = problem, timing, around_z
-        self._depth = depth
+        self._problem, self._around_z, self._depth = problem, around_z, depth
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
         usual = 4 * (problem.scene.order - 1)
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, FINE if fine else usual)
@@ -88,7 +85,7 @@ class Stresses:
                 self._relative[e.region] = self._problem.mechanics.relative_stiffness(e, points)
 
     def _expression(self, ε: Expr) -> fem.Expression:
-        with self._timing.phase("compile", "stress"):
+        with self._problem.mechanics.timing.phase("compile", "stress"):
             return fem.Expression(ε, self._points, comm=self._problem.comm)
 
     def _elastic_strain(self, region: str) -> Floats:

@@ -243,10 +243,9 @@ def nodes_on(tagged: TaggedMesh, space: fem.FunctionSpace, boundary: str) -> Int
     return np.asarray(fem.locate_dofs_topological(space, 2, facets), dtype=np.int64)
 
 
-def touched_nodes(space: fem.FunctionSpace, cells: Ints) -> Bools:
-    """Whether local nodes of a vector space belong to cells of any rank (n,); collective."""
+def touched_nodes(space: fem.FunctionSpace, cells: Bools) -> Bools:
+    """Whether own nodes of a vector space belong to such cells of any rank (n,); collective."""
     marks = fem.Function(space)
-    marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[cells])] = 1
+    marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[np.flatnonzero(cells)])] = 1
     marks.x.scatter_reverse(la.InsertMode.add)
-    marks.x.scatter_forward()
-    return np.asarray(marks.x.array[::3] > 0)
+    return np.asarray(marks.x.array[: 3 * space.dofmap.index_map.size_local : 3] > 0)

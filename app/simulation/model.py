@@ -81,7 +81,7 @@ class Mechanical:
 
     saved = ("problem", "solver", "bearings")
 
-    def __init__(self, problem: Problem, solver: Solver, case: Case, timing: Timing) -> None:
+    def __init__(self, problem: Problem, solver: Solver, case: Case) -> None:
         self.problem, self.solver, self.zones = problem, solver, None
         self.stem, geometry = StemMotion(problem, case), case.geometry
         self.surfaces, depth = list[Surface](), None
@@ -93,7 +93,7 @@ class Mechanical:
                 points = problem.contact.points
                 levels, every = zones.borders(points.x), range(len(points.triangles))
                 self.surfaces = [Surface(points, i, levels) for i in every]
-        self.stresses = Stresses(problem, timing, geometry.is_around_z, depth)
+        self.stresses = Stresses(problem, geometry.is_around_z, depth)
         borders = self.zones.borders if self.zones else None
         self.bonds = BondForces(problem, self.stresses, borders)
         self.bearings = bearings(problem, case)
@@ -211,14 +211,14 @@ class Model:
         problem = Problem(self.scene, self.tagged, factor, timing, like)
         solves = self._runs * cost.contact_solves(case)
         solver = self._solver(mechanical(problem, solves, memory.available()))
-        return Mechanical(problem, solver, case, timing)
+        return Mechanical(problem, solver, case)
 
     def _risk(self) -> CementRisk | None:
         if (m := self.mechanics) is None:
             return None
         if not self._case.fatigue and not any(e.weibull for e in self.scene.elastic):
             return None
-        return CementRisk(self._case, m.problem, m.zones.borders if m.zones else None, self._timing)
+        return CementRisk(self._case, m.problem, m.zones.borders if m.zones else None)
 
     def _heat(self) -> ThermalModel | None:
         if not self.scene.conductors:
@@ -359,7 +359,7 @@ class Model:
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
             for name, bearing in m.bearings.items():
-                numbers["interfaces"][name] |= bearing.numbers | bearing.cycle()
+                numbers["interfaces"][name] |= bearing.numbers and bearing.numbers | bearing.cycle()
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := m.bonds.numbers():
                 numbers["bonds"] = found
@@ -395,20 +395,18 @@ class Model:
         last: TrialState | None = None
         m = other.mechanics
 
-        def samples() -> ContactSamples | None:
-            return ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
-
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             nonlocal last
             last = trial
             stage = other.scene.stages[math.ceil(step.time) - 1]
-            if m and m.bearings and (at := samples()):
+            if m and trial:
                 for bearing in m.bearings.values():
-                    bearing.update(at, stage, step.time, step.whole)
+                    now = ContactSamples(m.problem, trial, None, m.surfaces)
+                    bearing.update(now, stage, step.time, step.whole)
 
         other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
-        at = samples()
-        return other.numbers(at) | other.places(at)
+        samples = ContactSamples(m.problem, last, None, m.surfaces) if m and last else None
+        return other.numbers(samples) | other.places(samples)
 
 
 def cheaper(case: Case, unknowns: int) -> Case | None:

@@ -32,14 +32,12 @@ class Cover:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        scene, space = problem.scene, problem.space
+        scene, bodies = problem.scene, problem.bodies
         far = [side for c in scene.contacts if c.between for side in (c.master, c.slave)]
-        free = {side[0] for side in far if not scene.motion_of(side)}
-        of_cell = problem.bodies.of_tag[cell_tags(problem.tagged)]
-        self._nodes: dict[int, Ints] = {}
-        for body in sorted({problem.bodies.of_region[r] for r in free if r in scene.moduli}):
-            nodes = touched_nodes(space, np.flatnonzero(of_cell == body))
-            self._nodes[body] = np.flatnonzero(nodes[: space.dofmap.index_map.size_local])
+        free = {bodies.of_region[side[0]] for side in far if not scene.motion_of(side)}
+        cells = {body: bodies.of_tag[cell_tags(problem.tagged)] == body for body in sorted(free)}
+        nodes = {body: touched_nodes(problem.space, own) for body, own in cells.items()}
+        self._nodes = {body: np.flatnonzero(own) for body, own in nodes.items()}
         for c, here, beyond, apart, facet in self._points():
             depth, where = self._largest(here, np.where(beyond > 0, 0.0, -apart))
             if depth > facet:

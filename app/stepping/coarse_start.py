@@ -18,7 +18,6 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.errors import MantleError, StoppedError
-from app.mechanics.contact import ContactInterfaces
 from app.mechanics.predictors import imbalance
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
@@ -97,8 +96,9 @@ class CoarseModelStart:
         # A start that takes many steps to find is not worth them.
         stage = problem.scene.stages[k].model_copy(update={"adaptive": False})
         coarse.run_path(stage, 1.0, set_load, begin, time)
-        assert problem.contact is not None
-        known = self._weights @ replicated(problem.contact)
+        contact = problem.contact
+        assert contact is not None
+        known = self._weights @ contact.whole(np.hstack([contact.state.jump, contact.state.force]))
         self._known = [*self._known[-1:], (time, known)]
 
     def _start(self, jump: Floats, force: Floats) -> None:
@@ -124,15 +124,6 @@ def between(known: list[tuple[float, Floats]], time: float) -> Floats:
     t0, before = known[-2]
     s = (time - t0) / (t1 - t0)
     return (1 - s) * before + s * after
-
-
-def replicated(contact: ContactInterfaces) -> Floats:
-    """Committed jumps and forces of all points, on every rank (n, 6) [mm, MPa]; collective."""
-    every = np.zeros((len(contact.points.weight), 6))
-    own = np.hstack([contact.state.jump, contact.state.force])
-    for rows, values in contact.comm.allgather((contact.own.rows, own)):
-        every[rows] = values
-    return every
 
 
 def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> csr_array:

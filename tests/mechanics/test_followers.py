@@ -133,14 +133,14 @@ def test_a_turn_without_friction_changes_little(head: str, error: float) -> None
         assert step.dissipated == 0
 
 
-@pytest.mark.parametrize("head", [COCR, SOFT])
-def test_friction_balances_on_a_deformable_head(head: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("head", [(COCR,), (SOFT,), (SOFT, "mesh.order=2")])
+def test_friction_balances_on_a_deformable_head(head: tuple[str, ...], tmp_path: Path) -> None:
     """Force, moment and energy; interrupted and gone on with in the middle of the turn, too."""
     text = CUP.replace("regions:", "stages: []\nregions:")
-    path, files = restarted.whole(text, tmp_path, head, QUARTER, stages(3))
+    path, files = restarted.whole(text, tmp_path, *head, QUARTER, stages(3))
     balance = support.summary(tmp_path / "whole")["balance"]
     assert max(balance.values()) < 1e-8
-    output = restarted.on(path, tmp_path, files[1], head, QUARTER, stages(3))
+    output = restarted.on(path, tmp_path, files[1], *head, QUARTER, stages(3))
     restarted.assert_same(tmp_path / "whole", output)
 
 

@@ -13,7 +13,6 @@ from app.errors import InputError
 from app.laws.cure import Cure, Prescribed
 from app.results.stresses import Stresses
 from app.scene.scene import Scene
-from app.system.timing import Timing
 from tests import laws
 from tests.heated import Heated, expanding
 from tests.mechanics.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
@@ -56,9 +55,7 @@ def test_rate_form_is_the_total_form_where_nothing_sets(
         whole, steps = (m.stresses.mean(region) for m in (total, rate))
         assert np.abs(steps - whole).max() < 1e-9 * 12.5, region
     # At other points than those of the history, for risks: linear there, as strain is.
-    fine = [
-        Stresses(m.problem, Timing(), fine={"cement"}).evaluate("cement") for m in (total, rate)
-    ]
+    fine = [Stresses(m.problem, fine={"cement"}).evaluate("cement") for m in (total, rate)]
     off = np.abs(fine[0] - fine[1]).max()
     assert off < (0.2 if overrides is GRADED else 1e-9) * 12.5
     assert rate.balance.energy < 1e-9

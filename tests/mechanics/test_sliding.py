@@ -29,17 +29,9 @@ from tests.simulation.test_variations import Runs
 
 AS_IT_IS = np.eye(3)
 R, MU, FORCE = 14.0, 0.06, np.array([300.0, 100.0, 2000.0])  # mm, -, N
-CUP = f"""
-geometry: {{kind: head_cup, head_diameter: {2 * R} mm, radial_clearance: 0.1 mm,
-  liner_thickness: 8 mm, inclination: 20 deg, version: 10 deg}}
-mesh: {{size: 4.5 mm, far_size: 7 mm, order: 1}}
-regions:
-  head: {{rigid: true}}
-  liner: {{youngs_modulus: 1 GPa, poisson_ratio: 0.4}}
-interfaces:
-  bearing: {{kind: contact, friction_coefficient: {MU}, sliding: finite}}
-supports:
-  outer: {{kind: fixed, boundary: liner_outer}}
+CUP = support.HEAD_CUP.replace("inclination: 0 deg, version: 0", "inclination: 20 deg, version: 10")
+CUP = CUP.replace("size: 5 mm, far_size: 8", "size: 4.5 mm, far_size: 7")
+CUP += f"""
 loads:
   hip: {{kind: force, boundary: head_bore, force: {vector(FORCE, " N")}}}
 solver: {{tolerance: 1e-12}}

@@ -164,14 +164,6 @@ def test_a_deck_of_gmsh(rod: MeshData, tmp_path: Path) -> None:
     assert edges(back) == edges(rod)
 
 
-def doubled(data: MeshData) -> MeshData:
-    """Each region with nodes of its own, without boundaries."""
-    tags = data.cell_tags.astype(np.int64)[:, None]
-    used, cells = np.unique(data.cells + len(data.points) * tags, return_inverse=True)
-    points = data.points[used % len(data.points)]
-    return replace(data, points=points, cells=cells.reshape(data.cells.shape), boundaries={})
-
-
 SLIDES = """
 geometry: {kind: file, path: rod.inp, interfaces: {inner: [stem, cement], outer: [cement, bone]}}
 mesh: {size: 1 mm}
@@ -182,38 +174,34 @@ supports: {low: {kind: fixed, boundary: bone}}
 """
 
 
-def test_nodes_in_one_place_stay_two_where_bodies_slide_far(rod: MeshData, tmp_path: Path) -> None:
-    """Boundaries are the parts of regions at the inner interface; the outer one is joined."""
-    apart, text = doubled(rod), ""
-    at = np.abs(np.linalg.norm(apart.points[:, :2], axis=1) - [[7.0], [7.0], [17.0]]) < 1e-6
-    for (name, tag), on in zip(rod.regions.items(), at, strict=True):
-        nodes = np.intersect1d(np.flatnonzero(on), apart.cells[apart.cell_tags == tag])
-        text += f"*NSET, NSET={name}\n" + "".join(f"{k + 1}, {k + 1}\n" for k in nodes)
-    (tmp_path / "rod.inp").write_text(inp(apart) + text)
-    (tmp_path / "case.yaml").write_text(SLIDES)
-    case = load(tmp_path / "case.yaml").config
-    back = meshes.build(case.geometry, case.mesh)
-    one, two = (rod.cells[rod.cell_tags == rod.regions[name]] for name in ("stem", "cement"))
-    assert len(back.points) == len(rod.points) + len(np.intersect1d(one, two))
-
-
-def test_bodies_with_nodes_of_their_own_are_joined_and_boundaries_are_sets_of_nodes(
+def test_bodies_with_nodes_of_their_own_are_joined_unless_they_slide_far(
     rod: MeshData, tmp_path: Path
 ) -> None:
     """A deck with contact doubles the nodes of its interfaces; sets may go from, to, by steps."""
-    apart = doubled(rod)
-    points = apart.points
+    tags = rod.cell_tags.astype(np.int64)[:, None]
+    used, cells = np.unique(rod.cells + len(rod.points) * tags, return_inverse=True)
+    points = rod.points[used % len(rod.points)]
+    apart = replace(rod, points=points, cells=cells.reshape(rod.cells.shape), boundaries={})
     low = ",\n".join(map(str, np.flatnonzero(points[:, 2] == 0.0) + 1))
     top = np.flatnonzero(points[:, 2] == 12.0) + 1
-    steps = "".join(f"{k}, {k}\n" for k in top)
+    text = f"{inp(apart)}*NSET, NSET=Low\n{low}\n*NSET, NSET=Top, GENERATE\n"
+    text += "".join(f"{k}, {k}\n" for k in top)
+    for name, tag in rod.regions.items():
+        own = np.unique(apart.cells[apart.cell_tags == tag])
+        text += f"*NSET, NSET={name}\n" + "".join(f"{k + 1},\n" for k in own)
     path = tmp_path / "rod.inp"
-    path.write_text(f"{inp(apart)}*NSET, NSET=Low\n{low}\n*NSET, NSET=Top, GENERATE\n{steps}")
+    path.write_text(text)
     back = meshes.build(MeshFile(path=path, interfaces=SIDES), MeshOptions(size="1 mm"))
     assert len(back.points) == len(rod.points) < len(points)
     areas, whole = boundary_areas(back), boundary_areas(rod)
     assert areas["Low"] == pytest.approx(whole["bottom"])
     assert areas["Top"] == pytest.approx(whole["top"])
     assert f"{len(points) - len(rod.points)} nodes are merged" in " ".join(back.notes["told"])
+    (tmp_path / "case.yaml").write_text(SLIDES)
+    case = load(tmp_path / "case.yaml").config
+    back = meshes.build(case.geometry, case.mesh)
+    one, two = (rod.cells[rod.cell_tags == rod.regions[name]] for name in ("stem", "cement"))
+    assert len(back.points) == len(rod.points) + len(np.intersect1d(one, two))
 
 
 def test_tags_of_dolfinx(rod: MeshData, tmp_path: Path) -> None:

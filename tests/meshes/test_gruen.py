@@ -9,7 +9,6 @@ import ufl
 from app.case.femurs import Femur
 from app.mechanics.body_forms import OnBody, assembled_vector
 from app.results.stresses import Stresses
-from app.system.timing import Timing
 from meshes import femur_bone, femur_stem
 from meshes.gruen import BELOW, Zones
 from tests import support
@@ -124,7 +123,7 @@ loads:
 def test_strain_energy_is_half_the_work_of_the_loads() -> None:
     """Summed over all points, whatever the law: Clapeyron."""
     solved = support.solve(CASE)
-    stresses = Stresses(solved.problem, Timing())
+    stresses = Stresses(solved.problem)
     total = 0.0
     for region, height in (("lower", 6.0), ("upper", 3.0)):
         x, dx = stresses.places(region)
@@ -157,9 +156,9 @@ def test_free_strain_has_no_energy() -> None:
         f"regions.lower={{youngs_modulus: 600 MPa, poisson_ratio: 0.3, eigenstrains: [{free}]}}",
         f"regions.upper.eigenstrains=[{free}]",
     )
-    stresses = Stresses(support.solve(CASE, *swelling).problem, Timing())
+    stresses = Stresses(support.solve(CASE, *swelling).problem)
     assert np.abs(stresses.energy_density("upper")).max() < 1e-12
     held = _rollers("x_min", "y_min", "bottom", "x_max", "y_max", "top")
-    stresses = Stresses(support.solve(CASE, *swelling, f"supports={held}").problem, Timing())
+    stresses = Stresses(support.solve(CASE, *swelling, f"supports={held}").problem)
     exact = 1.5 * 600.0 * 1e-6 / (1 - 0.6)
     assert stresses.energy_density("upper") == pytest.approx(exact, rel=1e-9)

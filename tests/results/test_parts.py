@@ -9,7 +9,6 @@ import pytest
 
 from app.results.interface_numbers import ContactSamples, Surface
 from app.results.stresses import Stresses
-from app.system.timing import Timing
 from tests import support
 
 # A block pressed by 1 um on one of 2 mm without Poisson's ratio: 0.05 MPa on 16 mm2.
@@ -74,7 +73,7 @@ def test_the_neck_is_no_part_of_the_stem(
     pressed: support.Solved, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Tension by z [MPa]: the neck, above 1 mm, has what is above 1 MPa."""
-    stresses = Stresses(pressed.problem, Timing(), depth=lambda x: 1.0 - x[:, 2])
+    stresses = Stresses(pressed.problem, depth=lambda x: 1.0 - x[:, 2])
     z = stresses.places("stem")[0][:, 2]
     monkeypatch.setattr(stresses, "evaluate", lambda _: np.multiply.outer(z, np.diag([0, 0, 1.0])))
     stem = stresses.region("stem")
@@ -84,5 +83,5 @@ def test_the_neck_is_no_part_of_the_stem(
     assert stem["volume"] + stem["neck"]["volume"] == pytest.approx(32.0)
     assert stem["neck"]["von_mises_max"] == pytest.approx(z.max())
     assert stem["neck"]["von_mises_max_at"][2] == pytest.approx(z.max())
-    without = Stresses(pressed.problem, Timing())
+    without = Stresses(pressed.problem)
     assert "neck" not in without.region("stem")

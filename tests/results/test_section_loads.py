@@ -10,7 +10,6 @@ import pytest
 from app.case.section_loads import KNEE, section_loads
 from app.results.hip import of_femur
 from app.results.stresses import Stresses
-from app.system.timing import Timing
 from meshes.femur_bone import CANAL, PERIOSTEUM, Tube
 from tests import support
 
@@ -108,7 +107,7 @@ def test_the_stress_over_a_cut_has_the_section_loads() -> None:
     solved = support.solve((support.CONFIGS / "stance.yaml").read_text(), "mesh.size=10 mm")
     level = -75.0
     wanted = next(s for s in section_loads(solved.case, 1.0) if s.z == level)
-    stresses, force, moment = Stresses(solved.problem, Timing()), np.zeros(3), np.zeros(3)
+    stresses, force, moment = Stresses(solved.problem), np.zeros(3), np.zeros(3)
     for region in solved.case.regions:
         x, volume = stresses.places(region)
         weight = np.maximum(0.0, 1 - np.abs(x[:, 2] - level) / 20) / 20 * volume.ravel()

@@ -87,7 +87,7 @@ def test_balances_close_with_a_free_strain(lay: str, order: int) -> None:
 @LAYS
 def test_energy_of_the_strain_is_half_the_work_of_the_pressure(lay: str) -> None:
     solved = support.solve(ring(lay, "mesh.size=1 mm"))
-    stresses = Stresses(solved.problem, Timing())
+    stresses = Stresses(solved.problem)
     _, volumes = stresses.places("ring")
     energy = float((stresses.energy_density("ring") * volumes).sum())
     work = solved.problem.f.dot(solved.solver.u_and_q()[0])

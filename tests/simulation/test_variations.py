@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -166,6 +167,9 @@ class Runs:
             iterations.append(step.outcome.iterations)
             if trial is not None:
                 last[:] = [ContactSamples(model.mechanics.problem, trial)]
+                stage = model.scene.stages[math.ceil(step.time) - 1]
+                for bearing in model.mechanics.bearings.values():
+                    bearing.update(last[0], stage, step.time, step.whole)
 
         model.go(keep, on_trouble=print)
         moved = model.mechanics.problem.displacements()
