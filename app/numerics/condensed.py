@@ -103,7 +103,7 @@ class Condensed:
     # Factors
 
     def _analysed(self, A: csc_array) -> Cholesky:
-        return Cholesky(A, self.size + self._jumps - self._kept)
+        return Cholesky(A, self.size + self._jumps - self._kept, self._ties is not None)
 
     def _gathered_ties(self) -> csr_array | None:
         """Displacement of points by the last unknowns, if they follow, on rank 0; collective."""
@@ -128,14 +128,16 @@ class Condensed:
         k, c, d = every
         self._tau = d.diagonal()
         if self._ties is not None:
-            k, c = k[self._order][:, self._order], c[self._order].tocoo()
-            # All of the last unknowns meet, so that they stay last: factors of any pairs.
-            i, j = np.indices((self.size - self._kept, self._jumps)).reshape(2, -1)
-            at = np.concatenate([c.row, self._kept + i]), np.concatenate([c.col, j])
-            c = csr_array((np.concatenate([c.data, 0.0 * i]), at), shape=c.shape)
+            k, c = k[self._order][:, self._order], c[self._order]
         lower = block_array([[c.T, d + diags_array(self._tau)]], format="csr")
         k.resize(self.size, self.size + self._jumps)
         rows = vstack([k, lower], format="csr")
+        if self._ties is not None:
+            # The first of the last unknowns meet all others: they are one block with any pairs.
+            i, j = self._kept + np.indices((rows.shape[0] - self._kept, 3)).reshape(2, -1)
+            a = rows.tocoo()
+            at = np.concatenate([a.row, i]), np.concatenate([a.col, j])
+            rows = csr_array((np.concatenate([a.data, 0.0 * i]), at), shape=a.shape)
         # Rows of the lower triangle are columns of the upper one.
         return csc_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)
 

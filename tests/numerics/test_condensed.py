@@ -28,23 +28,29 @@ def spring_grid(n: int = 6) -> csc_array:
     return csc_array(kron(grid, B @ B.T + 3 * np.eye(3)))
 
 
-def test_last_block_is_the_factor_of_the_schur_complement() -> None:
+@pytest.mark.parametrize("last", [108, 324])
+def test_last_block_is_the_factor_of_the_schur_complement(last: int) -> None:
     """S = D - C^T K^-1 C by dense matrices, whatever the order of the factors."""
     A = spring_grid()
-    c = Cholesky(A, 108)
+    if last > 108:  # without these entries they are no block: layers that do not meet
+        i, j = np.indices((3, last)).reshape(2, -1) + A.shape[0] - last
+        a = A.tocoo()
+        at = np.concatenate([a.row, i]), np.concatenate([a.col, j])
+        A = csc_array((np.concatenate([a.data, 0.0 * i]), at))
+    c = Cholesky(A, last, last > 108)
     c.factorize(A)
     K, C, D = (
         A.toarray()[rows]
-        for rows in (np.s_[:-108, :-108], np.s_[:-108, -108:], np.s_[-108:, -108:])
+        for rows in (np.s_[:-last, :-last], np.s_[:-last, -last:], np.s_[-last:, -last:])
     )
     np.testing.assert_allclose(c.schur(), D - C.T @ np.linalg.solve(K, C), atol=1e-12)
     b = np.random.default_rng(1).normal(size=A.shape[0])
     np.testing.assert_allclose(A @ c.up(y := c.down(b)), b, atol=1e-12)
-    pulled = C.T @ np.linalg.solve(K, b[:-108])
-    np.testing.assert_allclose(c.last(y[-108:]), b[-108:] - pulled, atol=1e-12)
-    there = np.concatenate([y[:-108], c.last(b[-108:], transposed=True)])
-    moved = np.linalg.solve(K, b[:-108] - C @ b[-108:])
-    np.testing.assert_allclose(c.up(there), np.concatenate([moved, b[-108:]]), atol=1e-12)
+    pulled = C.T @ np.linalg.solve(K, b[:-last])
+    np.testing.assert_allclose(c.last(y[-last:]), b[-last:] - pulled, atol=1e-12)
+    there = np.concatenate([y[:-last], c.last(b[-last:], transposed=True)])
+    moved = np.linalg.solve(K, b[:-last] - C @ b[-last:])
+    np.testing.assert_allclose(c.up(there), np.concatenate([moved, b[-last:]]), atol=1e-12)
 
 
 def test_other_ties_are_condensed_without_new_factors() -> None:
