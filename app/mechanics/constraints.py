@@ -256,6 +256,17 @@ class Constraints:
         """P^T C."""
         return self._P.transposeMatMult(C) if self._P else C
 
+    def at(self, nodes: Ints) -> PETSc.Mat:
+        """Rows of P of own nodes, zero in constrained columns; collective."""
+        assert self._P
+        rows = self._P.getOwnershipRange()[0] + 3 * nodes[:, None] + np.arange(3)
+        rows = rows.ravel().astype(PETSc.IntType)
+        found = self._P.createSubMatrix(PETSc.IS().createGeneral(rows, comm=self._P.comm))
+        free = found.createVecRight()
+        free.array[:] = ~self.constrained
+        found.diagonalScale(None, free)
+        return found
+
     def vector(self, f: PETSc.Vec) -> PETSc.Vec:
         """P^T f, a new vector."""
         if not self._P:

@@ -129,6 +129,7 @@ class Followers:
     Attributes:
         sides: Master and slave of each such interface, by its number.
         slaves: Body and own nodes of the slave of each interface.
+        masters: Own vertices of the masters.
         following: Global dofs without unknowns of their own, rising (n,).
         turning: Own nodes of each body that turns, and those of its driven boundary, by motion.
         rotations: Rotation of each of them (3, 3).
@@ -152,6 +153,7 @@ class Followers:
             (bodies.of_region[c.slave[0]], self._own(np.concatenate([s.dofs, s.edges[:, 0]])))
             for c, (_, s) in zip(interfaces.values(), self.sides.values(), strict=True)
         ]
+        self.masters = self._own(np.concatenate([m.dofs for m, _ in self.sides.values()]))
         self.changed = True
         self.turning: dict[str, tuple[Ints, Ints]] = {}
         for m in scene.driven:

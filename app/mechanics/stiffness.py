@@ -26,6 +26,7 @@ class Stiffness:
     Attributes:
         K: The matrix, constrained rows and columns set to a diagonal.
         version: Number of its changes, which outdate preconditioners.
+        pairings: Number of these by new pairs of surfaces alone.
         stage: The stage whose supports are active.
         followers: Surfaces that slide far on deformable ones, if any.
         frames: Nodes with axes of their own, if a support needs them.
@@ -51,7 +52,7 @@ class Stiffness:
         followers: Followers | None,
     ) -> None:
         scene, space = mechanics.scene, mechanics.space
-        self._mechanics, self.stage, self.version = mechanics, 0, 0
+        self._mechanics, self.stage, self.version, self.pairings = mechanics, 0, 0, 0
         self.frames = frames_of(scene, mechanics.tagged, mechanics.bodies, space)
         self._form = mechanics.stiffness()
         self.followers = followers
@@ -94,6 +95,7 @@ class Stiffness:
         renew(self.K, K, self.constraints.follows)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.version += 1
+        self.pairings += paired
 
     def set_stage(self, stage: int, u: PETSc.Vec) -> bool:
         """Activate the supports of a stage; reassemble and return True if they changed; collective.

@@ -182,6 +182,25 @@ class ContactSystem(BondedSystem):
             self._C.zeroRows(self._problem.stiffness.rows, diag=0.0)
         return self._problem.stiffness.K, self._C, self.contact.coupling.D
 
+    @property
+    def pairings(self) -> int:
+        """Number of changes of the stiffness by new pairs of surfaces alone."""
+        return self._problem.stiffness.pairings
+
+    def ties(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
+        """Displacement of points by the unknowns they follow now, of masters by all such ones."""
+        followers, large = self._problem.followers, self.contact.large
+        if followers is None or large is None:
+            return None
+        constraints, points = self._problem.stiffness.constraints, self.contact.points
+        low = self._problem.space.dofmap.index_map.local_range[0]
+        Q = constraints.at(points.dof[self.contact.own.rows] - low)
+        follows = Q.createVecLeft()
+        soft = large.rows[np.isin(large.of, list(followers.sides))]
+        follows.array.reshape(-1, 3)[soft] = 1.0
+        Q.diagonalScale(follows)
+        return Q, constraints.at(followers.masters)
+
     def forces(self, x: list[PETSc.Vec]) -> tuple[Floats, Floats, float]:
         """Residual of displacement and jumps without the law, and size of the forces [N]."""
         out = x[0].duplicate()

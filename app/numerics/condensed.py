@@ -10,7 +10,8 @@ so that a step solves (T S + B) dq = r_q - T C^T K^{-1} r_u and K du = r_u - C d
 
 with the jumps last hold both: the last block of L is the factor of S + tau. (S alone is singular: a
 stem slides and turns for nothing.) S stays for all steps, stages and variations of one stiffness.
-One rank factors and solves for all.
+Unknowns that points follow are last too, before the jumps: new pairs change S, but no factors
+(`numerics.untied`). One rank factors and solves for all.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from scipy.sparse import block_array, bsr_array, csc_array, csr_array, diags_arr
 from app.arrays import Floats
 from app.errors import on_root
 from app.numerics.cholesky import Cholesky, library
+from app.numerics.untied import Untied
 
 # Singular values of T, and parts of a row of B across its direction, that count as none.
 NOTHING = 1e-10
@@ -55,6 +57,13 @@ class Condensable(Protocol):
     def version(self) -> int:
         """Number of changes of the matrices."""
 
+    @property
+    def pairings(self) -> int:
+        """Number of these by new pairs alone."""
+
+    def ties(self) -> tuple[PETSc.Mat, PETSc.Mat] | None:
+        """Displacement of points by unknowns they follow, and a matrix with all such columns."""
+
     def parts(self) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         """K, C without constrained rows, and D."""
 
@@ -77,10 +86,13 @@ class Condensed:
         K, _, D = contact.parts()
         self._comm = K.comm.tompi4py()
         self.size, self._jumps = K.getSize()[0], D.getSize()[0]
+        self._order, self._kept = np.arange(self.size), self.size
+        self._ties = self._gathered_ties()
         self._matrix: csc_array | None = self._gathered_matrix()
-        self._made = -1
+        self._made = self._bodies = -1
+        self._untied: Untied | None = None
         if self._matrix is not None:
-            self.cholesky = Cholesky(self._matrix, self._jumps)
+            self.cholesky = self._analysed(self._matrix)
 
     @property
     def work(self) -> tuple[float, float]:
@@ -90,6 +102,23 @@ class Condensed:
 
     # Factors
 
+    def _analysed(self, A: csc_array) -> Cholesky:
+        return Cholesky(A, self.size + self._jumps - self._kept)
+
+    def _gathered_ties(self) -> csr_array | None:
+        """Displacement of points by the last unknowns, if they follow, on rank 0; collective."""
+        if (ties := self._contact.ties()) is None:
+            return None
+        Q, every = (self._gathered_rows(A) for A in ties)
+        if self._comm.rank:
+            return None
+        if self._kept == self.size:
+            there = np.unique(every.indices // 3)
+            last = (3 * there[:, None] + np.arange(3)).ravel()
+            self._order = np.concatenate([np.setdiff1d(self._order, last), last])
+            self._kept -= len(last)
+        return Q[:, self._order[self._kept :]]
+
     def _gathered_matrix(self) -> csc_array | None:
         """A' on rank 0, its upper triangle right, None elsewhere; collective."""
         K, C, D = self._contact.parts()
@@ -98,6 +127,12 @@ class Condensed:
             return None
         k, c, d = every
         self._tau = d.diagonal()
+        if self._ties is not None:
+            k, c = k[self._order][:, self._order], c[self._order].tocoo()
+            # All of the last unknowns meet, so that they stay last: factors of any pairs.
+            i, j = np.indices((self.size - self._kept, self._jumps)).reshape(2, -1)
+            at = np.concatenate([c.row, self._kept + i]), np.concatenate([c.col, j])
+            c = csr_array((np.concatenate([c.data, 0.0 * i]), at), shape=c.shape)
         lower = block_array([[c.T, d + diags_array(self._tau)]], format="csr")
         k.resize(self.size, self.size + self._jumps)
         rows = vstack([k, lower], format="csr")
@@ -115,14 +150,22 @@ class Condensed:
         """Factor the bodies if their stiffness has changed; collective."""
         if self._made == (now := self._contact.version):
             return
-        A = self._matrix if self._made < 0 else self._gathered_matrix()
-        self._made, self._matrix = now, None
-        if A is not None:
-            if not self.cholesky.fits(A):  # a support may have let go
-                self.cholesky = Cholesky(A, self._jumps)
-            self.cholesky.factorize(A)
-            self._S = self.cholesky.schur()
-            self._S[np.diag_indices(self._jumps)] -= self._tau
+        self._made, bodies = now, now - self._contact.pairings
+        self._ties = self._gathered_ties()
+        if self._bodies != bodies:
+            A = self._matrix if self._bodies < 0 else self._gathered_matrix()
+            self._bodies, self._matrix = bodies, None
+            if A is not None:
+                if not self.cholesky.fits(A):  # a support may have let go
+                    self.cholesky = self._analysed(A)
+                self.cholesky.factorize(A)
+                self._S = self.cholesky.schur()
+                jumps = np.arange(len(self._S))[-self._jumps :]
+                self._S[jumps, jumps] -= self._tau
+                self._untied = None if self._ties is None else Untied(self._S, self._ties)
+        if self._comm.rank == 0:
+            if self._untied is not None:
+                self._S = self._untied.tie(self._ties)
             self._single = self._S.astype(np.float32)
 
     def setUp(self, pc: PETSc.PC | None = None) -> None:
@@ -229,16 +272,21 @@ class Condensed:
 
     def _pulled(self, ru: Floats) -> Floats:
         """Forces on jumps of the displacement that other forces cause, C^T K^-1 r_u."""
-        self._half = np.concatenate([ru, np.zeros(self._jumps)])
-        if not ru.any():  # as in cycles
-            return self._half[self.size :].copy()
-        self._half = self.cholesky.down(self._half)
-        return -self.cholesky.last(self._half[self.size :])
+        self._half = np.concatenate([ru[self._order], np.zeros(self._jumps)])
+        if ru.any():  # not in cycles
+            self._half = self.cholesky.down(self._half)
+        self._given = self.cholesky.last(self._half[self._kept :])
+        if self._untied is not None:
+            return self._untied.solve(self._given, np.zeros(self._jumps))[0]
+        return -self._given
 
     def _moved(self, dq: Floats) -> Floats:
         """The displacement K^-1 (r_u - C dq), r_u as last given to `_pulled`."""
-        self._half[self.size :] = self.cholesky.last(dq, transposed=True)
-        return self.cholesky.up(self._half)[: self.size]
+        last = dq if self._untied is None else self._untied.solve(self._given, dq)[1]
+        self._half[self._kept :] = self.cholesky.last(last, transposed=True)
+        u = np.empty(self.size)
+        u[self._order] = self.cholesky.up(self._half)[: self.size]
+        return u
 
     def _step(self, r: Floats) -> Floats:
         """Solution of (T S + B) dq = r, zero where a body floats; its forces S dq are kept."""

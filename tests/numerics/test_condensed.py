@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.sparse import csc_array, diags_array, eye_array, kron
+from scipy.sparse import csc_array, csr_array, diags_array, eye_array, kron
 
 from app.numerics.choice import SolverChoice
 from app.numerics.cholesky import Cholesky
 from app.numerics.condensed import Condensed
+from app.numerics.untied import Untied
 from tests import support
 
 CONDENSED = "solver.linear=condensed"
@@ -44,6 +45,27 @@ def test_last_block_is_the_factor_of_the_schur_complement() -> None:
     there = np.concatenate([y[:-108], c.last(b[-108:], transposed=True)])
     moved = np.linalg.solve(K, b[:-108] - C @ b[-108:])
     np.testing.assert_allclose(c.up(there), np.concatenate([moved, b[-108:]]), atol=1e-12)
+
+
+def test_other_ties_are_condensed_without_new_factors() -> None:
+    """S and displacements of a body that nothing holds, tied anew, by dense matrices."""
+    random = np.random.default_rng(2)
+    held, loose = (v @ v.T + np.eye(9) for v in random.normal(size=(2, 9, 9)))
+    ways = np.linalg.qr(random.normal(size=(9, 3)))[0]
+    stays = np.eye(9) - ways @ ways.T
+    loose = stays @ loose @ stays
+    Q1, Q2 = random.normal(size=(2, 9, 9))
+    tied = [np.block([[loose + Q.T @ held @ Q, Q.T @ held], [held @ Q, held]]) for Q in (Q1, Q2)]
+    K, C = tied[1][:9, :9], tied[1][:9, 9:]
+    untied = Untied(tied[0].copy(), csr_array(Q1))
+    S = held - C.T @ np.linalg.solve(K, C)
+    np.testing.assert_allclose(untied.tie(csr_array(Q2)), S, atol=1e-9)
+    g, q = random.normal(size=18), random.normal(size=9)
+    forces, v = untied.solve(g, q)
+    # Forces g and motions are those of the first ties: g on m also acts through the points.
+    m = np.linalg.solve(K, g[:9] + (Q2 - Q1).T @ g[9:] - C @ q)
+    np.testing.assert_allclose(v, np.concatenate([m, q + (Q2 - Q1) @ m]), atol=1e-9)
+    np.testing.assert_allclose(forces, C.T @ m + held @ q - g[9:], atol=1e-9)
 
 
 def test_factors_that_nothing_holds_are_freed() -> None:
