@@ -22,6 +22,7 @@ from app.command_line.parser import parser
 from app.command_line.streams import configure_log, painted, pass_colours
 from app.errors import InputError, stack_needed
 from app.system import ranks
+from app.system.folders import prepare_run
 from app.system.ranks import rank
 
 if TYPE_CHECKING:
@@ -117,7 +118,8 @@ def _check(options: argparse.Namespace) -> int:
     if options.output:
         from app.report import case_picture
 
-        path = _writable(options.output) / f"{options.case.stem}.png"
+        prepare_run(options.output, force=True)
+        path = options.output / f"{options.case.stem}.png"
         case_picture.draw(case.config, mantle.mesh(case), path)
         print(path)
     for message in found.notes:
@@ -132,7 +134,8 @@ def _mesh(options: argparse.Namespace) -> int:
 
     memory.check(case.file, case.config)
     deck = options.output if options.output and options.output.suffix == ".inp" else None
-    folder = _writable(deck.parent if deck else options.output or Path("out"))
+    folder = deck.parent if deck else options.output or Path("out")
+    prepare_run(folder, force=True)
     path = deck or folder / f"{options.case.stem}.msh"
     configure_log("info", sys.stderr)
     log.info("meshing")
@@ -164,17 +167,6 @@ def _mesh(options: argparse.Namespace) -> int:
     for message in data.notes.get("told", ()):
         print(f"note: {message}")
     return 0
-
-
-def _writable(folder: Path) -> Path:
-    """The folder that ``-o`` names, made if necessary."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"-o {folder}: cannot be made: {error.strerror}") from error
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"-o {folder}: is not writable")
-    return folder
 
 
 def _campaign(options: argparse.Namespace) -> int:
@@ -223,8 +215,9 @@ def _report(options: argparse.Namespace) -> int:
         print(*files, sep="\n")
         return 0
     if others:
-        page = _writable(options.output or Path("out")) / "compare.html"
-        print(compare.write(options.folders, page))
+        page = options.output or Path("out")
+        prepare_run(page, force=True)
+        print(compare.write(options.folders, page / "compare.html"))
         return 0
     if run_report.is_run(folder):
         for path in run_report.write(folder, spread=options.spread):

@@ -275,8 +275,10 @@ class Condensed:
     def _pulled(self, ru: Floats) -> Floats:
         """Forces on jumps of the displacement that other forces cause, C^T K^-1 r_u."""
         self._half = np.concatenate([ru[self._order], np.zeros(self._jumps)])
-        if ru.any():  # not in cycles
+        if ru.any():
             self._half = self.cholesky.down(self._half)
+        elif self._untied is None:  # as in cycles
+            return self._half[self.size :].copy()
         self._given = self.cholesky.last(self._half[self._kept :])
         if self._untied is not None:
             return self._untied.solve(self._given, np.zeros(self._jumps))[0]

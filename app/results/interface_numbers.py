@@ -282,7 +282,8 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
 
     Jumps are those of own contact points (n, 3) [mm].
     """
-    motion, clearance = _motion(contact, jump), _clearance(contact)
+    motion = _motion(contact, jump)
+    clearance = contact.whole(np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0]))
     found = []
     for rows, triangles in zip(contact.points.facets, contact.points.triangles, strict=True):
         gap, area = gaps(contact.facets, rows, motion[rows], clearance[triangles])
@@ -330,8 +331,3 @@ def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
         moved[body, own] = u.array.reshape(-1, 3)[nodes[own] - start]
     moved = contact.comm.allreduce(moved)
     return moved[bodies[:, 1:], place] - moved[bodies[:, :1], place]
-
-
-def _clearance(contact: ContactInterfaces) -> Floats:
-    """Initial gap at all contact points (n,) [mm]; 0 where supports constrain every component."""
-    return contact.whole(np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0]))

@@ -24,6 +24,7 @@ from app.arrays import Floats, Ints
 from app.errors import InputError
 from app.results.vtkhdf import QUADRATIC_NODES
 from app.schema import yaml_file
+from meshes.data import exterior_facets, facet_areas
 
 FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
 
@@ -202,21 +203,17 @@ class Run(Results):
 
         A third of every facet whose corners are contact points of both bodies it lies between.
         """
-        corners: Ints = self.cells[:, :4][:, FACES].reshape(-1, 3)
+        corners, _ = exterior_facets(self.cells[:, :4])
         corners = corners[self.on_interface(name)[corners].all(axis=1)]
-        x = self.points[corners]
-        # Where an interface bends, a facet may have its corners on it and lie inside a body; facets
-        # of an interface come in pairs, one per body, at the same place.
-        centre = np.round(x.mean(axis=1), 9)
+        # Facets of an interface come in pairs, one per body, at the same place.
+        centre = np.round(self.points[corners].mean(axis=1), 9)
         _, pair, count = np.unique(centre, axis=0, return_inverse=True, return_counts=True)
-        _, own = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True)
-        inside = np.bincount(own.ravel())[own.ravel()] > 1
-        keep = (count[pair.ravel()] == 2) & ~inside
-        x, corners = x[keep], corners[keep]
-        size = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
-        areas = np.zeros(len(self.points))
-        np.add.at(areas, corners, size[:, None] / 6)
-        return areas
+        return self.area_by_node(corners[count[pair.ravel()] == 2]) / 2
+
+    def area_by_node(self, corners: Ints) -> Floats:
+        """Area of facets (f, 3), a third of each at its corners (n,) [mm2]."""
+        thirds = np.repeat(facet_areas(self.points, corners) / 3, 3)
+        return np.bincount(corners.ravel(), thirds, len(self.points)).astype(float)
 
     def norms(
         self, exact: Callable[[Floats, Ints], Floats], values: Floats | None = None, degree: int = 6

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import math
 import os
-import re
 import resource
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -16,6 +15,7 @@ from app.case.geometries import MeshFile
 from app.errors import EnvironmentProblem
 from app.schema.yaml_file import CaseFile, Fault
 from app.soundness import cost
+from app.system.timing import peak_memory
 
 # Least memory of a run [byte]: in all, per unknown (measured: 6 kB) and per cell.
 BASE, PER_UNKNOWN, PER_CELL = 3e8, 4e3, 3e2
@@ -101,9 +101,7 @@ def _lacks_memory(error: BaseException) -> bool:
 
 def _nearly_full() -> bool:
     """Whether this process has nearly reached its limit: libraries do not always say why."""
-    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
-    peak = re.search(r"VmPeak:\s+(\d+) kB", status)
-    return bool(peak and 1024 * int(peak[1]) > NEARLY * _addresses())
+    return 1e6 * peak_memory("VmPeak") > NEARLY * _addresses()
 
 
 def _limits() -> str:

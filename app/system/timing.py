@@ -75,10 +75,10 @@ class Timing:
         self.cpu.clear()
 
 
-def peak_memory() -> float:
-    """Peak memory of this process [MB].
+def peak_memory(of: str = "VmHWM") -> float:
+    """Peak memory of this process, by default of what is resident [MB].
 
     From the kernel's account of this program: `getrusage` includes its parent before exec.
     """
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
-    return int(re.findall(r"VmHWM:\s+(\d+) kB", status)[0]) * 1024 / 1e6
+    return int(re.findall(rf"{of}:\s+(\d+) kB", status)[0]) * 1024 / 1e6

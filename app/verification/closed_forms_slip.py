@@ -9,12 +9,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from app.arrays import Bools, Floats
-from app.results.reading import FACES, Run
+from app.results.reading import Run
 from app.verification import closed_forms as exact
 from app.verification import judges
 from app.verification.changed_meshes import ROTATION
 from app.verification.check import Check, Sample, problem, run, worst
 from app.verification.measures import number, relative
+from meshes.data import exterior_facets
 
 # Sink [um] and mean pressure [MPa] within 20 degrees of the pole of the ball of ball_in_cup.yaml
 # without friction, by clearance (tests/axisymmetric.py); the cup's outside stays at 22 mm.
@@ -78,11 +79,8 @@ def _course(*angles: Sequence[float] | Floats) -> str:
 
 def _areas(run: Run, on: Bools) -> Floats:
     """Area of a surface with some nodes, by node (n,)."""
-    corners = np.sort(run.cells[:, :4][:, FACES].reshape(-1, 3), axis=1)
-    corners, count = np.unique(corners[on[corners].all(axis=1)], axis=0, return_counts=True)
-    x = run.points[corners := corners[count == 1]]
-    area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
-    return np.asarray(np.bincount(corners.ravel(), np.repeat(area / 3, 3), len(on)), dtype=float)
+    corners, _ = exterior_facets(run.cells[:, :4])
+    return run.area_by_node(corners[on[corners].all(axis=1)])
 
 
 def _pressure(run: Run) -> tuple[Floats, Floats, Floats]:

@@ -228,7 +228,7 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
     out = capsys.readouterr().out
     assert "joint 100" in out and "estimated" not in out
     assert main(["mesh", case, "-o", str(given / "below"), *coarse]) == 2
-    assert "cannot be made" in capsys.readouterr().err
+    assert "a folder above it is a file" in capsys.readouterr().err
 
 
 def test_mesh_draws_the_mantle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

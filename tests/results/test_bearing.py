@@ -33,9 +33,7 @@ def areas(run: Run, name: str) -> Floats:
     facets, _ = exterior_facets(cells)
     x = run.points[facets]
     facets = facets[(np.abs(np.linalg.norm(x, axis=2) - RADIUS) < 1).all(axis=1)]
-    x = run.points[facets]
-    size = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
-    return np.bincount(facets.ravel(), np.repeat(size / 3, 3), len(run.points))
+    return run.area_by_node(facets)
 
 
 @pytest.fixture(scope="module")
