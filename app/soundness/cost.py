@@ -63,7 +63,8 @@ def _size(
     """Size of a mesh with nodes of displacements, corners of cells, and corners by interface."""
     laws, moves, heats = case.interfaces.items(), solid(case), case.conducts
     jumps = moves * sum(each[name] for name, law in laws if law.can_part)
-    steps = heats * sum(each[name] for name, law in laws if law.conductance is not None)
+    conducting = {name for name, law in laws if law.conductance is not None} - case.faces.keys()
+    steps = heats * sum(each[name] for name in conducting)
     return _Size(cells, moves * nodes, jumps, heats * corners, steps)
 
 

@@ -225,7 +225,7 @@ def warnings(case: Case) -> list[str]:
         f"interfaces.{name}: expansion and a conductance that grows with pressure feed each other: "
         "there may be several states, not all of them stable; the initial temperatures decide"
         for name, law in case.interfaces.items()
-        if expands and isinstance(law.conductance, PressureConductance)
+        if expands and isinstance(law.conductance, PressureConductance) and name not in case.faces
     ]
     loads = [(load.resultant or (0.0,), load.history or (1.0,)) for load in case.loads.values()]
     force = max((math.hypot(*f) * max(map(abs, h)) for f, h in loads), default=0.0)
