@@ -260,9 +260,11 @@ def test_a_head_finds_its_cup(μ: float, force: tuple[float, float, float]) -> N
 
 
 def test_a_head_that_falls_out() -> None:
-    """Off its cup from the start, or in the middle of a course."""
+    """Off its cup from the start, or in the middle of a course.
+
+    A step to far away converges or not by rounding: either is told.
+    """
+    told = r"(head.* and the loads pull there|left each other for good).*\[loose-body\]"
     for load in (loaded(-FORCE, -FORCE), loaded(FORCE, -FORCE)):
-        with pytest.raises(
-            ConvergenceError, match=r"head.* and the loads pull there \[loose-body\]"
-        ):
+        with pytest.raises(ConvergenceError, match=told):
             solve(QUARTER, stages(5), load)
