@@ -29,7 +29,6 @@ from app.numerics.sparse import from_triplets
 from app.scene.scene import Interface, Stage
 from app.stepping.load_steps import LoadStep, OnStep
 from forms.interface_heat import friction_heat
-from meshes.contact_facets import gather
 
 
 class CycleHeat:
@@ -109,12 +108,11 @@ class CycleHeat:
             assert c.between is not None
             sides = [Side.of(operators.tagged, forms.space, name) for name in c.between]
             heat, exchange = self._means(c, *sides)
+            for side, region in zip(sides, (c.master[0], c.slave[0]), strict=True):
+                here = side.dofs[(side.dofs >= start) & (side.dofs < end)] - start
+                body[here], slaves[c.name] = of_region[region], here
             dofs = np.concatenate([side.dofs for side in sides])
-            own = (dofs >= start) & (dofs < end)
-            rows, split = dofs - start, len(sides[0].dofs)
-            body[rows[:split][own[:split]]] = of_region[c.master[0]]
-            body[rows[split:][own[split:]]] = of_region[c.slave[0]]
-            slaves[c.name] = rows[split:][own[split:]]
+            own, rows = (dofs >= start) & (dofs < end), dofs - start
             if (f := operators.friction) and f"friction {c.name}" in f.flows:
                 f.nodal[body[rows[own]], rows[own]] = heat[own]
                 f.flows[f"friction {c.name}"] = float(heat.sum())
@@ -130,19 +128,19 @@ class CycleHeat:
         """Heat of friction into the nodes of master and slave, and triplets of X; collective."""
         from scipy import sparse  # imported late: few runs need it
 
-        own, surface, smooth = self._contact.own, master.smooth, slave.smooth
-        here = own.interface == [other.name for other in self._scene.contacts].index(c.name)
+        points, i = self._contact.points, [o.name for o in self._scene.contacts].index(c.name)
+        here = points.interface == i  # in the order of the vertices
+        weight, surface = points.weight[here], self._large.masters[i].smooth
         m, n = len(master.dofs), len(slave.dofs)
         least, slope, cap = c.law.conductances
         heat, X = np.zeros(m + n), sparse.csr_array((m + n, m + n))
         for state in self._cycle:
-            number, found = gather(self._problem.comm, own.rows[here], state[here])
-            part, *place, pressure, spent = found[np.argsort(number)].T
+            part, *place, pressure, spent = self._contact.whole(state)[here].T
             pairs = mortar(np.column_stack(place), slave.triangles, surface)
             Π = sparse.csr_array((pairs.values, (pairs.rows, pairs.columns)), shape=(n, m))
             E = sparse.hstack([-Π, sparse.eye_array(n)], format="csr")
             h = np.minimum(least + slope * np.maximum(pressure, 0.0), cap) * pairs.covered
-            X += E.T @ sparse.diags_array(part * h * smooth.areas) @ E
+            X += E.T @ sparse.diags_array(part * h * weight) @ E
             into_master, into_slave = friction_heat(
                 spent / (self._scene.period or 1.0), c.slave_share
             )
