@@ -264,8 +264,10 @@ def _creep(case: Any) -> Iterable[Fault]:
 def _sliding(case: Any) -> Iterable[Fault]:
     """What slides far without two boundaries, moves twice, follows no motion, or takes time."""
     whole = [(("motions", n, "region"), m.region) for _, n, m in _entries(case, "motions")]
-    for _, name, law in _entries(case, "interfaces"):
+    laws, far = {name: law for _, name, law in _entries(case, "interfaces")}, set[str]()
+    for name, law in laws.items():
         if getattr(law, "sliding", "small") == "finite":
+            far.add(name)
             if not (faces := law.between or case.geometry.faces.get(name)):
                 text = "its sides share facets; expected bodies meshed apart, and `between` two of "
                 text += ", ".join(case.geometry.boundary_names)
@@ -303,20 +305,18 @@ def _sliding(case: Any) -> Iterable[Fault]:
         if getattr(stages[through], key):
             text = f"{why}, and courses run through this stage, the last that takes no time"
             yield Fault(("stages", through, key), f"{text}; expected an earlier one")
-    yield from _sliding_heat(case, courses)
+    if far and any(region.thermal is not None for _, _, region in _entries(case, "regions")):
+        yield from _sliding_heat(laws, far, courses)
 
 
-def _sliding_heat(case: Any, courses: bool) -> Iterable[Fault]:
+def _sliding_heat(laws: Mapping[str, Any], far: set[str], courses: bool) -> Iterable[Fault]:
     """Surfaces that slide far without a conductance or a cycle; heat that depends on others."""
-    laws = {name: law for _, name, law in _entries(case, "interfaces")}
-    far = {n for n, law in laws.items() if getattr(law, "sliding", "small") == "finite"}
-    thermal = any(region.thermal is not None for _, _, region in _entries(case, "regions"))
-    for name, law in laws.items() if far and thermal else ():
+    for name, law in laws.items():
         heats = getattr(law, "friction_heating", None) is not None
         path = ("interfaces", name, "friction_heating" if heats else "conductance")
         if name not in far and (heats or law.conductances[1] > 0):
-            text = f"heat that depends on contact cannot go with {', '.join(far)}, which slides far"
-            yield Fault(path, f"{text}; expected a constant conductance")
+            text = f"heat that depends on contact cannot go with {', '.join(sorted(far))}, which "
+            yield Fault(path, f"{text}slides far; expected a constant conductance")
         elif name in far and heats and not courses:
             text = "its heat is that of a cycle in its time; expected a course of a motion or load"
             yield Fault(path, text)

@@ -106,6 +106,11 @@ class Mechanical:
         self.solver.begin(tolerance)
         self.neighbours.begin()
 
+    def slide(self, samples: ContactSamples, stage: Stage, step: LoadStep) -> None:
+        """Take a step in where sides slide far; collective."""
+        for bearing in self.bearings.values():
+            bearing.update(samples, stage, step.time, step.whole)
+
     def restored(self) -> None:
         """Fill the unknowns with the restored displacement and jumps; collective."""
         self.problem.take_up(*self.solver.u_and_q())
@@ -359,7 +364,8 @@ class Model:
             if samples is not None:
                 numbers["interfaces"] = {name: dict(q) for name, q in samples.numbers.items()}
             for name, bearing in m.bearings.items():
-                numbers["interfaces"][name] |= bearing.numbers and bearing.numbers | bearing.cycle()
+                if bearing.numbers:  # none before the first step
+                    numbers["interfaces"][name] |= bearing.numbers | bearing.cycle()
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if found := m.bonds.numbers():
                 numbers["bonds"] = found
@@ -398,11 +404,9 @@ class Model:
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             nonlocal last
             last = trial
-            stage = other.scene.stages[math.ceil(step.time) - 1]
-            if m and trial:
-                for bearing in m.bearings.values():
-                    now = ContactSamples(m.problem, trial, None, m.surfaces)
-                    bearing.update(now, stage, step.time, step.whole)
+            if m and trial and m.bearings:
+                now = ContactSamples(m.problem, trial, None, m.surfaces)
+                m.slide(now, other.scene.stages[math.ceil(step.time) - 1], step)
 
         other.go(keep, on_trouble=lambda text: log.debug("     %s", text))
         samples = ContactSamples(m.problem, last, None, m.surfaces) if m and last else None

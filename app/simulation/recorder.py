@@ -155,8 +155,7 @@ class Recorder:
                 self._contact = {"pressures": trial.law.pressures, "status": trial.law.status}
                 since = self._valley.get("jump")
                 self.samples = ContactSamples(m.problem, trial, since, m.surfaces)
-                for bearing in m.bearings.values():
-                    bearing.update(self.samples, self._stage, step.time, step.whole)
+                m.slide(self.samples, self._stage, step)
             self._total.count(step.outcome)
             moved = m.stem(self._case.side)
             columns = [q for key, q in TABLE["stem"].items() if q.history and key in moved]

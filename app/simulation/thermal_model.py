@@ -34,7 +34,7 @@ class ThermalModel:
     def __init__(self, case: Case, heating: HeatState, problem: Problem | None) -> None:
         operators = heating.operators
         self.operators, self.heating = operators, heating
-        far = problem is not None and operators.scene.sliding_heat
+        far = operators.scene.sliding_heat
         self.sliding = CycleHeat(problem, heating.step) if problem and far else None
         self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
         tagged, space = operators.tagged, operators.forms.space

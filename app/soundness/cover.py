@@ -37,7 +37,7 @@ class Cover:
         free = {bodies.of_region[side[0]] for side in far if not scene.motion_of(side)}
         cells = {body: bodies.of_tag[cell_tags(problem.tagged)] == body for body in sorted(free)}
         nodes = {body: touched_nodes(problem.space, own) for body, own in cells.items()}
-        self._nodes = {body: np.flatnonzero(own) for body, own in nodes.items()}
+        self._rotations = {body: self._fit(np.flatnonzero(own)) for body, own in nodes.items()}
         for c, here, beyond, apart, facet in self._points():
             depth, where = self._largest(here, np.where(beyond > 0, 0.0, -apart))
             if depth > facet:
@@ -47,14 +47,17 @@ class Cover:
                     "`gap` for an interference"
                 )
 
+    def _fit(self, nodes: Ints) -> tuple[Ints, Floats]:
+        """Own nodes, and the best-fit rotation by their displacement (3, 3 nodes); collective."""
+        R = rigid_modes(self._problem.space.tabulate_dof_coordinates()[nodes]).reshape(-1, 6)
+        return nodes, np.linalg.solve(self._problem.comm.allreduce(R.T @ R), R.T)[3:]
+
     def tipped(self) -> str:
         """Sentence on an elastic body that has tipped, and what to change; collective."""
         problem, u = self._problem, self._problem.displacements()
-        for body, nodes in self._nodes.items():
-            R = rigid_modes(problem.space.tabulate_dof_coordinates()[nodes]).reshape(-1, 6)
-            moved = R.T @ u[body].x.array.reshape(-1, 3)[nodes].ravel()
-            gram, sums = (problem.comm.allreduce(part) for part in (R.T @ R, moved))
-            angle = float(np.linalg.norm(np.linalg.solve(gram, sums)[3:]))
+        for body, (nodes, fit) in self._rotations.items():
+            moved = fit @ u[body].x.array.reshape(-1, 3)[nodes].ravel()
+            angle = float(np.linalg.norm(problem.comm.allreduce(moved)))
             if angle > TIPPED:
                 return (
                     f"body '{problem.bodies.names[body]}' has tipped by {np.degrees(angle):.2g} "
