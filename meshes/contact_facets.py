@@ -268,10 +268,11 @@ def spread_of_normals(x: Floats, normals: Floats, triangles: Sequence[Ints]) -> 
     """Covariance of facet normals about the normals of their points (n, 3, 3) [-].
 
     A facet counts for the face of its point with the closest normal, of unit normals (n, k, 3).
-    ``triangles`` are the facets' points (f, 3), by interface.
+    ``triangles`` are the facets' points (f, 3), by interface; facets with others do not count.
     """
     total, area = np.zeros((len(x), 3, 3)), np.zeros(len(x))
-    for corners in triangles:
+    for every in triangles:
+        corners = every[(every < len(x)).all(axis=1)]
         a, b, c = x[corners].transpose(1, 0, 2)
         n = np.cross(b - a, c - a)
         size = np.linalg.norm(n, axis=1)

@@ -12,8 +12,8 @@ Rules where things meet, for each displacement component of a vertex:
 * The displacement of one body, the base, is the continuous field u itself; every other body there
   adds jumps to it. The base is a body that a support holds in this component, otherwise the stiffer
   one, of equals the master: a jump that moves the softer side meets about what it meets in truth.
-* A vertex with k bodies has k - 1 jumps: interfaces are taken in the order of the case file, and
-  one that would close a cycle is not enforced at that vertex.
+* A vertex with k bodies has k - 1 jumps. Where more interfaces meet, the jump of one follows from
+  the others; its neighbours stand in for it with its area (`meshes.redundant_points`).
 * Where supports hold both sides of a jump, the jump is given by them and the interface carries no
   reported force in that component; the normals drop it.
 * The components are those along x, y, z, or along the axes of a vertex that has its own because a
@@ -25,8 +25,9 @@ the mesh file, so that the result does not depend on the partition. They are few
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -39,9 +40,10 @@ from meshes.contact_facets import (
     projectors,
     shared,
 )
+from meshes.redundant_points import ROUNDING, meeting
 
-# Parts of a jump below this are rounding.
-ROUNDING = 1e-12
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,59 @@ class Holds:
 
 
 @dataclass(frozen=True)
+class Corners:
+    """Corners of the facets: contact points (n), then those for which others stand in (l), m in all.
+
+    Attributes:
+        interface: Index of the interface (m,).
+        dof: Global blocked dof at the vertex (m,).
+        x: Position (m, 3) [mm].
+        bodies: Bodies (master, slave) (m, 2).
+        faces: Number of faces (m,).
+        normals: Unit normals of the faces, zero beyond ``faces`` (m, 3, 3).
+        near: Part that each of the others takes of values at points (l, n); None: there are none.
+        jump: Jump of the others by those of the points (3 l, 3 n).
+    """
+
+    interface: Ints
+    dof: Ints
+    x: Floats
+    bodies: Ints
+    faces: Ints
+    normals: Floats
+    near: csr_array | None = None
+    jump: csr_array | None = None
+
+    def __len__(self) -> int:
+        """Number of corners."""
+        return len(self.x)
+
+    def values(self, at_points: Floats) -> Floats:
+        """Values (m, ...), interpolated from those at points (n, ...)."""
+        if self.near is None:
+            return at_points
+        flat = at_points.reshape(len(at_points), -1)
+        return np.concatenate([flat, self.near @ flat]).reshape(len(self), *at_points.shape[1:])
+
+    def nearby(self, at_points: Ints) -> Ints:
+        """Values (m,), from those at points (n,): of the others that of the nearest."""
+        if self.near is None:
+            return at_points
+        return np.concatenate([at_points, at_points[self.near.argmax(axis=1).ravel()]])
+
+    def only_points(self, at_points: Floats) -> Floats:
+        """Values (m, ...) that add up over the points (n, ...): zero at the others."""
+        none = np.zeros((len(self) - len(at_points), *at_points.shape[1:]))
+        return np.concatenate([at_points, none])
+
+    def jumps(self, at_points: Floats) -> Floats:
+        """Jumps (m, 3) from those of points (n, 3): the mean ones there, of the others the true."""
+        if self.jump is None:
+            return at_points
+        return np.concatenate([at_points, (self.jump @ at_points.ravel()).reshape(-1, 3)])
+
+
+@dataclass(frozen=True)
 class ContactPoints:
     """Contact points, replicated on all ranks in canonical order (n of them).
 
@@ -71,11 +126,12 @@ class ContactPoints:
         bodies: Bodies (master, slave) (n, 2).
         faces: Number of faces, 1 to 3, or 0 where supports hold every component (n,).
         normals: Unit normals of the faces, zero beyond ``faces`` (n, 3, 3).
-        weight: Area of the point (n,) [mm2].
+        weight: Area of the point, with what others hand to it (n,) [mm2].
         given: Supports (master, slave) that fix each component of the jump, -1 where it is free
             (n, 3, 2).
         axes: Axes of these components, as columns (n, 3, 3).
-        triangles: For each interface, its facets as rows of contact points (f_i, 3).
+        corners: The points, and the other corners of the facets.
+        triangles: For each interface, its facets as rows of corners (f_i, 3).
         facets: For each interface, the numbers of these facets (f_i,).
     """
 
@@ -89,6 +145,7 @@ class ContactPoints:
     weight: Floats
     given: Ints
     axes: Floats
+    corners: Corners
     triangles: tuple[Ints, ...]
     facets: tuple[Ints, ...]
 
@@ -108,7 +165,8 @@ class Entries:
         body: Body (m,).
         row: Global unrolled dof (m,).
         column: 3 point + component (m,).
-        value: +1 or -1, halved at the edge nodes of second-order elements (m,).
+        value: +1 or -1, halved at the edge nodes of second-order elements, and parts of them where
+            unknowns are mean jumps (m,).
     """
 
     body: Ints
@@ -118,41 +176,55 @@ class Entries:
 
 
 def contact_points(
-    facets: InterfaceFacets, holds: Holds, interfaces: int, axes: Mapping[int, Floats]
+    facets: InterfaceFacets, holds: Holds, names: Sequence[str], axes: Mapping[int, Floats]
 ) -> tuple[ContactPoints, Entries]:
     """Contact points of all interfaces, and the displacement of each body due to their jumps.
 
-    ``interfaces`` is their number; ``axes`` (3, 3) are those of vertices that have their own.
+    ``names`` are those of the interfaces; ``axes`` (3, 3) are those of vertices that have their
+    own.
+
+    Raises:
+        InputError: Others meet an interface at so many points that none is left.
     """
     facet = np.repeat(np.arange(len(facets.area)), 3)
     keys = np.column_stack([facets.interface[facet], facets.vertices.ravel(), facets.bodies[facet]])
     every, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    kept = _without_cycles(every)
-    interface, vertex, *_ = every[kept].T
-    bodies, n = every[kept, 2:], len(vertex)
-    corner_point = np.where(kept, np.cumsum(kept) - 1, -1)[of]
-    triangles = corner_point.reshape(-1, 3)
-    normals, faces, weight = faces_around(facets, corner_point, n)
+    normals, faces, area = faces_around(facets, of, len(every))
+    kept, meet = meeting(facets, every, of, normals, area, names)
+    # Points first, then corners for which they stand in.
+    order = np.argsort(~kept, kind="stable")
+    place, n = np.argsort(order), int(kept.sum())
+    triangles = place[of].reshape(-1, 3)
+    normals, faces = normals[order], faces[order]
+    interface, vertex, bodies = every[order, 0], every[order, 1], every[order, 2:]
+    dof, x = facets.dofs[:, :3].ravel()[first][order], facets.x.reshape(-1, 3)[first][order]
+    weight = area[kept] + (meet.share.sum(axis=0) if meet else 0.0)
     stiffness = np.zeros((len(every), 2))
     np.maximum.at(stiffness, of, facets.stiffness[facet])
-    given, signs = _jumps_at_vertices(vertex, bodies, stiffness[kept], holds)
+    given, signs = _jumps_at_vertices(vertex[:n], bodies[:n], stiffness[kept], holds)
     local_axes = np.tile(np.eye(3), (n, 1, 1))
-    for p in np.flatnonzero(np.isin(vertex, list(axes))):
+    for p in np.flatnonzero(np.isin(vertex[:n], list(axes))):
         local_axes[p] = axes[int(vertex[p])]
-    drop_held(normals, faces, projectors(local_axes, given[:, :, 0] >= 0))
-    whole = (triangles >= 0).all(axis=1)
-    of_interface = [np.flatnonzero(whole & (facets.interface == i)) for i in range(interfaces)]
+    held = projectors(local_axes, given[:, :, 0] >= 0)
+    jumps, corners = None, Corners(interface, dof, x, bodies, faces, normals)
+    if meet:
+        at = [names[i] for i in interface[:n]]
+        jumps = meet.jumps(weight, np.eye(3) - held, x[:n], at)
+        corners = replace(corners, near=meet.near, jump=meet.ways_round(jumps))
+    drop_held(normals[:n], faces[:n], held)
+    of_interface = [np.flatnonzero(facets.interface == i) for i in range(len(names))]
     points = ContactPoints(
-        interface=interface,
-        vertex=vertex,
-        dof=facets.dofs[:, :3].ravel()[first][kept],
-        x=facets.x.reshape(-1, 3)[first][kept],
-        bodies=bodies,
-        faces=faces,
-        normals=normals,
+        interface=interface[:n],
+        vertex=vertex[:n],
+        dof=dof[:n],
+        x=x[:n],
+        bodies=bodies[:n],
+        faces=faces[:n],
+        normals=normals[:n],
         weight=weight,
         given=given,
         axes=local_axes,
+        corners=corners,
         triangles=tuple(triangles[f] for f in of_interface),
         facets=tuple(of_interface),
     )
@@ -165,23 +237,23 @@ def contact_points(
         moves.append(_at_edges(facets, points, body, point, blocks))
     body, node, point, blocks = (np.concatenate(part) for part in zip(*moves, strict=True))
     k, row, column = np.nonzero(blocks)
-    value = blocks[k, row, column]
-    return points, Entries(body[k], 3 * node[k] + row, 3 * point[k] + column, value)
+    entries = Entries(body[k], 3 * node[k] + row, 3 * point[k] + column, blocks[k, row, column])
+    return points, entries if jumps is None else _of_means(entries, jumps)
 
 
-def _without_cycles(points: Ints) -> Bools:
-    """Mask of the points kept: at each vertex a forest of bodies, earlier interfaces first.
+def _of_means(entries: Entries, jumps: csr_array) -> Entries:
+    """Displacement of bodies by the mean jumps, from that by jumps, which are 3 n by 3 n of them."""
+    from scipy.sparse import csr_array
 
-    ``points`` are their interface, vertex, master and slave (n, 4).
-    """
-    kept = np.ones(len(points), dtype=bool)
-    for rows in shared(points[:, 1]):
-        group = {int(body): int(body) for body in points[rows, 2:].ravel()}
-        for p in rows:
-            a, b = (group[int(body)] for body in points[p, 2:])
-            kept[p] = a != b
-            group = {body: a if g == b else g for body, g in group.items()}
-    return kept
+    shape, parts = (int(entries.row.max()) + 1, jumps.shape[0]), []
+    for b in np.unique(entries.body):
+        here = entries.body == b
+        at = entries.row[here], entries.column[here]
+        moved = (csr_array((entries.value[here], at), shape=shape) @ jumps).tocoo()
+        on = np.abs(moved.data) > ROUNDING
+        row, column = moved.row[on].astype(np.int64), moved.col[on].astype(np.int64)
+        parts.append((np.full(len(row), b), row, column, moved.data[on]))
+    return Entries(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def _jumps_at_vertices(

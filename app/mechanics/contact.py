@@ -191,9 +191,10 @@ class ContactInterfaces:
         self._supports, self._stiffness = scene.supports, stiffness
         self.comm = mechanics.mesh.comm
         space, parts = mechanics.space, len(scene.contacts)
+        names = [c.name for c in scene.contacts]
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
         holds, axes = held_at(stiffness.frames, tagged, bodies, space, scene.supports, self.facets)
-        self.points, entries = contact_points(self.facets, holds, parts, axes)
+        self.points, entries = contact_points(self.facets, holds, names, axes)
         refuse_supports(scene, bodies, holds, self.points, entries)
         apart = np.isin(
             self.points.interface, [i for i in range(parts) if scene.contacts[i].between]

@@ -151,7 +151,8 @@ class HeatFields:
                 # From first to second side, whichever is the master.
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
                 for what, values in zip(("temperature_jump", "heat_flux"), every, strict=True):
-                    found[f"{c.name}_{what}"] = _along(at, values if forward else -values)
+                    at_corners = j.points.corners.values(values if forward else -values)
+                    found[f"{c.name}_{what}"] = _along(at, at_corners)
         return found
 
     def cell(self, cells: int) -> dict[str, Floats]:
@@ -225,13 +226,13 @@ class MechanicalFields:
                 if bearing := self._bearings.get(contact.name):
                     (there,) = _contact_rows(bearing, self.space, self.bodies, nodes)
                     for key, (slave, master) in bearing.fields().items():
-                        whole = np.zeros(len(points.dof))
-                        whole[points.interface == i] = slave
+                        whole = np.zeros(len(points.corners))
+                        whole[np.flatnonzero(points.interface == i)] = slave
                         both = _along(rows[i], whole) + _along(there, master)
                         point[f"{contact.name}_{key}"] = both
         for name, (points, index) in self._bonds.indices().items():
             (at,) = _contact_rows(points, self.space, self.bodies, nodes)
-            point[f"{name}_failure_index"] = _along(at, index)
+            point[f"{name}_failure_index"] = _along(at, points.corners.values(index))
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
@@ -301,20 +302,21 @@ def _named(σ: Floats) -> dict[str, Floats]:
 def _contact_rows(
     points: ContactPoints | Bearing, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
 ) -> list[Ints]:
-    """For each interface, the contact points (n, 2) at or around the nodes of the grid.
+    """For each interface, the corners of its facets (n, 2) at or around the nodes of the grid.
 
-    The point twice at a corner, the ends of an edge of the interface at its middle, -1 elsewhere.
+    The corner twice where it is one, the ends of an edge of the interface at its middle, -1 elsewhere.
     """
     index_map, dofs = space.dofmap.index_map, space.dofmap.list
     ends = np.take_along_axis(dofs[nodes.cell], nodes.ends, axis=1)
     numbers = index_map.local_to_global(ends.ravel().astype(np.int32)).reshape(ends.shape)
+    corners = points.corners if isinstance(points, ContactPoints) else points
     rows = []
     for i, triangles in enumerate(points.triangles):
-        here = np.flatnonzero(points.interface == i)
+        here = np.flatnonzero(corners.interface == i)
         # By node and body.
         point = np.full((index_map.size_global, len(bodies.names)), -1, dtype=np.int64)
-        point[points.dof[here, None], points.bodies[here]] = here[:, None]
-        rows.append(_on_edges(point[numbers, nodes.body[:, None]], triangles, len(points.dof)))
+        point[corners.dof[here, None], corners.bodies[here]] = here[:, None]
+        rows.append(_on_edges(point[numbers, nodes.body[:, None]], triangles, len(corners.dof)))
     return rows
 
 

@@ -43,12 +43,16 @@ def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
 
 
 class ContactSamples:
-    """Contact points of all ranks, in canonical order, on every rank.
+    """Corners of the facets of all ranks, in canonical order, on every rank: contact points first.
 
-    One row per point for vectors, one per point and face for what belongs to a face.
+    One row per corner for vectors, one per corner and face for what belongs to a face. Where others
+    stand in for a corner (`meshes.redundant_points`), its gap and motion are those of the surfaces
+    there, the rest is interpolated; its area and its energies are 0, as they are theirs.
 
     Attributes:
-        interface: Interface of each point (n,).
+        corners: The corners.
+        is_point: Which are contact points (n,).
+        interface: Interface of each (n,).
         x: Position (n, 3) [mm].
         weight: Area (n,) [mm2].
         gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
@@ -83,23 +87,36 @@ class ContactSamples:
     ) -> None:
         contact, history = trial.contact, trial.contact.state
         own, points = contact.own, contact.points
-        whole: Any = contact.whole
-        self.interface, self.x, self.weight = points.interface, points.x, points.weight
+        corners = self.corners = points.corners
+        self.interface, self.x = corners.interface, corners.x
+        self.weight = corners.only_points(points.weight)
+        self.is_point = np.arange(len(corners)) < len(points.weight)
+
+        def whole(values: Floats) -> Floats:
+            return corners.values(contact.whole(values))
+
+        def added(values: Floats) -> Floats:
+            return corners.only_points(contact.whole(values))
+
         opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, own.normals)
         used = np.arange(3)[None, :] < own.faces[:, None]
         self.gap = whole(np.where(used, opening, 0.0))
         self.opening = whole(np.max(opening, axis=1, where=used, initial=-np.inf))
+        jump = corners.jumps(contact.whole(trial.jump))
+        self._open_corners(jump, whole(np.einsum("pi,pi->p", contact.gap, own.normals[:, 0])))
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
         sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[own.interface][:, None]
         self.slip, self.path = whole(sign * history.slip), whole(history.path)
-        self.motion = whole(sign * trial.jump)
+        turned = np.array([-1.0 if c.turned else 1.0 for c in contacts])[self.interface]
+        self.motion = turned[:, None] * jump
         self.pressure = whole(normal_pressure(trial.law.pressures, own.normals))
         self.shear = whole(np.linalg.norm(history.friction, axis=1))
         self.force = whole(-sign * history.force)
-        self.status = whole(np.where(own.faces > 0, trial.law.status, STICK))
-        self.dissipation, self.least = whole(history.dissipation), whole(history.least)
-        self.contact_work, self.stored = whole(history.contact_work), whole(history.stored)
+        status = np.where(own.faces > 0, trial.law.status, STICK)
+        self.status = corners.nearby(contact.whole(status))
+        self.dissipation, self.least = added(history.dissipation), added(history.least)
+        self.contact_work, self.stored = added(history.contact_work), added(history.stored)
         self.own = {name: whole(values) for name, values in history.own.items()}
         self.sizes = {
             "gap": np.maximum(self.gap, 0.0),
@@ -114,7 +131,7 @@ class ContactSamples:
             i: law.strength.index(self.pressure, self.shear) for i, law in laws if law.strength
         }
         if since is not None:
-            way = whole(trial.jump - since)
+            way = corners.jumps(contact.whole(trial.jump - since))
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
         if (far := contact.large) is not None:
             arm = np.zeros((len(own), 3))
@@ -123,6 +140,15 @@ class ContactSamples:
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(points, i, {}) for i in range(len(contacts))]
+
+    def _open_corners(self, jump: Floats, clearance: Floats) -> None:
+        """Set gaps of corners for which others stand in: jumps (m, 3) and clearance (m,) [mm]."""
+        c = self.corners
+        rows = np.flatnonzero(~self.is_point)
+        along = np.einsum("pi,pki->pk", jump[rows], c.normals[rows]) + clearance[rows, None]
+        used = np.arange(3)[None, :] < c.faces[rows, None]
+        self.gap[rows] = np.where(used, along, 0.0)
+        self.opening[rows] = np.max(along, axis=1, where=used, initial=-np.inf)
 
     @cached_property
     def numbers(self) -> dict[str, dict[str, Any]]:
@@ -145,7 +171,7 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
     at, surface = s.interface == i, s.surfaces[i]
     parts = {part: _of_part(s, i, part, wanted) for part in ([""] if wanted else surface.at)}
     main = parts.pop("") | {
-        "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
+        "penetration_max": float(np.maximum(-s.gap[at & s.is_point], 0.0).max()),
         "dissipation": float(s.dissipation[at].sum()),
         "dissipation_min": float(s.least[at].min()),
         "contact_work": float(s.contact_work[at].sum()),
@@ -226,30 +252,30 @@ def failing(surface: Surface, index: Floats, x: Floats, part: str) -> dict[str, 
 
 
 class Surface:
-    """Facets of an interface in parts, by their centres; its points are their corners.
+    """Facets of an interface in parts, by their centres; its points are corners of them.
 
     Attributes:
-        at: Points of each part (n,) by its name, which is empty for the rest.
-        triangles: Points at the corners of each facet (f, 3).
+        at: Corners of each part (m,) by its name, which is empty for the rest.
+        triangles: Corners of each facet (f, 3).
         corners: Their positions (f, 3, 3) [mm].
         area: Area of each facet (f,) [mm2].
 
     Args:
-        borders: Functions of all points (n,) that are not positive in a part; the first counts.
+        borders: Functions of all corners (m,) that are not positive in a part; the first counts.
     """
 
     def __init__(self, points: ContactPoints, i: int, borders: Mapping[str, Floats]) -> None:
-        at = points.interface == i
-        self.at = divided(at, borders)
+        corners = points.corners
+        self.at = divided(corners.interface == i, borders)
         self.triangles: Ints = points.triangles[i]
-        x = self.corners = points.x[self.triangles]
+        x = self.corners = corners.x[self.triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
         area = np.linalg.norm(flat, axis=1) / 2
         # Curved facets have a little more than their corners span.
-        whole = points.weight[at].sum()
+        whole = points.weight[points.interface == i].sum()
         self.area = area * (whole / area.sum()) if len(area) else area
         # At each corner the face of the point that this facet belongs to.
-        along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self.triangles]))
+        along = np.abs(np.einsum("fi,fcki->fck", flat, corners.normals[self.triangles]))
         self._face: Ints = np.argmax(along, axis=2)
         centres = {part: own[self.triangles].mean(axis=1) for part, own in borders.items()}
         self._of = divided(np.ones(len(x), dtype=bool), centres)
@@ -284,6 +310,7 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     """
     motion = _motion(contact, jump)
     clearance = contact.whole(np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0]))
+    clearance = contact.points.corners.values(clearance)
     found = []
     for rows, triangles in zip(contact.points.facets, contact.points.triangles, strict=True):
         gap, area = gaps(contact.facets, rows, motion[rows], clearance[triangles])

@@ -91,7 +91,7 @@ class Mechanical:
             self.zones, depth = (zones := Zones(geometry)), zones.depth
             if problem.contact:
                 points = problem.contact.points
-                levels, every = zones.borders(points.x), range(len(points.triangles))
+                levels, every = zones.borders(points.corners.x), range(len(points.triangles))
                 self.surfaces = [Surface(points, i, levels) for i in every]
         self.stresses = Stresses(problem, geometry.is_around_z, depth)
         borders = self.zones.borders if self.zones else None

@@ -141,7 +141,11 @@ def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> c
     for i, triangles in enumerate(source.triangles):
         here = np.flatnonzero(target.interface[mine] == i)
         if len(here) and len(triangles):
-            found, weights = nearest(target.x[mine[here]], source.x[triangles])
+            found, weights = nearest(target.x[mine[here]], source.corners.x[triangles])
             entries.append((np.repeat(here, 3), triangles[found].ravel(), weights.ravel()))
     rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
-    return csr_array((values, (rows, columns)), shape=(len(mine), len(source.weight)))
+    found = csr_array((values, (rows, columns)), shape=(len(mine), len(source.corners)))
+    if (near := source.corners.near) is None:
+        return found
+    n = len(source.weight)
+    return csr_array(found[:, :n] + found[:, n:] @ near)

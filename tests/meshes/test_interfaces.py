@@ -15,6 +15,7 @@ from meshes.contact_facets import InterfaceFacets, sorted_facets
 from meshes.contact_points import ContactPoints, Entries, Holds, contact_points
 from tests import support
 
+NAMES = ["one", "two", "three"]
 NOTHING_HELD = Holds(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))
 
 
@@ -74,7 +75,7 @@ def box_in_a_box(n: int = 3) -> tuple[InterfaceFacets, Floats]:
 def test_box_in_a_box_has_edges_and_corners() -> None:
     """One face inside a side, two on its edges, three at its corners, each with its own normal."""
     facets, x = box_in_a_box()
-    points, _ = contact_points(facets, NOTHING_HELD, 1, {})
+    points, _ = contact_points(facets, NOTHING_HELD, NAMES[:1], {})
     np.testing.assert_allclose(points.x, x[points.vertex], atol=1e-8)
     walls = (np.abs(points.x) < 1e-9) | (np.abs(points.x - 1) < 1e-9)
     np.testing.assert_array_equal(points.faces, walls.sum(axis=1))
@@ -97,7 +98,7 @@ def test_facets_split_above_30_degrees(angle: float, faces: int) -> None:
     up = np.array([-np.cos(t), 0.0, -np.sin(t)])
     triangles = patch([0, 0, 0], [1, 0, 0], [0, 1, 0], 2) + patch([0, 0, 0], up, [0, 1, 0], 2)
     facets, _ = between(triangles, [0, 0.5, 1])
-    points, _ = contact_points(facets, NOTHING_HELD, 1, {})
+    points, _ = contact_points(facets, NOTHING_HELD, NAMES[:1], {})
     ridge = np.abs(points.x[:, 0]) + np.abs(points.x[:, 2]) < 1e-9
     assert (points.faces[ridge] == faces).all()
     assert (points.faces[~ridge] == 1).all()
@@ -117,7 +118,7 @@ def test_at_most_three_faces() -> None:
     tip = np.array([0, 0, 1.0])
     triangles = [np.array([tip, rim[k], rim[(k + 1) % 4]]) for k in range(4)]
     facets, _ = between(triangles, [0, 0, 0])
-    points, _ = contact_points(facets, NOTHING_HELD, 1, {})
+    points, _ = contact_points(facets, NOTHING_HELD, NAMES[:1], {})
     at = np.abs(points.x - tip).max(axis=1) < 1e-9
     assert points.faces[at] == [3]
     assert points.weight[at] == pytest.approx(facets.area.sum() / 3)
@@ -171,7 +172,7 @@ def three_on_a_line(*moduli: float) -> tuple[InterfaceFacets, Floats]:
 def test_the_stiffest_body_is_the_base() -> None:
     """It is the field u itself wherever no support holds another one."""
     facets, _ = three_on_a_line(2.0, 1.0, 3.0)
-    points, entries = contact_points(facets, NOTHING_HELD, 3, {})
+    points, entries = contact_points(facets, NOTHING_HELD, NAMES[:3], {})
     for p in range(len(points.x)):
         B = moves(entries, int(points.dof[p]), 3, len(points.x)).reshape(3, 3, -1)
         moved = {body for body in range(3) if B[body].any()}
@@ -183,7 +184,7 @@ def test_the_stiffest_body_is_the_base() -> None:
 def test_three_bodies_on_a_line_have_two_jumps() -> None:
     """Bodies minus one; the last interface in the order of the case file is the one left out."""
     facets, x = three_on_a_line()
-    points, entries = contact_points(facets, NOTHING_HELD, 3, {})
+    points, entries = contact_points(facets, NOTHING_HELD, NAMES[:3], {})
     line = np.flatnonzero(np.hypot(x[:, 0], x[:, 1]) < 1e-9)
     assert len(line) == 3
     for v in range(len(x)):
@@ -216,7 +217,7 @@ def flat(slope: float = 0.0) -> tuple[InterfaceFacets, Floats]:
 def test_slave_held_alone_is_the_base() -> None:
     """Where only the slave is held it is the field u itself, and the master moves by minus q."""
     facets, x = flat()
-    points, entries = contact_points(facets, hold(x[:, 0] < 1e-9, [1], 0), 1, {})
+    points, entries = contact_points(facets, hold(x[:, 0] < 1e-9, [1], 0), NAMES[:1], {})
     assert not points.held.any()
     assert (points.faces == 1).all()
     for p in range(len(points.x)):
@@ -230,7 +231,7 @@ def test_slave_held_alone_is_the_base() -> None:
 def test_both_sides_held_give_the_jump() -> None:
     """The jump of a component that both sides hold is given, and normals drop the component."""
     facets, x = flat(0.2)
-    points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 1), 1, {})
+    points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 1), NAMES[:1], {})
     held = points.x[:, 1] < 1e-9
     np.testing.assert_array_equal(points.held, np.outer(held, [False, True, False]))
     assert (points.given[held, 1] == 0).all()
@@ -239,7 +240,7 @@ def test_both_sides_held_give_the_jump() -> None:
     assert points.weight.sum() == pytest.approx(facets.area.sum())
     # Along the normal: the contact law has nothing to say there.
     facets, x = flat()
-    points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 2), 1, {})
+    points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 2), NAMES[:1], {})
     np.testing.assert_array_equal(points.faces, np.where(points.x[:, 1] < 1e-9, 0, 1))
 
 
@@ -247,7 +248,7 @@ def test_chain_between_two_held_bodies() -> None:
     """On a line of three bodies, the outer two held: both jumps in that direction are given."""
     facets, x = three_on_a_line()
     holds = hold(np.hypot(x[:, 0], x[:, 1]) < 1e-9, [0, 2], 2)
-    points, entries = contact_points(facets, holds, 3, {})
+    points, entries = contact_points(facets, holds, NAMES[:3], {})
     line = np.hypot(points.x[:, 0], points.x[:, 1]) < 1e-9
     np.testing.assert_array_equal(points.held, np.outer(line, [False, False, True]))
     check_jumps(points, entries, 3)
