@@ -190,7 +190,8 @@ def contact_points(
     keys = np.column_stack([facets.interface[facet], facets.vertices.ravel(), facets.bodies[facet]])
     every, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     normals, faces, area = faces_around(facets, of, len(every))
-    kept, meet = meeting(facets, every, of, normals, area, names)
+    both = (_supports_of(every[:, 1], every[:, 2:], holds) >= 0).all(axis=1).any(axis=1)
+    kept, meet = meeting(facets, every, of, both, normals, area, names)
     # Points first, then corners for which they stand in.
     order = np.argsort(~kept, kind="stable")
     place, n = np.argsort(order), int(kept.sum())
@@ -256,6 +257,14 @@ def _of_means(entries: Entries, jumps: csr_array) -> Entries:
     return Entries(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
+def _supports_of(vertex: Ints, sides: Ints, holds: Holds) -> Ints:
+    """Support that holds each side of points along each axis, -1 where none does (n, 2, 3)."""
+    holding = zip(map(int, holds.vertex), map(int, holds.body), strict=True)
+    table, free = dict(zip(holding, holds.support, strict=True)), np.full(3, -1)
+    of_sides = zip(map(int, np.repeat(vertex, 2)), map(int, sides.ravel()), strict=True)
+    return np.array([table.get(at, free) for at in of_sides]).reshape(len(vertex), 2, 3)
+
+
 def _jumps_at_vertices(
     vertex: Ints, sides: Ints, stiffness: Floats, holds: Holds
 ) -> tuple[Ints, Floats]:
@@ -264,12 +273,7 @@ def _jumps_at_vertices(
     Returns:
         ``given`` of ContactPoints; +1, -1 or 0 for each body, point and component (b, n, 3).
     """
-    n = len(vertex)
-    # The support that holds each side of each point, component by component.
-    holding = zip(map(int, holds.vertex), map(int, holds.body), strict=True)
-    table, free = dict(zip(holding, holds.support, strict=True)), np.full(3, -1)
-    of_sides = zip(map(int, np.repeat(vertex, 2)), map(int, sides.ravel()), strict=True)
-    side = np.array([table.get(at, free) for at in of_sides]).reshape(n, 2, 3)
+    n, side = len(vertex), _supports_of(vertex, sides, holds)
     held = side >= 0
     given = np.where(held.all(axis=1, keepdims=True), side, -1)
     # One interface at the vertex: the slave moves by +q, or the master by -q if the slave is the

@@ -120,6 +120,7 @@ def meeting(
     facets: InterfaceFacets,
     corners: Ints,
     of: Ints,
+    given: Bools,
     normals: Floats,
     area: Floats,
     names: Sequence[str],
@@ -128,12 +129,14 @@ def meeting(
 
     A rule chooses, whatever the order in the case file. At a vertex goes first the stem of a T, an
     interface with a normal unlike those of all others; then the one of the smaller surface, by the
-    name in the end. Last goes one that has no corner of its facets at other vertices.
+    name in the end. Last go one that has no corner of its facets at other vertices, and one whose
+    jump supports prescribe: without it they would hold other bodies at the vertex too.
 
     Args:
         facets: All facets.
         corners: Interface, vertex, master and slave of each corner, rising (m, 4).
         of: The corner at each vertex of the facets (3 f,).
+        given: Whether supports hold both of its sides along an axis (m,).
         normals: Unit normals of its faces (m, 3, 3), zero beyond their number.
         area: Area around it (m,) [mm2].
         names: Names of the interfaces.
@@ -144,7 +147,7 @@ def meeting(
     Raises:
         InputError: No point is left of a surface between two bodies.
     """
-    alone = _without_circles(corners)
+    alone = without_circles(corners)
     if alone.all():
         return alone, None
     _, surface = np.unique(corners[:, [0, 2, 3]], axis=0, return_inverse=True)
@@ -158,8 +161,9 @@ def meeting(
     order = sorted(range(len(names)), key=names.__getitem__)
     by_name = np.argsort(np.array(order, dtype=np.int64))[corners[:, 0]]
     while True:
-        last = ~needed[surface], held, stem, -size[surface], by_name, corners[:, 2], corners[:, 3]
-        kept = _forest(corners, alone, np.lexsort(last[::-1]))
+        first = ~needed[surface], ~given, held, stem
+        then = -size[surface], by_name, corners[:, 2], corners[:, 3]
+        kept = _forest(corners, alone, np.lexsort((*then[::-1], *first[::-1])))
         bare = np.bincount(surface, kept) == 0
         if not bare.any():
             break
@@ -180,8 +184,11 @@ def _refusal(name: str, x: Floats) -> str:
     )
 
 
-def _without_circles(corners: Ints) -> Bools:
-    """Corners at vertices where all jumps are independent (m,)."""
+def without_circles(corners: Ints) -> Bools:
+    """Corners at vertices where all jumps are independent (m,).
+
+    ``corners`` are their interface, vertex, master and slave (m, 4).
+    """
     alone = np.ones(len(corners), dtype=bool)
     for rows in shared(corners[:, 1]):
         group = {int(body): int(body) for body in corners[rows, 2:].ravel()}

@@ -25,6 +25,7 @@ from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of,
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets
 from meshes.pieces import Parts, parts
+from meshes.redundant_points import without_circles
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -73,7 +74,7 @@ def judge(case: Case, found: Parts) -> list[str]:
         # A crack is often why.
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
     notes += [*bodies.loosely_held(), *split, *_clamped(case, found), *apart]
-    notes += [*_not_enforced(case, found), *_far(case, found), *_too_stiff(case, found)]
+    notes += [*_in_the_mean(case, found), *_far(case, found), *_too_stiff(case, found)]
     return [*notes, *_strained(case, found), *idle]
 
 
@@ -259,21 +260,32 @@ def _clamped(case: Case, found: Parts) -> list[str]:
     return notes
 
 
-def _not_enforced(case: Case, found: Parts) -> list[str]:
+def _in_the_mean(case: Case, found: Parts) -> list[str]:
     """Vertices at which interfaces go round in a circle of bodies: one follows from the others."""
     on = [name for name, law in case.interfaces.items() if law.can_part]
-    groups = {frozenset(found.pieces[p].region for p in g) for g in groups_of(case, found)}
-    here = np.array([np.isin(np.arange(len(found.x)), found.on_interface(n)) for n in on])
-    bodies = np.zeros(len(found.x), dtype=int)
-    for regions in groups:
-        bodies[np.unique(np.concatenate([found.corners_of(r) for r in regions]))] += 1
-    rows = np.flatnonzero((bodies > 2) & (here.sum(axis=0) >= bodies))
-    if not on or not len(rows):
+    data, groups = found.data, groups_of(case, found)
+    body = {found.pieces[p].region: k for k, group in enumerate(groups) for p in group}
+    of_tag = np.full(int(data.cell_tags.max()) + 1, -1, dtype=np.int64)
+    for region, tag in data.regions.items():
+        of_tag[tag] = body.get(region, -1)
+    rows = [np.zeros((0, 4), dtype=np.int64)]
+    for i, name in enumerate(on):
+        facets, *cells = interface_facets(data, name)
+        sides = [np.repeat(of_tag[data.cell_tags[c]], 3) for c in cells]
+        vertices = facets[:, :3].ravel()
+        rows.append(np.column_stack([np.full(len(vertices), i), vertices, *sides]))
+    corners = np.unique(np.concatenate(rows), axis=0)
+    if not len(corners):
         return []
-    names = [name for name, there in zip(on, here[:, rows[0]], strict=True) if there]
+    circle = corners[~without_circles(corners)]
+    if not len(circle):
+        return []
+    vertices = np.unique(circle[:, 1])
+    names = [on[i] for i in np.unique(circle[:, 0])]
     return [
-        f"at {len(rows)} vertices, e.g. at {point_text(found.x[rows[0]])}, interfaces "
-        f"{', '.join(names)} go round in a circle: the last, {names[-1]}, is not enforced there"
+        f"at {len(vertices)} vertices, e.g. at {point_text(found.x[vertices[0]])}, interfaces "
+        f"meet in a circle ({', '.join(names)}): the motion of one follows from that of the "
+        "others, and its law holds there in the mean with points beside it"
     ]
 
 

@@ -141,16 +141,33 @@ def moves(entries: Entries, dof: int, bodies: int, jumps: int) -> Floats:
     return B
 
 
-def check_jumps(points: ContactPoints, entries: Entries, bodies: int) -> None:
-    """At every vertex the slave minus the master moves by exactly the jump of the point."""
-    n = len(points.x)
+def check_jumps(
+    points: ContactPoints, entries: Entries, bodies: int, facets: InterfaceFacets
+) -> None:
+    """The slave minus the master moves by the jump of the point, in the mean of its surface.
+
+    The mean is over the point and over corners of its facets that are no points, by the area of
+    each, shared by the points of its facet.
+    """
+    n, dofs = len(points.x), facets.dofs
+    at = {(int(points.interface[p]), int(points.vertex[p])): p for p in range(n)}
+    total, area = np.zeros((n, 3, 3 * n)), np.zeros(n)
+    for f, i in enumerate(facets.interface):
+        here = [at.get((int(i), int(v))) for v in facets.vertices[f]]
+        known = [p for p in here if p is not None]
+        for k, p in enumerate(here):
+            B = moves(entries, int(dofs[f, k]), bodies, n).reshape(bodies, 3, 3 * n)
+            master, slave = facets.bodies[f]
+            for j in known if p is None else [p]:
+                part = facets.area[f, k] / (len(known) if p is None else 1)
+                total[j] += part * (B[slave] - B[master])
+                area[j] += part
+    np.testing.assert_allclose(points.weight, area, rtol=1e-13)
     for p in range(n):
-        B = moves(entries, int(points.dof[p]), bodies, n).reshape(bodies, 3, 3 * n)
-        master, slave = points.bodies[p]
         jump = np.zeros((3, 3 * n))
         jump[:, 3 * p : 3 * p + 3] = np.eye(3)
         free = ~points.held[p]
-        np.testing.assert_allclose((B[slave] - B[master])[free], jump[free], atol=1e-14)
+        np.testing.assert_allclose((total[p] / area[p])[free], jump[free], atol=1e-13)
 
 
 def three_on_a_line(*moduli: float) -> tuple[InterfaceFacets, Floats]:
@@ -171,34 +188,54 @@ def three_on_a_line(*moduli: float) -> tuple[InterfaceFacets, Floats]:
 
 def test_the_stiffest_body_is_the_base() -> None:
     """It is the field u itself wherever no support holds another one."""
-    facets, _ = three_on_a_line(2.0, 1.0, 3.0)
+    facets, x = three_on_a_line(2.0, 1.0, 3.0)
     points, entries = contact_points(facets, NOTHING_HELD, NAMES[:3], {})
-    for p in range(len(points.x)):
-        B = moves(entries, int(points.dof[p]), 3, len(points.x)).reshape(3, 3, -1)
+    for v in range(len(x)):
+        dof = int(facets.dofs[:, :3][facets.vertices == v][0])
+        B = moves(entries, dof, 3, len(points.x)).reshape(3, 3, -1)
         moved = {body for body in range(3) if B[body].any()}
-        here = set(points.bodies[points.vertex == points.vertex[p]].ravel())
+        here = set(facets.bodies[(facets.vertices == v).any(axis=1)].ravel())
         assert moved == here - {max(here, key=[2, 1, 3].__getitem__)}
-    check_jumps(points, entries, 3)
+    check_jumps(points, entries, 3, facets)
 
 
 def test_three_bodies_on_a_line_have_two_jumps() -> None:
-    """Bodies minus one; the last interface in the order of the case file is the one left out."""
+    """Bodies minus one; alike as the three are, the last by name is not a point there."""
     facets, x = three_on_a_line()
-    points, entries = contact_points(facets, NOTHING_HELD, NAMES[:3], {})
-    line = np.flatnonzero(np.hypot(x[:, 0], x[:, 1]) < 1e-9)
-    assert len(line) == 3
-    for v in range(len(x)):
-        here = points.vertex == v
-        assert here.sum() == (2 if v in line else 1)
-        if v in line:
-            assert sorted(points.interface[here]) == [0, 1]
-            B = moves(entries, int(points.dof[here][0]), 3, len(points.x))
-            # With u itself all three bodies move freely of each other.
-            with_u = np.column_stack([np.tile(np.eye(3), (3, 1)), B])
-            assert np.linalg.matrix_rank(with_u) == 9
-    check_jumps(points, entries, 3)
-    # Facets on the line that lack a point are left out of the sampled penetration.
-    assert all((t >= 0).all() for t in points.triangles)
+    for names, left_out in ((["a", "b", "c"], 2), (["c", "b", "a"], 0), (["a", "c", "b"], 1)):
+        points, entries = contact_points(facets, NOTHING_HELD, names, {})
+        line = np.flatnonzero(np.hypot(x[:, 0], x[:, 1]) < 1e-9)
+        assert len(line) == 3
+        for v in range(len(x)):
+            here = points.vertex == v
+            assert here.sum() == (2 if v in line else 1)
+            if v in line:
+                assert sorted(points.interface[here]) == sorted({0, 1, 2} - {left_out})
+                B = moves(entries, int(points.dof[here][0]), 3, len(points.x))
+                # With u itself all three bodies move freely of each other.
+                with_u = np.column_stack([np.tile(np.eye(3), (3, 1)), B])
+                assert np.linalg.matrix_rank(with_u) == 9
+        check_jumps(points, entries, 3, facets)
+        # Every facet is there, with three corners of its interface.
+        assert points.weight.sum() == pytest.approx(facets.area.sum())
+        for i, rows in enumerate(points.triangles):
+            assert len(rows) == (facets.interface == i).sum()
+            assert (points.corners.interface[rows] == i).all()
+            np.testing.assert_array_equal(points.corners.x[rows], facets.x[facets.interface == i])
+
+
+def test_values_at_other_corners_are_those_of_their_neighbours() -> None:
+    """Their jumps are those of the bodies there."""
+    facets, _ = three_on_a_line()
+    points, entries = contact_points(facets, NOTHING_HELD, NAMES, {})
+    corners, n = points.corners, len(points.x)
+    assert len(corners) == n + 3
+    np.testing.assert_allclose(corners.values(np.ones(n)), 1.0, rtol=1e-14)
+    jumps = np.random.default_rng(3).normal(size=(n, 3))
+    for c, jump in enumerate(corners.jumps(jumps)[n:], n):
+        B = moves(entries, int(corners.dof[c]), 3, n) @ jumps.ravel()
+        master, slave = corners.bodies[c]
+        np.testing.assert_allclose(B.reshape(3, 3)[slave] - B.reshape(3, 3)[master], jump)
 
 
 def hold(where: NDArray, bodies: Sequence[int], component: int) -> Holds:
@@ -225,7 +262,7 @@ def test_slave_held_alone_is_the_base() -> None:
         base = 1.0 if points.x[p, 0] < 1e-9 else 0.0
         np.testing.assert_array_equal(B[:3], -np.diag([base, 0, 0]))
         np.testing.assert_array_equal(B[3:], np.diag([1 - base, 1, 1]))
-    check_jumps(points, entries, 2)
+    check_jumps(points, entries, 2, facets)
 
 
 def test_both_sides_held_give_the_jump() -> None:
@@ -245,13 +282,25 @@ def test_both_sides_held_give_the_jump() -> None:
 
 
 def test_chain_between_two_held_bodies() -> None:
-    """On a line of three bodies, the outer two held: both jumps in that direction are given."""
+    """The outer two of a chain held: both jumps in that direction are given.
+
+    Where the two are in contact as well their jump alone is, and the third body moves freely.
+    """
     facets, x = three_on_a_line()
     holds = hold(np.hypot(x[:, 0], x[:, 1]) < 1e-9, [0, 2], 2)
-    points, entries = contact_points(facets, holds, NAMES[:3], {})
+    chain = facets.interface < 2
+    apart = InterfaceFacets(*(v[chain] for v in vars(facets).values()))
+    points, entries = contact_points(apart, holds, NAMES[:2], {})
     line = np.hypot(points.x[:, 0], points.x[:, 1]) < 1e-9
     np.testing.assert_array_equal(points.held, np.outer(line, [False, False, True]))
-    check_jumps(points, entries, 3)
+    check_jumps(points, entries, 3, apart)
+    for names in (NAMES, NAMES[::-1]):
+        points, entries = contact_points(facets, holds, names, {})
+        line = np.hypot(points.x[:, 0], points.x[:, 1]) < 1e-9
+        given = line & (points.interface == 2)
+        np.testing.assert_array_equal(points.held, np.outer(given, [False, False, True]))
+        assert given.sum() == 3
+        check_jumps(points, entries, 3, facets)
 
 
 # On real meshes

@@ -257,7 +257,7 @@ def test_an_interface_that_others_imply_at_a_vertex_is_told(tmp_path: Path) -> N
         f"interfaces={{{laws}}}",
     )
     (note,) = [n for n in notes if "circle" in n]
-    assert note.endswith("the last, metal_third, is not enforced there")
+    assert "(bone_metal, bone_third, metal_third): the motion of one follows" in note
     assert not [n for n in judged(TWO) if "circle" in n]
 
 

@@ -1,0 +1,235 @@
+"""Interfaces that meet on lines and in points: patches, sums, any order in the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import permutations, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app.arrays import Floats
+import meshes
+from meshes import write_msh
+from meshes.data import MeshData
+from tests import support
+
+MODULUS, POISSON, PRESSURE = 700.0, 0.25, 3.0  # MPa, -, MPa
+
+Blocks = Callable[[Floats], NDArray[np.bool_]]
+
+# Blocks of a box 4 x 3 x 4 mm by the centres of cells.
+T = {
+    "left": lambda x: (x[:, 2] < 2) & (x[:, 0] < 2),
+    "right": lambda x: (x[:, 2] < 2) & (x[:, 0] > 2),
+    "top": lambda x: x[:, 2] > 2,
+}
+LYING_T = {
+    "upper": lambda x: (x[:, 0] > 2) & (x[:, 2] > 2),
+    "lower": lambda x: (x[:, 0] > 2) & (x[:, 2] < 2),
+    "side": lambda x: x[:, 0] < 2,
+}
+CROSS = {
+    "a": lambda x: (x[:, 0] < 2) & (x[:, 2] < 2),
+    "b": lambda x: (x[:, 0] > 2) & (x[:, 2] < 2),
+    "c": lambda x: (x[:, 0] < 2) & (x[:, 2] > 2),
+    "d": lambda x: (x[:, 0] > 2) & (x[:, 2] > 2),
+}
+EIGHT = {
+    f"b{i}{j}{k}": lambda x, at=(i, j, k): ((x > [2, 1, 2]) == np.array(at, bool)).all(axis=1)
+    for i, j, k in product((0, 1), repeat=3)
+}
+THREE_UNDER_ONE = {
+    "one": lambda x: (x[:, 2] < 2) & (x[:, 0] < 1),
+    "two": lambda x: (x[:, 2] < 2) & (x[:, 0] > 1) & (x[:, 0] < 3),
+    "three": lambda x: (x[:, 2] < 2) & (x[:, 0] > 3),
+    "top": lambda x: x[:, 2] > 2,
+}
+
+
+def box(blocks: dict[str, Any], size: Sequence[float], cells: Sequence[int]) -> MeshData:
+    """A box of blocks, each of its cubes in six tetrahedra about a diagonal."""
+    axes = [np.linspace(0, s, n + 1) for s, n in zip(size, cells, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    shape = [n + 1 for n in cells]
+    starts = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3)
+    tets = []
+    for order in permutations(range(3)):
+        corner = [starts]
+        for axis in order:
+            corner.append(corner[-1] + np.eye(3, dtype=int)[axis])
+        if np.linalg.det(np.eye(3)[list(order)]) < 0:
+            corner[1], corner[2] = corner[2], corner[1]
+        tets.append(np.stack([np.ravel_multi_index(tuple(c.T), shape) for c in corner], axis=1))
+    tetrahedra = np.concatenate(tets)
+    middle = points[tetrahedra].mean(axis=1)
+    tags = np.zeros(len(tetrahedra), dtype=np.int32)
+    for tag, inside in enumerate(blocks.values(), 1):
+        tags[inside(middle)] = tag
+    assert tags.all()
+    faces = tetrahedra[:, [(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)]].reshape(-1, 3)
+    facets, facet_tags = [], []
+    sides = {f"{'xyz'[axis]}{end}": (axis, end) for axis in range(3) for end in (0, 1)}
+    for tag, (axis, end) in enumerate(sides.values(), 1):
+        on = (np.abs(points[faces][:, :, axis] - end * size[axis]) < 1e-9).all(axis=1)
+        facets.append(faces[on])
+        facet_tags.append(np.full(on.sum(), tag, dtype=np.int32))
+    return MeshData(
+        points=points,
+        cells=tetrahedra,
+        cell_tags=tags,
+        facets=np.concatenate(facets),
+        facet_tags=np.concatenate(facet_tags),
+        regions={name: tag for tag, name in enumerate(blocks, 1)},
+        boundaries={name: (tag,) for tag, name in enumerate(sides, 1)},
+        interfaces={},
+    )
+
+
+def pairs(data: MeshData) -> list[tuple[str, str]]:
+    """Regions that share facets."""
+    cell, _, behind = data.between
+    names = {tag: name for name, tag in data.regions.items()}
+    both = np.sort(np.column_stack([data.cell_tags[cell], data.cell_tags[behind]]), axis=1)
+    return [(names[a], names[b]) for a, b in np.unique(both, axis=0).tolist()]
+
+
+def scene(
+    folder: Path,
+    blocks: dict[str, Any],
+    law: dict[str, Any],
+    cells: Sequence[int] = (4, 3, 4),
+    size: Sequence[float] = (4.0, 3.0, 4.0),
+    turn: int = 0,
+) -> dict[str, Any]:
+    """Blocks in a smooth box under pressure, interfaces in an order turned by some places."""
+    data = box(blocks, size, cells)
+    write_msh(data, folder / "blocks.msh")
+    every = pairs(data)
+    every = every[turn:] + every[:turn]
+    sides = {f"{a}_{b}": [[a], [b]] for a, b in every}
+    return {
+        "geometry": {"kind": "file", "path": str(folder / "blocks.msh"), "interfaces": sides},
+        "mesh": {"order": 1},
+        "regions": {
+            name: {
+                "youngs_modulus": f"{MODULUS} MPa",
+                "poisson_ratio": POISSON,
+                "tissue": "other",
+            }
+            for name in blocks
+        },
+        "interfaces": {name: dict(law) for name in sides},
+        "supports": {
+            name: {"kind": "roller", "boundary": name, "axis": name[0]}
+            for name in ("x0", "x1", "y0", "y1", "z0")
+        },
+        "loads": {"press": {"kind": "pressure", "boundary": "z1", "pressure": f"{PRESSURE} MPa"}},
+    }
+
+
+def contact(friction: float) -> dict[str, Any]:
+    return {"kind": "contact", "friction_coefficient": friction}
+
+
+def check_uniform(solved: support.Solved, data: MeshData) -> None:
+    """Each point has the pressure of uniaxial strain, each interface its whole area."""
+    s = solved.last
+    normal = s.corners.normals[:, 0]
+    across = np.abs(normal[:, 2]) > 0.5
+    sideways = POISSON / (1 - POISSON) * PRESSURE
+    # At edges where supports hold both sides nothing is left to the law.
+    counts = s.corners.faces > 0
+    np.testing.assert_allclose(s.pressure[across & counts], PRESSURE, rtol=1e-7)
+    np.testing.assert_allclose(s.pressure[~across & counts], sideways, rtol=1e-7)
+    assert np.abs(s.slip).max() < 1e-9
+    assert np.abs(s.motion).max() < 1e-9
+    area = sum(n["area"] for n in s.numbers.values())
+    cell, face, _ = data.between
+    x = data.points[data.cells[cell]]
+    triangles = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])[face]
+    a, b, c = (x[np.arange(len(x)), triangles[:, k]] for k in range(3))
+    assert area == pytest.approx(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    for numbers in s.numbers.values():
+        wanted = min((PRESSURE, sideways), key=lambda p: abs(p - numbers["pressure_mean"]))
+        assert numbers["pressure_mean"] == pytest.approx(wanted, rel=1e-7)
+        assert np.linalg.norm(numbers["force"]) == pytest.approx(
+            wanted * numbers["area"], rel=1e-7
+        )
+    M = MODULUS * (1 - POISSON) / ((1 + POISSON) * (1 - 2 * POISSON))
+    for region in data.regions:
+        x, u = solved.displacement(region)
+        np.testing.assert_allclose(u[:, 2], -PRESSURE / M * x[:, 2], atol=1e-9)
+
+
+LAYOUTS = {
+    "T": (T, (4, 3, 4)),
+    "lying T": (LYING_T, (4, 3, 4)),
+    "cross": (CROSS, (4, 2, 4)),
+    "three under one": (THREE_UNDER_ONE, (4, 2, 4)),
+    "eight": (EIGHT, (4, 4, 4)),
+    "eight of one cell": (EIGHT, (2, 2, 2)),
+    "strip": (THREE_UNDER_ONE, (4, 1, 2)),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("friction", [0.0, 0.35])
+def test_a_uniform_pressure_is_exact(layout: str, friction: float, tmp_path: Path) -> None:
+    blocks, cells = LAYOUTS[layout]
+    if layout == "strip":  # the middle block has no point but on lines
+        blocks = blocks | {"two": lambda x: (x[:, 2] < 2) & (x[:, 0] > 1) & (x[:, 0] < 2)}
+        blocks["three"] = lambda x: (x[:, 2] < 2) & (x[:, 0] > 2)
+    text = scene(tmp_path, blocks, contact(friction), cells)
+    case = support.case(text)
+    data = meshes.build(case.geometry, case.mesh)
+    check_uniform(support.solve(case), data)
+
+
+def test_the_order_in_the_file_does_not_matter(tmp_path: Path) -> None:
+    """A block pulled off its neighbours, which part: the same state in any order and naming."""
+    found = []
+    for turn in range(3):
+        text = scene(tmp_path, LYING_T, contact(0.2), (4, 2, 4), turn=turn)
+        text["supports"]["x0"] = {"kind": "displacement", "boundary": "x0", "x": "0.01 mm"}
+        text["loads"] = {"press": {"kind": "force", "boundary": "z1", "force": "[9 N, 0 N, -40 N]"}}
+        solved = support.solve(text, balances=True)
+        assert solved.balances.max() < 1e-7
+        numbers = solved.last.numbers
+        found.append([numbers[name] for name in sorted(numbers)])
+    for other in found[1:]:
+        for one, two in zip(found[0], other, strict=True):
+            assert one["area"] == pytest.approx(two["area"])
+            np.testing.assert_allclose(one["force"], two["force"], rtol=1e-6, atol=1e-7)
+            assert one["pressure_mean"] == pytest.approx(two["pressure_mean"], rel=1e-6, abs=1e-8)
+
+
+def test_two_interfaces_of_one_body_break_on_all_their_area(tmp_path: Path) -> None:
+    """Bonded blocks under one that is pulled off them: the energy of both interfaces."""
+    bond = {
+        "kind": "cohesive",
+        "friction_coefficient": 0,
+        "stiffness": "5000 MPa/mm",
+        "tensile_strength": "8 MPa",
+        "shear_strength": "8 MPa",
+        "tensile_energy": "0.3 N/mm",
+        "shear_energy": "0.3 N/mm",
+    }
+    text = scene(tmp_path, T, bond)
+    text["interfaces"]["left_right"] = {"kind": "bonded"}
+    text["supports"] = {
+        "floor": {"kind": "fixed", "boundary": "z0"},
+        "pull": {"kind": "displacement", "boundary": "z1"}
+        | {"x": "0 mm", "y": "0 mm", "z": "0.2 mm"},
+    }
+    text["loads"] = {}
+    text["stages"] = [{"name": "pull", "increments": 20}]
+    solved = support.solve(text)
+    numbers = solved.last.numbers
+    for name in ("left_top", "right_top"):
+        assert numbers[name]["area"] == pytest.approx(6.0)
+        assert numbers[name]["area_broken"] == pytest.approx(6.0)
+        assert numbers[name]["dissipation"] == pytest.approx(6.0 * 0.3, rel=1e-6)
