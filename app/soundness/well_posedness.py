@@ -21,7 +21,14 @@ from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
 from app.scene.scene import build_scene
 from app.soundness.loose_bodies import BodiesOnMesh
-from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
+from app.soundness.mesh_parts import (
+    bodies_of,
+    directions,
+    gaps_of,
+    history_of,
+    holds,
+    law_between,
+)
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets
 from meshes.pieces import Parts, parts
@@ -88,9 +95,18 @@ def _given(case: Case, name: str, x: Floats) -> Floats:
 
 
 def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
-    """Errors and notes on nodes where two supports prescribe different displacements."""
+    """Errors and notes on nodes of a body where two supports prescribe different displacements.
+
+    Bodies that can part have displacements of their own at the nodes that they share.
+    """
+    body = {piece: k for k, pieces in enumerate(bodies_of(case, found)) for piece in pieces}
+    count = len(found.x)
     holding = {
-        name: np.unique(np.concatenate([*found.boundaries[s.boundary].values()]))
+        name: np.unique(
+            np.concatenate(
+                [body[p] * count + nodes for p, nodes in found.boundaries[s.boundary].items()]
+            )
+        )
         for name, s in case.supports.items()
         if s.kind != "foundation" and found.boundaries.get(s.boundary)
     }
@@ -98,7 +114,7 @@ def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
     notes: list[str] = []
     for one, two in combinations(holding, 2):
         a, b = case.supports[one], case.supports[two]
-        x = found.x[np.intersect1d(holding[one], holding[two])]
+        x = found.x[np.intersect1d(holding[one], holding[two]) % count]
         both = [holds(a, stage.name) and holds(b, stage.name) for stage in case.stages]
         first, second = (_given(case, name, x)[both] for name in (one, two))
         for axis in sorted(set(a.held_axes) & set(b.held_axes)):
@@ -263,7 +279,7 @@ def _clamped(case: Case, found: Parts) -> list[str]:
 def _in_the_mean(case: Case, found: Parts) -> list[str]:
     """Vertices at which interfaces go round in a circle of bodies: one follows from the others."""
     on = [name for name, law in case.interfaces.items() if law.can_part]
-    data, groups = found.data, groups_of(case, found)
+    data, groups = found.data, bodies_of(case, found)
     body = {found.pieces[p].region: k for k, group in enumerate(groups) for p in group}
     of_tag = np.full(int(data.cell_tags.max()) + 1, -1, dtype=np.int64)
     for region, tag in data.regions.items():

@@ -483,3 +483,28 @@ def test_a_region_that_moves_has_no_supports_and_if_held_gives_way_to_no_load() 
     assert caught.value.messages[0].startswith(
         "motions.turn.region: bone turns, and supports hold it (floor)"
     )
+
+
+BESIDE = """
+geometry: {kind: blocks, blocks: [{name: low, size: [6 mm, 6 mm, 2 mm]},
+                                  {name: high, size: [6 mm, 6 mm, 2 mm]}]}
+mesh: {order: 1, size: 2 mm}
+regions:
+  low: {youngs_modulus: 900 MPa, poisson_ratio: 0, tissue: other}
+  high: {youngs_modulus: 900 MPa, poisson_ratio: 0, tissue: other}
+interfaces: {low_high: {kind: contact, friction_coefficient: 0.25}}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+  held: {kind: roller, boundary: low_x_min, axis: x}
+  push: {kind: displacement, boundary: high_x_min, x: 0.03 mm, history: [0, 1]}
+loads: {press: {kind: pressure, boundary: top, pressure: 4 MPa}}
+stages: [{name: press}, {name: push, increments: 2}]
+"""
+
+
+def test_bodies_that_can_part_have_their_own_prescriptions() -> None:
+    """Supports of two bodies at the nodes of their interface do not contradict each other."""
+    assert not [n for n in judged(BESIDE) if "prescribes another" in n]
+    bonded = judged(BESIDE, "interfaces.low_high={kind: bonded}")
+    (note,) = [n for n in bonded if "prescribes another displacement along x" in n]
+    assert "at 4 nodes" in note
