@@ -30,7 +30,13 @@ from app.errors import InputError
 from app.laws.values import amplitude, gap_at
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
-from app.mechanics.contact_points import ContactState, OwnPoints, prescribed_jump, refuse_supports
+from app.mechanics.contact_points import (
+    ContactState,
+    OwnPoints,
+    prescribed_jump,
+    refuse_supports,
+    rigid_holds,
+)
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.sliding import ACCURACY, Sliding
 from app.mechanics.stiffness import Stiffness
@@ -194,6 +200,8 @@ class ContactInterfaces:
         names = [c.name for c in scene.contacts]
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
         holds, axes = held_at(stiffness.frames, tagged, bodies, space, scene.supports, self.facets)
+        if scene.rigid:
+            holds = rigid_holds(holds, self.facets, stiffness.constraints, mechanics)
         self.points, entries = contact_points(self.facets, holds, names, axes)
         refuse_supports(scene, bodies, holds, self.points, entries)
         apart = np.isin(

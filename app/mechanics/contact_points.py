@@ -10,9 +10,11 @@ import numpy as np
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError
 from app.laws.supports import Support
+from app.mechanics.body_forms import BodyForms
+from app.mechanics.constraints import Constraints
 from app.scene.bodies import Bodies
 from app.scene.scene import Scene
-from meshes.contact_facets import projectors
+from meshes.contact_facets import InterfaceFacets, gather, projectors
 from meshes.contact_points import ContactPoints, Entries, Holds
 
 
@@ -99,6 +101,34 @@ class ContactState:
         zero, none = np.zeros_like(gap), np.zeros(len(gap))
         own = {name: np.zeros((len(gap), *shape)) for name, shape in history.items()}
         return cls(zero, zero, zero, gap, zero, none, none, none, none, none, none, own)
+
+
+def rigid_holds(
+    holds: Holds, facets: InterfaceFacets, constraints: Constraints, mechanics: BodyForms
+) -> Holds:
+    """Constrained components of vertices, with those of rigid regions wherever held; collective.
+
+    A support of a rigid region holds it at all its vertices, not on its boundary alone.
+    """
+    of_region, index_map = mechanics.bodies.of_region, mechanics.space.dofmap.index_map
+    node = np.flatnonzero((constraints.rigid_support >= 0).any(axis=1))
+    number = index_map.local_range[0] + node
+    number, support = gather(mechanics.mesh.comm, number, constraints.rigid_support[node])
+    support_of = dict(zip(number.tolist(), support, strict=True))
+    keys = zip(holds.vertex.tolist(), holds.body.tolist(), strict=True)
+    known = dict(zip(keys, holds.support, strict=True))
+    dofs, vertices = facets.dofs[:, :3], facets.vertices
+    for body in {of_region[r.region] for r in mechanics.scene.rigid}:
+        on = (facets.bodies == body).any(axis=1)
+        at = np.unique(np.column_stack([vertices[on].ravel(), dofs[on].ravel()]), axis=0)
+        for vertex, dof in at.tolist():
+            held = support_of.get(dof)
+            if held is not None:
+                before = known.get((vertex, body), held)
+                known[vertex, body] = np.where(before >= 0, before, held)
+    at = np.array(sorted(known), dtype=np.int64).reshape(-1, 2)
+    rows = [known[vertex, body] for vertex, body in at.tolist()]
+    return Holds(at[:, 0], at[:, 1], np.array(rows, dtype=np.int64).reshape(-1, 3))
 
 
 def prescribed_jump(points: ContactPoints, number: int, support: Support) -> Floats:

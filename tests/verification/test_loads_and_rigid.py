@@ -177,7 +177,18 @@ def test_supports_may_hold_both_sides_of_a_rigid_region_s_interface() -> None:
     assert solved.balances.max() < 1e-8
 
 
+def test_a_rigid_region_is_held_at_all_its_nodes() -> None:
+    """Supports on other faces that leave it no motion along x hold it where the block is held."""
+    solved = support.solve(
+        PUNCH,
+        "supports.x0.boundary=block_x_min",
+        "supports.pin={kind: roller, boundary: top, axis: x}",
+    )
+    np.testing.assert_allclose(solved.last.pressure, 2.0, rtol=1e-9)
+
+
 def test_support_of_the_elastic_side_alone_at_a_rigid_region_is_refused() -> None:
+    """Rollers on top leave the region the turn about y."""
     words = (
         r"^supports\.x0: holds along x what touches the rigid region 'punch' .* at \(0, .* 3\) mm"
     )
@@ -185,8 +196,40 @@ def test_support_of_the_elastic_side_alone_at_a_rigid_region_is_refused() -> Non
         support.solve(
             PUNCH,
             "supports.x0.boundary=block_x_min",
+            "supports.x1.boundary=block_x_max",
             "supports.pin={kind: roller, boundary: top, axis: x}",
         )
+
+
+FLOOR = """
+geometry: {kind: blocks, blocks: [{name: floor, size: [6 mm, 6 mm, 2 mm]},
+                                  {name: block, size: [6 mm, 6 mm, 4 mm]}]}
+mesh: {order: 1, size: 2 mm}
+regions:
+  floor: {rigid: true}
+  block: {youngs_modulus: 800 MPa, poisson_ratio: 0.25, tissue: other}
+interfaces:
+  floor_block: {kind: contact, friction_coefficient: 0}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+  sym: {kind: roller, boundary: block_x_min, axis: x}
+  back: {kind: roller, boundary: block_y_min, axis: y}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 3 MPa}
+"""
+
+
+def test_a_block_with_planes_of_symmetry_on_a_rigid_floor() -> None:
+    """Uniaxial stress, whether the floor is at rest or moves."""
+    moves = "supports.floor={kind: displacement, boundary: bottom, x: 0 mm, y: 0 mm, z: 0.02 mm}"
+    for lift, change in ((0.0, "mesh.order=1"), (0.02, moves), (0.02, "mesh.order=2")):
+        changes = {change, moves} if lift else {change}
+        solved = support.solve(FLOOR, *changes, balances=True)
+        np.testing.assert_allclose(solved.last.pressure, 3.0, rtol=1e-9)
+        assert solved.balances.max() < 1e-8
+        x, u = solved.displacement("block")
+        exact = 3.0 / 800 * (x - [0, 0, 2]) * [0.25, 0.25, -1] + [0, 0, lift]
+        np.testing.assert_allclose(u, exact, atol=1e-11)
 
 
 def test_many_held_nodes_of_a_rigid_region_take_little_memory() -> None:
