@@ -15,7 +15,8 @@ Rules where things meet, for each displacement component of a vertex:
 * A vertex with k bodies has k - 1 jumps. Where more interfaces meet, the jump of one follows from
   the others; its neighbours stand in for it with its area (`meshes.redundant_points`).
 * Where supports hold both sides of a jump, the jump is given by them and the interface carries no
-  reported force in that component; the normals drop it.
+  reported force in that component; the normals drop it. Friction knows the slip along it: where it
+  is tangential to the faces, the law gives the force.
 * The components are those along x, y, z, or along the axes of a vertex that has its own because a
   support holds it along another direction. The jumps themselves are along x, y, z everywhere.
 
@@ -41,6 +42,9 @@ from meshes.contact_facets import (
     shared,
 )
 from meshes.redundant_points import ROUNDING, meeting
+
+# An axis is tangential to a face if its cosine with the normal is below this.
+TANGENTIAL = 1e-6
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -130,6 +134,7 @@ class ContactPoints:
         given: Supports (master, slave) that fix each component of the jump, -1 where it is free
             (n, 3, 2).
         axes: Axes of these components, as columns (n, 3, 3).
+        along: Projectors on prescribed axes that are tangential to all faces (n, 3, 3).
         corners: The points, and the other corners of the facets.
         triangles: For each interface, its facets as rows of corners (f_i, 3).
         facets: For each interface, the numbers of these facets (f_i,).
@@ -145,6 +150,7 @@ class ContactPoints:
     weight: Floats
     given: Ints
     axes: Floats
+    along: Floats
     corners: Corners
     triangles: tuple[Ints, ...]
     facets: tuple[Ints, ...]
@@ -212,6 +218,8 @@ def contact_points(
         at = [names[i] for i in interface[:n]]
         jumps = meet.jumps(weight, np.eye(3) - held, x[:n], at)
         corners = replace(corners, near=meet.near, jump=meet.ways_round(jumps))
+    across = np.abs(np.einsum("pki,pic->pkc", normals[:n], local_axes)).max(axis=1)
+    along = projectors(local_axes, (given[:, :, 0] >= 0) & (across < TANGENTIAL))
     drop_held(normals[:n], faces[:n], held)
     of_interface = [np.flatnonzero(facets.interface == i) for i in range(len(names))]
     points = ContactPoints(
@@ -225,6 +233,7 @@ def contact_points(
         weight=weight,
         given=given,
         axes=local_axes,
+        along=along,
         corners=corners,
         triangles=tuple(triangles[f] for f in of_interface),
         facets=tuple(of_interface),

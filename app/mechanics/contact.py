@@ -77,7 +77,7 @@ class TrialState:
         """
         c, law = self.contact, self.law
         force = law.force + np.einsum("pk,pki->pi", law.pressures, c.own.normals)
-        missing = c.multiplier(self.equilibrium) - force
+        missing = c.multiplier(self.equilibrium) - c.own.project_free(force)
         slip = self.jump - c.reference + missing / c.law.stiffness[:, None]
         slides = (c.law.frictional & c.law.slides & (law.status == SLIP))[:, None]
         closed = self._closed(slip)
@@ -133,7 +133,7 @@ class TrialState:
         """
         c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.own.weight
         step, opening = self.jump - c.reference, c.opening(self.jump)
-        force = c.forces(self.equilibrium)
+        force = c.forces(self.equilibrium) + c.own.prescribed(law.force)
         normal = np.einsum("pk,pki->pi", law.pressures, c.own.normals)
         friction = force + normal
         told, slip = law.told, self.slip(friction)

@@ -33,6 +33,9 @@ TOLD: dict[str, tuple[int, ...]] = {
     **{"slip": (3,), "stored": (), "dissipated": (), "spent": ()},
     **{"spent_by_jump": (3,), "share": (), "share_by_jump": (3,)},
 }
+# Prescribed slip below this part of the whole slip, or of a length [mm], is none.
+AT_REST = 1e-12
+LENGTH = 1e-3
 # The modules that define a law, beside its own: a change of their text makes it another law.
 SOURCES = (cohesion, contact, interface_laws, pointwise, sys.modules[__name__])
 
@@ -128,6 +131,7 @@ class PointLaw:
         self.history = {k: shape for law in laws for k, shape in law.history.items()}
         self.can_open = np.array([law.can_open for law in laws])[own.interface]
         self.frictional = np.array([law.friction > 0 for law in laws])[own.interface]
+        self._coefficients = np.array([law.friction for law in laws])[own.interface]
         self.slides = np.array([isinstance(law, Unilateral) for law in laws])[own.interface]
         if any(isinstance(law, Cohesive) for law in laws):
             self._bonds, self._friction = values["stiffness"], values["friction_coefficient"]
@@ -231,6 +235,7 @@ class PointLaw:
             "r": r,
             "live": np.full(n, float(not self.frozen)),
         }
+        driven, *by_drive = self._drive(inputs, jump, state)
         out = PointForces(
             force=np.zeros((n, 3)),
             by_multiplier=np.zeros((n, 3, 3)),
@@ -264,9 +269,55 @@ class PointLaw:
                     known["μ"] = self._friction[rows] * out.told["share"][rows]
                 names = (*inputs, "μ") if law.friction > 0 else inputs
                 self._touch(rows, beside, {name: known[name] for name in names}, out)
+        slope = out.by_multiplier[driven]
+        for derivative, change in zip((out.by_multiplier, out.by_jump), by_drive, strict=True):
+            derivative[driven] += slope @ change
         if self.tied.any():
             self._tie(out, force, jump + gap, state.jump)
         return out
+
+    def _drive(
+        self, inputs: dict[str, Any], jump: Floats, state: ContactState
+    ) -> tuple[Ints, Floats, Floats]:
+        r"""Put slip that supports prescribe into the inputs, and the friction that goes with it.
+
+        Equilibrium does not tell the force along it. By Coulomb's law it is
+
+        .. math:: F_h = µ p D_h / |D_T|
+
+        with p the pressure and :math:`D_T` the slip, :math:`D_h` the prescribed part of it; the
+        last one while that part rests.
+
+        Returns:
+            The points (m,), and the derivatives of the force by multiplier and jump (m, 3, 3).
+        """
+        own = self._own
+        on = self.frictional & self.slides & (own.faces == 1) & own.along.any(axis=(1, 2))
+        rows = np.flatnonzero(on)
+        if not len(rows):
+            return rows, np.zeros((0, 3, 3)), np.zeros((0, 3, 3))
+        along, n, r, µ = (
+            v[rows] for v in (own.along, own.normals[:, 0], self.stiffness, self._coefficients)
+        )
+        for name, values in (("jump", jump), ("old", state.jump)):
+            inputs[name][rows] += own.prescribed(values)[rows]
+        across = n[:, :, None] * n[:, None, :]
+        tangential = np.eye(3) - across
+        slip = np.einsum("pij,pj->pi", tangential, (inputs["jump"] - inputs["old"])[rows])
+        part, size = np.einsum("pij,pj->pi", along, slip), np.linalg.norm(slip, axis=1)
+        moves = np.linalg.norm(part, axis=1) > AT_REST * (LENGTH + size)
+        size = np.where(moves, size, 1.0)
+        trial = inputs["force"][rows] + r[:, None] * (inputs["jump"] + inputs["gap"])[rows]
+        p = np.maximum(-np.einsum("pi,pi->p", trial, n), 0.0)
+        direction = part / size[:, None]
+        last = own.prescribed(state.friction)[rows]
+        inputs["force"][rows] += np.where(moves[:, None], (µ * p)[:, None] * direction, last)
+        limit = np.where(moves & (p > 0), µ, 0.0)[:, None, None]
+        by_force = -limit * direction[:, :, None] * n[:, None, :]
+        turned = along - direction[:, :, None] * (slip / size[:, None])[:, None, :]
+        by_jump = r[:, None, None] * by_force
+        by_jump += limit * (p / size)[:, None, None] * (turned @ tangential)
+        return rows, by_force, by_jump
 
     def _bond(
         self, rows: Ints, compiled: Pointwise, inputs: Mapping[str, Floats]

@@ -73,10 +73,18 @@ def box(blocks: dict[str, Any], size: Sequence[float], cells: Sequence[int]) -> 
     faces = tetrahedra[:, [(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)]].reshape(-1, 3)
     facets, facet_tags = [], []
     sides = {f"{'xyz'[axis]}{end}": (axis, end) for axis in range(3) for end in (0, 1)}
-    for tag, (axis, end) in enumerate(sides.values(), 1):
-        on = (np.abs(points[faces][:, :, axis] - end * size[axis]) < 1e-9).all(axis=1)
-        facets.append(faces[on])
-        facet_tags.append(np.full(on.sum(), tag, dtype=np.int32))
+    boundaries: dict[str, tuple[int, ...]] = {}
+    x = points[faces]
+    low = x[:, :, 2].mean(axis=1) < size[2] / 2
+    for name, (axis, end) in sides.items():
+        on = (np.abs(x[:, :, axis] - end * size[axis]) < 1e-9).all(axis=1)
+        for half, there in (("low", on & low), ("top", on & ~low)):
+            if there.any():
+                tag = len(facets) + 1
+                facets.append(faces[there])
+                facet_tags.append(np.full(there.sum(), tag, dtype=np.int32))
+                boundaries[f"{half}_{name}"] = (tag,)
+                boundaries[name] = (*boundaries.get(name, ()), tag)
     return MeshData(
         points=points,
         cells=tetrahedra,
@@ -84,7 +92,7 @@ def box(blocks: dict[str, Any], size: Sequence[float], cells: Sequence[int]) -> 
         facets=np.concatenate(facets),
         facet_tags=np.concatenate(facet_tags),
         regions={name: tag for tag, name in enumerate(blocks, 1)},
-        boundaries={name: (tag,) for tag, name in enumerate(sides, 1)},
+        boundaries=boundaries,
         interfaces={},
     )
 
@@ -231,3 +239,67 @@ def test_two_interfaces_of_one_body_break_on_all_their_area(tmp_path: Path) -> N
         assert numbers[name]["area"] == pytest.approx(6.0)
         assert numbers[name]["area_broken"] == pytest.approx(6.0)
         assert numbers[name]["dissipation"] == pytest.approx(6.0 * 0.3, rel=1e-6)
+
+
+HELD_AND_PUSHED = """
+geometry: {kind: blocks, blocks: [{name: low, size: [6 mm, 6 mm, 3 mm]},
+                                  {name: high, size: [6 mm, 6 mm, 3 mm]}]}
+mesh: {order: 1, size: 3 mm}
+regions:
+  low: {youngs_modulus: 900 MPa, poisson_ratio: 0, tissue: other}
+  high: {youngs_modulus: 900 MPa, poisson_ratio: 0, tissue: other}
+interfaces: {low_high: {kind: contact, friction_coefficient: 0.25}}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+  held: {kind: roller, boundary: low_x_min, axis: x}
+  push: {kind: displacement, boundary: high_x_min, x: 0.09 mm, history: [0, 1, -1]}
+loads: {press: {kind: pressure, boundary: top, pressure: 4 MPa}}
+stages: [{name: press}, {name: push, increments: 2}, {name: back, increments: 2}]
+"""
+
+
+def test_friction_acts_where_supports_prescribe_slip() -> None:
+    """Forward and back all points slide: friction on the whole area, and energy in balance."""
+    solved = support.solve(HELD_AND_PUSHED, balances=True)
+    whole = 0.25 * 4 * 36
+    for step, sign in ((2, -1.0), (4, 1.0)):
+        numbers = solved.samples[step].numbers["low_high"]
+        np.testing.assert_allclose(numbers["force"], [sign * whole, 0, 144], rtol=1e-6, atol=1e-4)
+        assert numbers["slip_fraction"] == 1.0
+    assert solved.balances.max() < 1e-9
+
+
+def test_friction_where_two_components_are_prescribed() -> None:
+    """Pushed along the diagonal by both sides: the sum has the size of friction."""
+    solved = support.solve(
+        HELD_AND_PUSHED,
+        "supports.beside={kind: roller, boundary: low_y_min, axis: y}",
+        "supports.other={kind: displacement, boundary: high_y_min, y: 0.09 mm, history: [0, 1, -1]}",
+        balances=True,
+    )
+    numbers = solved.samples[2].numbers["low_high"]
+    assert np.linalg.norm(numbers["force"][:2]) == pytest.approx(36.0, rel=1e-3)
+    assert numbers["force"][0] == pytest.approx(numbers["force"][1], rel=0.05)
+    assert solved.balances.max() < 1e-9
+
+
+@pytest.mark.parametrize("layout", ["T", "three under one"])
+def test_a_block_pushed_over_several_rubs_on_all_of_them(layout: str, tmp_path: Path) -> None:
+    blocks, cells = LAYOUTS[layout]
+    text = scene(tmp_path, blocks, contact(0.3), cells, turn=1)
+    top = text["supports"].pop("x1")
+    text["supports"]["x0"] = top | {"boundary": "low_x0"}
+    text["supports"]["x1"] = top | {"boundary": "low_x1"}
+    text["supports"]["push"] = {
+        "kind": "displacement",
+        "boundary": "top_x0",
+        "x": "0.06 mm",
+        "history": [0, 1],
+    }
+    text["stages"] = [{"name": "press"}, {"name": "push", "increments": 3}]
+    solved = support.solve(text, balances=True)
+    forces = {name: n["force"] for name, n in solved.last.numbers.items() if name.endswith("_top")}
+    total = np.sum(list(forces.values()), axis=0)
+    assert abs(total[0]) == pytest.approx(0.3 * PRESSURE * 12, rel=1e-5)
+    assert abs(total[2]) == pytest.approx(PRESSURE * 12, rel=1e-9)
+    assert solved.balances.max() < 1e-8

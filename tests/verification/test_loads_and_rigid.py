@@ -232,6 +232,20 @@ def test_a_block_with_planes_of_symmetry_on_a_rigid_floor() -> None:
         np.testing.assert_allclose(u, exact, atol=1e-11)
 
 
+def test_a_rigid_floor_rubs_like_a_stiff_one() -> None:
+    """Friction against the widening of the block, which is pushed over the floor then."""
+    push = (
+        "interfaces.floor_block.friction_coefficient=0.3",
+        "supports.sym={kind: displacement, boundary: block_x_min, x: 0.03 mm, history: [0, 1]}",
+        "stages=[{name: press}, {name: push, increments: 2}]",
+    )
+    stiff = "regions.floor={youngs_modulus: 1e10 MPa, poisson_ratio: 0.25, tissue: other}"
+    one, two = support.solve(FLOOR, *push), support.solve(FLOOR, *push, stiff)
+    for a, b in zip(one.samples, two.samples, strict=True):
+        np.testing.assert_allclose(a.pressure, b.pressure, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(a.slip, b.slip, rtol=1e-4, atol=1e-6)
+
+
 def test_many_held_nodes_of_a_rigid_region_take_little_memory() -> None:
     """The six motions that 3 000 held components leave, without a matrix of 3 000 by 3 000."""
     random = np.random.default_rng(2)
