@@ -220,8 +220,13 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
 
 
 def _distinct(normals: Floats, areas: Floats) -> Floats:
-    """At most three independent faces: the largest kept, the others merged into the nearest."""
-    order = np.lexsort((normals[:, 2], normals[:, 1], normals[:, 0], -np.round(areas, 9)))
+    """At most three independent faces: the largest kept, the others merged into the nearest.
+
+    Of equal ones first that closest to the mean, then in their order: not by axes, so that a turned
+    or mirrored mesh has the same faces in the same order.
+    """
+    mean = areas @ normals
+    order = np.lexsort((-np.round(normals @ mean, 9), -np.round(areas, 9)))
     ns: list[Floats] = []
     sums: list[Floats] = []
     for n, area in zip(normals[order], areas[order], strict=True):

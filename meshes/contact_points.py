@@ -196,8 +196,9 @@ def contact_points(
     keys = np.column_stack([facets.interface[facet], facets.vertices.ravel(), facets.bodies[facet]])
     every, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     normals, faces, area = faces_around(facets, of, len(every))
-    both = (_supports_of(every[:, 1], every[:, 2:], holds) >= 0).all(axis=1).any(axis=1)
-    kept, meet = meeting(facets, every, of, both, normals, area, names)
+    supports = _supports_of(every[:, 1], every[:, 2:], holds)
+    prescribed: Bools = np.any(np.all(supports >= 0, axis=1), axis=1)
+    kept, meet = meeting(facets, every, of, prescribed, normals, area, names)
     # Points first, then corners for which they stand in.
     order = np.argsort(~kept, kind="stable")
     place, n = np.argsort(order), int(kept.sum())

@@ -192,8 +192,8 @@ def without_circles(corners: Ints) -> Bools:
     alone = np.ones(len(corners), dtype=bool)
     for rows in shared(corners[:, 1]):
         group = {int(body): int(body) for body in corners[rows, 2:].ravel()}
-        for a, b in corners[rows, 2:].tolist():
-            one, two = group[a], group[b]
+        for p in rows:
+            one, two = (group[int(body)] for body in corners[p, 2:])
             alone[rows] &= one != two
             group = {body: one if g == two else g for body, g in group.items()}
     return alone

@@ -120,21 +120,22 @@ def rigid_holds(
     node = np.flatnonzero((constraints.rigid_support >= 0).any(axis=1))
     number = index_map.local_range[0] + node
     number, support = gather(mechanics.mesh.comm, number, constraints.rigid_support[node])
-    support_of = dict(zip(number.tolist(), support, strict=True))
-    keys = zip(holds.vertex.tolist(), holds.body.tolist(), strict=True)
-    known = dict(zip(keys, holds.support, strict=True))
+    support_of = dict(zip(map(int, number), support, strict=True))
+    keys = zip(map(int, holds.vertex), map(int, holds.body), strict=True)
+    known: dict[tuple[int, int], Ints] = dict(zip(keys, holds.support, strict=True))
     dofs, vertices = facets.dofs[:, :3], facets.vertices
     for body in {of_region[r.region] for r in mechanics.scene.rigid}:
         on = (facets.bodies == body).any(axis=1)
-        at = np.unique(np.column_stack([vertices[on].ravel(), dofs[on].ravel()]), axis=0)
-        for vertex, dof in at.tolist():
+        pairs = np.unique(np.column_stack([vertices[on].ravel(), dofs[on].ravel()]), axis=0)
+        for vertex, dof in (map(int, pair) for pair in pairs):
             held = support_of.get(dof)
             if held is not None:
                 before = known.get((vertex, body), held)
                 known[vertex, body] = np.where(before >= 0, before, held)
-    at = np.array(sorted(known), dtype=np.int64).reshape(-1, 2)
-    rows = [known[vertex, body] for vertex, body in at.tolist()]
-    return Holds(at[:, 0], at[:, 1], np.array(rows, dtype=np.int64).reshape(-1, 3))
+    order = sorted(known)
+    places = np.array(order, dtype=np.int64).reshape(-1, 2)
+    rows = np.array([known[key] for key in order], dtype=np.int64).reshape(-1, 3)
+    return Holds(places[:, 0], places[:, 1], rows)
 
 
 def prescribed_jump(points: ContactPoints, number: int, support: Support) -> Floats:

@@ -113,8 +113,8 @@ class ContactSamples:
         self.pressure = whole(normal_pressure(trial.law.pressures, own.normals))
         self.shear = whole(np.linalg.norm(history.friction, axis=1))
         self.force = whole(-sign * history.force)
-        status = np.where(own.faces > 0, trial.law.status, STICK)
-        self.status = corners.nearby(contact.whole(status))
+        status: Any = contact.whole(np.where(own.faces > 0, trial.law.status, STICK))
+        self.status = corners.nearby(status)
         self.dissipation, self.least = added(history.dissipation), added(history.least)
         self.contact_work, self.stored = added(history.contact_work), added(history.stored)
         self.own = {name: whole(values) for name, values in history.own.items()}

@@ -296,10 +296,10 @@ def _in_the_mean(case: Case, found: Parts) -> list[str]:
     circle = corners[~without_circles(corners)]
     if not len(circle):
         return []
-    vertices = np.unique(circle[:, 1])
+    at = np.unique(circle[:, 1])
     names = [on[i] for i in np.unique(circle[:, 0])]
     return [
-        f"at {len(vertices)} vertices, e.g. at {point_text(found.x[vertices[0]])}, interfaces "
+        f"at {len(at)} vertices, e.g. at {point_text(found.x[at[0]])}, interfaces "
         f"meet in a circle ({', '.join(names)}): the motion of one follows from that of the "
         "others, and its law holds there in the mean with points beside it"
     ]

@@ -162,9 +162,7 @@ def check_uniform(solved: support.Solved, data: MeshData) -> None:
     for numbers in s.numbers.values():
         wanted = min((PRESSURE, sideways), key=lambda p: abs(p - numbers["pressure_mean"]))
         assert numbers["pressure_mean"] == pytest.approx(wanted, rel=1e-7)
-        assert np.linalg.norm(numbers["force"]) == pytest.approx(
-            wanted * numbers["area"], rel=1e-7
-        )
+        assert np.linalg.norm(numbers["force"]) == pytest.approx(wanted * numbers["area"], rel=1e-7)
     M = MODULUS * (1 - POISSON) / ((1 + POISSON) * (1 - 2 * POISSON))
     for region in data.regions:
         x, u = solved.displacement(region)

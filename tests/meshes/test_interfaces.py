@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
+from app.verification.changed_meshes import ROTATION
 from meshes.contact_facets import InterfaceFacets, sorted_facets
 from meshes.contact_points import ContactPoints, Entries, Holds, contact_points
 from tests import support
@@ -249,6 +251,19 @@ def hold(where: NDArray, bodies: Sequence[int], component: int) -> Holds:
 def flat(slope: float = 0.0) -> tuple[InterfaceFacets, Floats]:
     """A plane interface: body 1, the slave, on top of body 0."""
     return between(patch([0, 0, 0], [1, 0, 0], [0, 1, slope], 2), [0.5, 0.5, 1])
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_faces_do_not_depend_on_the_axes(mirror: float) -> None:
+    """A turned or mirrored box has the same faces in the same order."""
+    facets, _ = box_in_a_box(2)
+    points, _ = contact_points(facets, NOTHING_HELD, NAMES[:1], {})
+    turn = ROTATION @ np.diag([mirror, 1.0, 1.0])
+    turned = replace(facets, nodes=facets.nodes @ turn.T, normal=facets.normal @ turn.T)
+    other, _ = contact_points(turned, NOTHING_HELD, NAMES[:1], {})
+    np.testing.assert_array_equal(other.faces, points.faces)
+    assert (points.faces == 3).sum() == 8
+    np.testing.assert_allclose(other.normals, points.normals @ turn.T, atol=1e-12)
 
 
 def test_slave_held_alone_is_the_base() -> None:
