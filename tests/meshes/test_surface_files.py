@@ -6,12 +6,15 @@ import random
 import re
 import struct
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from app.case.geometries import Patient
 from app.errors import GeometryError, InputError
 from meshes import bone_frame, bone_surface, polygons, surface_files
 from meshes.bone_surface import BoneSurface
@@ -359,6 +362,16 @@ def test_a_femur_of_rare_size_or_shape_has_a_note(
     assert re.search(note, " ".join(notes))
 
 
+def test_a_femur_too_long_for_its_head_has_a_note() -> None:
+    """With condyles 15 to 25 radii of the head are usual; without them the length is any."""
+    frame = bone_frame.find(own())
+    whole = replace(frame, version=0.2, length=18 * frame.radius)
+    assert whole.doubts(own()) == []
+    (note,) = replace(whole, length=27 * frame.radius).doubts(own())
+    assert "it is 613 mm long with its condyles; expected 341 to 568" in note
+    assert replace(whole, length=9 * frame.radius, version=None).doubts(own()) == []
+
+
 def test_an_open_proximal_end_has_a_note_and_a_distal_one_none(tmp_path: Path) -> None:
     """The top of the head is missing; one triangle of it; the shaft is cut."""
     corners = own().corners
@@ -420,5 +433,48 @@ def test_damaged_surfaces_are_read_or_refused_in_words(tmp_path: Path) -> None:
                     bone_frame.find(found)
         except (GeometryError, InputError) as error:
             assert str(path) in str(error) or "geometry.bone" in str(error)
+        except BaseException as error:
+            raise AssertionError(f"seed {seed}: {name}") from error
+
+
+def odd(corners: Any, seed: int) -> Any:
+    """Triangles of a bone with some missing, stretched, doubled beside it, cut or in waves."""
+    rng = np.random.default_rng(seed)
+    match seed % 5:
+        case 0:
+            return corners[rng.random(len(corners)) > rng.choice([0.5, 0.9, 0.02])]
+        case 1:
+            return corners @ np.diag(rng.uniform(0.4, 2.0, 3))
+        case 2:
+            return np.concatenate([corners, corners + rng.normal(size=3)])
+        case 3:
+            return corners[corners[:, :, 2].mean(axis=1) > rng.uniform(-250, 50)]
+        case _:
+            return corners + rng.normal(0, 0.3, 3) * np.sin(corners * rng.uniform(0.1, 3))
+
+
+@pytest.mark.slow
+def test_patients_with_damaged_bones_are_placed_or_refused_in_words(tmp_path: Path) -> None:
+    """Bytes of files, or shapes, are damaged; no warning of numpy either."""
+    surface = own()
+    whole = {
+        "bone.stl": write(tmp_path / "bone.stl", surface).read_bytes(),
+        "bone.obj": (obj_vertices(surface.points) + obj_faces(surface.triangles)).encode(),
+        "bone.ply": ply_binary(surface),
+    }
+    for seed in range(60):
+        rng = random.Random(seed)
+        name = rng.choice(sorted(whole)) if seed % 4 else "bone.stl"
+        if seed % 4:
+            put(tmp_path, name, damaged(rng, whole[name]))
+        else:
+            stl(tmp_path, odd(surface.corners, seed // 4))
+        given = {"bone": {"surface": name, "unit": "mm"}, "stem": {"length": "100 mm"}}
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                Patient.model_validate(given, context={"folder": tmp_path})
+        except ValidationError:
+            continue
         except BaseException as error:
             raise AssertionError(f"seed {seed}: {name}") from error
