@@ -60,7 +60,7 @@ class TemperatureJumps:
         comm, index_map = forms.comm, forms.space.dofmap.index_map
         facets = contact_facets(tagged, bodies, forms.space, contacts, {})
         holds = _holds(forms, facets, held)
-        self.points, entries = contact_points(facets, holds, len(contacts), {})
+        self.points, entries = contact_points(facets, holds, [c.name for c in contacts], {})
         self.mine, place = owners(comm, index_map, self.points.dof)
         begin, end = index_map.local_range
         n = len(self.mine)

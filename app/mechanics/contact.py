@@ -193,7 +193,9 @@ class ContactInterfaces:
         space, parts = mechanics.space, len(scene.contacts)
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
         holds, axes = held_at(stiffness.frames, tagged, bodies, space, scene.supports, self.facets)
-        self.points, entries = contact_points(self.facets, holds, parts, axes)
+        self.points, entries = contact_points(
+            self.facets, holds, [c.name for c in scene.contacts], axes
+        )
         refuse_supports(scene, bodies, holds, self.points, entries)
         apart = np.isin(
             self.points.interface, [i for i in range(parts) if scene.contacts[i].between]
