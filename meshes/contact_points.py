@@ -49,6 +49,8 @@ from meshes.contact_facets import (
 
 # Parts of a jump below this are rounding.
 ROUNDING = 1e-12
+# A direction is tangential to a face below this cosine with its normal.
+TANGENTIAL = 1e-6
 # Cosines between normals are compared to so many decimals.
 ALIKE = 1
 
@@ -136,6 +138,8 @@ class ContactPoints:
         given: Supports (master, slave) that fix each component of the jump, -1 where it is free
             (n, 3, 2).
         axes: Axes of these components, as columns (n, 3, 3).
+        along: Projectors on prescribed directions that are tangential to all faces: friction acts
+            along them, too (n, 3, 3).
         surface: All corners of the facets, with those that are no points.
     """
 
@@ -149,6 +153,7 @@ class ContactPoints:
     weight: Floats
     given: Ints
     axes: Floats
+    along: Floats
     surface: ContactSurface
 
     @property
@@ -225,7 +230,10 @@ def contact_points(
         triangles=tuple(corners[f] for f in of_interface),
         facets=tuple(of_interface),
     )
+    across = np.abs(np.einsum("pki,pic->pkc", normals[:n], local_axes)).max(axis=1)
+    along = projectors(local_axes, (given[:, :, 0] >= 0) & (across < TANGENTIAL))
     drop_held(normals[:n], faces[:n], held)
+    along[faces[:n] == 0] = 0.0
     surface.normals[:n], surface.faces[:n] = normals[:n], faces[:n]
     points = ContactPoints(
         interface=interface[:n],
@@ -238,6 +246,7 @@ def contact_points(
         weight=area[:n],
         given=given,
         axes=local_axes,
+        along=along,
         surface=surface,
     )
     # From the axes of the points to x, y, z.

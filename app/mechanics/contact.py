@@ -71,7 +71,7 @@ class TrialState:
         """
         c, law = self.contact, self.law
         force = law.force + np.einsum("pk,pki->pi", law.pressures, c.own.normals)
-        missing = c.multiplier(self.equilibrium) - force
+        missing = c.own.project_free(c.multiplier(self.equilibrium) - force)
         slip = self.jump - c.reference + missing / c.law.stiffness[:, None]
         slides = (c.law.frictional & c.law.slides & (law.status == SLIP))[:, None]
         closed = self._closed(slip)
@@ -127,7 +127,7 @@ class TrialState:
         """
         c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.own.weight
         step, opening = self.jump - c.reference, c.opening(self.jump)
-        force = c.forces(self.equilibrium)
+        force = c.forces(self.equilibrium) + c.own.tangential_held(law.force)
         normal = np.einsum("pk,pki->pi", law.pressures, c.own.normals)
         friction = force + normal
         told, slip = law.told, self.slip(friction)

@@ -29,6 +29,7 @@ class OwnPoints:
         normals: Unit normals of the faces, zero beyond ``faces`` (n, 3, 3).
         weight: Area (n,) [mm2].
         projector: Projectors on the part of the jump that supports prescribe (n, 3, 3).
+        along: Projectors on the part of it that is tangential to all faces (n, 3, 3).
     """
 
     rows: Ints
@@ -39,11 +40,12 @@ class OwnPoints:
     normals: Floats
     weight: Floats
     projector: Floats
+    along: Floats
 
     @classmethod
     def of(cls, points: ContactPoints, rows: Ints) -> OwnPoints:
         """Select the points that a rank owns."""
-        names = ("interface", "x", "bodies", "faces", "normals", "weight")
+        names = ("interface", "x", "bodies", "faces", "normals", "weight", "along")
         kept = {name: getattr(points, name)[rows] for name in names}
         return cls(rows=rows, projector=projectors(points.axes, points.held)[rows], **kept)
 
@@ -54,6 +56,14 @@ class OwnPoints:
     def project_free(self, vectors: Floats) -> Floats:
         """Remove prescribed components from vectors (n, 3)."""
         return vectors - np.einsum("pij,pj->pi", self.projector, vectors)
+
+    def tangential_held(self, vectors: Floats) -> Floats:
+        """Prescribed components of vectors (n, 3) along which friction acts."""
+        return np.asarray(np.einsum("pij,pj->pi", self.along, vectors))
+
+    def acting(self, vectors: Floats) -> Floats:
+        """Remove prescribed components in which the law has no say from vectors (n, 3)."""
+        return self.project_free(vectors) + self.tangential_held(vectors)
 
     def tangential(self, vectors: Floats, faces: Bools) -> Floats:
         """Part of vectors (n, 3) tangential to some of the faces (n, 3)."""
