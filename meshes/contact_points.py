@@ -10,7 +10,8 @@ surface is one face however coarse the mesh.
 Rules where things meet, for each displacement component of a vertex:
 
 * The displacement of one body, the base, is the continuous field u itself; every other body there
-  adds jumps to it. The base is a body that a support holds in this component, otherwise the stiffer
+  adds jumps to it. The base is a rigid body, then one that a support holds in this component,
+  otherwise the stiffer
   one, of equals the master: a jump that moves the softer side meets about what it meets in truth.
 * A vertex with k bodies has k - 1 jumps. Where more interfaces meet, the jumps of some follow from
   those of the others: these are dependent corners, without a point. `_forest` chooses them,
@@ -49,6 +50,8 @@ from meshes.contact_facets import (
 
 # Parts of a jump below this are rounding.
 ROUNDING = 1e-12
+# In place of a support: those of a rigid region, together.
+RIGIDLY = np.iinfo(np.int64).max
 # A direction is tangential to a face below this cosine with its normal.
 TANGENTIAL = 1e-6
 # Cosines between normals are compared to so many decimals.
@@ -114,12 +117,15 @@ class Holds:
     Attributes:
         vertex: Vertex numbers of the mesh file (h,).
         body: Body (h,).
-        support: Index of the support of each component, -1 where it is free (h, 3).
+        support: Index of the support of each component, -1 where it is free (h, 3); `RIGIDLY`
+            where the supports of a rigid region together give its motion.
+        rigid: Whether the node moves with a rigid region of the body (h,).
     """
 
     vertex: Ints
     body: Ints
     support: Ints
+    rigid: Bools
 
 
 @dataclass(frozen=True)
@@ -461,28 +467,42 @@ def _jumps_at_vertices(
     table, free = dict(zip(holding, holds.support, strict=True)), np.full(3, -1)
     of_sides = zip(map(int, np.repeat(vertex, 2)), map(int, sides.ravel()), strict=True)
     side = np.array([table.get(at, free) for at in of_sides]).reshape(n, 2, 3)
+    moved = zip(map(int, holds.vertex[holds.rigid]), map(int, holds.body[holds.rigid]), strict=True)
+    with_rigid = set(moved)
+    of_sides = zip(map(int, np.repeat(vertex, 2)), map(int, sides.ravel()), strict=True)
+    rigid = np.array([at in with_rigid for at in of_sides], dtype=bool).reshape(n, 2)
     held = side >= 0
     given = np.where(held.all(axis=1, keepdims=True), side, -1)
     # One interface at the vertex: the slave moves by +q, or the master by -q if the slave is the
     # base: it alone is held, both are and it comes first, or none is and it is stiffer.
     slave_is_base = held[:, 1] & (~held[:, 0] | (sides[:, 1] < sides[:, 0])[:, None])
     slave_is_base |= ~held.any(axis=1) & (stiffness[:, 1] > stiffness[:, 0])[:, None]
+    one_is_rigid = rigid.any(axis=1)
+    slave_is_base[one_is_rigid] = rigid[one_is_rigid, 1:]
     signs = np.zeros((int(sides.max()) + 1, n, 3))
     signs[sides[:, 0], np.arange(n)] = -1.0 * slave_is_base
     signs[sides[:, 1], np.arange(n)] = ~slave_is_base
     for rows in shared(vertex):
         signs[:, rows] = 0.0
         for c in range(3):
-            _tree(rows, sides, side[:, :, c], stiffness, given[:, :, c], signs[:, :, c])
+            base = sides[rows][rigid[rows]].tolist()
+            _tree(rows, sides, side[:, :, c], stiffness, given[:, :, c], signs[:, :, c], base)
     return given.transpose(0, 2, 1), signs
 
 
 def _tree(
-    rows: Ints, sides: Ints, support: Ints, stiffness: Floats, given: Ints, signs: Floats
+    rows: Ints,
+    sides: Ints,
+    support: Ints,
+    stiffness: Floats,
+    given: Ints,
+    signs: Floats,
+    rigid: Sequence[int],
 ) -> None:
     """Fill ``given`` and ``signs`` at a vertex with several interfaces, in one component.
 
-    Walks the forest of bodies from a constrained body (the lowest), else from the stiffest.
+    Walks the forest of bodies from a rigid body, else from a constrained one (the lowest), else
+    from the stiffest.
     Between two constrained bodies every jump on the way is prescribed; a free body goes with the
     one it was reached from.
     """
@@ -492,7 +512,7 @@ def _tree(
     bodies = dict.fromkeys(map(int, of.ravel()))
     stiffest = sorted(bodies, key=lambda b: float(stiffness[rows][of == b].max()), reverse=True)
     base: dict[int, int] = {}
-    for root in (*sorted(holder), *stiffest):
+    for root in (*rigid, *sorted(holder), *stiffest):
         if root in base:
             continue
         base[root] = root
@@ -505,7 +525,8 @@ def _tree(
                     signs[there, p] = sign
     for body in holder:
         for p in rows[signs[body, rows] != 0]:
-            given[p] = [holder.get(int(b), holder[base[body]]) for b in sides[p]]
+            other = holder.get(base[body], -1)
+            given[p] = [holder.get(int(b), other) for b in sides[p]]
 
 
 def _at_edges(

@@ -15,7 +15,8 @@ from meshes.contact_facets import InterfaceFacets, sorted_facets
 from meshes.contact_points import ContactPoints, Entries, Holds, contact_points
 from tests import support
 
-NOTHING_HELD = Holds(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))
+NONE = np.zeros(0, np.int64)
+NOTHING_HELD = Holds(NONE, NONE, np.zeros((0, 3), np.int64), np.zeros(0, bool))
 
 
 def facets_of(
@@ -232,7 +233,8 @@ def hold(where: NDArray, bodies: Sequence[int], component: int) -> Holds:
     vertex = np.flatnonzero(where).astype(np.int64)
     support = np.full((len(vertex) * len(bodies), 3), -1, dtype=np.int64)
     support[:, component] = 0
-    return Holds(np.tile(vertex, len(bodies)), np.repeat(bodies, len(vertex)), support)
+    rigid = np.zeros(len(support), dtype=bool)
+    return Holds(np.tile(vertex, len(bodies)), np.repeat(bodies, len(vertex)), support, rigid)
 
 
 def flat(slope: float = 0.0) -> tuple[InterfaceFacets, Floats]:
