@@ -220,8 +220,11 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
 
 
 def _distinct(normals: Floats, areas: Floats) -> Floats:
-    """At most three independent faces: the largest kept, the others merged into the nearest."""
-    order = np.lexsort((normals[:, 2], normals[:, 1], normals[:, 0], -np.round(areas, 9)))
+    """At most three independent faces: the largest kept, the others merged into the nearest.
+
+    They are in the order of their areas, equal ones in that of the mesh: no axis has a part in it.
+    """
+    order = np.argsort(-np.round(areas, 9), kind="stable")
     ns: list[Floats] = []
     sums: list[Floats] = []
     for n, area in zip(normals[order], areas[order], strict=True):

@@ -104,7 +104,7 @@ class ContactSurface:
         return np.asarray((self.jumps @ jumps.ravel()).reshape(-1, 3))
 
     def spread_status(self, status: Ints) -> Ints:
-        """States of the corners (m,): of dependent ones that of the point with the largest share."""
+        """States of the corners (m,), of dependent ones that of the largest share."""
         if self.shares is None:
             return status
         return status[np.asarray(self.shares.toarray().argmax(axis=1)).ravel()]

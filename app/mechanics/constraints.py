@@ -50,10 +50,10 @@ def _support_of_dofs(mechanics: BodyForms, stage: int, frames: Frames | None) ->
     rigid = {r.region for r in scene.rigid}
     for body in reversed(range(len(bodies.names))):
         # Supports of other bodies do not hold the nodes of a rigid region: they give jumps.
-        for region in rigid.intersection(bodies.names[body].split(" + ")):
+        for region in sorted(rigid.intersection(bodies.names[body].split(" + "))):
             moved = touched_nodes(space, tags == tagged.regions[region])
             support[: len(moved)][moved] = -1
-            own = support[rows]
+            own[moved[rows]] = -1
         for s in holding:
             f = patches[s]
             mine = f.facets[bodies.of_tag[tags[f.cells]] == body]

@@ -107,9 +107,7 @@ def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
     return errors, notes
 
 
-def _contradictions_in(
-    case: Case, found: Parts, group: list[int]
-) -> tuple[list[str], list[str]]:
+def _contradictions_in(case: Case, found: Parts, group: list[int]) -> tuple[list[str], list[str]]:
     """Errors and notes of `_contradictions` for a body, a group of pieces."""
     holding = {}
     for name, support in case.supports.items():

@@ -131,7 +131,8 @@ def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> c
     """Weights that interpolate between meshes of the same interfaces; no communication.
 
     Linear on the source's triangles: each point gets the nearest point of the nearest triangle.
-    There is a row for each of the target points ``mine`` (n,), a column for each corner of the source.
+    There is a row for each of the target points ``mine`` (n,), a column for each
+    corner of the source.
     """
     from scipy.sparse import csr_array  # imported late, as the next: few runs need them
 

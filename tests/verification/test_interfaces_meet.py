@@ -33,9 +33,13 @@ Box = tuple[tuple[float, float], ...]
 
 def grid(nx: int, ny: int, nz: int) -> dict[str, Box]:
     """Boxes of a grid, by name."""
-    ends = [np.concatenate([[0.0], np.cumsum(s[:n])]) for s, n in zip(SIZES, (nx, ny, nz), strict=True)]
+    ends = [
+        np.concatenate([[0.0], np.cumsum(s[:n])]) for s, n in zip(SIZES, (nx, ny, nz), strict=True)
+    ]
     return {
-        f"b{i}{j}{k}": tuple((float(e[m]), float(e[m + 1])) for e, m in zip(ends, (i, j, k), strict=True))
+        f"b{i}{j}{k}": tuple(
+            (float(e[m]), float(e[m + 1])) for e, m in zip(ends, (i, j, k), strict=True)
+        )
         for i, j, k in product(range(nx), range(ny), range(nz))
     }
 
@@ -72,7 +76,10 @@ def write(folder: Path, boxes: dict[str, Box]) -> None:
         low, high = ([c[s] + d for c in box] for s, d in ((0, -e), (1, e)))
         where = ", ".join(map(str, (*low, *high)))
         lines.append(f'Physical Volume("{name}") = Volume In BoundingBox{{{where}}};')
-    ends = [(min(b[i][0] for b in boxes.values()), max(b[i][1] for b in boxes.values())) for i in range(3)]
+    ends = [
+        (min(b[i][0] for b in boxes.values()), max(b[i][1] for b in boxes.values()))
+        for i in range(3)
+    ]
     for i, axis in enumerate("xyz"):
         for side, at in zip(("min", "max"), ends[i], strict=True):
             low = [c[0] - e for c in ends]
@@ -91,9 +98,7 @@ def smooth_box(
     write(folder, boxes)
     pairs = touching(boxes)
     sides = ", ".join(f"{a}_{b}: [{a}, {b}]" for a, b in pairs)
-    of = "".join(
-        f"  {a}_{b}: {laws[k % len(laws)]}\n" for k, (a, b) in enumerate(pairs)
-    )
+    of = "".join(f"  {a}_{b}: {laws[k % len(laws)]}\n" for k, (a, b) in enumerate(pairs))
     material = f"{{youngs_modulus: 900 MPa, poisson_ratio: {ν}, tissue: other}}"
     text = f"""
 geometry: {{kind: file, path: {folder / "boxes.geo"}, interfaces: {{{sides}}}}}
@@ -181,7 +186,14 @@ supports: {{floor: {{kind: fixed, boundary: z_min}}}}
         names = [c.name for c in build_scene(case).contacts]
         points = support.assemble(case)[0].contact.points
         n = len(points.vertex)
-        found.append({(names[i], int(v)) for i, v in zip(points.surface.interface[n:], points.surface.vertex[n:], strict=True)})
+        found.append(
+            {
+                (names[i], int(v))
+                for i, v in zip(
+                    points.surface.interface[n:], points.surface.vertex[n:], strict=True
+                )
+            }
+        )
     assert found[0] == found[1]
     assert {name for name, _ in found[0]} == {"left_right"}
 
