@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
+from app.verification.changed_meshes import ROTATION
 from meshes.contact_facets import InterfaceFacets, sorted_facets
 from meshes.contact_points import ContactPoints, Entries, Holds, contact_points
 from tests import support
@@ -125,6 +127,16 @@ def test_at_most_three_faces() -> None:
     n = points.normals[at][0]
     np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1)
     assert np.linalg.det(n @ n.T) > 0.05
+
+
+@pytest.mark.parametrize("Q", [ROTATION, np.diag([1.0, -1.0, 1.0])], ids=["turned", "mirrored"])
+def test_faces_of_equal_area_do_not_depend_on_the_axes(Q: Floats) -> None:
+    """The order of the faces decides which bears the force of a point that sticks."""
+    facets, _ = box_in_a_box()
+    turned = replace(facets, nodes=facets.nodes @ Q.T, normal=facets.normal @ Q.T)
+    one, other = (contact_points(f, NOTHING_HELD, ["a"], {})[0] for f in (facets, turned))
+    assert set(one.faces.tolist()) == {1, 2, 3}
+    np.testing.assert_allclose(other.normals, one.normals @ Q.T, atol=1e-12)
 
 
 # Motion of bodies with jumps
