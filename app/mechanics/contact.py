@@ -30,7 +30,14 @@ from app.errors import InputError
 from app.laws.values import amplitude, gap_at
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
-from app.mechanics.contact_points import ContactState, OwnPoints, prescribed_jump, refuse_supports
+from app.mechanics.contact_points import (
+    ContactState,
+    OwnPoints,
+    prescribed_jump,
+    refuse_loose_regions,
+    refuse_supports,
+    with_rigid_regions,
+)
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.sliding import ACCURACY, Sliding
 from app.mechanics.stiffness import Stiffness
@@ -40,7 +47,7 @@ from app.scene.frames import held_at
 from app.scene.scene import Scene
 from forms.contact import OPEN, SLIP
 from meshes.contact_facets import gather
-from meshes.contact_points import contact_points
+from meshes.contact_points import RIGIDLY, contact_points
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6
@@ -71,7 +78,7 @@ class TrialState:
         """
         c, law = self.contact, self.law
         force = law.force + np.einsum("pk,pki->pi", law.pressures, c.own.normals)
-        missing = c.multiplier(self.equilibrium) - force
+        missing = c.own.project_free(c.multiplier(self.equilibrium) - force)
         slip = self.jump - c.reference + missing / c.law.stiffness[:, None]
         slides = (c.law.frictional & c.law.slides & (law.status == SLIP))[:, None]
         closed = self._closed(slip)
@@ -127,7 +134,7 @@ class TrialState:
         """
         c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.own.weight
         step, opening = self.jump - c.reference, c.opening(self.jump)
-        force = c.forces(self.equilibrium)
+        force = c.forces(self.equilibrium) + c.own.tangential_held(law.force)
         normal = np.einsum("pk,pki->pi", law.pressures, c.own.normals)
         friction = force + normal
         told, slip = law.told, self.slip(friction)
@@ -193,8 +200,14 @@ class ContactInterfaces:
         space, parts = mechanics.space, len(scene.contacts)
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
         holds, axes = held_at(stiffness.frames, tagged, bodies, space, scene.supports, self.facets)
-        self.points, entries = contact_points(self.facets, holds, parts, axes)
-        refuse_supports(scene, bodies, holds, self.points, entries)
+        if scene.rigid:
+            every = stiffness.constraints_of_stages()
+            holds = with_rigid_regions(mechanics, every, self.facets, holds, axes)
+            refuse_loose_regions(scene, bodies, holds, self.facets, axes)
+        self.points, entries = contact_points(
+            self.facets, holds, [c.name for c in scene.contacts], axes
+        )
+        refuse_supports(scene, self.points)
         apart = np.isin(
             self.points.interface, [i for i in range(parts) if scene.contacts[i].between]
         )
@@ -204,9 +217,8 @@ class ContactInterfaces:
         self.own = OwnPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [float(edges[self.facets.interface == i].mean()) for i in range(parts)]
-        self._by_supports = [
-            prescribed_jump(self.points, k, s)[rows] for k, s in enumerate(scene.supports)
-        ]
+        self._nodes = self.points.dof[rows] - space.dofmap.index_map.local_range[0]
+        self._by_supports = self._jumps_by_supports()
         held = stiffness.constraints
         self.coupling = JumpCoupling(mechanics, held, entries, self._number, len(rows))
         sliding = mechanics, self.own, self.points.dof[rows], stiffness.followers
@@ -244,8 +256,21 @@ class ContactInterfaces:
         self.set_time(0.0)
         self.state.opening = self.opening(self.state.jump)
 
+    def _jumps_by_supports(self) -> list[Floats]:
+        """Jumps of own points that each support prescribes at full amplitude (n, 3) [mm]."""
+        constraints, own = self._stiffness.constraints, self.own
+        jumps = []
+        for k, support in enumerate(self._supports):
+            moved = np.zeros((len(own), 3))
+            if (self.points.given == RIGIDLY).any():
+                unit = PETSc.Vec().createWithArray(constraints.unit[k].copy(), comm=self.comm)
+                moved = constraints.expand(unit).array_r.reshape(-1, 3)[self._nodes]
+            jumps.append(prescribed_jump(self.points, own.rows, k, support, moved))
+        return jumps
+
     def update_stiffness(self) -> None:
         """Reassemble the coupling for changed stiffness or supports."""
+        self._by_supports = self._jumps_by_supports()
         self.coupling.update(self._stiffness.constraints)
         self.law.update_stiffness(self.coupling.local_stiffness())
 

@@ -366,7 +366,8 @@ def _against_spread(
     B = trial.law.resisted
     # Friction holds a touching point, though no stiffness shows it while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
-    spread = spread_of_normals(points.x, points.normals, points.triangles)[contact.own.rows]
+    spread = spread_of_normals(points.surface.x, points.surface.normals, points.triangles)
+    spread = spread[contact.own.rows]
     A, N = (
         _assembled(problem, contact, r[:, None, None] * (R.transpose(0, 2, 1) @ own @ R))
         for own in (S, spread)
