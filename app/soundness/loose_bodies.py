@@ -49,6 +49,8 @@ LEVER = 10.0
 # Root of the compliance of springs on which rigid bodies press, with which a taper of 1 degree and
 # 100 points bears 99 % of a push.
 SPRING = 0.02
+# Resistance of supports over that of a contact point.
+STIFF = 1e8
 # Part of a load from which springs that leave it do not bear its direction.
 UNBORNE = 0.1
 # Part of all loads, squared, that may be left.
@@ -375,7 +377,7 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     F = problem.forces.on_bodies(problem.time, rigid_modes((x - centre) / size)).ravel()
     held = np.zeros((n, 6, n, 6))
     for b, part in supported(problem, centre, size).items():
-        held[b, :, b] += part
+        held[b, :, b] += STIFF * part
     of_bodies, R = np.zeros((len(own), 3, n, 6)), rigid_modes((own.x - centre) / size)
     for side, sign in zip(own.bodies.T, (-1, 1), strict=True):
         of_bodies[np.arange(len(own)), :, side] += sign * R
@@ -389,8 +391,13 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
         rest = np.asarray(np.linalg.solve(np.eye(6 * n) + springs / SPRING**2, F))
     forces = np.maximum(0.0, -(openings @ rest)).sum(axis=1) / SPRING**2
     # A large load that springs bear must not hide a small one that nothing bears.
-    sizes, motions = np.linalg.eigh(springs)
-    free = motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)]
+    # Motions are as large as they move the mean point: a narrow interface resists rolling.
+    every = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
+    metric = every / max(comm.allreduce(len(own)), 1) + held.reshape(6 * n, 6 * n) / STIFF
+    metric += 1e-9 * np.eye(6 * n)
+    scale = np.linalg.inv(np.linalg.cholesky(metric)).T
+    sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
+    free = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
     rest = free @ (free.T @ F)
     # A ball is not wedged by the rim of its cup, which it clears.
     of = np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])

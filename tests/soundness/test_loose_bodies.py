@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import random
 from dataclasses import dataclass
 
 import pytest
 
-from tests import support
-
 from app.errors import MantleError, Reason
+from tests import support
 
 SOLVERS = ("condensed", "direct", "multigrid")
 # A block on another, which is fixed; what holds the upper one is drawn.
@@ -61,13 +61,14 @@ def draw(seed: int) -> Drawn:
         "friction": f"{friction:.3f}",
         "linear": SOLVERS[seed % 3],
         "tilt": 0,
-        "gap": "0",
+        "gap": "0 mm",
         "supports": "",
         "press": f"[0, 0, {-force:.4g}]",
     }
     springs = "  springs: {{kind: foundation, boundary: top, stiffness: '{} MPa/mm'}}"
     stiffness = 10 ** dice.uniform(-5, 0)
     held = seed % 2 == 0
+    steepest = math.degrees(math.atan(0.9 * min(3.0, height) / length))
     kind = (seed // 2) % 4
     if held and kind == 0:  # a wedge-shaped gap, which touches along an edge
         values["gap"] = f"{10 ** dice.uniform(-5, -3.5):.3g} * x"
@@ -77,7 +78,7 @@ def draw(seed: int) -> Drawn:
         values["supports"] = springs.format(soft)
         values["friction"] = dice.choice(["0", "0.3"])
     elif held and kind == 2:  # a slope that friction holds
-        tilt = dice.uniform(2, 9)
+        tilt = min(dice.uniform(2, 9), steepest)
         values["tilt"], values["friction"] = f"{tilt:.2f}", f"{dice.uniform(0.3, 0.7):.3f}"
     elif held:  # lifted against soft springs
         values["supports"] = springs.format([round(stiffness, 9)] * 3)
@@ -89,14 +90,14 @@ def draw(seed: int) -> Drawn:
     elif kind == 1:  # pushed beyond friction
         values["press"] = f"[{1.2 * friction * force:.4g}, 0, {-force:.4g}]"
     elif kind == 2:  # a smooth slope
-        values["tilt"], values["friction"] = f"{dice.uniform(4, 20):.2f}", "0"
+        values["tilt"], values["friction"] = f"{min(dice.uniform(4, 20), steepest):.2f}", "0"
     else:  # lifted, with supports along x alone
         values["supports"] = "  guide: {kind: roller, boundary: high_x_max, axis: x}"
         values["press"] = f"[0, 0, {force:.4g}]"
     return Drawn(BLOCKS.format(**values), held)
 
 
-def judged(seed: int) -> None:
+def judge(seed: int) -> None:
     """Solve a drawn case and compare the reason of its refusal."""
     drawn = draw(seed)
     try:
@@ -111,12 +112,12 @@ def judged(seed: int) -> None:
     assert loose != drawn.held, f"{reasons}\n{drawn}"
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", range(12))
 def test_loose_bodies_are_free_ones_and_no_others(seed: int) -> None:
-    judged(seed)
+    judge(seed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(100, 200))
 def test_loose_bodies_are_free_ones_and_no_others_drawn(seed: int) -> None:
-    judged(seed)
+    judge(seed)
