@@ -165,7 +165,9 @@ class Explanation:
             advice = "the supports, the direction of the loads, or the mesh at the interface; at "
             advice += "rest and without gaps a smaller load fails alike"
         if self.breaks:
-            advice = "`fracture_step` in the stage: a bond breaks, and the load may have passed its "
+            advice = (
+                "`fracture_step` in the stage: a bond breaks, and the load may have passed its "
+            )
             advice += "peak, beyond which only a smaller load is in equilibrium; or prescribe the "
             advice += "displacement instead of the load"
         if self.friction:
