@@ -95,8 +95,8 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     """Apply one remedy after the other until Newton has converged; yield each in words.
 
     Interfaces that have to close before a body is held are tied and released: a body free by a
-    clearance, or that touches along an edge only, comes into contact. The contact block is factorized, as SOR may yield poor directions. The augmentation is
-    scaled: a large one makes contact points change state back and forth, and Newton continues from
+    clearance, or that touches along an edge only, comes into contact. The contact
+    block is factorized, as SOR may yield poor directions. The augmentation is scaled: a large one makes contact points change state back and forth, and Newton continues from
     the current state with a smaller one. The line search is switched on or off: at a kink of the
     contact law it may cut steps to nothing where full steps converge. Last, an augmentation set by
     the case, which may be off by powers of ten, is replaced by the default.
