@@ -38,9 +38,11 @@ from app.mechanics.contact_points import (
     refuse_supports,
     with_rigid_regions,
 )
+from app.mechanics.held_bodies import held_motions
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.sliding import ACCURACY, Sliding
 from app.mechanics.stiffness import Stiffness
+from app.numerics.rigid_motions import relative_resistance, rigid_modes
 from app.numerics.sparse import owners
 from app.scene.bodies import contact_facets
 from app.scene.frames import held_at
@@ -54,6 +56,10 @@ CLOSED = 1e-6
 # A body is brought this much further than where it touches, along a way that its points face so
 # much: some points are then in contact, as in the answer.
 BEYOND, FACING = 1.25, 0.1
+# Part of the largest resistance below which nothing holds a rigid motion of bodies, and part of
+# such a motion, of unit size, from which a body takes part in it.
+FREE = 1e-10
+MOVES = 1e-3
 
 
 @dataclass(frozen=True)
@@ -195,6 +201,7 @@ class ContactInterfaces:
         augmentation_factor: float,
     ) -> None:
         scene, tagged, bodies = mechanics.scene, mechanics.tagged, mechanics.bodies
+        self._mechanics, self._bodies = mechanics, len(bodies.names)
         self._supports, self._stiffness = scene.supports, stiffness
         self.comm = mechanics.mesh.comm
         space, parts = mechanics.space, len(scene.contacts)
@@ -335,10 +342,12 @@ class ContactInterfaces:
         return found
 
     def tie(self, on: bool) -> bool:
-        """Tie interfaces that were open everywhere so far, or none; collective if it does.
+        """Tie interfaces whose bodies need them to close, or none; collective if it does.
 
-        The sides of a tied interface touch and stick, so that a body that nothing else holds is
-        brought to the one it is pushed against. Returns whether there are such interfaces.
+        These were open everywhere so far, or are open in part and join a body that neither supports
+        nor the points that touch hold. The sides of a tied interface touch and stick, so that a
+        body that nothing else holds is brought to the one it is pushed against. Returns whether
+        there are such interfaces.
         """
         tied = self.law.tied = np.zeros(len(self.own), dtype=bool)
         if not on:
@@ -346,12 +355,46 @@ class ContactInterfaces:
         apart = self._clearance.copy()
         if self.large is not None:
             apart[self.large.rows] += self.large.paired.gap
+        touched = (apart <= 0) | self.state.force.any(axis=1)
+        floating: set[int] | None = None
         for i in range(len(self._contacts)):
             here = self.own.interface == i
-            touched = (apart <= 0) | self.state.force.any(axis=1)
-            if not self.comm.allreduce(bool(touched[here].any()), MPI.LOR):
-                tied |= here
+            every, some = (
+                bool(self.comm.allreduce(int(t[here].sum()), MPI.SUM)) for t in (touched, ~touched)
+            )
+            if not some and every:
+                continue
+            if every:
+                if floating is None:
+                    floating = self._floating(touched)
+                bodies = {int(b) for b in np.unique(self.points.bodies[self.points.interface == i])}
+                if bodies.isdisjoint(floating):
+                    continue
+            tied |= here
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
+
+    def _floating(self, touched: Bools) -> set[int]:
+        """Bodies with a rigid motion that neither supports nor touched points hold; collective.
+
+        Friction holds a touched point, a bond too; without friction its faces do.
+        """
+        x = self.points.x
+        centre, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
+        sticks = self.law.frictional | ~self.law.slides
+        faces = np.einsum("pki,pkj->pij", self.own.normals, self.own.normals)
+        B = np.where(sticks[:, None, None], np.eye(3), faces)
+        B *= (touched * self.own.weight)[:, None, None]
+        R = rigid_modes((self.own.x - centre) / size)
+        resistance = self.comm.allreduce(relative_resistance(R, B, self.own.bodies, self._bodies))
+        total = float(self.points.weight.sum())
+        held = held_motions(self._mechanics, self._stiffness, centre, size)
+        for body, part in held.items():
+            own = slice(6 * body, 6 * body + 6)
+            resistance[own, own] += total * part
+        sizes, motions = np.linalg.eigh(resistance)
+        free = motions[:, sizes <= FREE * max(sizes[-1], total)]
+        moves = np.linalg.norm(free.reshape(self._bodies, -1), axis=1) > MOVES
+        return {int(body) for body in np.flatnonzero(moves)}
 
     def release(self, on: bool) -> bool:
         """Let all interfaces of contact be open, or not; return True if there are any; collective.

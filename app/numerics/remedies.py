@@ -94,20 +94,21 @@ def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
 def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     """Apply one remedy after the other until Newton has converged; yield each in words.
 
-    Interfaces that are open everywhere are tied and released: a body free by a clearance comes into
-    contact. All interfaces are opened, then closed where the bodies overlap: in plain Newton the
-    border of a zone that opens moves by one row of facets in each iteration. The contact block is
-    factorized, as SOR may yield poor directions. The augmentation is scaled: a large one makes
-    contact points change state back and forth, and Newton continues from the current state with a
-    smaller one. The line search is switched on or off: at a kink of the contact law it may cut
-    steps to nothing where full steps converge. Last, an augmentation set by the case, which may be
-    off by powers of ten, is replaced by the default.
+    Interfaces that have to close before a body is held are tied and released: a body free by a
+    clearance, or that touches along an edge only, comes into contact. All interfaces are opened,
+    then closed where the bodies overlap: in plain Newton the border of a zone that opens moves by
+    one row of facets in each iteration. The contact block is factorized, as SOR may yield poor
+    directions. The augmentation is scaled: a large one makes contact points change state back and
+    forth, and Newton continues from the current state with a smaller one. The line search is
+    switched on or off: at a kink of the contact law it may cut steps to nothing where full steps
+    converge. Last, an augmentation set by the case, which may be off by powers of ten, is replaced
+    by the default.
     """
     contact = solver.system.contact
     if contact and not solver.converged and contact.tie(True):
         start.copy(solver.x)
         try:
-            yield "closing and tying interfaces that are open everywhere"
+            yield "closing and tying open interfaces of bodies that nothing else holds"
         finally:
             contact.tie(False)
         yield "releasing the tied interfaces"

@@ -68,7 +68,7 @@ class Contact(Protocol):
         """Default augmentation over the one in the case; collective."""
 
     def tie(self, on: bool) -> bool:
-        """Tie interfaces that were open everywhere so far; return whether there are any."""
+        """Tie interfaces whose bodies need them to close; return whether there are any."""
 
     def release(self, on: bool) -> bool:
         """Let all interfaces that can open be open, or not; return True if there are any."""
