@@ -189,7 +189,9 @@ def foot(x: Floats, corners: Floats) -> Floats:
     return np.where((inner >= 0).all(axis=1)[:, None], inner, edge)
 
 
-def faces_around(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, Ints, Floats, Floats]:
+def faces_around(
+    facets: InterfaceFacets, point: Ints, n: int
+) -> tuple[Floats, Ints, Floats, Floats]:
     """Group the facets around each of n points into faces.
 
     ``point`` is the contact point of each facet corner, -1 where not enforced (3 f,).

@@ -12,8 +12,8 @@ is every quadric: plane, sphere, cylinder and cone are met to rounding. Three mo
 :math:`(c_1, c_2)` have the least standard error is taken, so that a rough surface keeps its means.
 That error is the doubt about the normal.
 
-Where facets around a node lie in one plane, their normal stays as it is. A fit that turns it further
-than the normals nearby differ is not taken.
+Where facets around a node lie in one plane, their normal stays as it is. A fit that turns it by
+more than the normals nearby differ is not taken.
 """
 
 from __future__ import annotations
