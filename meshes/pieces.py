@@ -29,7 +29,7 @@ from meshes.data import (
 COINCIDENT = 1e-7
 # Facets that meet at more than this angle are different faces [rad].
 SMOOTH = np.radians(50)
-# Least cosine between the normal of a facet and that of one on which it lies, with the sign changed.
+# Least cosine between the normal of a facet and the reversed one of a facet on which it lies.
 FACING = 0.9
 
 # Nodes of a facet, the middle of each edge in the place of the vertex opposite, as in `NODES`.
@@ -301,7 +301,7 @@ def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
     areas = np.linalg.norm(normals, axis=1) / 2
     normals /= np.maximum(2 * areas, np.finfo(float).tiny)[:, None]
     middles = x.mean(axis=1)
-    rise = _rise(x, facets, normals)
+    rise = _rise(x, facets, np.asarray(normals, dtype=float))
     least = COINCIDENT * float(np.linalg.norm(np.ptp(data.points, axis=0)))
     area: dict[tuple[str, str], float] = {}
     place: dict[tuple[str, str], Floats] = {}

@@ -238,9 +238,9 @@ def _choice(data: dict[str, Any], found: Found) -> tuple[str, Callable[[float], 
         )
     if not pool:
         if data:
-            names = ", ".join(data)
+            listed = ", ".join(data)
             raise ValueError(
-                f"names no region: none of its arrays of cells ({names}) has whole numbers of "
+                f"names no region: none of its arrays of cells ({listed}) has whole numbers of "
                 f"regions, at most {MOST} different ones; add one called material"
             )
         return "", lambda _: []
@@ -256,7 +256,7 @@ def _choice(data: dict[str, Any], found: Found) -> tuple[str, Callable[[float], 
 def _divides(values: Ints) -> list[int]:
     """The first cell of the part of each cell: the same for arrays that divide cells alike."""
     _, first, inverse = np.unique(values, return_index=True, return_inverse=True)
-    return first[inverse].tolist()
+    return list(map(int, first[inverse]))
 
 
 READERS = {".inp": abaqus.read, ".feb": _feb, ".med": _meshio, ".vtu": _vtu, ".xdmf": _meshio}

@@ -259,7 +259,8 @@ def read(path: Path) -> Found:
     def scope(b: Keyword) -> str:
         return b.options.get("INSTANCE", of_part.get(b.scope, b.scope)).upper()
 
-    nodes, empty = [np.zeros((0, 4))], 0
+    nodes: list[np.ndarray] = [np.zeros((0, 4))]
+    empty = 0
     for b in (b for b in used if b.key == "NODE"):
         rows, blank = b.coordinates()
         nodes.append(_cartesian(b, rows))
@@ -278,7 +279,8 @@ def read(path: Path) -> Found:
 def _elements(
     found: Found, used: list[Keyword], sets: _Sets, node: Ints, scope: Callable[[Keyword], str]
 ) -> None:
-    numbers, flat = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 4), dtype=np.int64)]
+    numbers: list[np.ndarray] = [np.zeros(0, dtype=np.int64)]
+    flat: list[np.ndarray] = [np.zeros((0, 4), dtype=np.int64)]
     unread: list[str] = []
     for b in (b for b in used if b.key == "ELEMENT"):
         kind = b.option("TYPE").upper()
@@ -332,7 +334,7 @@ def _elements(
 
     def faces(b: Keyword) -> np.ndarray:
         """Corners of the facets of a surface (n, 3), as rows of nodes."""
-        out = [np.zeros((0, 3), dtype=np.int64)]
+        out: list[np.ndarray] = [np.zeros((0, 3), dtype=np.int64)]
         if combine := b.options.get("COMBINE", "").upper():
             names = [w for _, line in b.lines for w in b.fields(line) if w]
             each = [sets.get("SURFACE", name, scope(b), b.at) for name in names]
@@ -370,8 +372,8 @@ def _elements(
         elif b.key == "SURFACE":
             kind, name = b.options.get("TYPE", "ELEMENT").upper(), b.option("NAME")
             if kind == "NODE":
-                first = [(at, b.fields(line)[0]) for at, line in b.lines]
-                alone = Keyword(b.at, b.key, b.options, first, b.scope)
+                leading = [(at, b.fields(line)[0]) for at, line in b.lines]
+                alone = Keyword(b.at, b.key, b.options, leading, b.scope)
                 sets.add("NSET", name, scope(b), lambda b=alone: listed("NSET", b))  # type: ignore[misc]
             elif kind == "ELEMENT":
                 sets.add("SURFACE", name, scope(b), lambda b=b: faces(b))  # type: ignore[misc]

@@ -91,5 +91,6 @@ def rows_of(numbers: Ints, wanted: Ints, what: str) -> Ints:
 
 
 def extend(sets: dict[str, Ints], names: Iterable[str], part: Ints) -> None:
+    """Add members to sets, which are made where they are not there."""
     for name in names:
         sets[name] = np.concatenate([sets.get(name, part[:0]), part])

@@ -6,8 +6,9 @@ import base64
 import lzma
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -17,7 +18,10 @@ from app.arrays import Ints
 
 TYPES = {f"{'U' * u}Int{8 * n}": f"{'ui'[not u]}{n}" for u in (0, 1) for n in (1, 2, 4, 8)}
 TYPES |= {"Float32": "f4", "Float64": "f8"}
-DECOMPRESS = {"vtkZLibDataCompressor": zlib.decompress, "vtkLZMADataCompressor": lzma.decompress}
+DECOMPRESS: dict[str, Callable[[bytes], bytes]] = {
+    "vtkZLibDataCompressor": zlib.decompress,
+    "vtkLZMADataCompressor": lzma.decompress,
+}
 # Types of VTK's cells of two and three dimensions, with their numbers of nodes.
 TRIANGLES = {5: (3,), 22: (6,), 69: (3, 6)}
 TETRAHEDRA = {10: (4,), 24: (10,), 71: (4, 10)}
@@ -130,8 +134,9 @@ class _Source:
             at = length((3 + first) * size)
             block = take(at, sum(sizes))
             ends = np.cumsum([0, *sizes])
-            parts = [block[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
-            content = b"".join(map(DECOMPRESS[self.compressor], parts))
+            parts = [block[a:b] for a, b in pairwise(ends)]
+            unpack = DECOMPRESS[self.compressor]
+            content = b"".join(unpack(part) for part in parts)
         if len(content) % dtype.itemsize:
             raise ValueError(f"its array {name} is cut short")
         return np.frombuffer(content, dtype)
@@ -155,7 +160,13 @@ def read(path: Path) -> PieceGrid:
     pieces = [piece for piece in grid.findall("Piece") if int(piece.get("NumberOfCells", 0))]
     if not pieces:
         raise ValueError("has no cells")
-    points, blocks, notes, unread, ghosts = [], list[CellBlock](), list[str](), dict[int, int](), 0
+    points, blocks, notes, unread, ghosts = (
+        list[np.ndarray](),
+        list[CellBlock](),
+        list[str](),
+        dict[int, int](),
+        0,
+    )
     known: set[str] | None = None
     for piece in pieces:
         x = source.array(_only(piece, "Points/DataArray"))
