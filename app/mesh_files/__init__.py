@@ -182,6 +182,14 @@ def _grids(path: Path) -> Iterator[Any]:
         return
     root = ET.parse(path).getroot()
     geometry, reader = root.findall(".//Geometry")[:1], meshio.xdmf.main.XdmfReader(path)
+    own = {
+        "".join(g.itertext()).strip()
+        for g in root.iter("Geometry")
+        if g.find("DataItem") is not None
+    }
+    spatial = [g for g in root.iter("Grid") if g.get("CollectionType", "").lower() == "spatial"]
+    if spatial or len(own) > 1:
+        raise ValueError("has several grids with nodes of their own; save them as one mesh")
     for grid in root.findall("Domain/Grid"):
         alone = ET.Element("Xdmf")
         only = ET.SubElement(ET.SubElement(alone, "Domain"), "Grid")

@@ -379,6 +379,15 @@ def test_xdmf_with_numbers_in_the_file_is_looked_through_in_linear_time(tmp_path
     assert names == ["a.xdmf", "b.h5"]
 
 
+def test_xdmf_grids_with_nodes_of_their_own_are_refused(tmp_path: Path) -> None:
+    item = '<DataItem Dimensions="1 3" Format="XML">{} 0 0</DataItem>'
+    grid = f"<Grid><Geometry>{item}</Geometry></Grid>"
+    path = tmp_path / "a.xdmf"
+    path.write_text(f"<Xdmf><Domain>{grid.format(0)}{grid.format(1)}</Domain></Xdmf>")
+    with pytest.raises(ValueError, match="several grids with nodes of their own"):
+        MeshFile(path=path)
+
+
 def test_feb_blocks_of_one_name_are_one_region(tmp_path: Path) -> None:
     nodes = "".join(
         f'<node id="{k}">{x}</node>'
