@@ -328,6 +328,14 @@ class ContactInterfaces:
                 tied |= here
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
 
+    def release(self, on: bool) -> bool:
+        """Let all interfaces of contact be open, or not; return True if there are any; collective.
+
+        Layers and bonds keep their forces.
+        """
+        self.law.released = self.law.slides & self.law.can_open & on
+        return bool(self.comm.allreduce(bool(self.law.released.any()), MPI.LOR))
+
     def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Bring bodies that touch nothing to where forces f [N] push them; collective.
 

@@ -88,6 +88,7 @@ class PointLaw:
         can_open, frictional: Whether the law of each point can open, has friction (n,).
         history: Shapes of the history variables of the laws, by name.
         tied: Points that stick whatever their law (n,).
+        released: Points that are open whatever their law (n,).
         met: Stiffness per area that the jump of each point meets (n,) [MPa/mm].
         default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
         stiffness: The one in force (n,) [MPa/mm].
@@ -134,6 +135,7 @@ class PointLaw:
             # Components of a jump along the normals.
             self._duals = np.linalg.pinv(own.normals).transpose(0, 2, 1)
         self.tied = np.zeros(len(own), dtype=bool)
+        self.released = np.zeros(len(own), dtype=bool)
         self._scale = 1.0
         self._softest = np.array([min(law.layer or (np.inf,)) for law in laws])[own.interface]
         self.compliance = np.zeros((len(own), 3, 3))
@@ -266,6 +268,10 @@ class PointLaw:
                 self._touch(rows, beside, {name: known[name] for name in names}, out)
         if self.tied.any():
             self._tie(out, force, jump + gap, state.jump)
+        if self.released.any():
+            for values in (out.force, out.by_multiplier, out.by_jump, out.pressures):
+                values[self.released] = 0.0
+            out.status[self.released] = OPEN
         return out
 
     def _bond(

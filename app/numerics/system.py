@@ -70,6 +70,9 @@ class Contact(Protocol):
     def tie(self, on: bool) -> bool:
         """Tie interfaces that were open everywhere so far; return whether there are any."""
 
+    def release(self, on: bool) -> bool:
+        """Let all interfaces that can open be open, or not; return True if there are any."""
+
 
 class System(Protocol):
     """Interface between the nonlinear solver and a system of equations.
@@ -115,6 +118,10 @@ class System(Protocol):
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Size of the residual f of a state x, by part; collective."""
+
+    def runs_away(self, x: list[PETSc.Vec]) -> bool:
+        """Return True if a state is far outside small displacements; collective."""
+        return False
 
     def exact(self, linear: str) -> Condensed | None:
         """The inverse of the Jacobian, where it is to be used."""
