@@ -18,7 +18,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -175,12 +175,30 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     return 70 if code < 0 or code > 128 or code == _CRASHED else code
 
 
-def alone() -> None:
-    """Give MPI a folder of its own until this process ends, unless it is up or has other ranks."""
+@contextlib.contextmanager
+def mpi_settings() -> Iterator[None]:
+    """Set the environment variables of MPI and compilers for the block, then restore them.
+
+    MPI, which starts within the block, gets a folder that stays until this process ends, unless it
+    is up or has other ranks. Open MPI does not search a network if all ranks are on this node.
+    """
+    before = dict(os.environ)
+    keep_quiet()
     if world_size() is None and "mpi4py.MPI" not in sys.modules:
         process = contextlib.ExitStack()
         atexit.register(process.close)
         os.environ |= process.enter_context(scratch.variables())
+    changed = {
+        name: before.get(name) for name in os.environ if os.environ[name] != before.get(name)
+    }
+    try:
+        yield
+    finally:
+        for name, value in changed.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int] = ()) -> None:
