@@ -43,6 +43,9 @@ _ENDED = re.compile(rb"exited on\ssignal")
 _PR_SET_PDEATHSIG = 1
 _CRASHED = 59  # exit code of PETSc after a signal such as SIGSEGV, which it has reported
 SAME_SIGNAL = 1.0  # s
+NOT_SAVED = (
+    "stopped before the state was saved; --restart auto goes on from an earlier checkpoint, if any"
+)
 # The folder that holds app, forms, meshes, configs and mantle.py.
 _FOLDER = str(Path(__file__).resolve().parents[2])
 
@@ -169,7 +172,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
         # The ranks did not listen yet, and there was nothing to save; or they were not let.
         once = len(stop.received) == 1
         early = "stopped: no step had converged, nothing of this run is on disk"
-        tell(early if once else "stopped before the state was saved")
+        tell(early if once else NOT_SAVED)
         return StoppedError.exit_code if once else 130
     # 128 + a signal: a rank crashed or was killed, which mpirun has reported.
     return 70 if code < 0 or code > 128 or code == _CRASHED else code
