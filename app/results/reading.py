@@ -111,7 +111,7 @@ class Run(Results):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        with h5py.File(folder / "fields.vtkhdf", "r") as file:
+        with self._file() as file:
             root = file["VTKHDF"]
             self.points: Floats = root["Points"][:]
             width = len(root["Connectivity"]) // len(root["Types"])
@@ -260,6 +260,20 @@ class Run(Results):
 
         return norm(have - should), norm(have), norm(should)
 
+    def _file(self) -> h5py.File:
+        """Open the fields without a lock: a viewer may hold one, and a folder may be read-only.
+
+        Raises:
+            OSError: They cannot be read; names the file and the cause.
+        """
+        path = self.folder / "fields.vtkhdf"
+        try:
+            return h5py.File(path, "r", locking=False)
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            raise OSError(f"{path}: the fields cannot be read: {error}") from error
+
     def _field(self, name: str, rows: int, step: int | str) -> Floats:
         group, _, field_name = name.partition("/")
         there = self.point_fields if group == "PointData" else self.cell_fields
@@ -267,7 +281,7 @@ class Run(Results):
             place = "points" if group == "PointData" else "cells"
             raise self._unknown("field", field_name, there, f" on {place}")
         k = self._last_of(step) if isinstance(step, str) else self._written(step)
-        with h5py.File(self.folder / "fields.vtkhdf", "r") as file:
+        with self._file() as file:
             field = file["VTKHDF"][name]
             k = 0 if len(field) == rows else k  # one for all steps
             return np.asarray(field[k * rows : (k + 1) * rows])

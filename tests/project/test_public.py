@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import json
 import re
 import shutil
@@ -193,6 +194,24 @@ def test_a_run_tells_its_steps_and_gives_its_results(tmp_path: Path) -> None:
     written = (tmp_path / "out" / "DONE").stat().st_mtime_ns
     mantle.run(case, tmp_path / "out", progress=lambda step: pytest.fail("it ran"))
     assert (tmp_path / "out" / "DONE").stat().st_mtime_ns == written
+
+
+def test_fields_are_read_while_a_viewer_locks_them_and_damage_names_the_file(
+    tmp_path: Path,
+) -> None:
+    case = mantle.load(CONFIGS / "blocks.yaml", **COARSE)
+    results = mantle.run(case, tmp_path / "out")
+    path = tmp_path / "out" / "fields.vtkhdf"
+    with path.open("r+b") as viewer:
+        fcntl.flock(viewer, fcntl.LOCK_EX)
+        path.chmod(0o444)
+        path.parent.chmod(0o555)
+        assert len(results.fields.displacement()) == len(results.fields.points)
+    path.parent.chmod(0o755)
+    path.chmod(0o644)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(OSError, match=r"fields\.vtkhdf: the fields cannot be read: "):
+        _ = mantle.read(tmp_path / "out").fields
 
 
 def test_an_error_in_progress_ends_a_run_and_signals_stay_as_they_are(tmp_path: Path) -> None:
