@@ -89,19 +89,19 @@ class Cholesky:
         flops, entries: Floating-point operations of the factorization, entries of L.
 
     Args:
-        A: The matrix.
+        A: The matrix. It has entries of all of its last unknowns in the first three of these, which
+            makes one block of them.
         last: Number of unknowns, the last ones of A, that stay last.
-        joined: Whether the first three of these meet all others, which makes one block of them.
     """
 
-    def __init__(self, A: csc_array, last: int, joined: bool = False) -> None:
+    def __init__(self, A: csc_array, last: int) -> None:
         module = library()
         self._ffi, self._lib = module.ffi, module.lib
         self._common = self._ffi.new("cholmod_common *")
         self._lib.cholmod_l_start(self._common)
         self._n, self._last = A.shape[0], last
         self._pattern = A.indptr, A.indices
-        order = self._ordering(A, joined)
+        order = self._ordering(A)
         common = self._common
         common.nmethods, common.supernodal = 1, self._lib.CHOLMOD_SUPERNODAL
         common.method[0].ordering = self._lib.CHOLMOD_GIVEN
@@ -129,7 +129,7 @@ class Cholesky:
         found.packed, found.sorted = 1, int(A.has_sorted_indices)
         return found, (p, i, A)
 
-    def _ordering(self, A: csc_array, joined: bool) -> Ints:
+    def _ordering(self, A: csc_array) -> Ints:
         """Nested dissection of the graph of nodes, the last ones taken out and appended."""
         nodes, free = self._n // 3, (self._n - self._last) // 3
         rows = A.indices // 3
@@ -140,8 +140,7 @@ class Cholesky:
         matrix, kept = self._sparse(graph, pattern=True)
         self._lib.cholmod_l_metis(matrix, self._ffi.NULL, 0, 1, self._ints(order), self._common)
         del kept
-        last = order[order >= free]
-        order = np.concatenate([order[order < free], np.sort(last) if joined else last])
+        order = np.concatenate([order[order < free], np.arange(free, nodes)])
         return np.ascontiguousarray((3 * order[:, None] + np.arange(3)).ravel())
 
     def fits(self, A: csc_array) -> bool:

@@ -9,7 +9,15 @@ so that a step solves (T S + B) dq = r_q - T C^T K^{-1} r_u and K du = r_u - C d
 .. math:: A' = \begin{pmatrix} K & C \\ C^T & D + \tau \end{pmatrix} = L L^T, \qquad \tau = diag(D),
 
 with the jumps last hold both: the last block of L is the factor of S + tau. (S alone is singular: a
-stem slides and turns for nothing.) S stays for all steps, stages and variations of one stiffness.
+stem can slide and rotate without resistance.) S stays for all steps, stages and variations of one
+stiffness.
+
+T S + B is singular in a state that holds a body in some directions only, such as the first iterate
+of a belt that contact alone holds. The step is then that of bodies joined by weak springs,
+
+.. math:: (T S + B + \varepsilon \, diag(S)) dq = r_q,
+
+which moves what is free along its unbalanced force until contact stops it.
 Unknowns that points follow are last too, before the jumps: new pairs change S, but no factors
 (`numerics.untied`). One rank factors and solves for all.
 """
@@ -40,6 +48,8 @@ MOST, PARTS = 40, 2.0 ** -np.arange(8)
 # Residual that a step in single precision may leave, and one in double; one after which the next
 # step has its factors.
 ROUGH, SINGULAR, CHORD = 1e-2, 1e-4, 1e-2
+# Stiffness of the weak springs of a singular step, as a part of the diagonal of S.
+SPRINGS = 1e-2
 # Part of the tolerance that out-of-balance forces of a start may have without being removed.
 LITTLE = 0.01
 
@@ -103,7 +113,7 @@ class Condensed:
     # Factors
 
     def _analysed(self, A: csc_array) -> Cholesky:
-        return Cholesky(A, self.size + self._jumps - self._kept, self._ties is not None)
+        return Cholesky(A, self.size + self._jumps - self._kept)
 
     def _gathered_ties(self) -> csr_array | None:
         """Displacement of points by the last unknowns, if they follow, on rank 0; collective."""
@@ -131,13 +141,7 @@ class Condensed:
             k, c = k[self._order][:, self._order], c[self._order]
         lower = block_array([[c.T, d + diags_array(self._tau)]], format="csr")
         k.resize(self.size, self.size + self._jumps)
-        rows = vstack([k, lower], format="csr")
-        if self._ties is not None:
-            # The first of the last unknowns meet all others: they are one block with any pairs.
-            i, j = self._kept + np.indices((rows.shape[0] - self._kept, 3)).reshape(2, -1)
-            a = rows.tocoo()
-            at = np.concatenate([a.row, i]), np.concatenate([a.col, j])
-            rows = csr_array((np.concatenate([a.data, 0.0 * i]), at), shape=a.shape)
+        rows = vstack([k[: self._kept], _joined(vstack([k[self._kept :], lower]))], format="csr")
         # Rows of the lower triangle are columns of the upper one.
         return csc_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)
 
@@ -176,7 +180,7 @@ class Condensed:
         rows = [self._gathered(v) for v in self._contact.factors]
         if self._comm.rank == 0:
             self._set_rows(*(v.reshape(-1, 3, 3) for v in rows))
-            self._factor(self._single)
+            self._factor(self._single, self._B)
 
     def _gathered(self, own: Floats) -> Floats:
         """Values of all ranks one after the other, on rank 0; collective."""
@@ -200,14 +204,14 @@ class Condensed:
         self._known, self._free = directions[known], directions[~known]
         self._along = along.ravel()[known]
 
-    def _factor(self, S: NDArray[np.floating]) -> None:
+    def _factor(self, S: NDArray[np.floating], B: csr_array) -> None:
         """Factor T S + B in the other directions, in the precision of S."""
         free = self._free
         if not free.shape[0]:
             return
         moved = np.ascontiguousarray((free.astype(S.dtype) @ S).T)
         G = (free @ self._T).astype(S.dtype) @ moved
-        G += (free @ self._B @ free.T).toarray().astype(S.dtype)
+        G += (free @ B @ free.T).toarray().astype(S.dtype)
         getrf, self._getrs = get_lapack_funcs(("getrf", "getrs"), (G,))
         self._lu, self._pivots, _ = getrf(G.T, overwrite_a=True)  # in Fortran's order
 
@@ -293,14 +297,22 @@ class Condensed:
         return u
 
     def _step(self, r: Floats) -> Floats:
-        """Solution of (T S + B) dq = r, zero where a body floats; its forces S dq are kept."""
-        size, dq = np.linalg.norm(r), self._by_factors(r)
-        if np.linalg.norm(r - self._times(dq)) > ROUGH * size:
-            self._factor(self._S)
+        """Solution of (T S + B) dq = r, with weak springs if that is singular; S dq is kept."""
+        dq = self._by_factors(r)
+        if not self._solves(dq, r, ROUGH):
+            self._factor(self._S, self._B)
             dq = self._by_factors(r)
-            if np.linalg.norm(r - self._times(dq)) > SINGULAR * size:
-                self._times(dq := np.zeros_like(r))
+            if not self._solves(dq, r, SINGULAR):
+                springs = diags_array(SPRINGS * np.abs(self._S.diagonal()))
+                self._factor(self._S, csr_array(self._B + springs))
+                dq = self._by_factors(r)
+                self._times(dq)
         return dq
+
+    def _solves(self, dq: Floats, r: Floats, tolerance: float) -> bool:
+        """Return True if a step leaves a small part of its right-hand side; S dq is kept."""
+        left = np.linalg.norm(r - self._times(dq))
+        return bool(left <= tolerance * np.linalg.norm(r))  # False if it is not finite
 
     def _times(self, dq: Floats) -> Floats:
         self._pushed = self._S @ dq
@@ -318,6 +330,20 @@ class Condensed:
 def available(comm: MPI.Comm) -> bool:
     """Whether CHOLMOD can be compiled against; collective."""
     return bool(on_root(comm, lambda: library() is not None))
+
+
+def _joined(rows: csr_array) -> csr_array:
+    """The last rows of a matrix, with entries (zeros) of all of them in the first three.
+
+    CHOLMOD's postordering moves unknowns between those that are in several branches of its
+    elimination tree, such as jumps of columns that supports hold. With these entries the last
+    unknowns are one branch.
+    """
+    first = rows.shape[1] - rows.shape[0]
+    i, j = np.indices((rows.shape[0], 3)).reshape(2, -1)
+    a = rows.tocoo()
+    at = np.concatenate([a.row, i]), np.concatenate([a.col, first + j])
+    return csr_array((np.concatenate([a.data, np.zeros(len(i))]), at), shape=a.shape)
 
 
 def _blocks(values: Floats) -> csr_array:

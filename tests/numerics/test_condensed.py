@@ -28,16 +28,20 @@ def spring_grid(n: int = 6) -> csc_array:
     return csc_array(kron(grid, B @ B.T + 3 * np.eye(3)))
 
 
+def joined_grid(last: int, grid: csc_array | None = None) -> csc_array:
+    """A grid with entries (zeros) of its last unknowns in the first three of these."""
+    A = spring_grid() if grid is None else grid
+    i, j = np.indices((3, last)).reshape(2, -1) + A.shape[0] - last
+    a = A.tocoo()
+    at = np.concatenate([a.row, i]), np.concatenate([a.col, j])
+    return csc_array((np.concatenate([a.data, 0.0 * i]), at))
+
+
 @pytest.mark.parametrize("last", [108, 324])
 def test_last_block_is_the_factor_of_the_schur_complement(last: int) -> None:
     """S = D - C^T K^-1 C by dense matrices, whatever the order of the factors."""
-    A = spring_grid()
-    if last > 108:  # without these entries they are no block: layers that do not meet
-        i, j = np.indices((3, last)).reshape(2, -1) + A.shape[0] - last
-        a = A.tocoo()
-        at = np.concatenate([a.row, i]), np.concatenate([a.col, j])
-        A = csc_array((np.concatenate([a.data, 0.0 * i]), at))
-    c = Cholesky(A, last, last > 108)
+    A = joined_grid(last)
+    c = Cholesky(A, last)
     c.factorize(A)
     K, C, D = (
         A.toarray()[rows]
@@ -76,7 +80,7 @@ def test_other_ties_are_condensed_without_new_factors() -> None:
 
 def test_factors_that_nothing_holds_are_freed() -> None:
     """A motion makes new ones at each step: CHOLMOD's memory goes with the object."""
-    c = Cholesky(spring_grid(), 108)
+    c = Cholesky(joined_grid(108), 108)
     gone = weakref.ref(c)
     del c
     assert gone() is None
