@@ -258,7 +258,7 @@ def warnings(case: Case) -> list[str]:
 
 
 def _without_effect(case: Case) -> Iterable[str]:
-    """Notes on loads on held boundaries, high friction, and conductances of open contact."""
+    """Notes on loads on held boundaries and on high friction."""
     held = {s.boundary: n for n, s in case.supports.items() if s.kind == "fixed"}
     for name, load in case.loads.items():
         support = held.get(getattr(load, "boundary", ""))
@@ -270,11 +270,6 @@ def _without_effect(case: Case) -> Iterable[str]:
         if friction > MOST_FRICTION:
             text = f"is {friction:g}; of implants it is 0 to 1.5. Is it in per cent?"
             yield f"interfaces.{name}.friction_coefficient {text}"
-        stays = law.conductance is not None
-        stays = stays and not isinstance(law.conductance, PressureConductance)
-        if case.conducts and law.can_part and stays:
-            text = "is the same where contact is open; one that grows with pressure falls there"
-            yield f"interfaces.{name}.conductance {text}"
 
 
 def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[str]:

@@ -116,6 +116,3 @@ def test_notes_on_input_without_effect() -> None:
     notes = preview.warnings(mantle.load(CONFIGS / "stance.yaml", **changes).config)
     assert any(n.startswith("loads.hip: acts on distal_cut, which supports.shaft") for n in notes)
     assert any(n.startswith("interfaces.cement_bone.friction_coefficient is 6.5") for n in notes)
-    hot = mantle.load(CONFIGS / "thermal_100C.yaml").config
-    notes = preview.warnings(hot)
-    assert any(n.startswith("interfaces.stem_cement.conductance is the same where") for n in notes)
