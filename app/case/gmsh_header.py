@@ -19,7 +19,8 @@ HEADER = 4 << 20
 # Scripts: comments go, text in quotes stays.
 COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?(?:\*/|\Z)""", re.DOTALL)
 QUOTED = re.compile(r"""\"([^"\n]*)"|'([^'\n]*)'""")
-ARRAYS = re.compile(r"()([^<>:]+\.h5):")  # of an .xdmf file
+# Files that an .xdmf file names. Each text between tags is looked at once: linear in its length.
+ARRAYS = re.compile(r">()([^<>:]+):")
 GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
 DIMENSIONS = {"Volume": 3, "Surface": 2}
 # Environment variable: the user trusts the scripts of this command.
@@ -40,7 +41,7 @@ def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
         found = mesh_files.read(path, modified)
         return tuple(found.sets if dimension == 3 else found.triangles | found.nodes)
     groups = _groups(path, modified)
-    return tuple(name for d, name in groups if d == dimension)
+    return tuple(mesh_files.case_names(name for d, name in groups if d == dimension).values())
 
 
 @lru_cache(maxsize=8)
@@ -95,7 +96,8 @@ def _files(path: Path) -> list[str]:
             continue
         text = (folder / name).read_text("utf-8", "replace")
         for quoted in (QUOTED if name.endswith(".geo") else ARRAYS).finditer(text):
-            other = os.path.normpath(Path(name).parent / (quoted[1] or quoted[2] or "."))
+            named = (quoted[1] or quoted[2] or ".").strip()
+            other = os.path.normpath(Path(name).parent / named)
             with suppress(OSError, ValueError):  # not a file name
                 inside = (folder / other).resolve().is_relative_to(folder)
                 if inside and other not in found and (folder / other).is_file():

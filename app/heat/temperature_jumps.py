@@ -108,4 +108,5 @@ def _holds(forms: HeatForms, facets: InterfaceFacets, held: Ints) -> Holds:
     node, vertex = dof[own] - start, facets.vertices.ravel()[first[own]]
     body, row = np.nonzero(held[:, node] >= 0)
     columns = gather(forms.comm, vertex[row], body, held[body, node[row]])
-    return Holds(columns[0], columns[1], np.repeat(columns[2][:, None], 3, axis=1))
+    rigid = np.zeros(len(columns[0]), dtype=bool)
+    return Holds(columns[0], columns[1], np.repeat(columns[2][:, None], 3, axis=1), rigid)

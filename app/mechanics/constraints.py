@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
+from scipy.sparse import csr_array
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError, everywhere
@@ -36,8 +37,7 @@ def _support_of_dofs(mechanics: BodyForms, stage: int, frames: Frames | None) ->
     """Support that holds each own component in a stage, -1 where none does (nodes, 3).
 
     Components are along the axes of the node. Where supports on several bodies hold a node, the
-    body of lowest number wins: it is the base of that node (see `meshes.contact_points`). Nodes of
-    a rigid region are held by the supports of its body alone: they do not move as others do.
+    body of lowest number wins: it is the base of that node (see `meshes.contact_points`).
     """
     scene, tagged, bodies = mechanics.scene, mechanics.tagged, mechanics.bodies
     space, index_map = mechanics.space, mechanics.space.dofmap.index_map
@@ -47,12 +47,13 @@ def _support_of_dofs(mechanics: BodyForms, stage: int, frames: Frames | None) ->
     holding = [s for s, term in enumerate(scene.supports) if scene.holds(term, stage)]
     tags = cell_tags(tagged)
     patches = [boundary_facets(tagged, s.boundary) for s in scene.supports]
-    rigid = {bodies.of_region[r.region]: r.region for r in scene.rigid}
+    rigid = {r.region for r in scene.rigid}
     for body in reversed(range(len(bodies.names))):
-        if body in rigid:
-            there = touched_nodes(space, tags == tagged.regions[rigid[body]])
-            support[there] = -1
-            own[np.isin(rows, there)] = -1
+        # Supports of other bodies do not hold the nodes of a rigid region: they give jumps.
+        for region in sorted(rigid.intersection(bodies.names[body].split(" + "))):
+            moved = touched_nodes(space, tags == tagged.regions[region])
+            support[: len(moved)][moved] = -1
+            own[moved[rows]] = -1
         for s in holding:
             f = patches[s]
             mine = f.facets[bodies.of_tag[tags[f.cells]] == body]
@@ -102,8 +103,6 @@ class Constraints:
         unit: Values of the own unknowns by each support at full amplitude (s, n).
         reacting: Own nodal components through which supports act (3 own nodes,).
         modes: The six rigid modes of the whole model in own unknowns (6, n).
-        rigid_support: Support that gives each component of own nodes of rigid regions, wherever it
-            holds the region; -1 elsewhere, and where none does alone (own nodes, 3).
 
     Raises:
         InputError: Supports of a rigid region contradict each other.
@@ -114,7 +113,6 @@ class Constraints:
     ) -> None:
         scene, space = mechanics.scene, mechanics.space
         own = _support_of_dofs(mechanics, stage, frames)
-        self.rigid_support: Ints = np.full_like(own, -1)
         self._bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None
         self._P0: PETSc.Mat | None = None
@@ -180,16 +178,10 @@ class Constraints:
         for k, name in enumerate(moving):
             here, place = np.flatnonzero(region == k), tail + 6 * k
             columns[here] = place + np.arange(6)
-            entries[here], rank, amounts = self._add_rigid(
+            entries[here], rank = self._add_rigid(
                 comm, scene, name, place, x[here], axes[here], own[here], prescribed[:, here]
             )
             reacting[here] |= rank > 0
-            if k < rigid:
-                along = axes[here].swapaxes(1, 2) @ entries[here]
-                acting = np.unique(gather(comm, own[here])[0])
-                self.rigid_support[here] = _support_of_motion(
-                    scene, acting[acting >= 0], x[here], axes[here], along, rank, amounts
-                )
         self.reacting = reacting.ravel()
         keep = columns.reshape(-1, 6) >= 0
         pointer = np.concatenate([[0], np.cumsum(keep.sum(axis=1))])
@@ -206,7 +198,7 @@ class Constraints:
         axes: Floats,
         own: Ints,
         prescribed: Floats,
-    ) -> tuple[Floats, int, Floats]:
+    ) -> tuple[Floats, int]:
         """Set the unknowns of a rigid region, from its n own nodes; collective.
 
         The six begin at ``place``. ``x`` are positions (n, 3) [mm], ``axes`` those of the
@@ -214,8 +206,7 @@ class Constraints:
         displacement by each support (s, n, 3).
 
         Returns:
-            Displacement of the nodes by the unknowns (n, 3, 6), the number of the first ones that
-            are constrained, and their values by each support (s, 6).
+            Displacement of the nodes by the unknowns (n, 3, 6), and the constrained unknowns.
         """
         points = gather(comm, x)[0]
         centre, scale = points.mean(axis=0), np.ptp(points, axis=0).max() or 1.0
@@ -243,7 +234,7 @@ class Constraints:
             whole[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
             whole[3:] *= scale
             self.modes[:, place : place + 6] = (basis.T @ whole).T
-        return local @ basis, rank, amounts
+        return local @ basis, rank
 
     def follow(self) -> None:
         """Let nodes follow the current pairs of their surfaces; collective."""
@@ -283,6 +274,22 @@ class Constraints:
         found.diagonalScale(None, free)
         return found
 
+    def given(self, nodes: Ints, axes: Floats) -> Bools:
+        """Return True for components of own nodes along axes (n, 3, 3) that supports give (n, 3).
+
+        Collective.
+        """
+        if not self._P:
+            return self.constrained.reshape(-1, 3)[nodes]
+        start, columns, values = self.at(nodes).getValuesCSR()
+        shape = 3 * len(nodes), int(columns.max(initial=0)) + 1
+        rows = csr_array((values, columns, start), shape=shape)
+        row, column = np.arange(3 * len(nodes)).reshape(-1, 3), np.arange(3)
+        places = np.repeat(row, 3), (row[:, None, :] + 0 * column[:, None]).ravel()
+        turn = csr_array((axes.swapaxes(1, 2).ravel(), places), shape=(shape[0], shape[0]))
+        sizes = abs(turn @ rows).max(axis=1).toarray()
+        return np.asarray(sizes.reshape(-1, 3) < _HELD)
+
     def vector(self, f: PETSc.Vec) -> PETSc.Vec:
         """P^T f, a new vector."""
         if not self._P:
@@ -318,32 +325,6 @@ class Constraints:
         P.multTranspose(given, right)
         solver.solve(right, u)
         return u
-
-
-def _support_of_motion(
-    scene: Scene, acting: Ints, x: Floats, axes: Floats, along: Floats, rank: int, amounts: Floats
-) -> Ints:
-    """Support that alone gives each component of nodes of a rigid region, -1 if none does (n, 3).
-
-    Args:
-        scene: The scene.
-        acting: Supports that hold the region.
-        x: Positions of the nodes (n, 3) [mm].
-        axes: Axes of their components, as columns (n, 3, 3).
-        along: Components by the six unknowns of the region (n, 3, 6).
-        rank: Number of the first unknowns, which are constrained.
-        amounts: Values of the unknowns by each support (s, 6).
-    """
-    found = np.full(along.shape[:2], -1, dtype=np.int64)
-    held = (np.abs(along[:, :, rank:]) <= _HELD).all(axis=2)
-    by_support = np.abs(along @ amounts.T)
-    size = max(float(by_support.max(initial=0.0)), 1e-300)
-    for s in acting[::-1]:
-        given = np.einsum("nic,ni->nc", axes, scene.supports[s].values(x))
-        same = np.abs(given - along @ amounts[s]) <= _HELD * size
-        others = np.delete(by_support, s, axis=2) <= _HELD * size
-        found[held & same & others.all(axis=2)] = s
-    return found
 
 
 def _held_motions(

@@ -57,7 +57,6 @@ class Bearing:
         points = contact.points
         self._rows: Ints = np.flatnonzero(points.interface == i)
         self._weight, triangles = points.weight[self._rows], points.triangles[i]
-        triangles = triangles[(triangles < len(points.x)).all(axis=1)]
         self._slave = SmoothSurface(
             points.x[self._rows],
             np.searchsorted(self._rows, triangles),

@@ -125,8 +125,10 @@ class BondForces:
         nodes = np.unique(entries.row // 3)
         of = self._stresses.cells
         cells = tuple({r: self._cells(r, nodes) for r in side if r in of} for side in sides)
-        surface = Surface(points, 0, self._borders(points.corners.x) if self._borders else {})
-        points = replace(points, bodies=np.full_like(points.bodies, body))
+        levels = self._borders(points.surface.x) if self._borders else {}
+        surface = Surface(points.surface, 0, levels)
+        whole = replace(points.surface, bodies=np.full_like(points.surface.bodies, body))
+        points = replace(points, surface=whole)
         return _Place(points, entries, nodes, cells, surface)
 
     def _cells(self, region: str, nodes: Ints) -> tuple[Ints, Ints, Floats]:

@@ -31,7 +31,7 @@ from app.scene.bodies import Bodies, cell_tags
 from app.scene.scene import Interface
 from app.stepping.heat_state import HeatState
 from forms.contact import OPEN
-from meshes.contact_points import ContactPoints
+from meshes.contact_points import ContactSurface
 from meshes.distribute import TaggedMesh
 
 
@@ -146,13 +146,13 @@ class HeatFields:
             every = np.zeros((2, len(j.points.dof)))
             every[:, j.mine] = τ, W_PER_M2 * j.flux(τ)[0]
             self._operators.forms.comm.Allreduce(MPI.IN_PLACE, every)
-            rows = _contact_rows(j.points, self.space, self.bodies, nodes)
+            every = np.array([j.points.surface.spread(values) for values in every])
+            rows = _contact_rows(j.points.surface, self.space, self.bodies, nodes)
             for c, at in zip(self._operators.scene.thermal_contacts, rows, strict=True):
                 # From first to second side, whichever is the master.
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
                 for what, values in zip(("temperature_jump", "heat_flux"), every, strict=True):
-                    at_corners = j.points.corners.values(values if forward else -values)
-                    found[f"{c.name}_{what}"] = _along(at, at_corners)
+                    found[f"{c.name}_{what}"] = _along(at, values if forward else -values)
         return found
 
     def cell(self, cells: int) -> dict[str, Floats]:
@@ -219,20 +219,20 @@ class MechanicalFields:
         point: dict[str, Floats] = {"displacement": u, **_named(self._nodal_stress(nodes))}
         if samples is not None:
             assert self._problem.contact is not None
-            points = self._problem.contact.points
+            points = self._problem.contact.points.surface
             rows = _contact_rows(points, self.space, self.bodies, nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
                 point |= _interface(contact, samples, rows[i], i)
                 if bearing := self._bearings.get(contact.name):
                     (there,) = _contact_rows(bearing, self.space, self.bodies, nodes)
                     for key, (slave, master) in bearing.fields().items():
-                        whole = np.zeros(len(points.corners))
-                        whole[np.flatnonzero(points.interface == i)] = slave
+                        whole = np.zeros(len(points.dof))
+                        whole[np.flatnonzero(points.interface == i)[: len(slave)]] = slave
                         both = _along(rows[i], whole) + _along(there, master)
                         point[f"{contact.name}_{key}"] = both
         for name, (points, index) in self._bonds.indices().items():
-            (at,) = _contact_rows(points, self.space, self.bodies, nodes)
-            point[f"{name}_failure_index"] = _along(at, points.corners.values(index))
+            (at,) = _contact_rows(points.surface, self.space, self.bodies, nodes)
+            point[f"{name}_failure_index"] = _along(at, points.surface.spread(index))
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
@@ -300,23 +300,22 @@ def _named(σ: Floats) -> dict[str, Floats]:
 
 
 def _contact_rows(
-    points: ContactPoints | Bearing, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
+    points: ContactSurface | Bearing, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
 ) -> list[Ints]:
-    """For each interface, the corners of its facets (n, 2) at or around the nodes of the grid.
+    """For each interface, the contact points (n, 2) at or around the nodes of the grid.
 
-    The corner twice where it is one, the ends of an edge of the interface at its middle, -1 elsewhere.
+    The point twice at a corner, the ends of an edge of the interface at its middle, -1 elsewhere.
     """
     index_map, dofs = space.dofmap.index_map, space.dofmap.list
     ends = np.take_along_axis(dofs[nodes.cell], nodes.ends, axis=1)
     numbers = index_map.local_to_global(ends.ravel().astype(np.int32)).reshape(ends.shape)
-    corners = points.corners if isinstance(points, ContactPoints) else points
     rows = []
     for i, triangles in enumerate(points.triangles):
-        here = np.flatnonzero(corners.interface == i)
+        here = np.flatnonzero(points.interface == i)
         # By node and body.
         point = np.full((index_map.size_global, len(bodies.names)), -1, dtype=np.int64)
-        point[corners.dof[here, None], corners.bodies[here]] = here[:, None]
-        rows.append(_on_edges(point[numbers, nodes.body[:, None]], triangles, len(corners.dof)))
+        point[points.dof[here, None], points.bodies[here]] = here[:, None]
+        rows.append(_on_edges(point[numbers, nodes.body[:, None]], triangles, len(points.dof)))
     return rows
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,24 +25,18 @@ def law_between(case: Case, found: Parts, pieces: tuple[int, int]) -> tuple[str,
 def groups_of(case: Case, found: Parts) -> list[list[int]]:
     """Pieces that move together: bonded to each other, or of one region and joined."""
     laws = [(t.pieces, law_between(case, found, t.pieces)[1]) for t in found.touches]
-    joined = [pieces for pieces, law in laws if law is None or not law.can_open]
-    return _groups(len(found.pieces), [*joined, *found.joined])
+    return _groups(found, [pieces for pieces, law in laws if law is None or not law.can_open])
 
 
 def bodies_of(case: Case, found: Parts) -> list[list[int]]:
-    """Pieces with one displacement at the nodes that they share: no jump is between them."""
+    """Pieces of each body: no interface with unknown jumps separates them."""
     laws = [(t.pieces, law_between(case, found, t.pieces)[1]) for t in found.touches]
-    joined = [pieces for pieces, law in laws if law is None or not law.can_part]
-    of_region: dict[str, int] = {}
-    for k, piece in enumerate(found.pieces):
-        joined.append((of_region.setdefault(piece.region, k), k))
-    return _groups(len(found.pieces), joined)
+    return _groups(found, [pieces for pieces, law in laws if law is None or not law.can_part])
 
 
-def _groups(count: int, joined: Iterable[tuple[int, int]]) -> list[list[int]]:
-    """Numbers below a count in groups that pairs join."""
-    label = list(range(count))
-    for a, b in joined:
+def _groups(found: Parts, joined: list[tuple[int, int]]) -> list[list[int]]:
+    label = list(range(len(found.pieces)))
+    for a, b in (*joined, *found.joined):
         label = [label[a] if k == label[b] else k for k in label]
     return [[p for p, k in enumerate(label) if k == n] for n in sorted(set(label))]
 

@@ -31,8 +31,7 @@ from app.soundness.mesh_parts import (
 )
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets
-from meshes.pieces import Parts, parts
-from meshes.redundant_points import without_circles
+from meshes.pieces import Parts, lying, parts
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -81,7 +80,7 @@ def judge(case: Case, found: Parts) -> list[str]:
         # A crack is often why.
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
     notes += [*bodies.loosely_held(), *split, *_clamped(case, found), *apart]
-    notes += [*_in_the_mean(case, found), *_far(case, found), *_too_stiff(case, found)]
+    notes += [*_met(case, found), *_far(case, found), *_too_stiff(case, found)]
     return [*notes, *_strained(case, found), *idle]
 
 
@@ -97,24 +96,30 @@ def _given(case: Case, name: str, x: Floats) -> Floats:
 def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
     """Errors and notes on nodes of a body where two supports prescribe different displacements.
 
-    Bodies that can part have displacements of their own at the nodes that they share.
+    Bodies that can part have nodes of their own where they touch.
     """
-    body = {piece: k for k, pieces in enumerate(bodies_of(case, found)) for piece in pieces}
-    count = len(found.x)
-    holding = {
-        name: np.unique(
-            np.concatenate(
-                [body[p] * count + nodes for p, nodes in found.boundaries[s.boundary].items()]
-            )
-        )
-        for name, s in case.supports.items()
-        if s.kind != "foundation" and found.boundaries.get(s.boundary)
-    }
+    errors: list[str] = []
+    notes: list[str] = []
+    for group in bodies_of(case, found):
+        torn, split = _contradictions_in(case, found, group)
+        errors += torn
+        notes += split
+    return errors, notes
+
+
+def _contradictions_in(case: Case, found: Parts, group: list[int]) -> tuple[list[str], list[str]]:
+    """Errors and notes of `_contradictions` for a body, a group of pieces."""
+    holding = {}
+    for name, support in case.supports.items():
+        of_piece = found.boundaries.get(support.boundary, {})
+        nodes = [of_piece[piece] for piece in group if piece in of_piece]
+        if support.kind != "foundation" and nodes:
+            holding[name] = np.unique(np.concatenate(nodes))
     errors: list[str] = []
     notes: list[str] = []
     for one, two in combinations(holding, 2):
         a, b = case.supports[one], case.supports[two]
-        x = found.x[np.intersect1d(holding[one], holding[two]) % count]
+        x = found.x[np.intersect1d(holding[one], holding[two])]
         both = [holds(a, stage.name) and holds(b, stage.name) for stage in case.stages]
         first, second = (_given(case, name, x)[both] for name in (one, two))
         for axis in sorted(set(a.held_axes) & set(b.held_axes)):
@@ -276,32 +281,22 @@ def _clamped(case: Case, found: Parts) -> list[str]:
     return notes
 
 
-def _in_the_mean(case: Case, found: Parts) -> list[str]:
-    """Vertices at which interfaces go round in a circle of bodies: one follows from the others."""
+def _met(case: Case, found: Parts) -> list[str]:
+    """Vertices at which more interfaces meet than bodies can move apart."""
     on = [name for name, law in case.interfaces.items() if law.can_part]
-    data, groups = found.data, bodies_of(case, found)
-    body = {found.pieces[p].region: k for k, group in enumerate(groups) for p in group}
-    of_tag = np.full(int(data.cell_tags.max()) + 1, -1, dtype=np.int64)
-    for region, tag in data.regions.items():
-        of_tag[tag] = body.get(region, -1)
-    rows = [np.zeros((0, 4), dtype=np.int64)]
-    for i, name in enumerate(on):
-        facets, *cells = interface_facets(data, name)
-        sides = [np.repeat(of_tag[data.cell_tags[c]], 3) for c in cells]
-        vertices = facets[:, :3].ravel()
-        rows.append(np.column_stack([np.full(len(vertices), i), vertices, *sides]))
-    corners = np.unique(np.concatenate(rows), axis=0)
-    if not len(corners):
+    groups = {frozenset(found.pieces[p].region for p in g) for g in bodies_of(case, found)}
+    here = np.array([np.isin(np.arange(len(found.x)), found.on_interface(n)) for n in on])
+    bodies = np.zeros(len(found.x), dtype=int)
+    for regions in groups:
+        bodies[np.unique(np.concatenate([found.corners_of(r) for r in regions]))] += 1
+    rows = np.flatnonzero((bodies > 1) & (here.sum(axis=0) >= bodies))
+    if not on or not len(rows):
         return []
-    circle = corners[~without_circles(corners)]
-    if not len(circle):
-        return []
-    at = np.unique(circle[:, 1])
-    names = [on[i] for i in np.unique(circle[:, 0])]
+    names = [name for name, there in zip(on, here[:, rows[0]], strict=True) if there]
     return [
-        f"at {len(at)} vertices, e.g. at {point_text(found.x[at[0]])}, interfaces "
-        f"meet in a circle ({', '.join(names)}): the motion of one follows from that of the "
-        "others, and its law holds there in the mean with points beside it"
+        f"interfaces {', '.join(names)} meet at {len(rows)} vertices, e.g. at "
+        f"{point_text(found.x[rows[0]])}: there the law of one of them holds in the mean over the "
+        "points next to it"
     ]
 
 
@@ -346,7 +341,8 @@ def _gaps(case: Case, found: Parts) -> tuple[list[str], list[str]]:
         if apart > SMALL * size:
             notes.append(
                 f"interfaces.{name}.gap: the sides are {apart:.3g} mm apart everywhere, on an "
-                f"interface of {size:.3g} mm: small displacements do not close it"
+                f"interface of {size:.3g} mm: where loads close it, the body has moved by "
+                f"{100 * apart / size:.0f} % of that; results assume small displacements"
             )
     return errors, notes
 
@@ -425,7 +421,7 @@ def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
 
 
 def _cracks(case: Case, found: Parts) -> list[str]:
-    """Coincident nodes that are not joined."""
+    """Coincident nodes that are not joined, and faces on each other without a common node."""
     notes = []
     slides = [{*sum(case.geometry.interface_sides[n], ())} for n in found.faces]
     for (a, b), x in found.doubled.items():
@@ -436,6 +432,18 @@ def _cracks(case: Case, found: Parts) -> list[str]:
             f"{where}: {len(x)} pairs of nodes coincide but are not connected, e.g. at "
             f"{point_text(x[0])}: an open crack; if it is not intended, merge them (in gmsh "
             "BooleanFragments before meshing, or Coherence Mesh after it)"
+        )
+    if case.geometry.kind != "file":
+        return notes
+    for (a, b), (area, place) in lying(found.data).items():
+        sliding = a != b and any({a, b} <= regions for regions in slides)
+        if sliding or (a, b) in found.doubled or (b, a) in found.doubled:
+            continue
+        where = f"regions '{a}' and '{b}'" if a != b else f"two bodies of region '{a}'"
+        notes.append(
+            f"{where} lie on each other on {area:.3g} mm2, e.g. at {point_text(place)}, but share "
+            "no node: neither force nor heat passes between them; if they are to be joined, mesh "
+            "them together (in gmsh BooleanFragments), or let them slide (`sliding: finite`)"
         )
     return notes
 

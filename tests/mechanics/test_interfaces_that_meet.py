@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.arrays import Floats
 import meshes
+from app.arrays import Floats
 from meshes import write_msh
 from meshes.data import MeshData, interface_facets
 from tests import support
@@ -146,11 +146,13 @@ def contact(friction: float) -> dict[str, Any]:
 def check_uniform(solved: support.Solved, data: MeshData) -> None:
     """Each point has the pressure of uniaxial strain, each interface its whole area."""
     s = solved.last
-    normal = s.corners.normals[:, 0]
+    assert solved.problem.contact is not None
+    surface = solved.problem.contact.points.surface
+    normal = surface.normals[:, 0]
     across = np.abs(normal[:, 2]) > 0.5
     sideways = POISSON / (1 - POISSON) * PRESSURE
     # At edges where supports hold both sides nothing is left to the law.
-    counts = s.corners.faces > 0
+    counts = surface.faces > 0
     np.testing.assert_allclose(s.pressure[across & counts], PRESSURE, rtol=1e-7)
     np.testing.assert_allclose(s.pressure[~across & counts], sideways, rtol=1e-7)
     assert np.abs(s.slip).max() < 1e-9
@@ -269,10 +271,11 @@ def test_friction_acts_where_supports_prescribe_slip() -> None:
 
 def test_friction_where_two_components_are_prescribed() -> None:
     """Pushed along the diagonal by both sides: the sum has the size of friction."""
+    other = "{kind: displacement, boundary: high_y_min, y: 0.09 mm, history: [0, 1, -1]}"
     solved = support.solve(
         HELD_AND_PUSHED,
         "supports.beside={kind: roller, boundary: low_y_min, axis: y}",
-        "supports.other={kind: displacement, boundary: high_y_min, y: 0.09 mm, history: [0, 1, -1]}",
+        f"supports.other={other}",
         balances=True,
     )
     numbers = solved.samples[2].numbers["low_high"]

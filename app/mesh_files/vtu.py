@@ -1,0 +1,245 @@
+"""Reader of ``.vtu`` files of VTK and ParaView: text, binary and appended data, all pieces."""
+
+from __future__ import annotations
+
+import base64
+import lzma
+import re
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from app.arrays import Ints
+
+TYPES = {f"{'U' * u}Int{8 * n}": f"{'ui'[not u]}{n}" for u in (0, 1) for n in (1, 2, 4, 8)}
+TYPES |= {"Float32": "f4", "Float64": "f8"}
+DECOMPRESS: dict[str, Callable[[bytes], bytes]] = {
+    "vtkZLibDataCompressor": zlib.decompress,
+    "vtkLZMADataCompressor": lzma.decompress,
+}
+# Types of VTK's cells of two and three dimensions, with their numbers of nodes.
+TRIANGLES = {5: (3,), 22: (6,), 69: (3, 6)}
+TETRAHEDRA = {10: (4,), 24: (10,), 71: (4, 10)}
+SOLIDS = {*range(10, 17), 24, 25, 26, 27, 29, 32, 33, 42, *range(71, 75), *range(78, 82)}
+# Bit of ``vtkGhostType``: the cell is a copy of one of another piece.
+DUPLICATE = 1
+
+
+@dataclass
+class CellBlock:
+    """Cells of one number of nodes, as `dim`-dimensional simplices, with their data (n, ...)."""
+
+    dim: int
+    data: Ints
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass
+class PieceGrid:
+    """Nodes (n, 3), blocks of cells, and notes on what was left out."""
+
+    points: np.ndarray
+    blocks: list[CellBlock]
+    notes: list[str]
+
+
+class _Source:
+    """The XML tree of a file, and its appended bytes, which may be no XML."""
+
+    def __init__(self, path: Path) -> None:
+        raw = path.read_bytes()
+        self.appended = b""
+        opening = re.search(rb"<AppendedData[^>]*>", raw)
+        end = raw.rfind(b"</AppendedData>")
+        if opening and end < opening.end():
+            raise ValueError("its appended data do not end: the file is cut short")
+        self.raw = False
+        if opening:
+            self.raw = b"raw" in opening[0]
+            blob = raw[opening.end() : end]
+            mark = blob.find(b"_")
+            if mark < 0:
+                raise ValueError("its appended data do not begin with _: the file is damaged")
+            self.appended = blob[mark + 1 :]
+            raw = raw[: opening.end()] + raw[end:]
+        self.root = ET.fromstring(raw)
+        order = self.root.get("byte_order", "LittleEndian")
+        self.order = ">" if order == "BigEndian" else "<"
+        self.header = np.dtype(self.order + TYPES[self.root.get("header_type", "UInt32")])
+        self.compressor = self.root.get("compressor", "")
+        if self.compressor and self.compressor not in DECOMPRESS:
+            raise ValueError(
+                f"its data are compressed by {self.compressor}, which is not read; save it with "
+                "ZLib or without compression"
+            )
+
+    def array(self, item: ET.Element) -> np.ndarray:
+        """Values of a ``DataArray`` (n,) or (n, components)."""
+        name, kind = item.get("Name", "(unnamed)"), item.get("type", "")
+        if kind not in TYPES:
+            raise ValueError(f"its array {name} is of type {kind or 'nothing'}, which is not read")
+        dtype = np.dtype(self.order + TYPES[kind])
+        form = item.get("format", "ascii")
+        if form == "ascii":
+            words = (item.text or "").split()
+            values = np.array(words, dtype=float if dtype.kind == "f" else np.int64)
+        elif form in ("binary", "appended"):
+            values = self._binary(item, form, dtype, name)
+        else:
+            raise ValueError(f"its array {name} is of format {form}, which is not read")
+        values = values.astype(dtype.newbyteorder("="))
+        width = int(item.get("NumberOfComponents", 1) or 1)
+        if width > 1 and len(values) % width:
+            raise ValueError(f"its array {name}: {len(values)} values are no rows of {width}")
+        return values.reshape(-1, width) if width > 1 else values
+
+    def _binary(self, item: ET.Element, form: str, dtype: np.dtype, name: str) -> np.ndarray:
+        if form == "binary":
+            text, raw = "".join((item.text or "").split()).encode(), False
+        else:
+            offset = int(item.get("offset", 0))
+            text, raw = self.appended[offset:], self.raw
+        size = self.header.itemsize
+
+        def take(at: int, count: int) -> bytes:
+            """Bytes of one part, which is padded alone in base64; `at` is in its characters."""
+            if raw:
+                part = text[at : at + count]
+            else:
+                part = base64.b64decode(text[at : at + 4 * -(-count // 3)])[:count]
+            if len(part) < count:
+                raise ValueError(f"its array {name} is cut short")
+            return part
+
+        def numbers(at: int, count: int) -> list[int]:
+            return [int(n) for n in np.frombuffer(take(at, count * size), self.header)]
+
+        def length(count: int) -> int:
+            return count if raw else 4 * -(-count // 3)
+
+        (first,) = numbers(0, 1)
+        if first > len(text):
+            raise ValueError(f"its array {name} is cut short")
+        if not self.compressor:
+            # The header is padded alone, or together with the data.
+            together = take(0, size + first) if raw or not self._padded(text, size) else b""
+            content = together[size:] or take(length(size), first)
+        else:
+            sizes = numbers(0, 3 + first)[3:]
+            at = length((3 + first) * size)
+            block = take(at, sum(sizes))
+            ends = np.cumsum([0, *sizes])
+            parts = [block[a:b] for a, b in pairwise(ends)]
+            unpack = DECOMPRESS[self.compressor]
+            content = b"".join(unpack(part) for part in parts)
+        if len(content) % dtype.itemsize:
+            raise ValueError(f"its array {name} is cut short")
+        return np.frombuffer(content, dtype)
+
+    @staticmethod
+    def _padded(text: bytes, size: int) -> bool:
+        """Return True if a header alone is padded, as some programs write it."""
+        return text[: 4 * -(-size // 3)].endswith(b"=")
+
+
+def read(path: Path) -> PieceGrid:
+    """All pieces of a file as one grid.
+
+    Raises:
+        ValueError: The file is damaged or of no use.
+    """
+    source = _Source(path)
+    grid = source.root.find("UnstructuredGrid")
+    if grid is None:
+        raise ValueError(f"is no UnstructuredGrid but {source.root.get('type', 'something else')}")
+    pieces = [piece for piece in grid.findall("Piece") if int(piece.get("NumberOfCells", 0))]
+    if not pieces:
+        raise ValueError("has no cells")
+    points, blocks, notes, unread, ghosts = (
+        list[np.ndarray](),
+        list[CellBlock](),
+        list[str](),
+        dict[int, int](),
+        0,
+    )
+    known: set[str] | None = None
+    for piece in pieces:
+        x = source.array(_only(piece, "Points/DataArray"))
+        if x.ndim != 2 or x.shape[1] != 3 or len(x) != int(piece.get("NumberOfPoints", -1)):
+            raise ValueError("its points are no rows of three, or not as many as announced")
+        arrays = {a.get("Name", ""): source.array(a) for a in piece.findall("CellData/DataArray")}
+        cells = {a.get("Name", ""): source.array(a) for a in piece.findall("Cells/DataArray")}
+        count = int(piece.get("NumberOfCells", 0))
+        wrong = [name for name, values in arrays.items() if len(values) != count]
+        if {*cells} < {"connectivity", "offsets", "types"} or len(cells["types"]) != count:
+            raise ValueError("its cells are not as many as announced")
+        if wrong or len(cells["offsets"]) != count:
+            raise ValueError(f"its array {(wrong or ['offsets'])[0]} has not a value for each cell")
+        if known is not None and known != {*arrays}:
+            raise ValueError("its pieces have different arrays of cells")
+        known = {*arrays}
+        flag = arrays.pop("vtkGhostType", None)
+        level = arrays.pop("vtkGhostLevels", None)
+        keep = np.ones(count, dtype=bool)
+        if flag is not None:
+            keep = (flag.astype(np.int64) & DUPLICATE) == 0
+        elif level is not None:
+            keep = level == 0
+        ghosts += int((~keep).sum())
+        shift = sum(map(len, points))
+        for block in _blocks(cells, arrays, keep, unread):
+            if block.data.min() < 0 or block.data.max() >= len(x):
+                raise ValueError("a cell has a node that is not in the file")
+            block.data = block.data + shift
+            blocks.append(block)
+        points.append(x)
+    if len(pieces) > 1:
+        notes.append(f"geometry: the file has {len(pieces)} pieces, which are read as one mesh")
+    if ghosts:
+        notes.append(f"geometry: {ghosts} ghost cells, copies of other pieces' cells, are left out")
+    if unread:
+        kinds = ", ".join(f"{n} of VTK type {kind}" for kind, n in sorted(unread.items()))
+        notes.append(f"geometry: cells that are no tetrahedra or triangles are not read: {kinds}")
+    return PieceGrid(np.concatenate(points), blocks, notes)
+
+
+def _only(piece: ET.Element, path: str) -> ET.Element:
+    found = piece.find(path)
+    if found is None:
+        raise ValueError(f"has no {path}: it is damaged")
+    return found
+
+
+def _blocks(
+    cells: dict[str, np.ndarray],
+    arrays: dict[str, np.ndarray],
+    keep: np.ndarray,
+    unread: dict[int, int],
+) -> Iterator[CellBlock]:
+    offsets = cells["offsets"].astype(np.int64)
+    width = np.diff(offsets, prepend=0)
+    if (width < 0).any() or (len(offsets) and offsets[-1] > len(cells["connectivity"])):
+        raise ValueError("its offsets of cells are damaged")
+    kinds = cells["types"].astype(np.int64)
+    for kind in np.unique(kinds).tolist():
+        for w in np.unique(width[kinds == kind]).tolist():
+            rows = np.flatnonzero((kinds == kind) & (width == w) & keep)
+            if not len(rows):
+                continue
+            if w in TETRAHEDRA.get(kind, ()) or w in TRIANGLES.get(kind, ()):
+                at = (offsets[rows] - w)[:, None] + np.arange(w)
+                data = cells["connectivity"].astype(np.int64)[at]
+                dim = 3 if kind in TETRAHEDRA else 2
+                yield CellBlock(dim, data, {n: v[rows] for n, v in arrays.items()})
+            elif kind in SOLIDS:
+                raise ValueError(
+                    f"has cells of VTK type {kind}; only straight tetrahedra, or only quadratic "
+                    "ones, can be used"
+                )
+            else:
+                unread[kind] = unread.get(kind, 0) + len(rows)
