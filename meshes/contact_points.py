@@ -211,7 +211,9 @@ def contact_points(
     every, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     of = of.ravel()
     normals, faces, area, doubt = faces_around(facets, of, len(every))
-    kept = _forest(facets, every, of, normals, interfaces)
+    supports = _supports_of(every[:, 1], every[:, 2:], holds)
+    prescribed: Bools = np.any(np.all(supports >= 0, axis=1), axis=1)
+    kept = _forest(facets, every, of, prescribed, normals, interfaces)
     # Points first, then dependent corners.
     order = np.concatenate([np.flatnonzero(kept), np.flatnonzero(~kept)])
     place = np.argsort(order)
@@ -277,18 +279,25 @@ def contact_points(
 
 
 def _forest(
-    facets: InterfaceFacets, every: Ints, of: Ints, normals: Floats, names: Sequence[str]
+    facets: InterfaceFacets,
+    every: Ints,
+    of: Ints,
+    prescribed: Bools,
+    normals: Floats,
+    names: Sequence[str],
 ) -> Bools:
     """Mask of the corners that are points: at each vertex a forest of bodies.
 
-    Interfaces without another corner to give their force to are points first, then those whose
-    normals agree with those of the others (the bars of a T before its stem), then the larger, then
+    Interfaces whose jump supports prescribe are points first: by another way round, bodies between
+    the two would be held as well. Then those without another corner to give their force to, those
+    whose normals agree with those of the others (the bars of a T before its stem), then the larger, then
     by name.
 
     Args:
         facets: All facets.
         every: Interface, vertex, master and slave of all corners (m, 4).
         of: Corner of each corner of the facets (3 f,).
+        prescribed: Whether supports hold both sides of a corner along an axis (m,).
         normals: Unit normals of the corners (m, 3, 3).
         names: Names of the interfaces.
     """
@@ -308,13 +317,14 @@ def _forest(
         if not crowded[rows[0]]:
             continue
 
-        def rank(p: int, rows: Ints = rows) -> tuple[bool, float, float, str, int, int]:
+        def rank(p: int, rows: Ints = rows) -> tuple[bool, bool, float, float, str, int, int]:
             others = rows[rows != p]
             cosines = np.abs(np.einsum("ki,qji->kqj", normals[p], normals[others]))
             area = float(np.round(size[sides[p]] / total, 6))
             alike = float(np.round(cosines.max(initial=0.0), ALIKE))
             name = names[int(every[p, 0])]
-            return (bool(supported[p]), -alike, -area, name, int(every[p, 2]), int(every[p, 3]))
+            first = not prescribed[p], bool(supported[p])
+            return (*first, -alike, -area, name, int(every[p, 2]), int(every[p, 3]))
 
         group = {int(body): int(body) for body in every[rows, 2:].ravel()}
         for p in sorted(map(int, rows), key=rank):
@@ -458,6 +468,14 @@ def _dependent_jumps(surface: ContactSurface, n: int) -> csr_array:
     return csr_array((values, (rows, columns)), shape=(len(surface.vertex) - n, n))
 
 
+def _supports_of(vertex: Ints, sides: Ints, holds: Holds) -> Ints:
+    """Support that holds each side of points along each axis, -1 where none does (n, 2, 3)."""
+    holding = zip(map(int, holds.vertex), map(int, holds.body), strict=True)
+    table, free = dict(zip(holding, holds.support, strict=True)), np.full(3, -1)
+    of_sides = zip(map(int, np.repeat(vertex, 2)), map(int, sides.ravel()), strict=True)
+    return np.array([table.get(at, free) for at in of_sides]).reshape(len(vertex), 2, 3)
+
+
 def _jumps_at_vertices(
     vertex: Ints, sides: Ints, stiffness: Floats, holds: Holds
 ) -> tuple[Ints, Floats]:
@@ -466,12 +484,7 @@ def _jumps_at_vertices(
     Returns:
         ``given`` of ContactPoints; +1, -1 or 0 for each body, point and component (b, n, 3).
     """
-    n = len(vertex)
-    # The support that holds each side of each point, component by component.
-    holding = zip(map(int, holds.vertex), map(int, holds.body), strict=True)
-    table, free = dict(zip(holding, holds.support, strict=True)), np.full(3, -1)
-    of_sides = zip(map(int, np.repeat(vertex, 2)), map(int, sides.ravel()), strict=True)
-    side = np.array([table.get(at, free) for at in of_sides]).reshape(n, 2, 3)
+    n, side = len(vertex), _supports_of(vertex, sides, holds)
     moved = zip(map(int, holds.vertex[holds.rigid]), map(int, holds.body[holds.rigid]), strict=True)
     with_rigid = set(moved)
     of_sides = zip(map(int, np.repeat(vertex, 2)), map(int, sides.ravel()), strict=True)

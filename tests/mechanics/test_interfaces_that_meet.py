@@ -304,3 +304,22 @@ def test_a_block_pushed_over_several_rubs_on_all_of_them(layout: str, tmp_path: 
     assert abs(total[0]) == pytest.approx(0.3 * PRESSURE * 12, rel=1e-5)
     assert abs(total[2]) == pytest.approx(PRESSURE * 12, rel=1e-9)
     assert solved.balances.max() < 1e-8
+
+
+def test_a_body_is_free_where_supports_hold_those_beside_it(tmp_path: Path) -> None:
+    """A block drawn along two whose ends are held: smooth, so nothing holds it at the line."""
+    text = scene(tmp_path, T, contact(0.0))
+    del text["supports"]["y0"], text["supports"]["y1"]
+    text["supports"]["ends"] = {"kind": "roller", "boundary": "low_y0", "axis": "y"}
+    text["supports"]["draw"] = {"kind": "displacement", "boundary": "top_y1", "y": "0.05 mm"}
+    solved = support.solve(text, balances=True)
+    numbers = solved.last.numbers
+    for name in ("left_top", "right_top"):
+        np.testing.assert_allclose(numbers[name]["pressure_max"], PRESSURE, rtol=1e-7)
+        np.testing.assert_allclose(numbers[name]["pressure_mean"], PRESSURE, rtol=1e-7)
+        assert abs(numbers[name]["force"][1]) < 1e-8
+    assert numbers["left_right"]["pressure_max"] == pytest.approx(POISSON * PRESSURE)
+    x, u = solved.displacement("top")
+    widening = POISSON * (1 + POISSON) * PRESSURE / MODULUS
+    np.testing.assert_allclose(u[:, 1], 0.05 + widening * (x[:, 1] - 3), atol=1e-9)
+    assert solved.balances.max() < 1e-8

@@ -285,13 +285,25 @@ def test_both_sides_held_give_the_jump() -> None:
 
 
 def test_chain_between_two_held_bodies() -> None:
-    """On a line of three bodies, the outer two held: both jumps in that direction are given."""
+    """The outer two of a chain held: both jumps in that direction are given.
+
+    Where the two are in contact as well their jump alone is, and the third body moves freely.
+    """
     facets, x = three_on_a_line()
     holds = hold(np.hypot(x[:, 0], x[:, 1]) < 1e-9, [0, 2], 2)
-    points, entries = contact_points(facets, holds, ["a", "b", "c"], {})
+    chain = facets.interface < 2
+    apart = InterfaceFacets(*(v[chain] for v in vars(facets).values()))
+    points, entries = contact_points(apart, holds, ["a", "b"], {})
     line = np.hypot(points.x[:, 0], points.x[:, 1]) < 1e-9
     np.testing.assert_array_equal(points.held, np.outer(line, [False, False, True]))
     check_mean_jumps(points, entries, 3)
+    for names in (["a", "b", "c"], ["c", "b", "a"]):
+        points, entries = contact_points(facets, holds, names, {})
+        line = np.hypot(points.x[:, 0], points.x[:, 1]) < 1e-9
+        given = line & (points.interface == 2)
+        assert given.sum() == 3
+        np.testing.assert_array_equal(points.held, np.outer(given, [False, False, True]))
+        check_mean_jumps(points, entries, 3)
 
 
 # On real meshes
