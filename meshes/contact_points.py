@@ -34,6 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array, eye_array, kron, vstack
@@ -288,10 +289,10 @@ def _forest(
 ) -> Bools:
     """Mask of the corners that are points: at each vertex a forest of bodies.
 
-    Interfaces whose jump supports prescribe are points first: by another way round, bodies between
-    the two would be held as well. Then those without another corner to give their force to, those
-    whose normals agree with those of the others (the bars of a T before its stem), then the larger, then
-    by name.
+    An interface that would have no point at all is first, then one whose jump supports prescribe:
+    by another way round, bodies between the two would be held as well. Then come those without
+    another corner to give their force to, those whose normals agree with those of the others (the
+    bars of a T before its stem), the larger, and the order of names.
 
     Args:
         facets: All facets.
@@ -312,26 +313,31 @@ def _forest(
     sides = np.unique(every[:, [0, 2, 3]], axis=0, return_inverse=True)[1].ravel()
     size = np.bincount(sides[of], facets.area.ravel())
     total = float(size.sum())
-    kept = np.ones(len(every), dtype=bool)
-    for rows in groups:
-        if not crowded[rows[0]]:
-            continue
+    needed = np.zeros(len(size), dtype=bool)
 
-        def rank(p: int, rows: Ints = rows) -> tuple[bool, bool, float, float, str, int, int]:
-            others = rows[rows != p]
-            cosines = np.abs(np.einsum("ki,qji->kqj", normals[p], normals[others]))
-            area = float(np.round(size[sides[p]] / total, 6))
-            alike = float(np.round(cosines.max(initial=0.0), ALIKE))
-            name = names[int(every[p, 0])]
-            first = not prescribed[p], bool(supported[p])
-            return (*first, -alike, -area, name, int(every[p, 2]), int(every[p, 3]))
+    def rank(p: int, rows: Ints) -> tuple[bool, bool, bool, float, float, str, int, int]:
+        others = rows[rows != p]
+        cosines = np.abs(np.einsum("ki,qji->kqj", normals[p], normals[others]))
+        area = float(np.round(size[sides[p]] / total, 6))
+        alike = float(np.round(cosines.max(initial=0.0), ALIKE))
+        first = not needed[sides[p]], not prescribed[p], bool(supported[p])
+        name = names[int(every[p, 0])]
+        return (*first, -alike, -area, name, int(every[p, 2]), int(every[p, 3]))
 
-        group = {int(body): int(body) for body in every[rows, 2:].ravel()}
-        for p in sorted(map(int, rows), key=rank):
-            a, b = (group[int(body)] for body in every[p, 2:])
-            kept[p] = a != b
-            group = {body: a if g == b else g for body, g in group.items()}
-    return kept
+    while True:
+        kept = np.ones(len(every), dtype=bool)
+        for rows in groups:
+            if not crowded[rows[0]]:
+                continue
+            group = {int(body): int(body) for body in every[rows, 2:].ravel()}
+            for p in sorted(map(int, rows), key=partial(rank, rows=rows)):
+                a, b = (group[int(body)] for body in every[p, 2:])
+                kept[p] = a != b
+                group = {body: a if g == b else g for body, g in group.items()}
+        bare = (np.bincount(sides, kept) == 0) & ~needed
+        if not bare.any():
+            return kept
+        needed |= bare
 
 
 def _handed_area(

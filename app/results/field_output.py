@@ -230,9 +230,9 @@ class MechanicalFields:
                         whole[np.flatnonzero(points.interface == i)[: len(slave)]] = slave
                         both = _along(rows[i], whole) + _along(there, master)
                         point[f"{contact.name}_{key}"] = both
-        for name, (points, index) in self._bonds.indices().items():
-            (at,) = _contact_rows(points.surface, self.space, self.bodies, nodes)
-            point[f"{name}_failure_index"] = _along(at, points.surface.spread(index))
+        for name, (bonded, index) in self._bonds.indices().items():
+            (at,) = _contact_rows(bonded.surface, self.space, self.bodies, nodes)
+            point[f"{name}_failure_index"] = _along(at, bonded.surface.spread(index))
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:

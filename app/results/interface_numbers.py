@@ -115,7 +115,7 @@ class ContactSamples:
         self.pressure = whole(normal_pressure(trial.law.pressures, own.normals))
         self.shear = whole(np.linalg.norm(history.friction, axis=1))
         self.force = whole(-sign * history.force)
-        status = contact.whole(np.where(own.faces > 0, trial.law.status, STICK))
+        status: Any = contact.whole(np.where(own.faces > 0, trial.law.status, STICK))
         self.status = surface.spread_status(status)
         self.dissipation, self.least = total(history.dissipation), total(history.least)
         self.contact_work, self.stored = total(history.contact_work), total(history.stored)

@@ -171,7 +171,18 @@ def check_uniform(solved: support.Solved, data: MeshData) -> None:
         np.testing.assert_allclose(u[:, 2], -PRESSURE / M * x[:, 2], atol=1e-9)
 
 
+# A row of blocks of one cell each between two plates: all points of its interfaces are on lines.
+ROW = {
+    "bottom": lambda x: x[:, 2] < 1,
+    **{
+        f"row{i}": lambda x, i=i: (x[:, 2] > 1) & (x[:, 2] < 2) & (np.floor(x[:, 0]) == i)
+        for i in range(4)
+    },
+    "top": lambda x: x[:, 2] > 2,
+}
+
 LAYOUTS = {
+    "row": (ROW, (4, 2, 4)),
     "T": (T, (4, 3, 4)),
     "lying T": (LYING_T, (4, 3, 4)),
     "cross": (CROSS, (4, 2, 4)),

@@ -378,7 +378,7 @@ def test_normals_of_a_smooth_surface_converge_at_second_order() -> None:
     errors, sizes = [], [1 / 8, 1 / 16, 1 / 32]
     for size in sizes:
         facets, exact = bump(round(1 / size))
-        points, _ = contact_points(facets, NOTHING_HELD, 1, {})
+        points, _ = contact_points(facets, NOTHING_HELD, ["a"], {})
         off = np.linalg.norm(points.normals[:, 0] - exact[points.vertex], axis=1)
         errors.append(float(np.sqrt(np.mean(off**2))))
     assert fitted_order(sizes, errors) > 1.7, errors
