@@ -234,7 +234,11 @@ FEB = (
     [
         ("a.inp", "", "no .inp file of Abaqus or CalculiX"),
         ("a.inp", "# AVS UCD\n8 6 0 0 0\n", "no .inp file of Abaqus or CalculiX"),
-        ("a.inp", ONE[:35], "*NODE in line 1: 15 numbers are no rows of 4: is it cut short?"),
+        (
+            "a.inp",
+            ONE[:35],
+            "*NODE in line 1: line 5, the last of the file, has 3 numbers of 4: is it cut short?",
+        ),
         ("a.inp", ONE[:-4], "*ELEMENT in line 6: 3 numbers are no rows of 5"),
         ("a.inp", ONE.replace("0,1,0", "0,x,0"), "*NODE in line 1: could not convert string"),
         ("a.inp", ONE.replace("0,1,0", "0,nan,0"), "node 3: its coordinates are no numbers"),
@@ -247,7 +251,7 @@ FEB = (
         ),
         ("a.inp", ONE.replace(", ELSET=a", ""), "names no region"),
         ("a.inp", ONE + "*INCLUDE, INPUT=b.inp\n", "*INCLUDE in line 8: makes or moves nodes"),
-        ("a.inp", ONE + "*SURFACE, NAME=s\nb, S1\n", "*SURFACE in line 8: there is no set B"),
+        ("a.inp", ONE + "*SURFACE, NAME=s\nb, S1\n", "*SURFACE in line 8: there is no set b"),
         (
             "a.inp",
             ONE + "2,1,2,4,3\n3,2,1,3,4\n*ELSET, ELSET=p\n1,2\n*ELSET, ELSET=q\n2,3\n",
@@ -256,7 +260,7 @@ FEB = (
         ("a.feb", FEB, "cube: is of type hex8; only straight tetrahedra"),
         ("a.feb", FEB[:90], "damaged, or no .feb file (ParseError unclosed token"),
         ("a.feb", "<mesh/>", "names no region"),
-        ("a.vtu", "<VTKFile", "damaged, or no .vtu file (ReadError"),
+        ("a.vtu", "<VTKFile", "damaged, or no .vtu file (ParseError"),
         ("a.xdmf", "<Xdmf><Domain/></Xdmf>", "names no region"),
         ("a.med", "HDF", "damaged, or no .med file (OSError"),
     ],
