@@ -82,11 +82,18 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
     turned = f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes "
     turned += "inside out: they are turned, and no cell overlaps its neighbours"
+    without = int(found["everything"]) - len(cells)
+    lost = f"geometry: {without} of {without + len(cells)} cells of the file are in no region and "
+    lost += "are left out"
     notes = {
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),
-        "cells_without_region": int(found["everything"]) - len(cells),
-        "told": [*([turned] if negative.any() else []), *found.get("told", [])],
+        "cells_without_region": without,
+        "told": [
+            *([lost] if without else []),
+            *([turned] if negative.any() else []),
+            *found.get("told", []),
+        ],
     }
     return replace(data, notes=notes)
 

@@ -19,6 +19,7 @@ from meshes.data import (
     cell_faces,
     cell_volumes,
     components,
+    exterior_facets,
     facet_areas,
     interface_nodes,
     same_triangles,
@@ -28,6 +29,13 @@ from meshes.data import (
 COINCIDENT = 1e-7
 # Facets that meet at more than this angle are different faces [rad].
 SMOOTH = np.radians(50)
+
+# Facets near a facet that may lie on it.
+NEAR = 24
+# Facets lie on each other if they are this close, in parts of the smaller one's size, and if the
+# cosine between their outward normals is below FACING.
+ON_EACH_OTHER = 1e-4
+FACING = -0.999
 
 # Nodes of a facet, the middle of each edge in the place of the vertex opposite, as in `NODES`.
 OPPOSITE = [0, 1, 2, 4, 5, 3]
@@ -264,6 +272,44 @@ def coincident(points: Floats) -> Ints:
         same = np.linalg.norm(points[a] - points[b], axis=1) <= near
         pairs.append(np.sort(np.column_stack([a, b])[same], axis=1))
     return np.concatenate(pairs)
+
+
+def lying_on_each_other(data: MeshData) -> dict[tuple[str, str], Floats]:
+    """Places where facets of two pieces lie on each other without common nodes, by their regions.
+
+    The middle of one facet is inside the other, which looks the other way. (n, 3) [mm].
+    """
+    from scipy.spatial import cKDTree  # imported late: few meshes need it
+
+    piece = components(data.neighbours, data.cell_tags)
+    if not len(piece) or piece.max() == 0:
+        return {}
+    facets, cell = exterior_facets(data.cells)
+    facets = facets[:, :3]
+    x = data.points[facets]
+    middle = x.mean(axis=1)
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    double = np.linalg.norm(normal, axis=1)
+    normal /= np.maximum(double, np.finfo(float).tiny)[:, None]
+    size = np.sqrt(double)
+    near = cKDTree(middle).query(middle, min(NEAR, len(middle)))[1].reshape(len(middle), -1)
+    one, column = np.nonzero(piece[cell[near]] != piece[cell][:, None])
+    two = near[one, column]
+    height = np.einsum("ij,ij->i", middle[one] - middle[two], normal[two])
+    close = np.abs(height) <= ON_EACH_OTHER * np.minimum(size[one], size[two])
+    facing = np.einsum("ij,ij->i", normal[one], normal[two]) < FACING
+    apart = ~(facets[one][:, :, None] == facets[two][:, None, :]).any(axis=(1, 2))
+    one, two = (rows[close & facing & apart] for rows in (one, two))
+    # Twice the areas of the triangles of the middle and each edge, with their signs.
+    corners = x[two] - middle[one][:, None]
+    areas = np.einsum("ijk,ik->ij", np.cross(corners, np.roll(corners, -1, axis=1)), normal[two])
+    inside = (areas > 0).all(axis=1)
+    names = {tag: name for name, tag in data.regions.items()}
+    found: dict[tuple[str, str], list[Floats]] = {}
+    for a, b in zip(one[inside], two[inside], strict=True):
+        first, second = sorted(names[int(data.cell_tags[cell[k]])] for k in (a, b))
+        found.setdefault((first, second), []).append(middle[a])
+    return {pair: np.array(places) for pair, places in found.items()}
 
 
 def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str, str], Floats]:

@@ -508,8 +508,8 @@ def _surfaces(
             node_sets.define(b, b.option("NAME"), np.zeros(0, dtype=np.int64), words)
             continue
         plain[key] = triangles(key, ())
-    names = scope.names(plain, found.told)
-    return {names[key]: corners for key, corners in plain.items()}
+    outside = scope.names(plain, found.told)
+    return {outside[key]: corners for key, corners in plain.items()}
 
 
 def _combine(block: _Block, parts: list[Ints]) -> Ints:

@@ -24,7 +24,7 @@ from app.soundness.loose_bodies import BodiesOnMesh
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets
-from meshes.pieces import Parts, parts
+from meshes.pieces import Parts, lying_on_each_other, parts
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -397,7 +397,7 @@ def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
 
 
 def _cracks(case: Case, found: Parts) -> list[str]:
-    """Coincident nodes that are not joined."""
+    """Notes on coincident nodes that are not joined, and on faces that lie on each other."""
     notes = []
     slides = [{*sum(case.geometry.interface_sides[n], ())} for n in found.faces]
     for (a, b), x in found.doubled.items():
@@ -408,6 +408,17 @@ def _cracks(case: Case, found: Parts) -> list[str]:
             f"{where}: {len(x)} pairs of nodes coincide but are not connected, e.g. at "
             f"{point_text(x[0])}: an open crack; if it is not intended, merge them (in gmsh "
             "BooleanFragments before meshing, or Coherence Mesh after it)"
+        )
+    # Only files have bodies that were meshed apart without an interface.
+    touching = lying_on_each_other(found.data) if case.geometry.kind == "file" else {}
+    for (a, b), x in touching.items():
+        if (a, b) in found.doubled or (a != b and any({a, b} <= regions for regions in slides)):
+            continue
+        where = f"regions '{a}' and '{b}'" if a != b else f"pieces of region '{a}'"
+        notes.append(
+            f"{where} lie on each other, e.g. at {point_text(x[0])}, without common nodes and "
+            "without an interface: neither force nor heat crosses; if it is not intended, merge "
+            "them (in gmsh BooleanFragments before meshing), or declare an interface between them"
         )
     return notes
 
