@@ -23,6 +23,8 @@ class Reason(StrEnum):
 
     LOOSE_BODY = "loose-body"
     """Nothing holds a body, or friction hardly does."""
+    LARGE_DISPLACEMENT = "large-displacement"
+    """Displacements are no longer small, though everything is held."""
     NOT_UNIQUE = "not-unique"
     """Friction exceeds what makes the answer one."""
     RIGID_CONTACT = "rigid-contact"

@@ -16,7 +16,8 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from tests.meshes.bones import inside, own, own_canal
 
 VOXEL, LOW = 0.7, -215.0  # mm
-CORTEX, HEAD, BESIDE, MARROW = 1400.0, 450.0, 40.0, -60.0  # CT numbers
+CORTEX, HEAD, BESIDE, MARROW, AIR = 1400.0, 450.0, 40.0, -60.0, -1000.0  # CT numbers
+SKIN = 20.0  # mm from the bone: air begins there
 
 
 def main(folder: Path) -> None:
@@ -27,6 +28,7 @@ def main(folder: Path) -> None:
     # Cancellous bone above the canal, more than 2 mm below the surface.
     deep = distance_transform_edt(bone, sampling=VOXEL) > 2.0
     numbers = np.where(bone, CORTEX, BESIDE)
+    numbers[distance_transform_edt(~bone, sampling=VOXEL) > SKIN] = AIR
     numbers[deep & (axes[2] > -30.0)] = HEAD
     numbers[canal] = MARROW
     numbers = gaussian_filter(numbers, 0.6) + np.random.default_rng(0).normal(0, 20, bone.shape)

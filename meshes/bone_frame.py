@@ -34,6 +34,10 @@ STEP = 1.5  # mm between sections that are searched for the lesser trochanter
 REACH = 0.7  # mm: decay of the weights of an outermost place
 BESIDE = (-4.5, -1.5, 1.5, 4.5)  # mm: sections of the neck beside the least one, averaged
 SECTORS = 12  # of the head, one left out at a time
+# What is usual, for notes.
+USUAL_RADII = (18.0, 30.0)  # mm: of heads
+USUAL_NECKS = (110.0, 140.0)  # deg: neck-shaft angles
+USUAL_LENGTHS = (15.0, 25.0)  # radii of the head: of femurs with condyles
 SURE = 1.65  # standard deviations that hold 90 %
 # In radii of the head:
 SHAFT = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
@@ -58,6 +62,7 @@ class Frame:
         version: Angle of the neck to anterior of the condyles [rad]; None without condyles: then
             medial is along the neck.
         spread: That holds 90 %, of head [mm], neck and version [rad].
+        length: Of the surface along the shaft [mm].
     """
 
     head: Floats
@@ -69,6 +74,7 @@ class Frame:
     side: str
     version: float | None
     spread: Mapping[str, float]
+    length: float
 
     def to_model(self, x: Floats) -> Floats:
         """Points (..., 3) in the model's axes, a right femur mirrored."""
@@ -102,6 +108,33 @@ class Frame:
             "neck-shaft angle": f"{angle:.1f} deg +- {turn(s['neck']):.1f}",
             "version": version,
         }
+
+    def doubts(self, surface: BoneSurface) -> list[str]:
+        """Notes on what is rare in a femur: its size, its shape, an open proximal end.
+
+        Args:
+            surface: Its surface, whose `rim` is in the axes of the file.
+        """
+        notes = []
+        low, high = USUAL_RADII
+        if not low <= self.radius <= high:
+            text = f"the head's radius is {self.radius:.1f} mm; expected {low:g} to {high:g}"
+            notes.append(f"{text}: another unit or scale?")
+        angle = math.degrees(math.acos(-float(self.axes[2] @ self.neck)))
+        low, high = USUAL_NECKS
+        if not low <= angle <= high:
+            text = f"the neck-shaft angle is {angle:.0f} deg; expected {low:g} to {high:g}"
+            notes.append(f"{text}: stretched along an axis?")
+        low, high = (ratio * self.radius for ratio in USUAL_LENGTHS)
+        if self.version is not None and not low <= self.length <= high:
+            text = f"it is {self.length:.0f} mm long with its condyles; expected {low:.0f} to"
+            notes.append(f"{text} {high:.0f} for its head: stretched along an axis?")
+        if len(surface.rim):
+            proximal = self.to_model(surface.rim)[:, 2] > 0
+            if proximal.any():
+                text = f"its surface is open at the proximal end, at {place(surface.rim[proximal])}"
+                notes.append(f"{text} ({int(proximal.sum())} edges): are triangles missing there?")
+        return notes
 
 
 def find(surface: BoneSurface, given: Mapping[str, Any] | None = None) -> Frame:
@@ -155,7 +188,8 @@ class _Finder:
         axes = np.stack([medial, way * np.cross(up, medial), up])
         told = {"head": self.spread, "neck": spread, "version": turn}
         places = self.origin, axes, neck, self.trochanter
-        return Frame(self.head, self.radius, *places, side, version, told)
+        length = float(np.ptp(self.x @ up))
+        return Frame(self.head, self.radius, *places, side, version, told, length)
 
     def _samples(self) -> tuple[Floats, Floats, Floats]:
         """Centres (q, 3), averaged unit normals (q, 3) and areas (q,) of boxes of `SAMPLES`."""

@@ -1,27 +1,27 @@
-"""A bone's surface as triangles from a file: read, welded, checked; sections and rays of it.
+"""A bone's surface as triangles from a file: checked, turned outwards; sections and rays of it.
 
-Only what changes no shape is repaired: equal corners are one, triangles without area go, and all
-are turned outwards. A surface may be open at an end of its long axis, where a scan ends.
+A surface may be open at an end of its long axis, where a scan ends.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from app.arrays import Floats, Ints
 from app.errors import GeometryError
-from meshes import images
+from meshes import label_surface, surface_files, welding
 from meshes.data import connected
+from meshes.welding import Welded
 
 UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
 EXTENT = (100.0, 600.0)  # mm that a femur, or a proximal part of one, is long
-WELD = 1e-4  # mm: edge of the boxes whose corners are one
-MOST, THIN = 400_000, 0.7  # triangles beyond which surfaces are thinned, and the boxes then
+MOST = 400_000  # triangles beyond which surfaces are thinned
+THIN = 0.7  # mm: edge of the boxes whose corners are one then
 RIM = 25.0  # mm: an open end is within this distance of the bone's
-HEADER = 84  # bytes before the triangles of a binary STL file, each of 50
+FARTHEST = 1e9  # units: numbers beyond it are damaged
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,14 @@ class BoneSurface:
     Attributes:
         points: Corners (n, 3) [mm].
         triangles: Their rows (m, 3).
-        told: What was found and repaired, in words.
+        told: What was read and repaired, in words.
+        rim: Middles of its open edges (k, 3), in the axes of the file [mm].
     """
 
     points: Floats
     triangles: Ints
     told: tuple[str, ...] = ()
+    rim: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def corners(self) -> Floats:
@@ -49,7 +51,7 @@ class BoneSurface:
 
 
 def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneSurface:
-    """Read a surface; without a unit it is the one that makes a femur of it, and this is told.
+    """Read a surface; without a unit it is the one that makes a femur of it, and a note says so.
 
     With a label it is that of the label in an image.
 
@@ -57,13 +59,20 @@ def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneS
         InputError: The image cannot be read.
         GeometryError: The file is damaged, or its triangles are not the surface of one body.
     """
-    told: list[str] = []
     if label is None:
-        corners = _other(path) if path.suffix.lower() in (".ply", ".obj") else _stl(path)
+        corners, told = surface_files.read(path)
     else:
-        corners, told = images.surface(path, label)
-    if not len(corners) or not np.isfinite(corners).all():
-        raise GeometryError(f"{path}: has no triangles, or corners that are no numbers")
+        corners, told = label_surface.read(path, label)
+    if not len(corners):
+        raise GeometryError(f"{path}: has no triangles")
+    lost = ~np.isfinite(corners).all(axis=(1, 2))
+    if lost.any():
+        text = f"{int(lost.sum()):,} of its {len(corners):,} triangles have corners that are no"
+        raise GeometryError(
+            f"{path}: {text} numbers, the first is number {int(lost.argmax()) + 1:,}"
+        )
+    if np.abs(corners).max() > FARTHEST:
+        raise GeometryError(f"{path}: its coordinates reach {np.abs(corners).max():.0e}: damaged?")
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     fits = [u for u, mm in UNITS.items() if EXTENT[0] <= extent * mm <= EXTENT[1]]
     if unit not in (None, *fits) or not (unit or len(fits) == 1):
@@ -72,70 +81,22 @@ def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneS
             f" {EXTENT[1]:g} mm; which unit is it in? Expected {' or '.join(fits or UNITS)}"
         )
     if unit is None:
-        told.append(f"unit: {fits[0]}, as the surface is {extent:.4g} long")
-    thin = len(corners) > MOST
-    points, triangles = _welded(corners * UNITS[unit or fits[0]], THIN if thin else WELD)
-    if thin:
-        less = f"{len(triangles):,} are left"
-        told.append(f"{len(corners):,} triangles: corners within {THIN} mm made one, {less}")
-    return _checked(path, points, triangles, told, thin)
+        told = [*told, f"unit: {fits[0]}, as the surface is {extent:.4g} long"]
+    surface = welding.weld(corners * UNITS[unit or fits[0]])
+    thinned = len(surface.triangles) > MOST
+    if thinned:
+        surface = welding.thin(surface, THIN)
+    if len(surface.triangles) < 4:
+        raise GeometryError(f"{path}: has {len(surface.triangles)} triangles with an area")
+    return _checked(path, surface, [*told, *surface.notes], thinned)
 
 
-def _stl(path: Path) -> Floats:
-    """Corners of triangles (m, 3, 3) of an STL file, binary or text, in its unit."""
-    data = path.read_bytes()
-    count = int(np.frombuffer(data[80:HEADER].ljust(4, b"\0"), "<u4")[0])
-    if len(data) >= HEADER and len(data) == HEADER + 50 * count:
-        kind = np.dtype([("v", "<f4", (4, 3)), ("attribute", "<u2")])
-        return np.frombuffer(data[HEADER:], kind)["v"][:, 1:].astype(float)
-    words = data.split()
-    if words[:1] != [b"solid"]:
-        raise GeometryError(f"{path}: is no STL file, or not all of one: {len(data):,} bytes")
-    at = np.flatnonzero(np.array(words) == b"vertex")
-    try:
-        if b"endsolid" not in words:
-            raise ValueError
-        return np.array([[float(w) for w in words[k + 1 : k + 4]] for k in at]).reshape(-1, 3, 3)
-    except ValueError:
-        text = f"{path}: its text ends or is damaged after {len(at):,} corners"
-        raise GeometryError(text) from None
-
-
-def _other(path: Path) -> Floats:
-    """Corners of triangles (m, 3, 3) of a PLY or OBJ file, in its unit."""
-    import meshio
-
-    try:
-        mesh = getattr(meshio, path.suffix[1:].lower()).read(path)
-        return np.asarray(mesh.points, float)[mesh.get_cells_type("triangle")].reshape(-1, 3, 3)
-    except Exception as error:  # damaged files let meshio fail in any way
-        text = f"{path}: is no {path.suffix[1:].upper()} file, or not all of one: {error}"
-        raise GeometryError(text) from None
-
-
-def _welded(corners: Floats, size: float) -> tuple[Floats, Ints]:
-    """Points (n, 3) and triangles (m, 3): corners in one box of a size are their mean."""
-    flat = corners.reshape(-1, 3)
-    box = np.round((flat - flat.min(axis=0)) / size).astype(np.int64)
-    wide = box.max(axis=0) + 1
-    key = (box[:, 0] * wide[1] + box[:, 1]) * wide[2] + box[:, 2]
-    _, of, count = np.unique(key, return_inverse=True, return_counts=True)
-    points = np.stack([np.bincount(of, flat[:, i]) / count for i in range(3)], axis=1)
-    triangles = of.reshape(-1, 3)
-    ordered = np.sort(triangles, axis=1)
-    real = (ordered[:, 1:] != ordered[:, :-1]).all(axis=1)
-    triangles, ordered = triangles[real], ordered[real]
-    # Two on the same corners are a fold without thickness: both go.
-    _, first, times = np.unique(ordered, axis=0, return_index=True, return_counts=True)
-    used, of = np.unique(triangles[np.sort(first[times % 2 == 1])], return_inverse=True)
-    return points[used], of.reshape(-1, 3)
-
-
-def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool) -> BoneSurface:
+def _checked(path: Path, surface: Welded, told: list[str], thin: bool) -> BoneSurface:
     """The surface turned outwards; refused if it is open on a side, or not of one body.
 
     Thinning leaves edges of four triangles and small bodies; open edges stay as they are.
     """
+    x, triangles = surface.points, surface.triangles
     n, m = len(x), len(triangles)
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     key = np.sort(ends, axis=1) @ [n, 1]
@@ -146,6 +107,11 @@ def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool
     one, other = pairs // 3
     body = connected(m, one, other)
     sizes = np.bincount(body)
+    if 2 * int((times == 1).sum()) > len(times):
+        text = f"{int((times == 1).sum()):,} of {len(times):,} edges belong to one triangle only"
+        text += f", and their corners are {welding.apart(surface):.2g} mm from the next"
+        remedy = "merge close vertices where it was made"
+        raise GeometryError(f"{path}: its triangles are not joined: {text}; {remedy}")
     if len(sizes) > 1 and not thin:
         second = int(np.argsort(sizes)[-2])
         raise GeometryError(
@@ -176,7 +142,8 @@ def _checked(path: Path, x: Floats, triangles: Ints, told: list[str], thin: bool
         triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
     a, b, c = (x[triangles[:, k]] - x.mean(axis=0) for k in range(3))
     outward = float((np.cross(a, b) * c).sum()) > 0
-    return BoneSurface(x, triangles if outward else triangles[:, ::-1], tuple(told))
+    rim = edges.mean(axis=1)
+    return BoneSurface(x, triangles if outward else triangles[:, ::-1], tuple(told), rim)
 
 
 def place(x: Floats) -> str:

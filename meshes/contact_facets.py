@@ -220,11 +220,15 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
 
 
 def _distinct(normals: Floats, areas: Floats) -> Floats:
-    """At most three independent faces: the largest kept, the others merged into the nearest."""
-    order = np.lexsort((normals[:, 2], normals[:, 1], normals[:, 0], -np.round(areas, 9)))
+    """At most three independent faces: the largest kept, the others merged into the nearest.
+
+    They are in the order of their areas, equal ones in that of the mesh: no axis has a part in it.
+    """
+    order: Ints = np.argsort(-np.round(areas, 9), kind="stable").astype(np.int64)
     ns: list[Floats] = []
     sums: list[Floats] = []
-    for n, area in zip(normals[order], areas[order], strict=True):
+    for row in map(int, order):
+        n, area = np.asarray(normals[row]), float(areas[row])
         candidate = np.array([*ns, n])
         if len(ns) < MAX_FACES and np.linalg.det(candidate @ candidate.T) > INDEPENDENT:
             ns.append(n)

@@ -10,10 +10,15 @@ surface is one face however coarse the mesh.
 Rules where things meet, for each displacement component of a vertex:
 
 * The displacement of one body, the base, is the continuous field u itself; every other body there
-  adds jumps to it. The base is a body that a support holds in this component, otherwise the stiffer
+  adds jumps to it. The base is a rigid body, then one that a support holds in this component,
+  otherwise the stiffer
   one, of equals the master: a jump that moves the softer side meets about what it meets in truth.
-* A vertex with k bodies has k - 1 jumps: interfaces are taken in the order of the case file, and
-  one that would close a cycle is not enforced at that vertex.
+* A vertex with k bodies has k - 1 jumps. Where more interfaces meet, the jumps of some follow from
+  those of the others: these are dependent corners, without a point. `_forest` chooses them,
+  whatever the order of the case file.
+* A dependent corner gives its area and its jump to points of the same interface next to it. The
+  unknown of such a point is the mean jump, by area, of the point and its part of the corner: its
+  law holds in the mean. A constant pressure is transmitted exactly, and areas sum to the area.
 * Where supports hold both sides of a jump, the jump is given by them and the interface carries no
   reported force in that component; the normals drop it.
 * The components are those along x, y, z, or along the axes of a vertex that has its own because a
@@ -25,12 +30,15 @@ the mesh file, so that the result does not depend on the partition. They are few
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csc_array, csr_array, eye_array, kron, vstack
+from scipy.sparse.linalg import inv
 
 from app.arrays import Bools, Floats, Ints
+from app.errors import InputError
 from meshes.contact_facets import (
     InterfaceFacets,
     bends,
@@ -42,6 +50,64 @@ from meshes.contact_facets import (
 
 # Parts of a jump below this are rounding.
 ROUNDING = 1e-12
+# In place of a support: those of a rigid region, together.
+RIGIDLY = np.iinfo(np.int64).max
+# A direction is tangential to a face below this cosine with its normal.
+TANGENTIAL = 1e-6
+# Cosines between normals are compared to so many decimals.
+ALIKE = 1
+
+
+@dataclass(frozen=True)
+class ContactSurface:
+    """Corners of the facets of all interfaces: the n points, then the dependent corners (m).
+
+    Attributes:
+        interface: Index of the interface (m,).
+        vertex: Vertex number of the mesh file (m,).
+        dof: Global blocked dof at the vertex (m,).
+        x: Position (m, 3) [mm].
+        bodies: Bodies (master, slave) (m, 2).
+        normals: Unit normals of the faces, zero beyond their number (m, 3, 3).
+        faces: Number of faces (m,).
+        weight: Area of the corner alone (m,) [mm2].
+        triangles: For each interface, its facets as rows of corners (f_i, 3).
+        facets: For each interface, the numbers of these facets (f_i,).
+        shares: Parts of the points in the values of the corners (m, n); None if all are points.
+        jumps: Jumps of the corners by those of the points (3 m, 3 n); None if they are the same.
+    """
+
+    interface: Ints
+    vertex: Ints
+    dof: Ints
+    x: Floats
+    bodies: Ints
+    normals: Floats
+    faces: Ints
+    weight: Floats
+    triangles: tuple[Ints, ...]
+    facets: tuple[Ints, ...]
+    shares: csr_array | None = None
+    jumps: csr_array | None = None
+
+    def spread(self, values: Floats) -> Floats:
+        """Values at the corners (m, ...) from those at the points (n, ...)."""
+        if self.shares is None:
+            return values
+        flat = self.shares @ values.reshape(len(values), -1)
+        return np.asarray(flat.reshape(-1, *values.shape[1:]))
+
+    def true_jumps(self, jumps: Floats) -> Floats:
+        """Jumps at the corners (m, 3) from the mean jumps of the points (n, 3) [mm]."""
+        if self.jumps is None:
+            return jumps
+        return np.asarray((self.jumps @ jumps.ravel()).reshape(-1, 3))
+
+    def spread_status(self, status: Ints) -> Ints:
+        """States of the corners (m,), of dependent ones that of the largest share."""
+        if self.shares is None:
+            return status
+        return status[np.asarray(self.shares.toarray().argmax(axis=1)).ravel()]
 
 
 @dataclass(frozen=True)
@@ -51,12 +117,15 @@ class Holds:
     Attributes:
         vertex: Vertex numbers of the mesh file (h,).
         body: Body (h,).
-        support: Index of the support of each component, -1 where it is free (h, 3).
+        support: Index of the support of each component, -1 where it is free (h, 3); `RIGIDLY`
+            where the supports of a rigid region together give its motion.
+        rigid: Whether the node moves with a rigid region of the body (h,).
     """
 
     vertex: Ints
     body: Ints
     support: Ints
+    rigid: Bools
 
 
 @dataclass(frozen=True)
@@ -71,12 +140,13 @@ class ContactPoints:
         bodies: Bodies (master, slave) (n, 2).
         faces: Number of faces, 1 to 3, or 0 where supports hold every component (n,).
         normals: Unit normals of the faces, zero beyond ``faces`` (n, 3, 3).
-        weight: Area of the point (n,) [mm2].
+        weight: Area of the point, with its part of dependent corners (n,) [mm2].
         given: Supports (master, slave) that fix each component of the jump, -1 where it is free
             (n, 3, 2).
         axes: Axes of these components, as columns (n, 3, 3).
-        triangles: For each interface, its facets as rows of contact points (f_i, 3).
-        facets: For each interface, the numbers of these facets (f_i,).
+        along: Projectors on prescribed directions that are tangential to all faces: friction acts
+            along them, too (n, 3, 3).
+        surface: All corners of the facets, with those that are no points.
     """
 
     interface: Ints
@@ -89,8 +159,13 @@ class ContactPoints:
     weight: Floats
     given: Ints
     axes: Floats
-    triangles: tuple[Ints, ...]
-    facets: tuple[Ints, ...]
+    along: Floats
+    surface: ContactSurface
+
+    @property
+    def triangles(self) -> tuple[Ints, ...]:
+        """For each interface, its facets as rows of corners of ``surface`` (f_i, 3)."""
+        return self.surface.triangles
 
     @property
     def held(self) -> Bools:
@@ -118,43 +193,67 @@ class Entries:
 
 
 def contact_points(
-    facets: InterfaceFacets, holds: Holds, interfaces: int, axes: Mapping[int, Floats]
+    facets: InterfaceFacets, holds: Holds, interfaces: Sequence[str], axes: Mapping[int, Floats]
 ) -> tuple[ContactPoints, Entries]:
     """Contact points of all interfaces, and the displacement of each body due to their jumps.
 
-    ``interfaces`` is their number; ``axes`` (3, 3) are those of vertices that have their own.
+    ``interfaces`` are their names; ``axes`` (3, 3) are those of vertices that have their own.
+
+    Raises:
+        InputError: An interface has no point that could carry its force.
     """
     facet = np.repeat(np.arange(len(facets.area)), 3)
     keys = np.column_stack([facets.interface[facet], facets.vertices.ravel(), facets.bodies[facet]])
     every, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    kept = _without_cycles(every)
-    interface, vertex, *_ = every[kept].T
-    bodies, n = every[kept, 2:], len(vertex)
-    corner_point = np.where(kept, np.cumsum(kept) - 1, -1)[of]
-    triangles = corner_point.reshape(-1, 3)
-    normals, faces, weight = faces_around(facets, corner_point, n)
+    of = of.ravel()
+    normals, faces, area = faces_around(facets, of, len(every))
+    kept = _forest(facets, every, of, normals, interfaces)
+    # Points first, then dependent corners.
+    order = np.concatenate([np.flatnonzero(kept), np.flatnonzero(~kept)])
+    place = np.argsort(order)
+    n, corners = int(kept.sum()), place[of].reshape(-1, 3)
+    every, first, normals, faces, area = (v[order] for v in (every, first, normals, faces, area))
+    interface, vertex, *_ = every.T
+    bodies = every[:, 2:]
     stiffness = np.zeros((len(every), 2))
-    np.maximum.at(stiffness, of, facets.stiffness[facet])
-    given, signs = _jumps_at_vertices(vertex, bodies, stiffness[kept], holds)
+    np.maximum.at(stiffness, corners.ravel(), facets.stiffness[facet])
+    given, signs = _jumps_at_vertices(vertex[:n], bodies[:n], stiffness[:n], holds)
     local_axes = np.tile(np.eye(3), (n, 1, 1))
-    for p in np.flatnonzero(np.isin(vertex, list(axes))):
+    for p in np.flatnonzero(np.isin(vertex[:n], list(axes))):
         local_axes[p] = axes[int(vertex[p])]
-    drop_held(normals, faces, projectors(local_axes, given[:, :, 0] >= 0))
-    whole = (triangles >= 0).all(axis=1)
-    of_interface = [np.flatnonzero(whole & (facets.interface == i)) for i in range(interfaces)]
-    points = ContactPoints(
+    held = projectors(local_axes, given[:, :, 0] >= 0)
+    dof, x = facets.dofs[:, :3].ravel()[first], facets.x.reshape(-1, 3)[first]
+    of_interface = [np.flatnonzero(facets.interface == i) for i in range(len(interfaces))]
+    surface = ContactSurface(
         interface=interface,
         vertex=vertex,
-        dof=facets.dofs[:, :3].ravel()[first][kept],
-        x=facets.x.reshape(-1, 3)[first][kept],
+        dof=dof,
+        x=x,
         bodies=bodies,
-        faces=faces,
-        normals=normals,
-        weight=weight,
+        normals=normals.copy(),
+        faces=faces.copy(),
+        weight=area,
+        triangles=tuple(corners[f] for f in of_interface),
+        facets=tuple(of_interface),
+    )
+    across = np.abs(np.einsum("pki,pic->pkc", normals[:n], local_axes)).max(axis=1)
+    along = projectors(local_axes, (given[:, :, 0] >= 0) & (across < TANGENTIAL))
+    drop_held(normals[:n], faces[:n], held)
+    along[faces[:n] == 0] = 0.0
+    surface.normals[:n], surface.faces[:n] = normals[:n], faces[:n]
+    points = ContactPoints(
+        interface=interface[:n],
+        vertex=vertex[:n],
+        dof=dof[:n],
+        x=x[:n],
+        bodies=bodies[:n],
+        faces=faces[:n],
+        normals=normals[:n],
+        weight=area[:n],
         given=given,
         axes=local_axes,
-        triangles=tuple(triangles[f] for f in of_interface),
-        facets=tuple(of_interface),
+        along=along,
+        surface=surface,
     )
     # From the axes of the points to x, y, z.
     body, point = np.nonzero(signs.any(axis=2))
@@ -166,22 +265,192 @@ def contact_points(
     body, node, point, blocks = (np.concatenate(part) for part in zip(*moves, strict=True))
     k, row, column = np.nonzero(blocks)
     value = blocks[k, row, column]
-    return points, Entries(body[k], 3 * node[k] + row, 3 * point[k] + column, value)
+    entries = Entries(body[k], 3 * node[k] + row, 3 * point[k] + column, value)
+    if n == len(every):
+        return points, entries
+    return _in_means(points, entries, _handed_area(facets, corners, surface, held, interfaces))
 
 
-def _without_cycles(points: Ints) -> Bools:
-    """Mask of the points kept: at each vertex a forest of bodies, earlier interfaces first.
+def _forest(
+    facets: InterfaceFacets, every: Ints, of: Ints, normals: Floats, names: Sequence[str]
+) -> Bools:
+    """Mask of the corners that are points: at each vertex a forest of bodies.
 
-    ``points`` are their interface, vertex, master and slave (n, 4).
+    Interfaces without another corner to give their force to are points first, then those whose
+    normals agree with those of the others (the bars of a T before its stem), then the larger, then
+    by name.
+
+    Args:
+        facets: All facets.
+        every: Interface, vertex, master and slave of all corners (m, 4).
+        of: Corner of each corner of the facets (3 f,).
+        normals: Unit normals of the corners (m, 3, 3).
+        names: Names of the interfaces.
     """
-    kept = np.ones(len(points), dtype=bool)
-    for rows in shared(points[:, 1]):
-        group = {int(body): int(body) for body in points[rows, 2:].ravel()}
-        for p in rows:
-            a, b = (group[int(body)] for body in points[p, 2:])
+    groups = shared(every[:, 1])
+    crowded = np.zeros(len(every), dtype=bool)
+    for rows in groups:
+        crowded[rows] = len(rows) >= len(np.unique(every[rows, 2:]))
+    corners = of.reshape(-1, 3)
+    free = (~crowded[corners]).any(axis=1)
+    supported = np.zeros(len(every), dtype=bool)
+    supported[corners[free].ravel()] = True
+    sides = np.unique(every[:, [0, 2, 3]], axis=0, return_inverse=True)[1].ravel()
+    size = np.bincount(sides[of], facets.area.ravel())
+    total = float(size.sum())
+    kept = np.ones(len(every), dtype=bool)
+    for rows in groups:
+        if not crowded[rows[0]]:
+            continue
+
+        def rank(p: int, rows: Ints = rows) -> tuple[bool, float, float, str, int, int]:
+            others = rows[rows != p]
+            cosines = np.abs(np.einsum("ki,qji->kqj", normals[p], normals[others]))
+            area = float(np.round(size[sides[p]] / total, 6))
+            alike = float(np.round(cosines.max(initial=0.0), ALIKE))
+            name = names[int(every[p, 0])]
+            return (bool(supported[p]), -alike, -area, name, int(every[p, 2]), int(every[p, 3]))
+
+        group = {int(body): int(body) for body in every[rows, 2:].ravel()}
+        for p in sorted(map(int, rows), key=rank):
+            a, b = (group[int(body)] for body in every[p, 2:])
             kept[p] = a != b
             group = {body: a if g == b else g for body, g in group.items()}
     return kept
+
+
+def _handed_area(
+    facets: InterfaceFacets,
+    corners: Ints,
+    surface: ContactSurface,
+    held: Floats,
+    names: Sequence[str],
+) -> csr_array:
+    """Areas that dependent corners give to points of their interface (m - n, n) [mm2].
+
+    They are the other corners of its facets, or the nearest of the same sides; points with a
+    component that supports prescribe, and not at the corner too, only if there are no others.
+
+    Raises:
+        InputError: There is no such point.
+    """
+    n, m = len(held), len(surface.weight)
+    same = np.column_stack([surface.interface, surface.bodies])
+    loose = ~held.any(axis=(1, 2))
+    at_vertex: dict[int, Floats] = {}
+    for p in np.flatnonzero(~loose):
+        v = int(surface.vertex[p])
+        at_vertex[v] = np.maximum(at_vertex.get(v, 0.0), np.abs(held[p]))
+    rows: list[int] = []
+    columns: list[int] = []
+    areas: list[float] = []
+    for f, k in zip(*np.nonzero(corners >= n), strict=True):
+        c = int(corners[f, k])
+        here = at_vertex.get(int(surface.vertex[c]), np.zeros((3, 3)))
+
+        def takes(p: Ints, here: Floats = here) -> Bools:
+            return np.asarray((np.abs(held[p]) <= here + ROUNDING).all(axis=(1, 2)))
+
+        near = corners[f][corners[f] < n]
+        to = near[takes(near)]
+        if not len(to):
+            every = np.flatnonzero((same[:n] == same[c]).all(axis=1))
+            free = every[takes(every)]
+            some = free if len(free) else every
+            if not len(some):
+                x, y, z = surface.x[c]
+                raise InputError(
+                    f"interfaces.{names[int(surface.interface[c])]}: all its nodes lie on lines "
+                    f"where interfaces meet, e.g. at ({x:.4g}, {y:.4g}, {z:.4g}) mm, and none is "
+                    "left to carry its force; allowed: a finer mesh"
+                )
+            away = np.linalg.norm(surface.x[some] - surface.x[c], axis=1)
+            to = some[np.isclose(away, away.min(), rtol=1e-6)]
+        rows += [c - n] * len(to)
+        columns += to.tolist()
+        areas += [float(facets.area[f, k]) / len(to)] * len(to)
+    return csr_array((areas, (rows, columns)), shape=(m - n, n))
+
+
+def _in_means(
+    points: ContactPoints, entries: Entries, handed: csr_array
+) -> tuple[ContactPoints, Entries]:
+    r"""Points and entries in terms of mean jumps.
+
+    With d the jumps of the points, A d those of the dependent corners and w their areas handed on,
+    the mean jumps are D = G d and d = G^-1 D: the columns of the entries are multiplied by G^-1.
+    A component that supports prescribe stays the jump of the point.
+    """
+    n, surface = len(points.vertex), points.surface
+    weight = points.weight + handed.sum(axis=0)
+    A = _dependent_jumps(surface, n)
+    own = csr_array((points.weight / weight, (np.arange(n), np.arange(n))), shape=(n, n))
+    mean = own + csr_array(handed.multiply(1 / weight[None])).T @ A
+    held = projectors(points.axes, points.held)
+    i, j = np.arange(3 * n).reshape(-1, 3), np.eye(3)
+    free = csr_array(
+        (
+            (j - held).ravel(),
+            (np.repeat(i, 3), np.repeat(i[:, None, :], 3, axis=1).ravel()),
+        ),
+        shape=(3 * n, 3 * n),
+    )
+    one = eye_array(3 * n, format="csr")
+    G = one + free @ (_three(mean) - one)
+    affected = np.flatnonzero(np.diff(G.indptr) != 1)
+    changed = np.unique(np.concatenate([affected, G[affected].indices]))
+    part = csr_array(inv(csc_array(G[changed][:, changed])))
+    local = part.tocoo()
+    stay = np.setdiff1d(np.arange(3 * n), changed)
+    row = np.concatenate([stay, changed[local.row]])
+    column = np.concatenate([stay, changed[local.col]])
+    value = np.concatenate([np.ones(len(stay)), local.data])
+    keep = np.abs(value) > ROUNDING
+    inverse = csr_array((value[keep], (row[keep], column[keep])), shape=(3 * n, 3 * n))
+    parts = []
+    for b in np.unique(entries.body):
+        here = entries.body == b
+        at, rows = np.unique(entries.row[here], return_inverse=True)
+        where = rows.ravel(), entries.column[here]
+        B = csr_array((entries.value[here], where), shape=(len(at), 3 * n)) @ inverse
+        B = B.tocoo()
+        on = np.abs(B.data) > ROUNDING
+        parts.append((np.full(on.sum(), b), at[B.row[on]], B.col[on].astype(np.int64), B.data[on]))
+    body, row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+    total = csr_array(
+        (1 / surface.weight[n:], (np.arange(handed.shape[0]), np.arange(handed.shape[0])))
+    )
+    every = vstack([eye_array(n, format="csr"), total @ handed], format="csr")
+    jumps = _three(csr_array(vstack([eye_array(n, format="csr"), A], format="csr"))) @ inverse
+    surface = replace(surface, shares=csr_array(every), jumps=csr_array(jumps))
+    return replace(points, weight=weight, surface=surface), Entries(body, row, column, value)
+
+
+def _three(scalar: csr_array) -> csr_array:
+    """The same factors for each of three components."""
+    return csr_array(kron(scalar, eye_array(3), format="csr"))
+
+
+def _dependent_jumps(surface: ContactSurface, n: int) -> csr_array:
+    """Signs of the jumps of the n points in those of the dependent corners (m - n, n)."""
+    rows: list[int] = []
+    columns: list[int] = []
+    values: list[float] = []
+    for c in range(n, len(surface.vertex)):
+        at = np.flatnonzero(surface.vertex[:n] == surface.vertex[c])
+        master, slave = map(int, surface.bodies[c])
+        path: dict[int, dict[int, float]] = {master: {}}
+        for _ in at:
+            for p in map(int, at):
+                a, b = map(int, surface.bodies[p])
+                if a in path and b not in path:
+                    path[b] = path[a] | {p: 1.0}
+                elif b in path and a not in path:
+                    path[a] = path[b] | {p: -1.0}
+        rows += [c - n] * len(path[slave])
+        columns += path[slave].keys()
+        values += path[slave].values()
+    return csr_array((values, (rows, columns)), shape=(len(surface.vertex) - n, n))
 
 
 def _jumps_at_vertices(
@@ -198,28 +467,42 @@ def _jumps_at_vertices(
     table, free = dict(zip(holding, holds.support, strict=True)), np.full(3, -1)
     of_sides = zip(map(int, np.repeat(vertex, 2)), map(int, sides.ravel()), strict=True)
     side = np.array([table.get(at, free) for at in of_sides]).reshape(n, 2, 3)
+    moved = zip(map(int, holds.vertex[holds.rigid]), map(int, holds.body[holds.rigid]), strict=True)
+    with_rigid = set(moved)
+    of_sides = zip(map(int, np.repeat(vertex, 2)), map(int, sides.ravel()), strict=True)
+    rigid = np.array([at in with_rigid for at in of_sides], dtype=bool).reshape(n, 2)
     held = side >= 0
     given = np.where(held.all(axis=1, keepdims=True), side, -1)
     # One interface at the vertex: the slave moves by +q, or the master by -q if the slave is the
     # base: it alone is held, both are and it comes first, or none is and it is stiffer.
     slave_is_base = held[:, 1] & (~held[:, 0] | (sides[:, 1] < sides[:, 0])[:, None])
     slave_is_base |= ~held.any(axis=1) & (stiffness[:, 1] > stiffness[:, 0])[:, None]
+    one_is_rigid = rigid.any(axis=1)
+    slave_is_base[one_is_rigid] = rigid[one_is_rigid, 1:]
     signs = np.zeros((int(sides.max()) + 1, n, 3))
     signs[sides[:, 0], np.arange(n)] = -1.0 * slave_is_base
     signs[sides[:, 1], np.arange(n)] = ~slave_is_base
     for rows in shared(vertex):
         signs[:, rows] = 0.0
         for c in range(3):
-            _tree(rows, sides, side[:, :, c], stiffness, given[:, :, c], signs[:, :, c])
+            base = sides[rows][rigid[rows]].tolist()
+            _tree(rows, sides, side[:, :, c], stiffness, given[:, :, c], signs[:, :, c], base)
     return given.transpose(0, 2, 1), signs
 
 
 def _tree(
-    rows: Ints, sides: Ints, support: Ints, stiffness: Floats, given: Ints, signs: Floats
+    rows: Ints,
+    sides: Ints,
+    support: Ints,
+    stiffness: Floats,
+    given: Ints,
+    signs: Floats,
+    rigid: Sequence[int],
 ) -> None:
     """Fill ``given`` and ``signs`` at a vertex with several interfaces, in one component.
 
-    Walks the forest of bodies from a constrained body (the lowest), else from the stiffest.
+    Walks the forest of bodies from a rigid body, else from a constrained one (the lowest), else
+    from the stiffest.
     Between two constrained bodies every jump on the way is prescribed; a free body goes with the
     one it was reached from.
     """
@@ -229,7 +512,7 @@ def _tree(
     bodies = dict.fromkeys(map(int, of.ravel()))
     stiffest = sorted(bodies, key=lambda b: float(stiffness[rows][of == b].max()), reverse=True)
     base: dict[int, int] = {}
-    for root in (*sorted(holder), *stiffest):
+    for root in (*rigid, *sorted(holder), *stiffest):
         if root in base:
             continue
         base[root] = root
@@ -242,7 +525,8 @@ def _tree(
                     signs[there, p] = sign
     for body in holder:
         for p in rows[signs[body, rows] != 0]:
-            given[p] = [holder.get(int(b), holder[base[body]]) for b in sides[p]]
+            other = holder.get(base[body], -1)
+            given[p] = [holder.get(int(b), other) for b in sides[p]]
 
 
 def _at_edges(

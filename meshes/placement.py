@@ -87,6 +87,11 @@ class PatientPlacement(Placement):
     canal: BoneSurface | None
 
     @property
+    def notes(self) -> list[str]:
+        """Doubts about the size and shape of the bone, and about an open proximal end."""
+        return self.frame.doubts(self.bone)
+
+    @property
     def mirrored(self) -> bool:
         """Whether the model is the mirror image of what is operated on: a right femur."""
         return self.frame.side == "right"

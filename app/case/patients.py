@@ -17,7 +17,7 @@ from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness
 from app.case.stems import StemFile
 from app.errors import GeometryError, InputError
 from app.files import parts
-from app.schema.paths import File, ImageFile
+from app.schema.paths import ImageFile, SurfaceFile
 from app.schema.section import Kinds, Pair, Section, Triple, fail
 from app.schema.units import Angle, Dimension, Length, Number, Plain, PositiveLength
 
@@ -34,7 +34,7 @@ Places = Annotated[tuple[Place, Place], Pair("[[31, -8, -98], [29, -17, -37]]")]
 class Outline(Section):
     """A surface, or that of a label in an image."""
 
-    surface: File | None = None
+    surface: SurfaceFile | None = None
     """STL, PLY or OBJ file of its triangles; relative to the case file."""
     image: ImageFile | None = None
     """Labelled image in place of them: NIfTI, a folder of DICOM slices, or `values` and `affine`
@@ -201,9 +201,10 @@ class Patient(Shape):
         try:
             placed = self.placement
         except (GeometryError, InputError) as error:
+            for part in ("bone", "canal"):
+                if str(error).startswith(f"{getattr(self, part).path}:"):
+                    fail(str(error), at=(part,))
             key, _, text = str(error).removeprefix("geometry.").partition(": ")
-            if Path(key).is_absolute():
-                fail(str(error), at=("bone" if key == str(self.bone.path) else "canal",))
             fail(text, at=tuple(key.split(".")))
         low = float(placed.bone.points[:, 2].min())
         plug = self.implant.stem_tip_z - self.plug_length
@@ -292,13 +293,19 @@ class Patient(Shape):
         """What was found and done, in words."""
         placed = self.placement
         found = dict(placed.frame.told)
-        if placed.bone.told:
-            found["surface"] = ", ".join(placed.bone.told)
+        for name, surface in (("surface", placed.bone), ("surface of the canal", placed.canal)):
+            if surface and surface.told:
+                found[name] = ", ".join(surface.told)
         if (lost := placed.trochanter_lost) > 0.5:
             found["left out"] = f"the greater trochanter's tip, {lost:.0f} mm above the cut"
         if isinstance(self.stem, StemFile):
             found |= self.stem.told
         return found | {"muscles moved (mm)": ", ".join(placed.projected(MUSCLES)[1])}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Doubts about the bone: its size, its shape, an open end."""
+        return tuple(f"geometry.bone: {text}" for text in self.placement.notes)
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:

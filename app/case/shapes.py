@@ -166,6 +166,11 @@ class Shape(Section):
         """What else is known of it, for `mantle check`."""
         return {}
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Doubts about what files gave, for `mantle check` and the log."""
+        return ()
+
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError if a stem does not fit into a measured bone."""
 

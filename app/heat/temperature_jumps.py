@@ -60,7 +60,7 @@ class TemperatureJumps:
         comm, index_map = forms.comm, forms.space.dofmap.index_map
         facets = contact_facets(tagged, bodies, forms.space, contacts, {})
         holds = _holds(forms, facets, held)
-        self.points, entries = contact_points(facets, holds, len(contacts), {})
+        self.points, entries = contact_points(facets, holds, [c.name for c in contacts], {})
         self.mine, place = owners(comm, index_map, self.points.dof)
         begin, end = index_map.local_range
         n = len(self.mine)
@@ -108,4 +108,5 @@ def _holds(forms: HeatForms, facets: InterfaceFacets, held: Ints) -> Holds:
     node, vertex = dof[own] - start, facets.vertices.ravel()[first[own]]
     body, row = np.nonzero(held[:, node] >= 0)
     columns = gather(forms.comm, vertex[row], body, held[body, node[row]])
-    return Holds(columns[0], columns[1], np.repeat(columns[2][:, None], 3, axis=1))
+    rigid = np.zeros(len(columns[0]), dtype=bool)
+    return Holds(columns[0], columns[1], np.repeat(columns[2][:, None], 3, axis=1), rigid)

@@ -21,6 +21,8 @@ ASH_SLOPE, ASH_OFFSET, ASH_PART = 0.877, 0.0789, 0.6
 LEAST = 0.01  # g/cm3: smaller densities of a law are taken as that
 # MPa: no bone is stiffer, no densest bone of a femur is softer.
 STIFFEST, SOFTEST = 40e3, 500.0
+STIFF_CORTEX = 25e3  # MPa: the median of a cortex is below it
+AIR = -200.0  # CT number: air and lung are below it
 SHOWN = (0.3, 0.6, 1.0)  # g/cm3 for which moduli are told
 INSIDE = 1.5  # mm below the surface of a bone where voxels have nothing of what is around it
 Table = tuple[tuple[float, float, float, float], ...]
@@ -169,11 +171,38 @@ class ImageModulus(Section):
         )
         found = ", ".join(f"{rho:.2f} {of}" for of, rho in self.densities(dense).items())
         told = {
+            "image": "; ".join(self.image.told),
             f"E at {at} g/cm3 ({kind} density)": f"{moduli} MPa",
             "densest voxels": f"CT number {dense:g}, {found}, E {self.largest / 1e3:.1f} GPa",
         }
-        if len(x := geometry.skin):
-            E = np.percentile(self.at(x, geometry.in_image), [5, 50, 95]) / 1e3
+        if len(geometry.skin):
+            E = np.percentile(self.below_surface(geometry), [5, 50, 95]) / 1e3
             words = f"E {INSIDE:g} mm below the bone's surface (5, 50, 95 %)"
             told[words] = "{:.1f}, {:.1f}, {:.1f} GPa".format(*E)
         return told
+
+    def below_surface(self, geometry: Any) -> Any:
+        """Young's moduli at a depth of `INSIDE` below a patient's surface (n,) [MPa]."""
+        return self.at(geometry.skin, geometry.in_image)
+
+    def doubts(self, geometry: Any) -> list[str]:
+        """Notes on CT numbers that are rarely those of a scan: shifted by 1024, no numbers."""
+        import numpy as np
+
+        image, name = self.image, self.density.name
+        notes = list(image.notes)
+        if image.lost:
+            notes.append(f"{name}: {image.lost:,} voxels are no numbers")
+        if image.least > AIR:
+            text = f"{name}: its least CT number is {image.least:g}; air has -1000: without air, or"
+            notes.append(f"{text} is 1024 added to all of them?")
+        if len(geometry.skin):
+            median = float(np.median(self.below_surface(geometry)))
+            if median > STIFF_CORTEX:
+                text = f"{name}: the median of E {INSIDE:g} mm below the bone's surface is"
+                expected = f"expected less than {STIFF_CORTEX / 1e3:g}"
+                notes.append(
+                    f"{text} {median / 1e3:.1f} GPa; {expected}: is 1024 added to its CT numbers,"
+                    " or is the calibration another's?"
+                )
+        return notes

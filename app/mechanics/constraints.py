@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
+from scipy.sparse import csr_array
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError, everywhere
@@ -46,7 +47,13 @@ def _support_of_dofs(mechanics: BodyForms, stage: int, frames: Frames | None) ->
     holding = [s for s, term in enumerate(scene.supports) if scene.holds(term, stage)]
     tags = cell_tags(tagged)
     patches = [boundary_facets(tagged, s.boundary) for s in scene.supports]
+    rigid = {r.region for r in scene.rigid}
     for body in reversed(range(len(bodies.names))):
+        # Supports of other bodies do not hold the nodes of a rigid region: they give jumps.
+        for region in sorted(rigid.intersection(bodies.names[body].split(" + "))):
+            moved = touched_nodes(space, tags == tagged.regions[region])
+            support[: len(moved)][moved] = -1
+            own[moved[rows]] = -1
         for s in holding:
             f = patches[s]
             mine = f.facets[bodies.of_tag[tags[f.cells]] == body]
@@ -266,6 +273,22 @@ class Constraints:
         free.array[:] = ~self.constrained
         found.diagonalScale(None, free)
         return found
+
+    def given(self, nodes: Ints, axes: Floats) -> Bools:
+        """Return True for components of own nodes along axes (n, 3, 3) that supports give (n, 3).
+
+        Collective.
+        """
+        if not self._P:
+            return self.constrained.reshape(-1, 3)[nodes]
+        start, columns, values = self.at(nodes).getValuesCSR()
+        shape = 3 * len(nodes), int(columns.max(initial=0)) + 1
+        rows = csr_array((values, columns, start), shape=shape)
+        row, column = np.arange(3 * len(nodes)).reshape(-1, 3), np.arange(3)
+        places = np.repeat(row, 3), (row[:, None, :] + 0 * column[:, None]).ravel()
+        turn = csr_array((axes.swapaxes(1, 2).ravel(), places), shape=(shape[0], shape[0]))
+        sizes = abs(turn @ rows).max(axis=1).toarray()
+        return np.asarray(sizes.reshape(-1, 3) < _HELD)
 
     def vector(self, f: PETSc.Vec) -> PETSc.Vec:
         """P^T f, a new vector."""

@@ -30,23 +30,36 @@ from app.errors import InputError
 from app.laws.values import amplitude, gap_at
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
-from app.mechanics.contact_points import ContactState, OwnPoints, prescribed_jump, refuse_supports
+from app.mechanics.contact_points import (
+    ContactState,
+    OwnPoints,
+    prescribed_jump,
+    refuse_loose_regions,
+    refuse_supports,
+    with_rigid_regions,
+)
+from app.mechanics.held_bodies import held_motions
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.sliding import ACCURACY, Sliding
 from app.mechanics.stiffness import Stiffness
+from app.numerics.rigid_motions import relative_resistance, rigid_modes
 from app.numerics.sparse import owners
 from app.scene.bodies import contact_facets
 from app.scene.frames import held_at
 from app.scene.scene import Scene
 from forms.contact import OPEN, SLIP
 from meshes.contact_facets import gather
-from meshes.contact_points import contact_points
+from meshes.contact_points import RIGIDLY, contact_points
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6
 # A body is brought this much further than where it touches, along a way that its points face so
 # much: some points are then in contact, as in the answer.
 BEYOND, FACING = 1.25, 0.1
+# Part of the largest resistance below which nothing holds a rigid motion of bodies, and part of
+# such a motion, of unit size, from which a body takes part in it.
+FREE = 1e-10
+MOVES = 1e-3
 
 
 @dataclass(frozen=True)
@@ -71,7 +84,7 @@ class TrialState:
         """
         c, law = self.contact, self.law
         force = law.force + np.einsum("pk,pki->pi", law.pressures, c.own.normals)
-        missing = c.multiplier(self.equilibrium) - force
+        missing = c.own.project_free(c.multiplier(self.equilibrium) - force)
         slip = self.jump - c.reference + missing / c.law.stiffness[:, None]
         slides = (c.law.frictional & c.law.slides & (law.status == SLIP))[:, None]
         closed = self._closed(slip)
@@ -127,7 +140,7 @@ class TrialState:
         """
         c, law, old, weight = self.contact, self.law, self.contact.state, self.contact.own.weight
         step, opening = self.jump - c.reference, c.opening(self.jump)
-        force = c.forces(self.equilibrium)
+        force = c.forces(self.equilibrium) + c.own.tangential_held(law.force)
         normal = np.einsum("pk,pki->pi", law.pressures, c.own.normals)
         friction = force + normal
         told, slip = law.told, self.slip(friction)
@@ -188,13 +201,20 @@ class ContactInterfaces:
         augmentation_factor: float,
     ) -> None:
         scene, tagged, bodies = mechanics.scene, mechanics.tagged, mechanics.bodies
+        self._mechanics, self._bodies = mechanics, len(bodies.names)
         self._supports, self._stiffness = scene.supports, stiffness
         self.comm = mechanics.mesh.comm
         space, parts = mechanics.space, len(scene.contacts)
         self.facets = contact_facets(tagged, bodies, space, scene.contacts, scene.moduli)
         holds, axes = held_at(stiffness.frames, tagged, bodies, space, scene.supports, self.facets)
-        self.points, entries = contact_points(self.facets, holds, parts, axes)
-        refuse_supports(scene, bodies, holds, self.points, entries)
+        if scene.rigid:
+            every = stiffness.constraints_of_stages()
+            holds = with_rigid_regions(mechanics, every, self.facets, holds, axes)
+            refuse_loose_regions(scene, bodies, holds, self.facets, axes)
+        self.points, entries = contact_points(
+            self.facets, holds, [c.name for c in scene.contacts], axes
+        )
+        refuse_supports(scene, self.points)
         apart = np.isin(
             self.points.interface, [i for i in range(parts) if scene.contacts[i].between]
         )
@@ -204,9 +224,8 @@ class ContactInterfaces:
         self.own = OwnPoints.of(self.points, rows)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [float(edges[self.facets.interface == i].mean()) for i in range(parts)]
-        self._by_supports = [
-            prescribed_jump(self.points, k, s)[rows] for k, s in enumerate(scene.supports)
-        ]
+        self._nodes = self.points.dof[rows] - space.dofmap.index_map.local_range[0]
+        self._by_supports = self._jumps_by_supports()
         held = stiffness.constraints
         self.coupling = JumpCoupling(mechanics, held, entries, self._number, len(rows))
         sliding = mechanics, self.own, self.points.dof[rows], stiffness.followers
@@ -244,8 +263,21 @@ class ContactInterfaces:
         self.set_time(0.0)
         self.state.opening = self.opening(self.state.jump)
 
+    def _jumps_by_supports(self) -> list[Floats]:
+        """Jumps of own points that each support prescribes at full amplitude (n, 3) [mm]."""
+        constraints, own = self._stiffness.constraints, self.own
+        jumps = []
+        for k, support in enumerate(self._supports):
+            moved = np.zeros((len(own), 3))
+            if (self.points.given == RIGIDLY).any():
+                unit = PETSc.Vec().createWithArray(constraints.unit[k].copy(), comm=self.comm)
+                moved = constraints.expand(unit).array_r.reshape(-1, 3)[self._nodes]
+            jumps.append(prescribed_jump(self.points, own.rows, k, support, moved))
+        return jumps
+
     def update_stiffness(self) -> None:
         """Reassemble the coupling for changed stiffness or supports."""
+        self._by_supports = self._jumps_by_supports()
         self.coupling.update(self._stiffness.constraints)
         self.law.update_stiffness(self.coupling.local_stiffness())
 
@@ -310,10 +342,12 @@ class ContactInterfaces:
         return found
 
     def tie(self, on: bool) -> bool:
-        """Tie interfaces that were open everywhere so far, or none; collective if it does.
+        """Tie interfaces whose bodies need them to close, or none; collective if it does.
 
-        The sides of a tied interface touch and stick, so that a body that nothing else holds is
-        brought to the one it is pushed against. Returns whether there are such interfaces.
+        These were open everywhere so far, or are open in part and join a body that neither supports
+        nor the points that touch hold. The sides of a tied interface touch and stick, so that a
+        body that nothing else holds is brought to the one it is pushed against. Returns whether
+        there are such interfaces.
         """
         tied = self.law.tied = np.zeros(len(self.own), dtype=bool)
         if not on:
@@ -321,12 +355,54 @@ class ContactInterfaces:
         apart = self._clearance.copy()
         if self.large is not None:
             apart[self.large.rows] += self.large.paired.gap
+        touched = (apart <= 0) | self.state.force.any(axis=1)
+        floating: set[int] | None = None
         for i in range(len(self._contacts)):
             here = self.own.interface == i
-            touched = (apart <= 0) | self.state.force.any(axis=1)
-            if not self.comm.allreduce(bool(touched[here].any()), MPI.LOR):
-                tied |= here
+            every, some = (
+                bool(self.comm.allreduce(int(t[here].sum()), MPI.SUM)) for t in (touched, ~touched)
+            )
+            if not some and every:
+                continue
+            if every:
+                if floating is None:
+                    floating = self._floating(touched)
+                bodies = {int(b) for b in np.unique(self.points.bodies[self.points.interface == i])}
+                if bodies.isdisjoint(floating):
+                    continue
+            tied |= here
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
+
+    def _floating(self, touched: Bools) -> set[int]:
+        """Bodies with a rigid motion that neither supports nor touched points hold; collective.
+
+        Friction holds a touched point, a bond too; without friction its faces do.
+        """
+        x = self.points.x
+        centre, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
+        sticks = self.law.frictional | ~self.law.slides
+        faces = np.einsum("pki,pkj->pij", self.own.normals, self.own.normals)
+        B = np.where(sticks[:, None, None], np.eye(3), faces)
+        B *= (touched * self.own.weight)[:, None, None]
+        R = rigid_modes((self.own.x - centre) / size)
+        resistance = self.comm.allreduce(relative_resistance(R, B, self.own.bodies, self._bodies))
+        total = float(self.points.weight.sum())
+        held = held_motions(self._mechanics, self._stiffness, centre, size)
+        for body, part in held.items():
+            own = slice(6 * body, 6 * body + 6)
+            resistance[own, own] += total * part
+        sizes, motions = np.linalg.eigh(resistance)
+        free = motions[:, sizes <= FREE * max(sizes[-1], total)]
+        moves = np.linalg.norm(free.reshape(self._bodies, -1), axis=1) > MOVES
+        return {int(body) for body in np.flatnonzero(moves)}
+
+    def release(self, on: bool) -> bool:
+        """Let all interfaces of contact be open, or not; return True if there are any; collective.
+
+        Layers and bonds keep their forces.
+        """
+        self.law.released = self.law.slides & self.law.can_open & on
+        return bool(self.comm.allreduce(bool(self.law.released.any()), MPI.LOR))
 
     def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Bring bodies that touch nothing to where forces f [N] push them; collective.

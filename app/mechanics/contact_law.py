@@ -33,6 +33,12 @@ TOLD: dict[str, tuple[int, ...]] = {
     **{"slip": (3,), "stored": (), "dissipated": (), "spent": ()},
     **{"spent_by_jump": (3,), "share": (), "share_by_jump": (3,)},
 }
+# A prescribed slip, or an error of its force, below this part of its size is none.
+AT_REST = 1e-13
+# Start of the search for that force, in sizes of the trial force.
+FAR = 1e3
+# Most iterations of it.
+LOCAL = 50
 # The modules that define a law, beside its own: a change of their text makes it another law.
 SOURCES = (cohesion, contact, interface_laws, pointwise, sys.modules[__name__])
 
@@ -88,6 +94,7 @@ class PointLaw:
         can_open, frictional: Whether the law of each point can open, has friction (n,).
         history: Shapes of the history variables of the laws, by name.
         tied: Points that stick whatever their law (n,).
+        released: Points that are open whatever their law (n,).
         met: Stiffness per area that the jump of each point meets (n,) [MPa/mm].
         default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
         stiffness: The one in force (n,) [MPa/mm].
@@ -134,6 +141,7 @@ class PointLaw:
             # Components of a jump along the normals.
             self._duals = np.linalg.pinv(own.normals).transpose(0, 2, 1)
         self.tied = np.zeros(len(own), dtype=bool)
+        self.released = np.zeros(len(own), dtype=bool)
         self._scale = 1.0
         self._softest = np.array([min(law.layer or (np.inf,)) for law in laws])[own.interface]
         self.compliance = np.zeros((len(own), 3, 3))
@@ -224,10 +232,10 @@ class PointLaw:
         """Evaluate the laws at a trial state: multiplier (n, 3) [MPa], jump and gap (n, 3) [mm]."""
         own, n, r = self._own, len(self._own), self.stiffness
         inputs = {
-            "force": own.project_free(force),
-            "jump": own.project_free(jump),
+            "force": own.acting(force),
+            "jump": own.acting(jump),
             "gap": gap,
-            "old": own.project_free(state.jump),
+            "old": own.acting(state.jump),
             "r": r,
             "live": np.full(n, float(not self.frozen)),
         }
@@ -247,7 +255,7 @@ class PointLaw:
             if isinstance(law, Cohesive):
                 found = self._bond(rows, compiled, known)
             else:
-                found = compiled.named(**known)
+                found = self._respond(rows, compiled, known, state.friction[rows])
             out.force[rows] = found["force"]
             slope = found.get("by_multiplier", 0.0)
             out.by_multiplier[rows] = slope
@@ -263,10 +271,63 @@ class PointLaw:
                 if law.friction > 0:
                     known["μ"] = self._friction[rows] * out.told["share"][rows]
                 names = (*inputs, "μ") if law.friction > 0 else inputs
-                self._touch(rows, beside, {name: known[name] for name in names}, out)
+                some = {name: known[name] for name in names}
+                self._touch(rows, beside, some, state.friction[rows], out)
         if self.tied.any():
             self._tie(out, force, jump + gap, state.jump)
+        if self.released.any():
+            for values in (out.force, out.by_multiplier, out.by_jump, out.pressures):
+                values[self.released] = 0.0
+            out.status[self.released] = OPEN
         return out
+
+    def _respond(
+        self, rows: Ints, compiled: Pointwise, inputs: dict[str, Floats], last: Floats
+    ) -> dict[str, Floats]:
+        r"""Evaluate a law, with its force along prescribed tangential jumps.
+
+        Equilibrium does not give that force F_h, for supports bear what is left of it. It is that
+        of the law, :math:`F_h = H P(F + F_h)` with H the projector on these directions. Newton's
+        method from far along the slip goes to it from the side of slip. A point that is held at
+        rest there keeps its last friction.
+
+        Args:
+            rows: Own points of the law (n,).
+            compiled: The law.
+            inputs: Its inputs by name, without F_h in the force.
+            last: Friction in the last converged state (n, 3) [MPa].
+
+        Returns:
+            Outputs of the law, with total derivatives.
+        """
+        H = self._own.along[rows]
+        if not H.any():
+            return compiled.named(**inputs)
+        share, given = self.multiplier_share[rows], inputs["force"]
+        slip = np.einsum("pij,pj->pi", H, inputs["jump"] - inputs["old"])
+        size = np.linalg.norm(slip, axis=1)
+        extent = np.linalg.norm(inputs["jump"], axis=1) + np.linalg.norm(inputs["old"], axis=1)
+        moves = size > AT_REST * extent
+        scale = np.linalg.norm(given, axis=1) + inputs["r"] * np.linalg.norm(
+            inputs["jump"] + inputs["gap"], axis=1
+        )
+        direction = slip / np.where(moves, size, 1.0)[:, None]
+        last = np.einsum("pij,pj->pi", H, last)
+        held = np.where(moves[:, None], FAR * scale[:, None] * direction, last)
+        for _ in range(LOCAL):
+            total = given + np.einsum("pij,pj->pi", share, held)
+            found = compiled.named(**(inputs | {"force": total}))
+            if "by_jump" in found:
+                return found
+            slope = found["by_multiplier"]
+            matrix = np.eye(3) - np.where(moves[:, None, None], H @ slope @ share @ H, 0.0)
+            missing = np.einsum("pij,pj->pi", H, found["force"]) - held
+            missing = np.where(moves[:, None], missing, 0.0)
+            if (np.abs(missing).max(axis=1) <= AT_REST * scale).all():
+                break
+            held = held + np.linalg.solve(matrix, missing[:, :, None])[:, :, 0]
+        follows = np.where(moves[:, None, None], np.linalg.solve(matrix, H @ slope), 0.0)
+        return found | {"by_multiplier": slope + slope @ share @ follows}
 
     def _bond(
         self, rows: Ints, compiled: Pointwise, inputs: Mapping[str, Floats]
@@ -318,12 +379,19 @@ class PointLaw:
         }
 
     def _touch(
-        self, rows: Ints, contact: Pointwise, inputs: dict[str, Floats], out: PointForces
+        self,
+        rows: Ints,
+        contact: Pointwise,
+        inputs: dict[str, Floats],
+        last: Floats,
+        out: PointForces,
     ) -> None:
         """Add contact where a bond is broken: F = T + P(F - T + r D), with T the bond's force."""
         T, by_D, told = out.force[rows], out.by_jump[rows], out.told
-        inputs["force"] = inputs["force"] - T
-        found = contact.named(**inputs)
+        free = np.eye(3) - self._own.along[rows]
+        by_D = free @ by_D
+        inputs["force"] = inputs["force"] - np.einsum("pij,pj->pi", free, T)
+        found = self._respond(rows, contact, inputs, last)
         P, slope, p = found["force"], found["by_multiplier"], found["pressures"]
         on, share = told["share"][rows] > 0, told["share"][rows]
         friction = P + np.einsum("pk,pki->pi", p, self._own.normals[rows, : p.shape[1]])
@@ -333,7 +401,8 @@ class PointLaw:
         # The disc of friction grows with the broken share.
         grown = np.where(rubs, 1 / np.where(on, share, 1.0), 0.0)[:, None, None]
         added += grown * friction[:, :, None] * told["share_by_jump"][rows][:, None, :]
-        slid = inputs["jump"] - inputs["old"] + (inputs["force"] - P) / inputs["r"][:, None]
+        missing = np.einsum("pij,pj->pi", free, inputs["force"] - P)
+        slid = inputs["jump"] - inputs["old"] + missing / inputs["r"][:, None]
         here = rows[on]
         out.force[here] += P[on]
         out.by_multiplier[here] = slope[on]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +10,12 @@ import numpy as np
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError
 from app.laws.supports import Support
-from app.scene.bodies import Bodies
+from app.mechanics.body_forms import BodyForms
+from app.mechanics.constraints import Constraints
+from app.scene.bodies import Bodies, cell_tags, touched_nodes
 from app.scene.scene import Scene
-from meshes.contact_facets import projectors
-from meshes.contact_points import ContactPoints, Entries, Holds
+from meshes.contact_facets import InterfaceFacets, gather, projectors
+from meshes.contact_points import RIGIDLY, ContactPoints, Holds
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class OwnPoints:
         normals: Unit normals of the faces, zero beyond ``faces`` (n, 3, 3).
         weight: Area (n,) [mm2].
         projector: Projectors on the part of the jump that supports prescribe (n, 3, 3).
+        along: Projectors on the part of it that is tangential to all faces (n, 3, 3).
     """
 
     rows: Ints
@@ -39,11 +42,12 @@ class OwnPoints:
     normals: Floats
     weight: Floats
     projector: Floats
+    along: Floats
 
     @classmethod
     def of(cls, points: ContactPoints, rows: Ints) -> OwnPoints:
         """Select the points that a rank owns."""
-        names = ("interface", "x", "bodies", "faces", "normals", "weight")
+        names = ("interface", "x", "bodies", "faces", "normals", "weight", "along")
         kept = {name: getattr(points, name)[rows] for name in names}
         return cls(rows=rows, projector=projectors(points.axes, points.held)[rows], **kept)
 
@@ -54,6 +58,14 @@ class OwnPoints:
     def project_free(self, vectors: Floats) -> Floats:
         """Remove prescribed components from vectors (n, 3)."""
         return vectors - np.einsum("pij,pj->pi", self.projector, vectors)
+
+    def tangential_held(self, vectors: Floats) -> Floats:
+        """Prescribed components of vectors (n, 3) along which friction acts."""
+        return np.asarray(np.einsum("pij,pj->pi", self.along, vectors))
+
+    def acting(self, vectors: Floats) -> Floats:
+        """Remove prescribed components in which the law has no say from vectors (n, 3)."""
+        return self.project_free(vectors) + self.tangential_held(vectors)
 
     def tangential(self, vectors: Floats, faces: Bools) -> Floats:
         """Part of vectors (n, 3) tangential to some of the faces (n, 3)."""
@@ -101,25 +113,100 @@ class ContactState:
         return cls(zero, zero, zero, gap, zero, none, none, none, none, none, none, own)
 
 
-def prescribed_jump(points: ContactPoints, number: int, support: Support) -> Floats:
-    """Jump prescribed by a support at full amplitude, at all points (n, 3) [mm]."""
-    master, slave = points.given[:, :, 0] == number, points.given[:, :, 1] == number
-    sign = slave.astype(float) - master
-    rows = np.flatnonzero(sign.any(axis=1))
-    jump, axes = np.zeros(sign.shape), points.axes[rows]
-    values = np.einsum("pic,pi->pc", axes, support.values(points.x[rows]))
-    jump[rows] = np.einsum("pic,pc->pi", axes, sign[rows] * values)
+def prescribed_jump(
+    points: ContactPoints, rows: Ints, number: int, support: Support, moved: Floats
+) -> Floats:
+    """Jump prescribed by a support at full amplitude, at own points (n, 3) [mm].
+
+    Args:
+        points: All points.
+        rows: Own points (n,).
+        number: Index of the support.
+        support: The support.
+        moved: Displacement of the nodes of own points that it prescribes (n, 3) [mm].
+    """
+    given, axes, x = points.given[rows], points.axes[rows], points.x[rows]
+    jump = np.zeros(x.shape)
+    for side, sign in ((0, -1.0), (1, 1.0)):
+        for who, values in ((number, None), (RIGIDLY, moved)):
+            here = np.flatnonzero((given[:, :, side] == who).any(axis=1))
+            if not len(here):
+                continue
+            of_side = support.values(x[here]) if values is None else values[here]
+            along = np.einsum("pic,pi->pc", axes[here], of_side)
+            along = np.where(given[here][:, :, side] == who, along, 0.0)
+            jump[here] += sign * np.einsum("pic,pc->pi", axes[here], along)
     return jump
 
 
-def refuse_supports(
-    scene: Scene, bodies: Bodies, holds: Holds, points: ContactPoints, entries: Entries
+def with_rigid_regions(
+    mechanics: BodyForms,
+    constraints: Sequence[Constraints],
+    facets: InterfaceFacets,
+    holds: Holds,
+    axes: Mapping[int, Floats],
+) -> Holds:
+    """Supports at vertices of interfaces, with those of the rigid regions there; collective.
+
+    A rigid region is held at a vertex where its supports give its motion, wherever they are, under
+    all constraints.
+    """
+    scene, bodies, space = mechanics.scene, mechanics.bodies, mechanics.space
+    tags, low = cell_tags(mechanics.tagged), space.dofmap.index_map.local_range[0]
+    dof, first = np.unique(facets.dofs[:, :3], return_index=True)
+    vertex = facets.vertices.ravel()[first]
+    parts = [(holds.vertex, holds.body, holds.support, holds.rigid)]
+    for rigid in scene.rigid:
+        region = rigid.region
+        mine = np.flatnonzero(touched_nodes(space, tags == mechanics.tagged.regions[region]))
+        here = np.flatnonzero(np.isin(dof, mine + low))
+        of_node = np.array([axes.get(int(v), np.eye(3)) for v in vertex[here]]).reshape(-1, 3, 3)
+        given = np.ones((len(here), 3), dtype=bool)
+        for each in constraints:
+            given &= each.given(dof[here] - low, of_node)
+        body = np.full(len(here), bodies.of_region[region])
+        support = np.where(given, RIGIDLY, -1)
+        rows = vertex[here], body, support, np.ones(len(here), dtype=bool)
+        parts.append(tuple(gather(mechanics.mesh.comm, *rows)))
+    # A rigid region replaces supports of its body at the same vertex.
+    columns = [np.concatenate(column) for column in zip(*reversed(parts), strict=True)]
+    sides = np.column_stack(columns[:2])
+    kept = np.unique(sides, axis=0, return_index=True)[1]
+    return Holds(*(column[kept] for column in columns))
+
+
+def refuse_loose_regions(
+    scene: Scene, bodies: Bodies, holds: Holds, facets: InterfaceFacets, axes: Mapping[int, Floats]
 ) -> None:
-    """Refuse supports that prescribe jumps in some stages only, or would move a rigid region.
+    """Refuse supports that hold an elastic side where none gives the motion of the rigid one.
 
     Raises:
-        InputError: A support that is let go of holds a body where another one holds its neighbour,
-            or one holds an elastic side where none holds the rigid one.
+        InputError: There is such a support: the first one, with its place.
+    """
+    for r in np.flatnonzero(holds.rigid):
+        there = (holds.vertex == holds.vertex[r]) & ~holds.rigid
+        held = np.where(holds.support[r] < 0, holds.support[there].max(axis=0, initial=-1), -1)
+        if not (held >= 0).any():
+            continue
+        component = int(np.argmax(held >= 0))
+        # Where a vertex has its own axes, components are not along x, y, z.
+        oblique = int(holds.vertex[r]) in axes
+        along = "" if oblique else f"along {'xyz'[component]} "
+        at = np.flatnonzero(facets.vertices.ravel() == holds.vertex[r])[0]
+        x, y, z = facets.x.reshape(-1, 3)[at]
+        raise InputError(
+            f"supports.{scene.supports[held[component]].name}: holds {along}what touches the rigid "
+            f"region '{bodies.names[holds.body[r]]}' where the supports of the region leave it "
+            f"free, at ({x:.4g}, {y:.4g}, {z:.4g}) mm; allowed: supports that hold the region in "
+            "the same direction in all stages"
+        )
+
+
+def refuse_supports(scene: Scene, points: ContactPoints) -> None:
+    """Refuse supports that prescribe jumps in some stages only.
+
+    Raises:
+        InputError: A support that is let go of holds a body where another one holds its neighbour.
     """
     for s, support in enumerate(scene.supports):
         if support.stages is not None and (points.given == s).any():
@@ -127,22 +214,4 @@ def refuse_supports(
                 f"supports.{support.name}: it is let go of, but holds its body on an interface "
                 "where the other side is held too; allowed: a boundary away from such edges, the "
                 "same stages for both, or an elastic foundation instead of one of them"
-            )
-    # The nodes of a rigid region have no displacement of their own.
-    rigid = {r.region for r in scene.rigid}
-    for body in np.unique(entries.body):
-        if rigid.issuperset(bodies.names[body].split(" + ")):
-            point, component = np.divmod(entries.column[entries.body == body][0], 3)
-            there = (holds.vertex == points.vertex[point]) & (holds.body != body)
-            # Where a vertex has its own axes, entries are not those of one component.
-            oblique = not np.array_equal(points.axes[point], np.eye(3))
-            held = holds.support[there] if oblique else holds.support[there, component]
-            support = scene.supports[held.max()]
-            along = "" if oblique else f"along {'xyz'[component]} "
-            x, y, z = points.x[point]
-            raise InputError(
-                f"supports.{support.name}: holds {along}what touches the rigid "
-                f"region '{bodies.names[body]}' where none holds the region, at ({x:.4g}, {y:.4g}, "
-                f"{z:.4g}) mm; allowed: the same components of both, e.g. a roller on the side of "
-                "the region too"
             )

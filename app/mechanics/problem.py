@@ -49,6 +49,7 @@ class Problem:
         f_q: Forces on the jumps [N].
         prescribed: Values of constrained unknowns (n,).
         load_size: Norm of the nodal forces of loads and free strains [N].
+        size: Diagonal of the box around the model [mm].
 
     Args:
         augmentation_factor: Default augmentation over modulus and mesh size.
@@ -70,6 +71,10 @@ class Problem:
     ) -> None:
         self.scene, self.tagged = scene, tagged
         self.comm = tagged.mesh.comm
+        points = tagged.mesh.geometry.x
+        low = self.comm.allreduce(points.min(axis=0), np.minimum)
+        high = self.comm.allreduce(points.max(axis=0), np.maximum)
+        self.size = float(np.linalg.norm(high - low))
         self.bodies = bodies_of(tagged, scene.contacts, scene.rigid)
         self.mechanics = BodyForms(scene, tagged, self.bodies, timing)
         self.space = self.mechanics.space

@@ -69,6 +69,14 @@ class Stiffness:
         options = stiffness_options("auto", self.K, scene.order, lower)
         self.inverse = Inverse(self.K, lambda: self.version, options, lower)
 
+    def constraints_of_stages(self) -> list[Constraints]:
+        """Constraints of all stages whose supports differ; collective."""
+        m, scene = self._mechanics, self._mechanics.scene
+        stages: dict[tuple[bool, ...], int] = {}
+        for k in range(len(scene.stages)):
+            stages.setdefault(tuple(scene.holds(s, k) for s in scene.supports), k)
+        return [Constraints(m, k, self.frames, self.followers) for k in stages.values()]
+
     def _constrained(self, paired: bool = False) -> PETSc.Mat:
         if not paired:
             self._nodal = assembled_matrix(self._form)

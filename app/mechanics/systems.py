@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -214,6 +215,16 @@ class ContactSystem(BondedSystem):
         law = contact.evaluate(e, q)
         self.factors = contact.row_factors(law)
         return contact.residual(e, q, law).ravel(), self._problem.interface_scale(e)
+
+    def runs_away(self, x: list[PETSc.Vec]) -> bool:
+        """Return True if bodies have moved past each other by the size of the model; collective.
+
+        Rounding of K u grows with u: far away any forces would count as balanced.
+        """
+        prescribed = float(np.abs(self._problem.prescribed).max(initial=0.0))
+        jumps = float(np.abs(x[1].array_r).max(initial=0.0))
+        largest, given = (self.comm.allreduce(v, MPI.MAX) for v in (jumps, prescribed))
+        return not largest <= self._problem.size + given  # True if it is not finite
 
     def coarse_space(self) -> CoarseSpace:
         """Motions of bodies that slide, lift off or bend away."""

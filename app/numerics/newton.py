@@ -347,13 +347,14 @@ class Solver:
     def _test(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
     ) -> PETSc.SNES.ConvergedReason:
-        """Whether each part is below its tolerance or its rounding."""
+        """Converged if each part is below its tolerance or its rounding, and no body runs away."""
         parts = self.measure(snes.getSolution(), snes.getFunction()[0])
         self.residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
         self.active.add(self.system.status)
         self.changes.append(self.active.changes())
         limits = [p.limit(self.tolerance) for p in parts]
-        self.converged = all(p.norm <= limit for p, limit in zip(parts, limits, strict=True))
+        small = all(p.norm <= limit for p, limit in zip(parts, limits, strict=True))
+        self.converged = small and not self.system.runs_away(self.blocks(snes.getSolution()))
         if self.converged:
             return REASONS.CONVERGED_FNORM_ABS
         if "ksp_atol" not in self.options:

@@ -94,21 +94,34 @@ def _refine(solver: Solver, contact: Contact) -> tuple[float, tuple[int, int]]:
 def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     """Apply one remedy after the other until Newton has converged; yield each in words.
 
-    Interfaces that are open everywhere are tied and released: a body free by a clearance comes into
-    contact. The contact block is factorized, as SOR may yield poor directions. The augmentation is
-    scaled: a large one makes contact points change state back and forth, and Newton continues from
-    the current state with a smaller one. The line search is switched on or off: at a kink of the
-    contact law it may cut steps to nothing where full steps converge. Last, an augmentation set by
-    the case, which may be off by powers of ten, is replaced by the default.
+    Interfaces that have to close before a body is held are tied and released: a body free by a
+    clearance, or that touches along an edge only, comes into contact. All interfaces are opened,
+    then closed where the bodies overlap: in plain Newton the border of a zone that opens moves by
+    one row of facets in each iteration. The contact block is factorized, as SOR may yield poor
+    directions. The augmentation is scaled: a large one makes contact points change state back and
+    forth, and Newton continues from the current state with a smaller one. The line search is
+    switched on or off: at a kink of the contact law it may cut steps to nothing where full steps
+    converge. Last, an augmentation set by the case, which may be off by powers of ten, is replaced
+    by the default.
     """
     contact = solver.system.contact
     if contact and not solver.converged and contact.tie(True):
         start.copy(solver.x)
         try:
-            yield "closing and tying interfaces that are open everywhere"
+            yield "closing and tying open interfaces of bodies that nothing else holds"
         finally:
             contact.tie(False)
         yield "releasing the tied interfaces"
+    if contact and not solver.converged and contact.release(True):
+        start.copy(solver.x)
+        try:
+            yield "opening all interfaces"
+        finally:
+            contact.release(False)
+        if solver.system.runs_away(solver.blocks()):
+            start.copy(solver.x)
+        else:
+            yield "closing interfaces where the open bodies overlap"
     if not solver.converged and solver.linear.factor_interfaces():
         start.copy(solver.x)
         yield "factorizing the contact block"
@@ -146,8 +159,10 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
 
 
 def hopeless(solver: Solver) -> bool:
-    """Whether to stop trying: converged, or not finite."""
-    return solver.converged or not np.isfinite(solver.x.norm())
+    """Return True if there is nothing to continue: converged, not finite, or a body runs away."""
+    if solver.converged or not np.isfinite(solver.x.norm()):
+        return True
+    return solver.system.runs_away(solver.blocks())
 
 
 def failure_text(solver: Solver) -> str:

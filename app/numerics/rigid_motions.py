@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from app.arrays import Floats
+from app.arrays import Floats, Ints
 
 DIRECTIONS = [f"{motion} {axis}" for motion in ("move along", "turn about") for axis in "xyz"]
 # Part (squared) of a named motion among the free ones from which it is free, and part outside those
@@ -19,7 +20,7 @@ ALIGNED = 0.9999
 MOST = 6
 
 
-def rigid_modes(x: Floats) -> Floats:
+def rigid_modes(x: NDArray[np.floating]) -> Floats:
     """Translations along and rotations about the axes at points x (n, 3) -> (n, 3, 6)."""
     result = np.zeros((len(x), 3, 6))
     result[:, :, :3] = np.eye(3)
@@ -39,6 +40,23 @@ def add_relative(matrix: Floats, a: int, b: int, resistance: Floats) -> None:
     """Add the resistance (6, 6) to motions of body a relative to b to that of all (6 n, 6 n)."""
     for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
         matrix[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] += sign * resistance
+
+
+def relative_resistance(R: Floats, B: Floats, bodies: Ints, count: int) -> Floats:
+    """Resistance of points to the motions of all bodies (6 count, 6 count).
+
+    Args:
+        R: Rigid motions at the points (n, 3, 6).
+        B: Resistance of each point to its jump (n, 3, 3).
+        bodies: Both bodies of each point (n, 2).
+        count: Number of bodies.
+    """
+    resistance = R.transpose(0, 2, 1) @ B @ R
+    A = np.zeros((6 * count, 6 * count))
+    for a, b in np.unique(bodies, axis=0):
+        here = (bodies == (a, b)).all(axis=1)
+        add_relative(A, int(a), int(b), resistance[here].sum(axis=0))
+    return A
 
 
 def describe(

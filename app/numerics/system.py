@@ -68,7 +68,10 @@ class Contact(Protocol):
         """Default augmentation over the one in the case; collective."""
 
     def tie(self, on: bool) -> bool:
-        """Tie interfaces that were open everywhere so far; return whether there are any."""
+        """Tie interfaces whose bodies need them to close; return whether there are any."""
+
+    def release(self, on: bool) -> bool:
+        """Let all interfaces that can open be open, or not; return True if there are any."""
 
 
 class System(Protocol):
@@ -115,6 +118,10 @@ class System(Protocol):
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Size of the residual f of a state x, by part; collective."""
+
+    def runs_away(self, x: list[PETSc.Vec]) -> bool:
+        """Return True if a state is far outside small displacements; collective."""
+        return False
 
     def exact(self, linear: str) -> Condensed | None:
         """The inverse of the Jacobian, where it is to be used."""

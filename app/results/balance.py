@@ -162,7 +162,9 @@ class Balance:
         missing = held_q = jump
         if trial is not None:
             jump, e = trial.jump.ravel().copy(), trial.equilibrium
-            held_q = (e - trial.contact.own.project_free(e)).ravel()
+            own, force = trial.contact.own, trial.contact.state.force
+            rubs = own.weight[:, None] * own.tangential_held(force)
+            held_q = (e - own.project_free(e) + rubs).ravel()
             missing = inner.jump - acting.jump - e.ravel()
         outer, displacement = acting.nodal + reaction, constraints.expand(u).array.copy()
         if followers:

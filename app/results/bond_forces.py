@@ -121,12 +121,14 @@ class BondForces:
             frames = replace(frames, acts=np.repeat(frames.acts[:, [body]], 2, axis=1))
         facets = contact_facets(p.tagged, apart, p.space, [b], scene.moduli)
         holds = held_at(frames, p.tagged, apart, p.space, scene.supports, facets)
-        points, entries = contact_points(facets, holds[0], 1, holds[1])
+        points, entries = contact_points(facets, holds[0], [b.name], holds[1])
         nodes = np.unique(entries.row // 3)
         of = self._stresses.cells
         cells = tuple({r: self._cells(r, nodes) for r in side if r in of} for side in sides)
-        surface = Surface(points, 0, self._borders(points.x) if self._borders else {})
-        points = replace(points, bodies=np.full_like(points.bodies, body))
+        levels = self._borders(points.surface.x) if self._borders else {}
+        surface = Surface(points.surface, 0, levels)
+        whole = replace(points.surface, bodies=np.full_like(points.surface.bodies, body))
+        points = replace(points, surface=whole)
         return _Place(points, entries, nodes, cells, surface)
 
     def _cells(self, region: str, nodes: Ints) -> tuple[Ints, Ints, Floats]:

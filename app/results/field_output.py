@@ -31,7 +31,7 @@ from app.scene.bodies import Bodies, cell_tags
 from app.scene.scene import Interface
 from app.stepping.heat_state import HeatState
 from forms.contact import OPEN
-from meshes.contact_points import ContactPoints
+from meshes.contact_points import ContactSurface
 from meshes.distribute import TaggedMesh
 
 
@@ -146,7 +146,8 @@ class HeatFields:
             every = np.zeros((2, len(j.points.dof)))
             every[:, j.mine] = τ, W_PER_M2 * j.flux(τ)[0]
             self._operators.forms.comm.Allreduce(MPI.IN_PLACE, every)
-            rows = _contact_rows(j.points, self.space, self.bodies, nodes)
+            every = np.array([j.points.surface.spread(values) for values in every])
+            rows = _contact_rows(j.points.surface, self.space, self.bodies, nodes)
             for c, at in zip(self._operators.scene.thermal_contacts, rows, strict=True):
                 # From first to second side, whichever is the master.
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
@@ -218,7 +219,7 @@ class MechanicalFields:
         point: dict[str, Floats] = {"displacement": u, **_named(self._nodal_stress(nodes))}
         if samples is not None:
             assert self._problem.contact is not None
-            points = self._problem.contact.points
+            points = self._problem.contact.points.surface
             rows = _contact_rows(points, self.space, self.bodies, nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
                 point |= _interface(contact, samples, rows[i], i)
@@ -226,12 +227,12 @@ class MechanicalFields:
                     (there,) = _contact_rows(bearing, self.space, self.bodies, nodes)
                     for key, (slave, master) in bearing.fields().items():
                         whole = np.zeros(len(points.dof))
-                        whole[points.interface == i] = slave
+                        whole[np.flatnonzero(points.interface == i)[: len(slave)]] = slave
                         both = _along(rows[i], whole) + _along(there, master)
                         point[f"{contact.name}_{key}"] = both
         for name, (points, index) in self._bonds.indices().items():
-            (at,) = _contact_rows(points, self.space, self.bodies, nodes)
-            point[f"{name}_failure_index"] = _along(at, index)
+            (at,) = _contact_rows(points.surface, self.space, self.bodies, nodes)
+            point[f"{name}_failure_index"] = _along(at, points.surface.spread(index))
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
@@ -299,7 +300,7 @@ def _named(σ: Floats) -> dict[str, Floats]:
 
 
 def _contact_rows(
-    points: ContactPoints | Bearing, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
+    points: ContactSurface | Bearing, space: fem.FunctionSpace, bodies: Bodies, nodes: OutputNodes
 ) -> list[Ints]:
     """For each interface, the contact points (n, 2) at or around the nodes of the grid.
 

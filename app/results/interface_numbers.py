@@ -27,7 +27,7 @@ from app.results.damage import BROKEN, zone
 from app.results.percentiles import SurfaceField
 from forms.contact import OPEN, SLIP, STICK
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
-from meshes.contact_points import ContactPoints
+from meshes.contact_points import ContactSurface
 
 Parts = Sequence["Surface"]
 MICROMOTION = 0.030  # mm: where biology reacts
@@ -43,7 +43,7 @@ def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
 
 
 class ContactSamples:
-    """Contact points of all ranks, in canonical order, on every rank.
+    """Corners of interfaces of all ranks, in canonical order, on every rank.
 
     One row per point for vectors, one per point and face for what belongs to a face.
 
@@ -51,6 +51,9 @@ class ContactSamples:
         interface: Interface of each point (n,).
         x: Position (n, 3) [mm].
         weight: Area (n,) [mm2].
+        penetration: Overlap of the faces of contact points, in the mean of those that they stand
+            for (p, 3) [mm].
+        of_points: Interface of each of these (p,).
         gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
         opening: Opening of the point, the largest of its faces (n,) [mm].
         slip: Irreversible tangential motion, 0 where the point is open (n, 3) [mm].
@@ -83,23 +86,39 @@ class ContactSamples:
     ) -> None:
         contact, history = trial.contact, trial.contact.state
         own, points = contact.own, contact.points
-        whole: Any = contact.whole
-        self.interface, self.x, self.weight = points.interface, points.x, points.weight
-        opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, own.normals)
-        used = np.arange(3)[None, :] < own.faces[:, None]
-        self.gap = whole(np.where(used, opening, 0.0))
-        self.opening = whole(np.max(opening, axis=1, where=used, initial=-np.inf))
+        surface = points.surface
+
+        def whole(values: Floats) -> Any:
+            return surface.spread(contact.whole(values))
+
+        def total(values: Floats) -> Any:
+            """Shares of the corners in amounts at the points."""
+            return whole(values / own.weight) * surface.weight
+
+        self.interface, self.x, self.weight = surface.interface, surface.x, surface.weight
+        motion = surface.true_jumps(contact.whole(trial.jump))
+        opening = np.einsum("pi,pki->pk", motion + whole(contact.gap), surface.normals)
+        used = np.arange(3)[None, :] < surface.faces[:, None]
+        self.gap = np.where(used, opening, 0.0)
+        self.opening = np.max(opening, axis=1, where=used, initial=-np.inf)
+        # The law holds at the points, of which some stand for others.
+        of_points = np.einsum("pi,pki->pk", trial.jump + contact.gap, own.normals)
+        within = np.arange(3)[None, :] < own.faces[:, None]
+        self.penetration = contact.whole(np.where(within, np.maximum(-of_points, 0.0), 0.0))
+        self.of_points = points.interface
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
-        sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[own.interface][:, None]
+        signs = np.array([-1.0 if c.turned else 1.0 for c in contacts])
+        sign = signs[own.interface][:, None]
         self.slip, self.path = whole(sign * history.slip), whole(history.path)
-        self.motion = whole(sign * trial.jump)
+        self.motion = signs[surface.interface][:, None] * motion
         self.pressure = whole(normal_pressure(trial.law.pressures, own.normals))
         self.shear = whole(np.linalg.norm(history.friction, axis=1))
         self.force = whole(-sign * history.force)
-        self.status = whole(np.where(own.faces > 0, trial.law.status, STICK))
-        self.dissipation, self.least = whole(history.dissipation), whole(history.least)
-        self.contact_work, self.stored = whole(history.contact_work), whole(history.stored)
+        status = contact.whole(np.where(own.faces > 0, trial.law.status, STICK))
+        self.status = surface.spread_status(status)
+        self.dissipation, self.least = total(history.dissipation), total(history.least)
+        self.contact_work, self.stored = total(history.contact_work), total(history.stored)
         self.own = {name: whole(values) for name, values in history.own.items()}
         self.sizes = {
             "gap": np.maximum(self.gap, 0.0),
@@ -114,7 +133,7 @@ class ContactSamples:
             i: law.strength.index(self.pressure, self.shear) for i, law in laws if law.strength
         }
         if since is not None:
-            way = whole(trial.jump - since)
+            way = surface.true_jumps(contact.whole(trial.jump - since))
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
         if (far := contact.large) is not None:
             arm = np.zeros((len(own), 3))
@@ -122,7 +141,7 @@ class ContactSamples:
             self.arm, self.friction = whole(arm), whole(history.friction)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
         self.facet_sizes = contact.edge_lengths
-        self.surfaces = parts or [Surface(points, i, {}) for i in range(len(contacts))]
+        self.surfaces = parts or [Surface(surface, i, {}) for i in range(len(contacts))]
 
     @cached_property
     def numbers(self) -> dict[str, dict[str, Any]]:
@@ -145,7 +164,7 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
     at, surface = s.interface == i, s.surfaces[i]
     parts = {part: _of_part(s, i, part, wanted) for part in ([""] if wanted else surface.at)}
     main = parts.pop("") | {
-        "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
+        "penetration_max": float(s.penetration[s.of_points == i].max(initial=0.0)),
         "dissipation": float(s.dissipation[at].sum()),
         "dissipation_min": float(s.least[at].min()),
         "contact_work": float(s.contact_work[at].sum()),
@@ -226,7 +245,7 @@ def failing(surface: Surface, index: Floats, x: Floats, part: str) -> dict[str, 
 
 
 class Surface:
-    """Facets of an interface in parts, by their centres; its points are their corners.
+    """Facets of an interface in parts, by their centres; its points are all their corners.
 
     Attributes:
         at: Points of each part (n,) by its name, which is empty for the rest.
@@ -238,7 +257,7 @@ class Surface:
         borders: Functions of all points (n,) that are not positive in a part; the first counts.
     """
 
-    def __init__(self, points: ContactPoints, i: int, borders: Mapping[str, Floats]) -> None:
+    def __init__(self, points: ContactSurface, i: int, borders: Mapping[str, Floats]) -> None:
         at = points.interface == i
         self.at = divided(at, borders)
         self.triangles: Ints = points.triangles[i]
@@ -283,9 +302,11 @@ def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     Jumps are those of own contact points (n, 3) [mm].
     """
     motion = _motion(contact, jump)
-    clearance = contact.whole(np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0]))
+    surface = contact.points.surface
+    gap = surface.spread(contact.whole(contact.gap))
+    clearance = np.einsum("pi,pi->p", gap, surface.normals[:, 0])
     found = []
-    for rows, triangles in zip(contact.points.facets, contact.points.triangles, strict=True):
+    for rows, triangles in zip(surface.facets, surface.triangles, strict=True):
         gap, area = gaps(contact.facets, rows, motion[rows], clearance[triangles])
         depth = np.maximum(-gap, 0.0)
         found.append(

@@ -106,13 +106,13 @@ def held_at(
     for s in order:
         held[np.ix_(row.ravel()[support_of == s], supports[s].components)] = s
     if frames is None:
-        return Holds(vertex, body, held), {}
+        return Holds(vertex, body, held, np.zeros(len(keys), dtype=bool)), {}
     dof = facets.dofs[:, :3].ravel()[first][np.searchsorted(vertices, vertex)]
     rows = np.flatnonzero(np.isin(dof, frames.node))
     places = np.searchsorted(frames.node, dof[rows])
     held[rows] = frames.support(places, body[rows], order)
     axes = {int(v): frames.axes[p] for v, p in zip(vertex[rows], places, strict=True)}
-    return Holds(vertex, body, held), axes
+    return Holds(vertex, body, held, np.zeros(len(keys), dtype=bool)), axes
 
 
 def frames_of(

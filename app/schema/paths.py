@@ -40,4 +40,5 @@ def file(
 
 
 File = Annotated[Path, file()]
+SurfaceFile = Annotated[Path, file(".stl", ".ply", ".obj")]
 ImageFile = Annotated[Path, file(folder=True)]

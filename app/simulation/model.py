@@ -90,9 +90,9 @@ class Mechanical:
 
             self.zones, depth = (zones := Zones(geometry)), zones.depth
             if problem.contact:
-                points = problem.contact.points
-                levels, every = zones.borders(points.x), range(len(points.triangles))
-                self.surfaces = [Surface(points, i, levels) for i in every]
+                surface = problem.contact.points.surface
+                levels, every = zones.borders(surface.x), range(len(surface.triangles))
+                self.surfaces = [Surface(surface, i, levels) for i in every]
         self.stresses = Stresses(problem, geometry.is_around_z, depth)
         borders = self.zones.borders if self.zones else None
         self.bonds = BondForces(problem, self.stresses, borders)

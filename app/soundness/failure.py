@@ -26,7 +26,6 @@ from app.errors import Reason
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.numerics.newton import ActiveSet, NewtonResult, Solver
-from app.numerics.rigid_motions import describe, rigid_modes
 from app.soundness import loose_bodies
 from app.system.layout import point_text
 
@@ -121,9 +120,6 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[str]]:
 STATES = ("open", "stick", "slip")
 # Changing points that a message lists.
 SHOWN = 3
-# Root of the compliance of springs on which rigid bodies press, with which a taper of 1 degree and
-# 100 points bears 99 % of a push; part of the loads that may be left; iterations.
-SPRING, UNBORNE, MOST = 0.02, 0.1, 20
 # Relative difference of residuals that scale.
 SAME = 1e-9
 
@@ -134,7 +130,8 @@ class Explanation:
 
     They are on free bodies; on bodies that friction barely holds, and friction beyond which
     solutions need not be unique; on the places of the largest residual and of oscillating points.
-    If it ``scales``, the same happens under any part of the load.
+    If it ``scales``, the same happens under any part of the load. If it ``breaks``, a bond takes
+    damage in the step: its load may be beyond the peak.
     """
 
     outcome: NewtonResult
@@ -142,6 +139,7 @@ class Explanation:
     friction: Sequence[str] = ()
     places: Sequence[str] = ()
     scales: bool = False
+    breaks: bool = False
 
     @property
     def short(self) -> str:
@@ -166,6 +164,12 @@ class Explanation:
         if self.scales:
             advice = "the supports, the direction of the loads, or the mesh at the interface; at "
             advice += "rest and without gaps a smaller load fails alike"
+        if self.breaks:
+            advice = (
+                "`fracture_step` in the stage: a bond breaks, and the load may have passed its "
+            )
+            advice += "peak, beyond which only a smaller load is in equilibrium; or prescribe the "
+            advice += "displacement instead of the load"
         if self.friction:
             advice += "; other friction, or a support"
         if self.free:
@@ -180,45 +184,6 @@ class Explanation:
             f"what to change: {advice}",
         ]
         return "\n  ".join(lines)
-
-
-def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
-    """Bodies that the loads take off what they touch, of a model without gaps; collective.
-
-    Rigid bodies press on springs at the contact points. What these do not bear of the loads is also
-    the motion that opens all it does not slide along (a cone and its polar, Moreau); springs keep
-    single facets from bearing it by wedging. Friction of the pressures may hold it: there are none
-    on a taper that is pulled.
-    """
-    own, n, comm = contact.own, len(problem.bodies.names), problem.comm
-    centre = contact.points.x.mean(axis=0)
-    size = float(np.linalg.norm(np.ptp(contact.points.x, axis=0))) or 1.0
-    x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
-    F = problem.forces.on_bodies(problem.time, rigid_modes((x - centre) / size)).ravel()
-    held = np.zeros((n, 6, n, 6))
-    for b, part in loose_bodies.supported(problem).items():
-        held[b, :3, b, :3], held[b, 3:, b, 3:] = part, np.eye(3)
-    for b in loose_bodies.turning(problem):
-        held[b, 3:, b, 3:] = np.eye(3)
-    of_bodies, R = np.zeros((len(own), 3, n, 6)), rigid_modes((own.x - centre) / size)
-    for side, sign in zip(own.bodies.T, (-1, 1), strict=True):
-        of_bodies[np.arange(len(own)), :, side] += sign * R
-    jumps = of_bodies.reshape(len(own), 3, 6 * n)
-    openings, rest = own.normals @ jumps, F
-    for _ in range(MOST):  # Newton's method: the springs that are pressed
-        pressed = openings[openings @ rest < 0]
-        springs = held.reshape(6 * n, 6 * n) + comm.allreduce(pressed.T @ pressed)
-        rest = np.linalg.solve(np.eye(6 * n) + springs / SPRING**2, F)
-    forces = np.maximum(0.0, -(openings @ rest)).sum(axis=1) / SPRING**2
-    # A ball is not wedged by the rim of its cup, which it clears.
-    of = np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
-    friction = of[own.interface]
-    holds = comm.allreduce(float(friction * forces @ np.linalg.norm(jumps @ rest, axis=1)))
-    if rest @ F <= max(UNBORNE * (F @ F), holds):
-        return []
-    names = [f"'{name}'" for name in problem.bodies.names]
-    found = describe(rest[:, None], names, np.tile(centre, (n, 1)), centre, size)
-    return [f"{text}, and the loads pull there" for text in found]
 
 
 def proportional(solver: Solver, set_load: Callable[[float], None], reach: float) -> bool:
@@ -241,13 +206,18 @@ def explain(
         return Explanation(outcome, scales=scales)
     trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
-    free = pulled_off(problem, contact) if scales or contact.large else []
-    free = free or loose_bodies.free_bodies(problem, trial)
-    free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
+    pulled = loose_bodies.pulled_off(problem, contact)
+    free = pulled if scales or contact.large else []
+    # Iterates lose contact that the loads would close: that is no free body.
+    if not free and (pulled or not problem.load_size):
+        free = loose_bodies.free_bodies(problem, trial)
+        free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
     friction = [] if free else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
     places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
-    return Explanation(outcome, free, friction, places, scales)
+    spends = float(np.sum(trial.law.told["spent"])) if contact.law.history else 0.0
+    breaks = bool(problem.comm.allreduce(spends > 0, MPI.LOR))
+    return Explanation(outcome, free, friction, places, scales, breaks)
 
 
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,10 +37,26 @@ FREE, SLOPE, FACETS = 1e-10, 3.0, 0.4
 # Supports hold a body fast if they hold more than this of each direction; a body slides when so
 # much of the area that holds it bears so much of the friction limit.
 HELD, SLIDES, ALL_OF_IT = 1e-3, 0.95, 1 - 1e-6
-# Jumps run away beyond this part of the size of the interfaces and this motion in units of load /
-# (modulus of the softer side x size): 5 for a stem wedged by friction, 70 for a frictionless taper
-# of 1.5 degrees, 600 for a straight frictionless stem.
-RUNAWAY, LOOSE = 0.05, 200.0
+# Jumps of a free body run away beyond this part of the size of the interfaces.
+RUNAWAY = 0.05
+# And beyond this motion in units of load / (modulus of the softer side x size): 5 for a stem wedged
+# by friction, 70 for a frictionless taper of 1.5 degrees, 600 for a straight frictionless stem.
+LOOSE = 200.0
+# Part of that size beyond which displacements are not small, whatever resists them.
+NOT_SMALL = 0.1
+# Motion of an interface over the largest prescribed displacement that a lever may cause.
+LEVER = 10.0
+# Root of the compliance of springs on which rigid bodies press, with which a taper of 1 degree and
+# 100 points bears 99 % of a push.
+SPRING = 0.02
+# Resistance of supports over that of a contact point.
+STIFF = 1e8
+# Part of a load from which springs that leave it do not bear its direction.
+UNBORNE = 0.1
+# Part of all loads, squared, that may be left.
+NOTHING = 1e-4
+# Iterations for the springs that are pressed.
+MOST = 20
 # Only facets hold a motion that contact resists by less than this part of what the spread of
 # normals gives at random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists),
 # if it is this part of the jumps, squared (0.003 of a push, 0.15 of a turn).
@@ -218,16 +235,18 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
     """
     contact, names = trial.contact, problem.bodies.names
     x = contact.points.x
-    centre, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
+    centre, size = _frame(contact)
     B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.resisted)
     R = rigid_modes((contact.own.x - centre) / size)
     A = _assembled(
         problem, contact, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R)
     )
     total = float(np.sum(contact.points.weight)) or 1.0
-    # What turns is free if nothing is before it, see `failure.pulled_off`.
-    for body in {*supported(problem), *turning(problem)}:
-        A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
+    held = supported(problem, centre, size)
+    # A body with a given motion is free if nothing is in its way, see `pulled_off`.
+    held |= {body: np.eye(6) for body in turning(problem)}
+    for body, part in held.items():
+        A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * part
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free = vectors[:, values <= FREE * max(values[-1], total)]
     near = [(contact.points.bodies == b).any(axis=1) for b in range(len(names))]
@@ -252,7 +271,12 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
     """
     normal = np.linalg.norm(contact.state.force - contact.state.friction, axis=1)
     shear = np.linalg.norm(contact.state.friction, axis=1)
-    fixed = {b for b, part in supported(problem).items() if np.linalg.eigvalsh(part)[0] > HELD}
+    centre, size = _frame(contact)
+    fixed = {
+        b
+        for b, part in supported(problem, centre, size).items()
+        if np.linalg.eigvalsh(part[:3, :3])[0] > HELD and np.linalg.eigvalsh(part)[0] > FREE
+    }
     found = []
     for i, term in enumerate(problem.scene.contacts):
         on = (contact.own.interface == i) & (normal > 0)
@@ -271,40 +295,119 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
     return found
 
 
-def runaway(problem: Problem, trial: TrialState) -> str:
-    """Sentence on an interface that loads moved as only a free body moves; collective.
+def _frame(contact: ContactInterfaces) -> tuple[Floats, float]:
+    """Centre and size of all interfaces [mm], for rigid motions."""
+    x = contact.points.x
+    return np.asarray(x.mean(axis=0), dtype=float), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
 
-    A body that contact does not hold may still be caught by the facets of a curved interface. It
-    has then moved beyond small displacements, against hardly any stiffness.
+
+@dataclass(frozen=True)
+class Runaway:
+    """A converged state that must not be used: sides of an interface moved too far.
+
+    Attributes:
+        text: How far, and what is free.
+        reason: Whether a body is loose, or displacements are only no longer small.
+    """
+
+    text: str
+    reason: Reason
+
+    @property
+    def advice(self) -> str:
+        """Sentence on what to change."""
+        if self.reason == Reason.LOOSE_BODY:
+            return "hold the body (a support, friction, an elastic foundation)"
+        return (
+            "a smaller load or gap, stiffer springs or bodies, or `sliding: finite` where bodies "
+            "slide far"
+        )
+
+
+def runaway(problem: Problem, trial: TrialState) -> Runaway | None:
+    """Interface whose sides loads moved too far for small displacements; collective.
+
+    A body is loose only if a rigid motion of it is free: springs, bending arms and soft layers may
+    move far too, and resist.
     """
     contact = trial.contact
     forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
-    pushed = any(unit.any() for unit in problem.stiffness.constraints.unit)
-    if any(problem.comm.allgather(pushed)) or not forces:
-        return ""  # where supports move the model, they may move it far
-    size = float(np.linalg.norm(np.ptp(contact.points.x, axis=0)))
+    given = max(problem.comm.allgather(float(np.abs(problem.prescribed).max(initial=0.0))))
+    if not (forces or given):
+        return None
+    size = _frame(contact)[1]
     # Closing a gap or making room for an interference is not running away.
     moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
     for i, term in enumerate(problem.scene.contacts):
-        largest = max(
-            problem.comm.allgather(float(moved[contact.own.interface == i].max(initial=0.0)))
+        here = contact.own.interface == i
+        largest = max(problem.comm.allgather(float(moved[here].max(initial=0.0))))
+        if largest <= RUNAWAY * size + LEVER * given:
+            continue
+        pressed = (trial.law.pressures[here] > 0).any()
+        if term.between and any(problem.comm.allgather(bool(pressed))):
+            continue  # it slides far
+        how = (
+            f"moved {largest:.3g} mm apart or along each other, {100 * largest / size:.0f} % "
+            "of the interface's size"
+            if largest < size
+            else "left each other for good"
         )
-        elastic = forces / (term.modulus * size)
-        if largest > RUNAWAY * size and largest > LOOSE * elastic:
-            free = free_bodies(problem, trial)
-            pressed = (trial.law.pressures[contact.own.interface == i] > 0).any()
-            if term.between and any(problem.comm.allgather(bool(pressed))):
-                continue  # it slides far
-            how = (
-                f"moved {largest:.3g} mm apart or along each other, {100 * largest / size:.0f} % "
-                "of the interface's size"
-                if largest < size
-                else "left each other for good"
-            )
-            lost = free or term.between
-            by = "" if lost else ": nothing holds them but the facets of the mesh"
-            return "; ".join([*free, f"the sides of interface '{term.name}' {how}{by}"])
-    return ""
+        text = f"the sides of interface '{term.name}' {how}"
+        if largest > LOOSE * forces / (term.modulus * size):
+            free = free_bodies(problem, trial) or pulled_off(problem, contact)
+            if free or term.between:
+                return Runaway("; ".join([*free, text]), Reason.LOOSE_BODY)
+        if largest > NOT_SMALL * size + LEVER * given:
+            text = f"displacements are no longer small: {text}"
+            return Runaway(text, Reason.LARGE_DISPLACEMENT)
+    return None
+
+
+def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
+    """Bodies that the loads take off what they touch or may come to touch; collective.
+
+    Rigid bodies press on springs at the contact points. What these do not bear of the loads is also
+    the motion that opens all it does not slide along (a cone and its polar, Moreau); springs keep
+    single facets from bearing it by wedging. Friction of the pressures may hold it: there are none
+    on a taper that is pulled.
+    """
+    own, n, comm = contact.own, len(problem.bodies.names), problem.comm
+    centre, size = _frame(contact)
+    x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
+    F = problem.forces.on_bodies(problem.time, rigid_modes((x - centre) / size)).ravel()
+    held = np.zeros((n, 6, n, 6))
+    for b, part in supported(problem, centre, size).items():
+        held[b, :, b] += STIFF * part
+    of_bodies, R = np.zeros((len(own), 3, n, 6)), rigid_modes((own.x - centre) / size)
+    for side, sign in zip(own.bodies.T, (-1, 1), strict=True):
+        of_bodies[np.arange(len(own)), :, side] += sign * R
+    jumps = of_bodies.reshape(len(own), 3, 6 * n)
+    openings = own.normals @ jumps
+    rest: Floats = F
+    springs = held.reshape(6 * n, 6 * n)
+    for _ in range(MOST):  # Newton's method: the springs that are pressed
+        pressed = openings[openings @ rest < 0]
+        springs = held.reshape(6 * n, 6 * n) + comm.allreduce(pressed.T @ pressed)
+        rest = np.asarray(np.linalg.solve(np.eye(6 * n) + springs / SPRING**2, F))
+    forces = np.maximum(0.0, -(openings @ rest)).sum(axis=1) / SPRING**2
+    # A large load that springs bear must not hide a small one that nothing bears.
+    # Motions are as large as they move the mean point: a narrow interface resists rolling.
+    every = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
+    metric = every / max(comm.allreduce(len(own)), 1) + held.reshape(6 * n, 6 * n) / STIFF
+    metric += 1e-9 * np.eye(6 * n)
+    scale = np.linalg.inv(np.linalg.cholesky(metric)).T
+    sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
+    free = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
+    rest = free @ (free.T @ F)
+    # A ball is not wedged by the rim of its cup, which it clears.
+    of = np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
+    friction = of[own.interface]
+    holds = comm.allreduce(float(friction * forces @ np.linalg.norm(jumps @ rest, axis=1)))
+    if rest @ F <= max(NOTHING * (F @ F), holds):
+        return []
+    names = [f"'{name}'" for name in problem.bodies.names]
+    found = describe(rest[:, None], names, np.tile(centre, (n, 1)), centre, size)
+    return [f"{text}, and the loads pull there" for text in found]
 
 
 def held_by_facets(problem: Problem, trial: TrialState) -> str:
@@ -323,7 +426,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     n, points = len(problem.bodies.names), contact.points
     size = np.linalg.norm(np.ptp(points.x, axis=0)) or 1.0
     R = rigid_modes((contact.own.x - points.x.mean(axis=0)) / size)
-    free = np.setdiff1d(np.arange(n), sorted(supported(problem)))
+    free = np.setdiff1d(np.arange(n), sorted(supported(problem, *_frame(contact))))
     rows = (6 * free[:, None] + np.arange(6)).ravel()
     resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.own.interface])
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
@@ -366,7 +469,8 @@ def _against_spread(
     B = trial.law.resisted
     # Friction holds a touching point, though no stiffness shows it while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
-    spread = spread_of_normals(points.x, points.normals, points.triangles)[contact.own.rows]
+    spread = spread_of_normals(points.surface.x, points.surface.normals, points.triangles)
+    spread = spread[contact.own.rows]
     A, N = (
         _assembled(problem, contact, r[:, None, None] * (R.transpose(0, 2, 1) @ own @ R))
         for own in (S, spread)
@@ -383,24 +487,11 @@ def _against_spread(
     return A, N
 
 
-def supported(problem: Problem) -> dict[int, Floats]:
-    """Part of each direction that supports and foundations hold, by body (3, 3)."""
-    from app.scene.bodies import facets_by_body  # brings dolfinx
+def supported(problem: Problem, centre: Floats, size: float) -> dict[int, Floats]:
+    """Resistance of supports and foundations in force to rigid motions, by body (6, 6)."""
+    from app.mechanics.held_bodies import held_motions  # brings dolfinx
 
-    scene, frames = problem.scene, problem.stiffness.frames
-    conditions = [
-        (s.boundary, frames.held_by(k) if s.normal and frames else np.diag(s.components))
-        for k, s in enumerate(scene.supports)
-    ]
-    conditions += [(f.boundary, np.diag(np.sign(f.stiffness))) for f in scene.foundations]
-    held: dict[int, Floats] = {}
-    for boundary, part in conditions:
-        for body in facets_by_body(problem.tagged, problem.bodies, boundary):
-            held[body] = held.get(body, 0.0) + np.asarray(part, dtype=float)
-    for body, motion in zip(turning(problem), scene.motions, strict=True):
-        if motion.translation == "held":
-            held[body] = np.eye(3)
-    return held
+    return held_motions(problem.mechanics, problem.stiffness, centre, size)
 
 
 def turning(problem: Problem) -> list[int]:

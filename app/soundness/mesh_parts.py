@@ -25,7 +25,16 @@ def law_between(case: Case, found: Parts, pieces: tuple[int, int]) -> tuple[str,
 def groups_of(case: Case, found: Parts) -> list[list[int]]:
     """Pieces that move together: bonded to each other, or of one region and joined."""
     laws = [(t.pieces, law_between(case, found, t.pieces)[1]) for t in found.touches]
-    joined = [pieces for pieces, law in laws if law is None or not law.can_open]
+    return _groups(found, [pieces for pieces, law in laws if law is None or not law.can_open])
+
+
+def bodies_of(case: Case, found: Parts) -> list[list[int]]:
+    """Pieces of each body: no interface with unknown jumps separates them."""
+    laws = [(t.pieces, law_between(case, found, t.pieces)[1]) for t in found.touches]
+    return _groups(found, [pieces for pieces, law in laws if law is None or not law.can_part])
+
+
+def _groups(found: Parts, joined: list[tuple[int, int]]) -> list[list[int]]:
     label = list(range(len(found.pieces)))
     for a, b in (*joined, *found.joined):
         label = [label[a] if k == label[b] else k for k in label]

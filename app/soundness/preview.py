@@ -198,7 +198,10 @@ HIP_FORCES = (20.0, 5e4)
 
 def warnings(case: Case) -> list[str]:
     """Warnings about allowed but doubtful input, for `mantle check` and the log."""
-    messages = []
+    messages = list(case.geometry.notes)
+    images = {name: getattr(region, "image", None) for name, region in case.regions.items()}
+    doubts = [note for image in images.values() if image for note in image.doubts(case.geometry)]
+    messages += dict.fromkeys(doubts)  # several regions may have the same image
     acts = [
         *(getattr(law, "gap", None) for law in case.interfaces.values()),
         *(getattr(s, axis, None) for s in case.supports.values() for axis in "xyz"),

@@ -21,7 +21,14 @@ from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
 from app.scene.scene import build_scene
 from app.soundness.loose_bodies import BodiesOnMesh
-from app.soundness.mesh_parts import directions, gaps_of, groups_of, history_of, holds, law_between
+from app.soundness.mesh_parts import (
+    bodies_of,
+    directions,
+    gaps_of,
+    history_of,
+    holds,
+    law_between,
+)
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets
 from meshes.pieces import Parts, lying_on_each_other, parts
@@ -73,7 +80,7 @@ def judge(case: Case, found: Parts) -> list[str]:
         # A crack is often why.
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
     notes += [*bodies.loosely_held(), *split, *_clamped(case, found), *apart]
-    notes += [*_not_enforced(case, found), *_far(case, found), *_too_stiff(case, found)]
+    notes += [*_met(case, found), *_far(case, found), *_too_stiff(case, found)]
     return [*notes, *_strained(case, found), *idle]
 
 
@@ -87,12 +94,27 @@ def _given(case: Case, name: str, x: Floats) -> Floats:
 
 
 def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
-    """Errors and notes on nodes where two supports prescribe different displacements."""
-    holding = {
-        name: np.unique(np.concatenate([*found.boundaries[s.boundary].values()]))
-        for name, s in case.supports.items()
-        if s.kind != "foundation" and found.boundaries.get(s.boundary)
-    }
+    """Errors and notes on nodes of a body where two supports prescribe different displacements.
+
+    Bodies that can part have nodes of their own where they touch.
+    """
+    errors: list[str] = []
+    notes: list[str] = []
+    for group in bodies_of(case, found):
+        torn, split = _contradictions_in(case, found, group)
+        errors += torn
+        notes += split
+    return errors, notes
+
+
+def _contradictions_in(case: Case, found: Parts, group: list[int]) -> tuple[list[str], list[str]]:
+    """Errors and notes of `_contradictions` for a body, a group of pieces."""
+    holding = {}
+    for name, support in case.supports.items():
+        of_piece = found.boundaries.get(support.boundary, {})
+        nodes = [of_piece[piece] for piece in group if piece in of_piece]
+        if support.kind != "foundation" and nodes:
+            holding[name] = np.unique(np.concatenate(nodes))
     errors: list[str] = []
     notes: list[str] = []
     for one, two in combinations(holding, 2):
@@ -259,21 +281,22 @@ def _clamped(case: Case, found: Parts) -> list[str]:
     return notes
 
 
-def _not_enforced(case: Case, found: Parts) -> list[str]:
-    """Vertices at which interfaces go round in a circle of bodies: one follows from the others."""
+def _met(case: Case, found: Parts) -> list[str]:
+    """Vertices at which more interfaces meet than bodies can move apart."""
     on = [name for name, law in case.interfaces.items() if law.can_part]
-    groups = {frozenset(found.pieces[p].region for p in g) for g in groups_of(case, found)}
+    groups = {frozenset(found.pieces[p].region for p in g) for g in bodies_of(case, found)}
     here = np.array([np.isin(np.arange(len(found.x)), found.on_interface(n)) for n in on])
     bodies = np.zeros(len(found.x), dtype=int)
     for regions in groups:
         bodies[np.unique(np.concatenate([found.corners_of(r) for r in regions]))] += 1
-    rows = np.flatnonzero((bodies > 2) & (here.sum(axis=0) >= bodies))
+    rows = np.flatnonzero((bodies > 1) & (here.sum(axis=0) >= bodies))
     if not on or not len(rows):
         return []
     names = [name for name, there in zip(on, here[:, rows[0]], strict=True) if there]
     return [
-        f"at {len(rows)} vertices, e.g. at {point_text(found.x[rows[0]])}, interfaces "
-        f"{', '.join(names)} go round in a circle: the last, {names[-1]}, is not enforced there"
+        f"interfaces {', '.join(names)} meet at {len(rows)} vertices, e.g. at "
+        f"{point_text(found.x[rows[0]])}: there the law of one of them holds in the mean over the "
+        "points next to it"
     ]
 
 
@@ -318,7 +341,8 @@ def _gaps(case: Case, found: Parts) -> tuple[list[str], list[str]]:
         if apart > SMALL * size:
             notes.append(
                 f"interfaces.{name}.gap: the sides are {apart:.3g} mm apart everywhere, on an "
-                f"interface of {size:.3g} mm: small displacements do not close it"
+                f"interface of {size:.3g} mm: where loads close it, the body has moved by "
+                f"{100 * apart / size:.0f} % of that; results assume small displacements"
             )
     return errors, notes
 

@@ -98,7 +98,8 @@ class CoarseModelStart:
         coarse.run_path(stage, 1.0, set_load, begin, time)
         contact = problem.contact
         assert contact is not None
-        known = self._weights @ contact.whole(np.hstack([contact.state.jump, contact.state.force]))
+        state = np.hstack([contact.state.jump, contact.state.force])
+        known = self._weights @ contact.points.surface.spread(contact.whole(state))
         self._known = [*self._known[-1:], (time, known)]
 
     def _start(self, jump: Floats, force: Floats) -> None:
@@ -130,7 +131,8 @@ def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> c
     """Weights that interpolate between meshes of the same interfaces; no communication.
 
     Linear on the source's triangles: each point gets the nearest point of the nearest triangle.
-    There is a row for each of the target points ``mine`` (n,), a column for each source point.
+    There is a row for each of the target points ``mine`` (n,), a column for each
+    corner of the source.
     """
     from scipy.sparse import csr_array  # imported late, as the next: few runs need them
 
@@ -141,7 +143,7 @@ def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> c
     for i, triangles in enumerate(source.triangles):
         here = np.flatnonzero(target.interface[mine] == i)
         if len(here) and len(triangles):
-            found, weights = nearest(target.x[mine[here]], source.x[triangles])
+            found, weights = nearest(target.x[mine[here]], source.surface.x[triangles])
             entries.append((np.repeat(here, 3), triangles[found].ravel(), weights.ravel()))
     rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
-    return csr_array((values, (rows, columns)), shape=(len(mine), len(source.weight)))
+    return csr_array((values, (rows, columns)), shape=(len(mine), len(source.surface.weight)))

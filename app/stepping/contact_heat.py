@@ -63,9 +63,10 @@ class ContactHeat:
         self.rubbing = np.isin(
             contact.own.interface, [i for i, name in enumerate(names) if name in heated]
         )
+        surface = points.surface
         known = {
-            (names[i], v): n
-            for i, v, n in zip(points.interface, points.vertex, number, strict=True)
+            (names[i], v): k
+            for k, (i, v) in enumerate(zip(surface.interface, surface.vertex, strict=True))
         }
         self.pressed: PETSc.Mat | None = None
         if (t := operators.jumps) is not None:
@@ -73,8 +74,12 @@ class ContactHeat:
             keys = zip(name, t.points.vertex[t.mine], strict=True)
             found = np.array([known.get(key, -1) for key in keys], dtype=np.int64)
             on = np.flatnonzero(found >= 0)
-            ones = np.ones(len(on))
-            self.pressed = from_triplets(comm, len(found), self._n, on, found[on], ones)
+            row, corner, value = on, found[on], np.ones(len(on))
+            if surface.shares is not None:
+                shares = surface.shares[corner].tocoo()
+                row, corner, value = on[shares.row], shares.col, shares.data
+            column = number[corner]
+            self.pressed = from_triplets(comm, len(found), self._n, row, column, value)
 
     def to_mechanics(self, heat: Sequence[PETSc.Vec]) -> None:
         """Set the temperatures of the mechanics."""

@@ -135,6 +135,10 @@ class CoupledSystem(ContactSystem):
                 S.axpy(1.0, B, structure=SUBSET)
         _copy(self._from_heat(), self._down)
 
+    def runs_away(self, x: list[PETSc.Vec]) -> bool:
+        """Return True if bodies have moved past each other by the size of the model; collective."""
+        return super().runs_away(x[self._n :])
+
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Sizes of heat and forces, each with its own scale."""
         heat = self._heat.measure(x[: self._n], f[: self._n])[0]

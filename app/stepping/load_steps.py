@@ -23,7 +23,7 @@ from app.numerics.remedies import solve
 from app.scene.scene import Stage
 from app.soundness.cover import Cover
 from app.soundness.failure import explain, proportional
-from app.soundness.loose_bodies import held_by_facets, runaway
+from app.soundness.loose_bodies import Runaway, held_by_facets, runaway
 from app.stepping.energy_control import HALVINGS, by_energy, overshoot, spent
 
 EASY_ITERATIONS = 8
@@ -320,13 +320,16 @@ class LoadStepper:
         u, q = self.solver.u_and_q()
         trial = problem.trial(u, q) if q is not None else None
         part = 100 * (time - int(time)) or 100
-        if trial is not None and (
-            away := held_by_facets(problem, trial) or runaway(problem, trial)
-        ):
-            raise ConvergenceError(
-                f"stage '{stage.name}' at {part:.3g} % of it: {away} [{Reason.LOOSE_BODY}]\n"
-                "  what to change: hold the body (a support, friction, an elastic foundation)"
-            )
+        where = f"stage '{stage.name}' at {part:.3g} % of it"
+        if trial is not None:
+            if facets := held_by_facets(problem, trial):
+                away: Runaway | None = Runaway(facets, Reason.LOOSE_BODY)
+            else:
+                away = runaway(problem, trial)
+            if away:
+                raise ConvergenceError(
+                    f"{where}: {away.text} [{away.reason}]\n  what to change: {away.advice}"
+                )
         if trial is not None and (left := self._cover.left(trial)):
             raise ConvergenceError(f"stage '{stage.name}' at {part:.3g} % of it: {left}")
         problem.update_displacements(u, q)

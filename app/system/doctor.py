@@ -23,6 +23,7 @@ from app.version import __version__
 _MODULES = (
     *("dolfinx", "petsc4py", "ufl", "basix", "ffcx", "gmsh", "h5py", "mpi4py", "numpy", "scipy"),
     *("pydantic", "ruamel.yaml", "pint", "matplotlib", "jinja2"),
+    *("nibabel", "pydicom", "skimage"),
 )
 _DOLFINX = "0.9"
 _SHARED_MEMORY = 256 * 2**20  # bytes; Docker gives 64 MiB, in which ranks cannot exchange

@@ -34,7 +34,7 @@ class Points:
         normals[:, :faces] = np.eye(3)[::-1][:faces]
         number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
         interface, x, given = np.arange(n) % len(μ), np.zeros((n, 3)), np.full(n, faces)
-        own = OwnPoints(number, interface, x, sides, given, normals, np.ones(n), tensors)
+        own = OwnPoints(number, interface, x, sides, given, normals, np.ones(n), tensors, tensors)
         laws = [
             Cohesive.model_validate(
                 {

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pydicom
 
 from app.arrays import Bools, Floats
 from app.case.femurs import IntactFemur
@@ -83,8 +84,6 @@ def slices(folder: Path, values: Any, affine: Floats, series: str = "1.2") -> Pa
     By the standard's C.7.6.2. The affine to mm is as in NIfTI: right, anterior, superior positive.
     """
     folder.mkdir(exist_ok=True)
-    import pydicom
-
     s = pydicom.dcmread(pydicom.data.get_testdata_file("CT_small.dcm"))
     lps, n = np.diag([-1.0, -1.0, 1.0]) @ affine[:3], values.shape[2]
     edge = np.linalg.norm(lps[:, :2], axis=0)

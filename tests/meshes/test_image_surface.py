@@ -6,13 +6,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+import nibabel
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
 from app.errors import InputError
 from app.laws.densities import ImageModulus, modulus
-from meshes import femur_bone, images
+from meshes import femur_bone, images, label_surface
 from meshes.data import region_volumes
 from tests import support
 from tests.meshes.bones import inside, own, own_canal, slices, write
@@ -63,7 +64,6 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_volumes_are_those_of_the_triangles(scan: Path) -> None:
     """To 0.3 % each; a voxel beside the bone is left out."""
-    pytest.importorskip("skimage")
     here, there = (as_own(scan, bone=bone, canal=canal) for bone, canal in (LABELS, STL))
     assert "1 voxels in 1 other pieces left out" in here.told["surface"]
     volumes, expected = (region_volumes(made(g)) for g in (here, there))
@@ -72,14 +72,13 @@ def test_volumes_are_those_of_the_triangles(scan: Path) -> None:
 
 def test_nifti(tmp_path: Path) -> None:
     """Numbers and axes of a file; none without axes, in metres, or cut off."""
-    nibabel = pytest.importorskip("nibabel")
     values = np.random.default_rng(0).integers(-1000, 2000, (5, 6, 7)).astype(np.int16)
     affine = np.array([[0, -0.5, 0, 9], [0.4, 0, 0, 8], [0, 0, 1, 7], [0, 0, 0, 1.0]])
     path = tmp_path / "ct.nii.gz"
     nibabel.Nifti1Image(values, affine).to_filename(path)
     assert images.read(path).at(affine[:3, 3:].T + affine[:3, 2]) == values[0, 0, 1]
     with pytest.raises(InputError, match="has no label 3000; it has -"):
-        images.surface(path, 3000)
+        label_surface.read(path, 3000)
     whole = path.read_bytes()
     bare = nibabel.Nifti1Image(values, None)
     metres = nibabel.Nifti1Image(values, affine)
@@ -95,9 +94,8 @@ def test_nifti(tmp_path: Path) -> None:
 
 def test_slices_are_as_their_nifti(tmp_path: Path) -> None:
     """Triangles and moduli of an oblique series; what is no even series of one is refused."""
-    nibabel, _, _ = map(pytest.importorskip, ("nibabel", "skimage", "pydicom"))
     rng = np.random.default_rng(0)
-    numbers = rng.integers(0, 200, (24, 20, 18)) / 2
+    numbers = 1.0 * rng.integers(0, 100, (24, 20, 18))
     numbers[gaussian_filter(rng.normal(size=numbers.shape), 3) > 0.0] = 1200
     affine = np.array(
         [[0.3, -0.36, 0.8, 9], [0.4, 0.27, -0.6, 8], [0, 0.6, 0.75, -7], [0, 0, 0, 1]]
@@ -107,7 +105,7 @@ def test_slices_are_as_their_nifti(tmp_path: Path) -> None:
     nibabel.Nifti1Image(numbers, affine).to_filename(file)
     (folder / "notes.txt").write_text("no slice")
     E = [ImageModulus.model_validate(DENSITY | {"density": str(path)}) for path in (folder, file)]
-    here, there = (images.surface(e.density, 1200)[0] for e in E)
+    here, there = (label_surface.read(e.density, 1200)[0] for e in E)
     assert here == pytest.approx(there, abs=1e-5)
     here, there = (e.at(x, lambda x, depth: x) for e in E)
     assert here == pytest.approx(there, rel=1e-5)
@@ -139,7 +137,6 @@ def test_moduli_at_points_of_the_cortex(scan: Path) -> None:
 @pytest.mark.slow
 def test_slip_is_that_of_the_triangles_within_its_error(scan: Path) -> None:
     """At both interfaces, with moduli from the CT."""
-    pytest.importorskip("skimage")
     E = {"kind": "isotropic", "poisson_ratio": 0.3, "youngs_modulus": DENSITY}
     case: dict[str, Any] = {"base": "stance", "mesh": {"size": "8 mm"}, "output": {"error": True}}
     case |= {"regions": {"cortical_bone": E, "cancellous_bone": E}}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,13 @@ from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
+from app.verification.changed_meshes import ROTATION
 from meshes.contact_facets import InterfaceFacets, sorted_facets
 from meshes.contact_points import ContactPoints, Entries, Holds, contact_points
 from tests import support
 
-NOTHING_HELD = Holds(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))
+NONE = np.zeros(0, np.int64)
+NOTHING_HELD = Holds(NONE, NONE, np.zeros((0, 3), np.int64), np.zeros(0, bool))
 
 
 def facets_of(
@@ -74,7 +77,7 @@ def box_in_a_box(n: int = 3) -> tuple[InterfaceFacets, Floats]:
 def test_box_in_a_box_has_edges_and_corners() -> None:
     """One face inside a side, two on its edges, three at its corners, each with its own normal."""
     facets, x = box_in_a_box()
-    points, _ = contact_points(facets, NOTHING_HELD, 1, {})
+    points, _ = contact_points(facets, NOTHING_HELD, ["a"], {})
     np.testing.assert_allclose(points.x, x[points.vertex], atol=1e-8)
     walls = (np.abs(points.x) < 1e-9) | (np.abs(points.x - 1) < 1e-9)
     np.testing.assert_array_equal(points.faces, walls.sum(axis=1))
@@ -97,7 +100,7 @@ def test_facets_split_above_30_degrees(angle: float, faces: int) -> None:
     up = np.array([-np.cos(t), 0.0, -np.sin(t)])
     triangles = patch([0, 0, 0], [1, 0, 0], [0, 1, 0], 2) + patch([0, 0, 0], up, [0, 1, 0], 2)
     facets, _ = between(triangles, [0, 0.5, 1])
-    points, _ = contact_points(facets, NOTHING_HELD, 1, {})
+    points, _ = contact_points(facets, NOTHING_HELD, ["a"], {})
     ridge = np.abs(points.x[:, 0]) + np.abs(points.x[:, 2]) < 1e-9
     assert (points.faces[ridge] == faces).all()
     assert (points.faces[~ridge] == 1).all()
@@ -117,13 +120,23 @@ def test_at_most_three_faces() -> None:
     tip = np.array([0, 0, 1.0])
     triangles = [np.array([tip, rim[k], rim[(k + 1) % 4]]) for k in range(4)]
     facets, _ = between(triangles, [0, 0, 0])
-    points, _ = contact_points(facets, NOTHING_HELD, 1, {})
+    points, _ = contact_points(facets, NOTHING_HELD, ["a"], {})
     at = np.abs(points.x - tip).max(axis=1) < 1e-9
     assert points.faces[at] == [3]
     assert points.weight[at] == pytest.approx(facets.area.sum() / 3)
     n = points.normals[at][0]
     np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1)
     assert np.linalg.det(n @ n.T) > 0.05
+
+
+@pytest.mark.parametrize("Q", [ROTATION, np.diag([1.0, -1.0, 1.0])], ids=["turned", "mirrored"])
+def test_faces_of_equal_area_do_not_depend_on_the_axes(Q: Floats) -> None:
+    """The order of the faces decides which bears the force of a point that sticks."""
+    facets, _ = box_in_a_box()
+    turned = replace(facets, nodes=facets.nodes @ Q.T, normal=facets.normal @ Q.T)
+    one, other = (contact_points(f, NOTHING_HELD, ["a"], {})[0] for f in (facets, turned))
+    assert set(one.faces.tolist()) == {1, 2, 3}
+    np.testing.assert_allclose(other.normals, one.normals @ Q.T, atol=1e-12)
 
 
 # Motion of bodies with jumps
@@ -152,6 +165,29 @@ def check_jumps(points: ContactPoints, entries: Entries, bodies: int) -> None:
         np.testing.assert_allclose((B[slave] - B[master])[free], jump[free], atol=1e-14)
 
 
+def check_mean_jumps(points: ContactPoints, entries: Entries, bodies: int) -> None:
+    """At every corner of an interface the slave moves against the master by the true jump.
+
+    The jump of a point is the mean of its corner and its part of the dependent ones.
+    """
+    surface, n = points.surface, len(points.x)
+    every = surface.true_jumps(np.zeros((n, 3)))
+    true = np.eye(3 * n) if surface.jumps is None else surface.jumps.toarray()
+    assert len(every) == len(surface.x)
+    for c in range(len(surface.x)):
+        B = moves(entries, int(surface.dof[c]), bodies, n).reshape(bodies, 3, 3 * n)
+        master, slave = surface.bodies[c]
+        free = ~points.held[points.vertex == surface.vertex[c]].any(axis=0)
+        jump = true[3 * c : 3 * c + 3]
+        np.testing.assert_allclose((B[slave] - B[master])[free], jump[free], atol=1e-12)
+    if surface.shares is not None:
+        S = np.kron(surface.shares.toarray(), np.eye(3))
+        area = np.repeat(surface.weight, 3)
+        mean = (S.T * area) @ true / np.repeat(points.weight, 3)[:, None]
+        free = ~points.held.ravel()
+        np.testing.assert_allclose(mean[free], np.eye(3 * n)[free], atol=1e-12)
+
+
 def three_on_a_line(*moduli: float) -> tuple[InterfaceFacets, Floats]:
     """Three bodies around the z axis, each in a third of space; three interfaces meet on it."""
     triangles, interface, master, slave, inside = [], [], [], [], []
@@ -171,19 +207,19 @@ def three_on_a_line(*moduli: float) -> tuple[InterfaceFacets, Floats]:
 def test_the_stiffest_body_is_the_base() -> None:
     """It is the field u itself wherever no support holds another one."""
     facets, _ = three_on_a_line(2.0, 1.0, 3.0)
-    points, entries = contact_points(facets, NOTHING_HELD, 3, {})
+    points, entries = contact_points(facets, NOTHING_HELD, ["a", "b", "c"], {})
     for p in range(len(points.x)):
         B = moves(entries, int(points.dof[p]), 3, len(points.x)).reshape(3, 3, -1)
         moved = {body for body in range(3) if B[body].any()}
         here = set(points.bodies[points.vertex == points.vertex[p]].ravel())
         assert moved == here - {max(here, key=[2, 1, 3].__getitem__)}
-    check_jumps(points, entries, 3)
+    check_mean_jumps(points, entries, 3)
 
 
 def test_three_bodies_on_a_line_have_two_jumps() -> None:
-    """Bodies minus one; the last interface in the order of the case file is the one left out."""
+    """Bodies minus one; interfaces that are alike are taken by name, the last one is dependent."""
     facets, x = three_on_a_line()
-    points, entries = contact_points(facets, NOTHING_HELD, 3, {})
+    points, entries = contact_points(facets, NOTHING_HELD, ["a", "b", "c"], {})
     line = np.flatnonzero(np.hypot(x[:, 0], x[:, 1]) < 1e-9)
     assert len(line) == 3
     for v in range(len(x)):
@@ -195,9 +231,13 @@ def test_three_bodies_on_a_line_have_two_jumps() -> None:
             # With u itself all three bodies move freely of each other.
             with_u = np.column_stack([np.tile(np.eye(3), (3, 1)), B])
             assert np.linalg.matrix_rank(with_u) == 9
-    check_jumps(points, entries, 3)
-    # Facets on the line that lack a point are left out of the sampled penetration.
-    assert all((t >= 0).all() for t in points.triangles)
+    check_mean_jumps(points, entries, 3)
+    # No facet and no area is lost.
+    assert sum(map(len, points.triangles)) == len(facets.area)
+    assert points.weight.sum() == pytest.approx(facets.area.sum(), rel=1e-14)
+    for i in range(3):
+        area = points.weight[points.interface == i].sum()
+        assert area == pytest.approx(facets.area[facets.interface == i].sum(), rel=1e-14)
 
 
 def hold(where: NDArray, bodies: Sequence[int], component: int) -> Holds:
@@ -205,7 +245,8 @@ def hold(where: NDArray, bodies: Sequence[int], component: int) -> Holds:
     vertex = np.flatnonzero(where).astype(np.int64)
     support = np.full((len(vertex) * len(bodies), 3), -1, dtype=np.int64)
     support[:, component] = 0
-    return Holds(np.tile(vertex, len(bodies)), np.repeat(bodies, len(vertex)), support)
+    rigid = np.zeros(len(support), dtype=bool)
+    return Holds(np.tile(vertex, len(bodies)), np.repeat(bodies, len(vertex)), support, rigid)
 
 
 def flat(slope: float = 0.0) -> tuple[InterfaceFacets, Floats]:
@@ -216,7 +257,7 @@ def flat(slope: float = 0.0) -> tuple[InterfaceFacets, Floats]:
 def test_slave_held_alone_is_the_base() -> None:
     """Where only the slave is held it is the field u itself, and the master moves by minus q."""
     facets, x = flat()
-    points, entries = contact_points(facets, hold(x[:, 0] < 1e-9, [1], 0), 1, {})
+    points, entries = contact_points(facets, hold(x[:, 0] < 1e-9, [1], 0), ["a"], {})
     assert not points.held.any()
     assert (points.faces == 1).all()
     for p in range(len(points.x)):
@@ -230,7 +271,7 @@ def test_slave_held_alone_is_the_base() -> None:
 def test_both_sides_held_give_the_jump() -> None:
     """The jump of a component that both sides hold is given, and normals drop the component."""
     facets, x = flat(0.2)
-    points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 1), 1, {})
+    points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 1), ["a"], {})
     held = points.x[:, 1] < 1e-9
     np.testing.assert_array_equal(points.held, np.outer(held, [False, True, False]))
     assert (points.given[held, 1] == 0).all()
@@ -239,7 +280,7 @@ def test_both_sides_held_give_the_jump() -> None:
     assert points.weight.sum() == pytest.approx(facets.area.sum())
     # Along the normal: the contact law has nothing to say there.
     facets, x = flat()
-    points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 2), 1, {})
+    points, _ = contact_points(facets, hold(x[:, 1] < 1e-9, [0, 1], 2), ["a"], {})
     np.testing.assert_array_equal(points.faces, np.where(points.x[:, 1] < 1e-9, 0, 1))
 
 
@@ -247,10 +288,10 @@ def test_chain_between_two_held_bodies() -> None:
     """On a line of three bodies, the outer two held: both jumps in that direction are given."""
     facets, x = three_on_a_line()
     holds = hold(np.hypot(x[:, 0], x[:, 1]) < 1e-9, [0, 2], 2)
-    points, entries = contact_points(facets, holds, 3, {})
+    points, entries = contact_points(facets, holds, ["a", "b", "c"], {})
     line = np.hypot(points.x[:, 0], points.x[:, 1]) < 1e-9
     np.testing.assert_array_equal(points.held, np.outer(line, [False, False, True]))
-    check_jumps(points, entries, 3)
+    check_mean_jumps(points, entries, 3)
 
 
 # On real meshes

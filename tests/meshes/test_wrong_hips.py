@@ -90,11 +90,21 @@ BONES: dict[str, tuple[BoneSurface | bytes, str]] = {
     "headless": (headless(), f"no lesser trochanter .* {PLACE} .*; expected a femur's proximal"),
     "dented": (bent(0, 60.0, (-14, 0, -70), 9.0), f"bone at {PLACE}.* crosses itself"),
     "folded": (bent(2, 25.0, (0, 0, -70), (9e9, 9e9, 10.0)), f"than once, about {PLACE}"),
-    "empty": (b"", "no STL file, or not all of one: 0 bytes"),
-    "cut off": (b"\0" * 80 + b"\x10\0\0\0" + b"\0" * 99, "not all of one: 183 bytes"),
-    "text cut off": (b"solid x facet outer loop vertex 0 0", "damaged after 1 corners"),
-    "no triangles": (b"solid x endsolid x", "has no triangles"),
-    "nan": (b"solid x vertex 0 0 nan vertex 1 0 0 vertex 0 1 0 endsolid", "no numbers"),
+    "empty": (b"", "empty.stl: is empty"),
+    "cut off": (
+        b"\0" * 80 + b"\x10\0\0\0" + b"\0" * 99,
+        "has 1 of the 16 triangles that its header gives",
+    ),
+    "text cut off": (
+        b"solid x facet outer loop vertex 0 0",
+        "no `endsolid`, after 0 facets: is it cut short",
+    ),
+    "no triangles": (b"solid x\nendsolid x", "has no triangles"),
+    "nan": (
+        b"solid x\nfacet normal 0 0 1 outer loop vertex 0 0 nan vertex 1 0 0 vertex 0 1 0"
+        b" endloop endfacet\nendsolid",
+        "corners that are no numbers",
+    ),
 }
 CANALS = {
     "outside": (

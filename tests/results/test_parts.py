@@ -35,8 +35,8 @@ def divided(solved: support.Solved) -> tuple[Surface, dict[str, Any]]:
     """The interface in its parts, and its numbers."""
     contact = solved.problem.contact
     assert contact is not None
-    x, y, _ = contact.points.x.T
-    surface = Surface(contact.points, 0, {"tip": y - 1.0, "rim": x - 1.0})
+    x, y, _ = contact.points.surface.x.T
+    surface = Surface(contact.points.surface, 0, {"tip": y - 1.0, "rim": x - 1.0})
     trial = solved.problem.trial(*solved.solver.u_and_q())  # type: ignore[arg-type]
     return surface, ContactSamples(solved.problem, trial, None, [surface]).numbers["stem_upper"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -60,9 +61,10 @@ def test_published_laws(even: Path, law: str, expected: list[float]) -> None:
     """
     E = ImageModulus.model_validate(modulus(even, law))
     assert densities.modulus(law, np.array([0.3, 0.6, 1.0])) == pytest.approx(expected, abs=0.5)
-    assert ", ".join(f"{e:,}" for e in expected[2:]) in next(
-        iter(E.told(SimpleNamespace(skin=())).values())
-    )
+    told = E.told(SimpleNamespace(skin=()))
+    (words,) = (text for key, text in told.items() if key.startswith("E at 0.3, 0.6, 1 g/cm3"))
+    assert words.endswith(f"{expected[2]:,} MPa")
+    assert told["image"] == "arrays of numpy: 60 x 60 x 60 voxels of 1 x 1 x 1 mm, int16"
     below, above = (densities.modulus(law, np.array([0.27, 0.60]) + step) for step in (0, 1e-9))
     assert below == pytest.approx(above, rel=1.5e-3)
     ash = 0.877 * 1.124 + 0.0789
@@ -174,3 +176,33 @@ def test_an_image_in_other_axes_is_refused_with_the_place(even: Path) -> None:
     text = f"regions.bone.youngs_modulus={json.dumps(modulus(even, 'morgan_neck'))}"
     with pytest.raises(InputError, match=r"points are outside of the image, as \(-?\d+"):
         support.assemble(support.case(support.STEM, text))
+
+
+@pytest.mark.parametrize(
+    ("least", "cortex", "lost", "notes"),
+    [
+        (-1000, 1400, 0, []),
+        (24, 1400, 0, ["its least CT number is 24; air has -1000: without air, or is 1024 added"]),
+        (
+            -1000,
+            2024,
+            0,
+            [r"E 1\.5 mm below the bone's surface is 26\.9 GPa; expected less than 25"],
+        ),
+        (-1000, 1840, 7, ["7 voxels are no numbers"]),
+    ],
+)
+def test_doubtful_ct_numbers_have_notes(
+    least: int, cortex: int, lost: int, notes: list[str], tmp_path: Path
+) -> None:
+    """Of a cortex whose modulus by the law is 23.5 GPa at 1840, and 26.9 at 2024."""
+    values = np.full((60, 60, 60), float(cortex))
+    values[:5] = least
+    values[0, 0, :lost] = np.nan
+    E = ImageModulus.model_validate(modulus(write(tmp_path / "ct.npz", values), "morgan_neck"))
+    surface = SimpleNamespace(skin=np.zeros((9, 3)), in_image=lambda x, depth: x)
+    found = E.doubts(surface)
+    assert len(found) == len(notes)
+    assert all(re.search(note, text) for note, text in zip(notes, found, strict=True))
+    (line,) = ["; ".join(E.image.told)]
+    assert (f"{lost} voxels are no numbers" in line) == bool(lost)

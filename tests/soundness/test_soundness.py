@@ -21,8 +21,7 @@ from app.numerics.newton import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
 from app.simulation.model import Model
 from app.soundness import preview, well_posedness
-from app.soundness.failure import pulled_off
-from app.soundness.loose_bodies import BodiesOnMesh
+from app.soundness.loose_bodies import BodiesOnMesh, pulled_off
 from app.soundness.mesh_parts import gaps_of, groups_of
 from app.system import folders
 from app.system.timing import Timing

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
+import meshes
+from app.arrays import Floats
+from app.case.gmsh_header import ALLOWED
+from app.verification.changed_meshes import ROTATION
 from forms.contact import OPEN, SLIP, STICK
+from meshes.data import MeshData
+from meshes.distribute import distribute
 from tests import support
 from tests.support import Solved
+from tests.verification.test_second_law import PEG, PEG_MESH
 
 # A tapered stem pushed in and sideways and partly back, with fixed steps.
 STEM = f"""{support.stem("24 mm", "size: 3.5 mm, far_size: 5 mm")}{support.CONTACT}
@@ -127,3 +139,50 @@ def test_balances_with_every_kind_of_load(kind: str, order: int) -> None:
     text = WORK.replace("kind: KIND", f"kind: {kind}").replace("ORDER", str(order))
     result = support.solve(text, balances=True)
     assert result.balances.max() < 1e-8, result.balances
+
+
+def changed(data: MeshData, R: Floats) -> MeshData:
+    """A mesh turned or mirrored by an orthogonal matrix, with the same numbers of its nodes."""
+    order = [0, 1, 2, 3] if np.linalg.det(R) > 0 else [1, 0, 2, 3]
+    return replace(data, points=data.points @ R.T, cells=data.cells[:, order])
+
+
+@pytest.mark.parametrize(
+    "R",
+    [
+        pytest.param(ROTATION, id="turned"),
+        pytest.param(np.diag([1.0, -1.0, 1.0]), id="mirrored"),
+        pytest.param(ROTATION @ np.diag([-1.0, 1.0, 1.0]), id="both", marks=pytest.mark.slow),
+    ],
+)
+def test_numbers_do_not_depend_on_the_axes(
+    R: Floats, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A peg in a socket, with edges and corners, under loads: every number of its interface."""
+    monkeypatch.setenv(ALLOWED, "1")
+    (tmp_path / "peg.geo").write_text(PEG_MESH)
+    sides = "interfaces: {peg_socket: [socket, peg]}"
+    geometry = f"geometry={{kind: file, path: {tmp_path / 'peg.geo'}, {sides}}}"
+    case = support.case(PEG, geometry, "solver.tolerance=1e-12")
+    data = meshes.build(case.geometry, case.mesh, None)
+    one, other = (
+        support.solve(
+            PEG,
+            geometry,
+            "solver.tolerance=1e-12",
+            *(
+                f"loads.{name}.force=[{', '.join(f'{c!r} N' for c in (Q @ force).tolist())}]"
+                for name, force in (("push", [0, 0, -30]), ("x", [12, 0, 0]), ("y", [0, 12, 0]))
+            ),
+            tagged=distribute(changed(data, Q), MPI.COMM_WORLD),
+        )
+        for Q in (np.eye(3), R)
+    )
+    a, b = one.interfaces["peg_socket"], other.interfaces["peg_socket"]
+    numbers = [key for key, value in a.items() if isinstance(value, float)]
+    assert {"pressure_mean", "shear_mean", "pressure_p99", "slip_max"} <= {*numbers}
+    scales = {"pressure": a["pressure_max"], "slip": a["slip_max"], "gap": a["gap_max"]}
+    for key in numbers:
+        scale = max(abs(a[key]), scales.get(key.split("_")[0], 1e-3))
+        assert abs(a[key] - b[key]) < 1e-7 * scale, key
+    np.testing.assert_allclose(b["force"], R @ a["force"], atol=1e-6)

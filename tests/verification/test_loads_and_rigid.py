@@ -185,8 +185,15 @@ def test_support_of_the_elastic_side_alone_at_a_rigid_region_is_refused() -> Non
         support.solve(
             PUNCH,
             "supports.x0.boundary=block_x_min",
-            "supports.pin={kind: roller, boundary: top, axis: x}",
+            "supports.x1.boundary=block_x_max",
         )
+    # Held elsewhere, the region is held where the block touches it.
+    solved = support.solve(
+        PUNCH,
+        "supports.x0.boundary=block_x_min",
+        "supports.pin={kind: roller, boundary: top, axis: x}",
+    )
+    np.testing.assert_allclose(solved.last.pressure, 2.0, rtol=1e-9)
 
 
 def test_many_held_nodes_of_a_rigid_region_take_little_memory() -> None:

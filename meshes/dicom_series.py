@@ -1,0 +1,246 @@
+"""Images in folders of DICOM slices, as a hospital exports them.
+
+Slices of one series are taken. Folders hold other files, too: a directory of the medium, reports,
+localizers, secondary captures; they are left out by name. What could be meant is refused.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.arrays import Floats
+from app.errors import InputError
+from app.files import parts
+
+UNEVEN = 0.1  # of the step between slices: how far one may be from its place, at most
+SAME_PLACE = 0.01  # mm: slices that are nearer stand twice
+TURNED = 2e-3  # by which cosines of a slice's axes may differ from those of the rest
+# First bytes of a file without preamble: a group of its first element, little-endian.
+FIRST_GROUPS = (b"\x02\x00", b"\x08\x00")
+PREAMBLE = 128  # bytes before the letters DICM
+NAMED = 3  # files that a message names, at most
+PLACED = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")
+
+
+def read(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
+    """Return numbers, their affine to mm, what was taken and left out, and doubts.
+
+    Its axes, to left and posterior, are turned to right and anterior.
+
+    Raises:
+        InputError: There are no slices of one series, in one plane, at even steps.
+        Exception: A slice is damaged, in any way that pydicom meets it.
+    """
+    headers, told = _headers(path)
+    slices = _of_one_series(path, headers, told)
+    _check_equal(path, slices)
+    across, down = np.split(np.mean([s.ImageOrientationPatient for s in slices], axis=0), 2)
+    normal = np.cross(across, down)
+    slices.sort(key=lambda s: float(normal @ np.array(s.ImagePositionPatient, float)))
+    slices, numbers = _without_copies(path, slices, told)
+    at = np.array([s.ImagePositionPatient for s in slices], dtype=float)
+    if len(slices) < 2:
+        raise InputError(f"{path}: has one slice only, {_name(slices[0])}")
+    step = (at[-1] - at[0]) / (len(at) - 1)
+    gaps = np.linalg.norm(np.diff(at, axis=0), axis=1)
+    off = np.linalg.norm(at - at[0] - np.outer(range(len(at)), step), axis=1)
+    if not off.max() < UNEVEN * np.linalg.norm(step):
+        text = f"{path}: its slices are {gaps.min():.3g} to {gaps.max():.3g} mm apart"
+        after = _name(slices[int(gaps.argmax())])
+        raise InputError(f"{text}; is one missing after {after}? Resample them evenly")
+    spacing = np.array(slices[0].PixelSpacing, dtype=float)
+    affine = np.eye(4)
+    affine[:3] = np.stack([across * spacing[1], down * spacing[0], step, at[0]], axis=1)
+    affine[:2] *= -1
+    modality = str(slices[0].get("Modality", "") or "no modality")
+    series = f"{len(slices)} DICOM slices of {_described(slices[0])} ({modality})"
+    return np.stack(numbers).T, affine, [series, *told], []
+
+
+def is_dicom(start: bytes) -> bool:
+    """Return True if a file's first bytes are those of DICOM with its preamble."""
+    return start[PREAMBLE : PREAMBLE + 4] == b"DICM"
+
+
+def _headers(path: Path) -> tuple[list[Any], list[str]]:
+    """Headers of all DICOM files of a folder, and notes on its other files."""
+    headers = []
+    others = []
+    for file in parts(path):
+        header = _header(file)
+        if header is None:
+            others.append(file.name)
+        else:
+            headers.append(header)
+    below = {f.name: sum(map(_is_slice, parts(f))) for f in sorted(path.iterdir()) if f.is_dir()}
+    full = [f"{name} ({count} files)" for name, count in below.items() if count]
+    if not headers and full:
+        raise InputError(f"{path}: has no slices; look in its folder {', '.join(full)}")
+    if not headers:
+        text = f"has no slices: none of its {len(others)} files is DICOM"
+        raise InputError(f"{path}: {text}{'; its folders have none' if below else ''}")
+    told = [f"its folder {text} is not read" for text in full]
+    if others:
+        told.append(f"{len(others)} other files left out: {_names(others)}")
+    return headers, told
+
+
+def _is_slice(file: Path) -> bool:
+    header = _header(file)
+    return header is not None and "Rows" in header
+
+
+def _header(file: Path) -> Any:
+    """A file's data up to its pixels; None if it is no DICOM."""
+    import pydicom
+
+    with file.open("rb") as opened:
+        start = opened.read(PREAMBLE + 4)
+    if not is_dicom(start) and not start.startswith(FIRST_GROUPS):
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on values that no image needs
+            # Files of old programs have no preamble.
+            header = pydicom.dcmread(file, stop_before_pixels=True, force=True)
+        return header if "SOPClassUID" in header or is_dicom(start) else None
+    except Exception as error:  # damaged files let pydicom fail in any way
+        if not is_dicom(start):
+            return None
+        raise InputError(f"{file}: is no slice that can be read: {error}") from None
+
+
+def _of_one_series(path: Path, headers: Sequence[Any], told: list[str]) -> list[Any]:
+    """Slices of the one series of a folder; other contents are left out and added to ``told``."""
+
+    def drop(headers: Sequence[Any], what: str, of: Callable[[Any], bool]) -> list[Any]:
+        dropped = [_name(h) for h in headers if of(h)]
+        if dropped:
+            told.append(f"{len(dropped)} {what} left out: {_names(dropped)}")
+        return [h for h in headers if not of(h)]
+
+    slices = drop(headers, "files without an image", lambda h: "Rows" not in h)
+    many = [_name(s) for s in slices if int(s.get("NumberOfFrames") or 1) > 1]
+    if many:
+        text = f"{_names(many)}: is of many frames in a file; convert it to NIfTI, as dcm2niix does"
+        raise InputError(f"{path}: {text}")
+    if slices and not any(map(_is_placed, slices)):
+        kind = slices[0].get("SOPClassUID", "")
+        raise InputError(
+            f"{path}: {_name(slices[0])} and {len(slices) - 1} more have no position in the patient"
+            f" ({getattr(kind, 'name', kind)}): export the original series"
+        )
+    slices = drop(slices, "images without position", lambda s: not _is_placed(s))
+    slices = drop(slices, "localizers", lambda s: "LOCALIZER" in (s.get("ImageType") or ()))
+    if not slices:
+        raise InputError(f"{path}: has no slices; {'; '.join(told)}")
+    series: dict[str, list[Any]] = {}
+    for one in slices:
+        series.setdefault(str(one.get("SeriesInstanceUID", "")), []).append(one)
+    if len(series) > 1:
+        counts = ", ".join(str(len(those)) for those in series.values())
+        each = "; ".join(
+            f"{len(those)} of {_described(those[0])}, as {_name(those[0])}"
+            for those in series.values()
+        )
+        text = f"has {counts} slices; expected those of one series, in one plane: {each}"
+        raise InputError(f"{path}: {text}. Put one series into a folder")
+    return slices
+
+
+def _check_equal(path: Path, slices: Sequence[Any]) -> None:
+    """Raise InputError, with the file, where slices have other sizes or planes than most."""
+
+    def differ(what: str, values: Sequence[tuple[Any, ...]]) -> None:
+        (most, _), *others = Counter(values).most_common()
+        if others:
+            odd = [_name(s) for s, value in zip(slices, values, strict=True) if value != most]
+            first = next(value for value in values if value != most)
+            text = f"{_names(odd)} has {what} {_by(first)}, the other slices {_by(most)}"
+            raise InputError(f"{path}: {text}: leave it out")
+
+    differ("pixels of", [(int(s.Rows), int(s.Columns)) for s in slices])
+    differ("samples of a pixel:", [(int(s.get("SamplesPerPixel") or 1),) for s in slices])
+    if int(slices[0].get("SamplesPerPixel") or 1) > 1:
+        raise InputError(f"{path}: its slices are in colour; expected CT numbers")
+    differ("spacing", [tuple(np.round(np.array(s.PixelSpacing, float), 4)) for s in slices])
+    axes = np.array([s.ImageOrientationPatient for s in slices], dtype=float)
+    off = np.abs(axes - np.median(axes, axis=0)).max(axis=1) > TURNED
+    if off.any():
+        odd = [_name(s) for s, turned in zip(slices, off, strict=True) if turned]
+        raise InputError(f"{path}: {_names(odd)} is in another plane than the rest: leave it out")
+
+
+def _without_copies(
+    path: Path, slices: Sequence[Any], told: list[str]
+) -> tuple[list[Any], list[Any]]:
+    """Slices in their order, each once, and their CT numbers."""
+    kept: list[Any] = []
+    numbers: list[Any] = []
+    copies = []
+    for one in slices:
+        values = _numbers(one)
+        near = kept and np.allclose(
+            np.array(one.ImagePositionPatient, float),
+            np.array(kept[-1].ImagePositionPatient, float),
+            rtol=0.0,
+            atol=SAME_PLACE,
+        )
+        if not near:
+            kept.append(one)
+            numbers.append(values)
+        elif np.array_equal(values, numbers[-1]):
+            copies.append(_name(one))
+        else:
+            text = f"{_name(kept[-1])} and {_name(one)} are at one place and differ"
+            raise InputError(f"{path}: {text}: two series, phases or energies? Keep one")
+    if copies:
+        told.append(f"{len(copies)} slices that stand twice taken once: {_names(copies)}")
+    return kept, numbers
+
+
+def _numbers(header: Any) -> Any:
+    """CT numbers (rows, columns) of a slice, by its slope and intercept."""
+    import pydicom
+
+    try:
+        data = pydicom.dcmread(header.filename, force=True)
+        if "TransferSyntaxUID" not in data.file_meta:
+            data.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
+        pixels = data.pixel_array
+    except Exception as error:  # damaged files let pydicom fail in any way
+        raise InputError(f"{header.filename}: has no pixels that can be read: {error}") from None
+    slope, intercept = data.get("RescaleSlope"), data.get("RescaleIntercept")
+    slope = np.float32(1 if slope is None else slope)
+    return slope * pixels + np.float32(0 if intercept is None else intercept)
+
+
+def _is_placed(header: Any) -> bool:
+    return all(header.get(key) is not None for key in PLACED)
+
+
+def _name(header: Any) -> str:
+    return Path(header.filename).name
+
+
+def _names(names: Iterable[str]) -> str:
+    """The first names of several."""
+    names = list(names)
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
+
+
+def _described(header: Any) -> str:
+    """A series by its description, in quotes."""
+    words = str(header.get("SeriesDescription") or header.get("SeriesInstanceUID") or "?")
+    return f"'{words}'"
+
+
+def _by(values: Iterable[Any]) -> str:
+    return " x ".join(f"{value:g}" for value in values)

@@ -1,0 +1,72 @@
+"""Triangles of surface files: STL, PLY and OBJ, each by its reader."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from app.arrays import Floats
+from app.errors import GeometryError
+from meshes import obj_file, ply_file, stl_file
+from meshes.text_files import decoded, is_text
+
+READERS = {".stl": stl_file.read, ".ply": ply_file.read, ".obj": obj_file.read}
+# Contents that are no surface, by their first bytes.
+OTHERS = {
+    b"version https://git-lfs": "is a pointer of Git LFS, not the file: `git lfs pull` brings it",
+    b"PK\x03\x04": "is a ZIP archive: unpack it",
+    b"\x1f\x8b": "is compressed by gzip: unpack it",
+    b"7z\xbc\xaf": "is a 7z archive: unpack it",
+    b"<!DOCTYPE": "is a page of HTML, not the file",
+    b"<html": "is a page of HTML, not the file",
+    b"<?xml": "is XML, as VTK and 3MF write it",
+    b"<VTKFile": "is XML of VTK",
+    b"# vtk": "is a file of VTK",
+    b"OFF": "is an OFF file",
+    b"COFF": "is an OFF file",
+    b"\x89HDF": "is an HDF5 file",
+    b"ISO-10303": "is a STEP file",
+}
+
+
+def read(path: Path) -> tuple[Floats, list[str]]:
+    """Return corners of triangles (m, 3, 3) in the file's unit, and notes on what was read.
+
+    Raises:
+        GeometryError: It is of another format, cut short or damaged.
+    """
+    suffix = path.suffix.lower()
+    expected = ", ".join(READERS)
+    if suffix not in READERS:
+        raise GeometryError(f"{path}: `{path.suffix}` is none of {expected}")
+    with path.open("rb") as file:
+        start = file.read(100_000)
+    if not start:
+        raise GeometryError(f"{path}: is empty")
+    for content, words in OTHERS.items():
+        if start.startswith(content):
+            raise GeometryError(f"{path}: {words}; expected one of {expected}")
+    kind = _format_of(start, path.stat().st_size)
+    if kind and kind != suffix:
+        name = kind[1:].upper()
+        raise GeometryError(f"{path}: is {_article(name)} {name} file by its content: rename it")
+    return READERS[suffix](path)
+
+
+def _article(name: str) -> str:
+    return "an" if name in ("STL", "OBJ") else "a"
+
+
+def _format_of(start: bytes, size: int) -> str | None:
+    """Suffix of the format that a content has, by its first bytes and its size; or None."""
+    if size == stl_file.size_of(start):
+        return ".stl"
+    if not is_text(start) and not start.startswith(b"ply"):
+        return None
+    words = [line.split() for line in decoded(start)[0].split("\n")]
+    kinds = [line[0].lower() for line in words if line]
+    match kinds[:1]:
+        case ["ply"]:
+            return ".ply"
+        case ["solid"]:
+            return ".stl"
+    return ".obj" if "v" in kinds else None

@@ -1,0 +1,38 @@
+"""Text of surface files: encodings, line ends and decimal commas as programs write them."""
+
+from __future__ import annotations
+
+import codecs
+import re
+
+ENCODINGS = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+# A vertex of an STL or OBJ file whose numbers have a comma, or a point, between digits.
+COMMA = re.compile(r"^\s*v(?:ertex)?\s[^\n]*\d,\d", re.IGNORECASE | re.MULTILINE)
+POINT = re.compile(r"^\s*v(?:ertex)?\s[^\n]*\d\.\d", re.IGNORECASE | re.MULTILINE)
+
+
+def decoded(data: bytes) -> tuple[str, list[str]]:
+    """Return a file's text, its lines ended by a line feed alone, and notes on it.
+
+    Names may be in any encoding. Decimal commas become points where no vertex has a point.
+    """
+    mark = next((mark for mark in ENCODINGS if data.startswith(mark)), None)
+    text = data.decode(ENCODINGS[mark] if mark else "latin-1", errors="replace")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if not COMMA.search(text) or POINT.search(text):
+        return text, []
+    return re.sub(r"(?<=\d),(?=\d)", ".", text), ["decimal commas are read as points"]
+
+
+def is_text(data: bytes) -> bool:
+    """Return True if a file begins as text does."""
+    return data.startswith(tuple(ENCODINGS)) or b"\0" not in data[:2000]
+
+
+def line_of(text: str, position: int) -> int:
+    """Number of the line that holds a position, from 1."""
+    return text.count("\n", 0, position) + 1

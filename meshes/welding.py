@@ -1,0 +1,210 @@
+"""Loose triangles joined to a surface, without a change of its shape.
+
+Corners that are one up to rounding are made one; facets that stand several times are kept once;
+an edge that only one of its sides divides is divided on both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from app.arrays import Bools, Floats, Ints
+from meshes.data import connected
+from meshes.polygons import divided
+
+WELD = 1e-4  # mm: nearer corners are one
+ROUNDING = 4 * float(np.finfo(np.float32).eps)  # of the farthest coordinate: the same
+SHORT = 1.0  # percent of edges that are shorter than what is taken for a short one
+PART = 0.1  # of a short edge: nearer corners of open edges are one, too
+FARTHEST = 0.05  # mm: the same at most
+ON_EDGE = 0.01  # mm: a corner that is so near to an open edge divides it
+ON_EDGE_PART = 0.02  # of the edge: the same at most
+
+
+@dataclass
+class Welded:
+    """Triangles of common corners.
+
+    Attributes:
+        points: Corners (n, 3) [mm].
+        triangles: Their rows (m, 3).
+        notes: What was joined or left out, in words.
+    """
+
+    points: Floats
+    triangles: Ints
+    notes: list[str] = field(default_factory=list)
+
+
+def weld(corners: Floats) -> Welded:
+    """Join triangles with corners (m, 3, 3) [mm] to a surface."""
+    flat = corners.reshape(-1, 3)
+    points, of = np.unique(flat, axis=0, return_inverse=True)
+    size = max(WELD, ROUNDING * float(np.abs(flat).max(initial=0.0)))
+    same = _clusters(points, size)
+    points, of = _means(points, same), same[of.ravel()]
+    surface = _without_repeats(Welded(points, of.reshape(-1, 3)))
+    if not open_edges(surface.triangles).size:
+        return surface
+    return _divided_edges(_welded_wider(surface, size))
+
+
+def thin(surface: Welded, size: float) -> Welded:
+    """Make corners within the boxes of a size [mm] one."""
+    low = surface.points.min(axis=0)
+    box = np.round((surface.points - low) / size).astype(np.int64)
+    _, of = np.unique(box, axis=0, return_inverse=True)
+    points, triangles = _means(surface.points, of.ravel()), of.ravel()[surface.triangles]
+    triangles = triangles[_has_three(triangles)]
+    # Two on the same corners are a fold without thickness: both go.
+    _, first, times = np.unique(
+        np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    kept = triangles[np.sort(first[times % 2 == 1])]
+    note = f"{len(surface.triangles):,} triangles: corners within {size} mm made one,"
+    notes = [*surface.notes, f"{note} {len(kept):,} are left"]
+    return _used(Welded(points, kept, notes))
+
+
+def open_edges(triangles: Ints) -> Ints:
+    """Corners (k, 2) of edges that belong to one triangle, in its direction."""
+    ends, key = _edges(triangles)
+    _, of, times = np.unique(key, return_inverse=True, return_counts=True)
+    return np.asarray(ends[times[of.ravel()] == 1])
+
+
+def apart(surface: Welded) -> float:
+    """Median distance [mm] of a corner of an open edge from the next one."""
+    rim = surface.points[np.unique(open_edges(surface.triangles))]
+    return float(np.median(cKDTree(rim).query(rim, 2)[0][:, 1]))
+
+
+def _edges(triangles: Ints) -> tuple[Ints, Ints]:
+    """Ends (3m, 2) of the edges of triangles (m, 3), and a number of each without direction."""
+    ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    low, high = np.sort(ends, axis=1).T
+    return ends, low * (triangles.max(initial=0) + 1) + high
+
+
+def _clusters(points: Floats, size: float) -> Ints:
+    """Number of the group (n,) of each point, of groups whose points are nearer than a size."""
+    one, other = cKDTree(points).query_pairs(size, output_type="ndarray").T
+    return connected(len(points), one, other)
+
+
+def _means(points: Floats, of: Ints) -> Floats:
+    """Middles of groups of points."""
+    count = np.bincount(of)
+    return np.stack([np.bincount(of, points[:, i]) / count for i in range(3)], axis=1)
+
+
+def _has_three(triangles: Ints) -> Bools:
+    """Mark triangles of three different corners."""
+    ordered = np.sort(triangles, axis=1)
+    return np.asarray((ordered[:, 1:] != ordered[:, :-1]).all(axis=1))
+
+
+def _used(surface: Welded) -> Welded:
+    """Drop points without a triangle."""
+    used, triangles = np.unique(surface.triangles, return_inverse=True)
+    return Welded(surface.points[used], triangles.reshape(-1, 3), surface.notes)
+
+
+def _without_repeats(surface: Welded) -> Welded:
+    """Drop triangles without area, copies of facets, and folds without thickness."""
+    real = _has_three(surface.triangles)
+    notes = list(surface.notes)
+    if not real.all():
+        notes.append(f"{int((~real).sum()):,} triangles without area left out")
+    triangles = surface.triangles[real]
+    ordered = np.sort(triangles, axis=1)
+    _, first, times = np.unique(ordered, axis=0, return_index=True, return_counts=True)
+    fold = _folds(triangles[first], times % 2 == 0)
+    if fold.any():
+        notes.append(f"{int(times[fold].sum()):,} triangles of folds without thickness left out")
+    if doubled := int((times - 1)[~fold].sum()):
+        notes.append(f"{doubled:,} doubled facets left out")
+    return _used(Welded(surface.points, triangles[np.sort(first[~fold])], notes))
+
+
+def _folds(facets: Ints, doubled: Bools) -> Bools:
+    """Mark doubled facets (m,) that are two sheets which touch, and not copies of a facet.
+
+    At the edge of a patch of copies there is one other facet; where a fold begins there are two.
+    """
+    copies = np.flatnonzero(doubled)
+    _, key = _edges(facets)
+    _, edge = np.unique(key, return_inverse=True)
+    edge = edge.reshape(-1, 3)
+    number = edge.max(initial=-1) + 1
+    others = np.bincount(edge[~doubled].ravel(), minlength=number)
+    own = np.bincount(edge[doubled].ravel(), minlength=number)
+    row = np.repeat(np.arange(len(copies)), 3)
+    at = edge[copies].ravel()
+    order = np.argsort(at, kind="stable")
+    shared = np.diff(at[order]) == 0
+    patch = connected(len(copies), row[order][:-1][shared], row[order][1:][shared])
+    votes = np.where(others[at] % 2 == 1, 1, np.where(others[at] > 0, -1, 0)) * (own[at] == 1)
+    fold = np.zeros(len(facets), dtype=bool)
+    if len(copies):
+        fold[copies] = np.bincount(patch[row], votes)[patch] < 0
+    return fold
+
+
+def _welded_wider(surface: Welded, size: float) -> Welded:
+    """Join corners of open edges that are nearer than a small part of a short edge."""
+    ends, _ = _edges(surface.triangles)
+    lengths = np.linalg.norm(np.subtract(*surface.points[ends].transpose(1, 0, 2)), axis=1)
+    wider = min(PART * float(np.percentile(lengths, SHORT)), FARTHEST) if len(lengths) else 0.0
+    if wider <= size:
+        return surface
+    rim = np.unique(open_edges(surface.triangles))
+    of = np.arange(len(surface.points))
+    group = _clusters(surface.points[rim], wider)
+    _, first = np.unique(group, return_index=True)
+    of[rim] = rim[first][group]
+    if (of[rim] == rim).all():
+        return surface
+    _, label = np.unique(of, return_inverse=True)
+    points = _means(surface.points, label)
+    moved = float(np.linalg.norm(points[label] - surface.points, axis=1).max())
+    joined = int((of[rim] != rim).sum())
+    text = f"{joined:,} corners within {wider:.2g} mm of another made one, moved by {moved:.1g} mm"
+    notes = [*surface.notes, f"{text} at most"]
+    return _without_repeats(Welded(points, label[surface.triangles], notes))
+
+
+def _divided_edges(surface: Welded) -> Welded:
+    """Divide open edges at the corners of open edges that lie on them."""
+    edges, x = open_edges(surface.triangles), surface.points
+    rim = np.unique(edges)
+    if not len(rim):
+        return surface
+    start, end = x[edges[:, 0]], x[edges[:, 1]]
+    along, length = end - start, np.linalg.norm(end - start, axis=1)
+    tree = cKDTree(x[rim])
+    between: dict[tuple[int, int], list[int]] = {}
+    for k, near in enumerate(tree.query_ball_point((start + end) / 2, length / 2)):
+        those = rim[near]
+        part = (x[those] - start[k]) @ along[k] / length[k] ** 2
+        aside = np.linalg.norm(x[those] - start[k] - part[:, None] * along[k], axis=1)
+        inner = np.isin(those, edges[k], invert=True) & (part > 0) & (part < 1)
+        on = inner & (aside < min(ON_EDGE, ON_EDGE_PART * length[k]))
+        if on.any():
+            a, b = (int(corner) for corner in edges[k])
+            between[a, b] = [int(i) for i in those[on][np.argsort(part[on])]]
+    if not between:
+        return surface
+    rows, whole = [], np.ones(len(surface.triangles), dtype=bool)
+    for t in np.flatnonzero(np.isin(surface.triangles, edges).any(axis=1)):
+        a, b, c = (int(corner) for corner in surface.triangles[t])
+        sides = ((a, b), (b, c), (c, a))
+        if any(side in between for side in sides):
+            whole[t] = False
+            rows.append([i for side in sides for i in (side[0], *between.get(side, ()))])
+    triangles = np.concatenate([surface.triangles[whole], divided(x, rows)])
+    note = f"{len(between):,} edges that one side alone divides are divided on both"
+    return _without_repeats(Welded(x, triangles, [*surface.notes, note]))

@@ -1,0 +1,105 @@
+"""Surfaces written as text and bytes, in the dialects of programs: STL, OBJ and PLY."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from meshes.bone_surface import BoneSurface
+
+Faces = Sequence[Sequence[int]]
+
+
+def stl_text(corners: Any, name: str = "femur") -> str:
+    """Facets (m, 3, 3) as a solid of a text STL file."""
+    facets = (
+        "facet normal 0 0 0\n outer loop\n"
+        + "".join("  vertex {:.9g} {:.9g} {:.9g}\n".format(*x) for x in facet)
+        + " endloop\nendfacet\n"
+        for facet in corners
+    )
+    return f"solid {name}\n{''.join(facets)}endsolid {name}\n"
+
+
+def obj_vertices(points: Any, more: Callable[[int], str] = lambda k: "") -> str:
+    """Vertices of an OBJ file, each with more behind it."""
+    lines = ("v {:.9g} {:.9g} {:.9g}".format(*x) + more(k) for k, x in enumerate(points))
+    return "".join(f"{line}\n" for line in lines)
+
+
+def obj_faces(faces: Faces, corner: Callable[[int], str] = str) -> str:
+    """Faces of an OBJ file; a corner is written by its number from 1."""
+    return "".join("f " + " ".join(corner(i + 1) for i in face) + "\n" for face in faces)
+
+
+def ply_header(kind: str, elements: Iterable[tuple[str, int, Sequence[str]]]) -> str:
+    """Header of a PLY file by its elements: name, rows, properties."""
+    lines = [f"ply\nformat {kind} 1.0\ncomment made by a test"]
+    for name, rows, properties in elements:
+        lines += [f"element {name} {rows}", *(f"property {p}" for p in properties)]
+    return "\n".join([*lines, "end_header", ""])
+
+
+PLACE = ("float x", "float y", "float z")
+CORNERS = ("list uchar int vertex_indices",)
+
+
+def ply_text(
+    surface: BoneSurface,
+    faces: Faces | None = None,
+    properties: Sequence[str] = CORNERS,
+    before: str = "",
+    after: str = "",
+) -> str:
+    """A text PLY file; other properties stand before and after the corners of each face."""
+    faces = surface.triangles.tolist() if faces is None else faces
+    rows = [("vertex", len(surface.points), PLACE), ("face", len(faces), properties)]
+    points = "".join("{:.9g} {:.9g} {:.9g}\n".format(*x) for x in surface.points)
+    body = (f"{before}{len(f)} {' '.join(map(str, f))}{after}\n" for f in faces)
+    return ply_header("ascii", rows) + points + "".join(body)
+
+
+def ply_binary(
+    surface: BoneSurface,
+    faces: Faces | None = None,
+    properties: Sequence[str] = CORNERS,
+    before: bytes = b"",
+    after: bytes = b"",
+    order: str = "<",
+) -> bytes:
+    """The same as a binary file."""
+    faces = surface.triangles.tolist() if faces is None else faces
+    kind = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
+    rows = [("vertex", len(surface.points), PLACE), ("face", len(faces), properties)]
+    points = surface.points.astype(f"{order}f4").tobytes()
+    body = (before + struct.pack(f"{order}B{len(f)}i", len(f), *f) + after for f in faces)
+    return ply_header(kind, rows).encode() + points + b"".join(body)
+
+
+def quads(surface: BoneSurface, above: float) -> tuple[Any, list[list[int]]]:
+    """Points and faces with triangles above a level as three quads each, about their middles.
+
+    The edges at the level are divided on their upper side alone.
+    """
+    points, faces = surface.points.tolist(), []
+    middles: dict[tuple[int, int], int] = {}
+
+    def middle(a: int, b: int) -> int:
+        key = (min(a, b), max(a, b))
+        if key not in middles:
+            middles[key] = len(points)
+            points.append(((surface.points[a] + surface.points[b]) / 2).tolist())
+        return middles[key]
+
+    for a, b, c in surface.triangles.tolist():
+        if surface.points[[a, b, c], 2].min() < above:
+            faces.append([a, b, c])
+            continue
+        centre = len(points)
+        points.append(surface.points[[a, b, c]].mean(axis=0).tolist())
+        ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
+        faces += [[a, ab, centre, ca], [b, bc, centre, ab], [c, ca, centre, bc]]
+    return np.array(points), faces

@@ -1,0 +1,418 @@
+"""Images as people have them: headers that lie, labels that are none, folders of a hospital."""
+
+from __future__ import annotations
+
+import random
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import nibabel
+import numpy as np
+import pydicom
+import pytest
+
+from app.errors import InputError
+from meshes import dicom_series, images, label_surface
+from tests.meshes.bones import slices
+
+SHAPE = (12, 10, 8)
+SPACING = np.array([0.7, 0.8, 1.25])
+PLACES = np.array([[-0.7, 0, 0, 9], [0, -0.8, 0, 8], [0, 0, 1.25, 7], [0, 0, 0, 1.0]])
+VALUES = np.random.default_rng(0).integers(-1000, 1500, SHAPE).astype(np.int16)
+
+
+def nifti(
+    path: Path,
+    sform: Any = PLACES,
+    qform: Any = PLACES,
+    codes: tuple[int, int] = (1, 1),
+    values: Any = VALUES,
+    pixdim: Any = None,
+) -> Path:
+    """An image whose sform, qform and pixdim are given, with their codes."""
+    image = nibabel.Nifti1Image(values, None)
+    header = image.header
+    header.set_qform(PLACES if qform is None else qform, codes[1])
+    header.set_sform(PLACES if sform is None else sform, codes[0])
+    if pixdim is not None:
+        header["pixdim"][1:4] = pixdim
+    image = nibabel.Nifti1Image(values, None, header)
+    image.to_filename(path)
+    return path
+
+
+UNIT = PLACES @ np.diag([*(1 / SPACING), 1])
+LYING: dict[str, tuple[dict[str, Any], str]] = {
+    "unit voxels": ({"sform": UNIT}, r"by its sform voxels have 1 x 1 x 1 mm, by its pixdim 0\.7"),
+    "z stretched": ({"sform": PLACES @ np.diag([1, 1, 1.25, 1])}, r"0\.7 x 0\.8 x 1\.562 mm, by"),
+    "x mirrored": ({"sform": np.diag([-1, 1, 1, 1]) @ PLACES}, "sform is the mirror image of its"),
+    "pixdim alone": ({"codes": (1, 0), "pixdim": (1, 1, 1)}, "by its pixdim 1 x 1 x 1 mm"),
+    "template": ({"codes": (4, 1), "sform": PLACES * 1.1}, r"by its sform voxels have 0\.77"),
+    "no codes": ({"codes": (0, 0)}, "has neither qform nor sform"),
+}
+
+
+@pytest.mark.parametrize("name", LYING)
+def test_nifti_headers_that_contradict_themselves_are_refused(name: str, tmp_path: Path) -> None:
+    given, message = LYING[name]
+    with pytest.raises(InputError, match=message):
+        images.read(nifti(tmp_path / "ct.nii.gz", **given))
+
+
+@pytest.mark.parametrize(
+    ("codes", "suffix", "axes"),
+    [((1, 1), "nii.gz", "sform"), ((1, 0), "nii", "sform"), ((0, 1), "nii", "qform")],
+)
+def test_nifti_axes_are_taken_and_said(
+    codes: tuple[int, int], suffix: str, axes: str, tmp_path: Path
+) -> None:
+    image = images.read(nifti(tmp_path / f"ct.{suffix}", codes=codes))
+    assert image.affine == pytest.approx(PLACES, abs=1e-5)
+    (line,) = image.told
+    assert line == (
+        f"NIfTI, axes by its {axes} (scanner): 12 x 10 x 8 voxels of 0.7 x 0.8 x 1.25 mm, int16"
+    )
+    assert image.notes == ()
+
+
+def test_nifti_sform_that_is_moved_from_its_qform_has_a_note(tmp_path: Path) -> None:
+    moved = PLACES.copy()
+    moved[:3, 3] += [3, 0, 4]
+    image = images.read(nifti(tmp_path / "ct.nii", sform=moved))
+    assert image.affine == pytest.approx(moved, abs=1e-5)
+    assert "sform and qform differ by up to 5 mm; sform is taken" in image.notes[0]
+
+
+@pytest.mark.parametrize(("code", "notes"), [(2, 0), (3, 1), (4, 1)])
+def test_nifti_sform_of_a_template_has_a_note(code: int, notes: int, tmp_path: Path) -> None:
+    image = images.read(nifti(tmp_path / "ct.nii", codes=(code, 0)))
+    assert len(image.notes) == notes
+    assert "is it still the patient's size" in "".join(image.notes) or not notes
+
+
+def test_other_images_than_nifti_are_named(tmp_path: Path) -> None:
+    nibabel.MGHImage(VALUES, PLACES).to_filename(tmp_path / "ct.mgz")
+    with pytest.raises(InputError, match="is no NIfTI but MGH: convert it"):
+        images.read(tmp_path / "ct.mgz")
+    folder = slices(tmp_path / "ct", VALUES / 1.0, PLACES)
+    with pytest.raises(InputError, match="is one file of DICOM: give the folder"):
+        images.read(folder / "1.2.0")
+
+
+def test_voxels_that_are_no_numbers_are_counted_and_missed_only_where_needed(
+    tmp_path: Path,
+) -> None:
+    values = VALUES.astype(np.float32)
+    values[:2] = np.nan
+    values[3, 3, 3] = np.inf
+    image = images.read(nifti(tmp_path / "ct.nii.gz", values=values))
+    lost = 2 * 10 * 8 + 1
+    assert image.told[1] == f"{lost} voxels are no numbers"
+    assert image.dense == np.percentile(values[np.isfinite(values)], 99.9)
+    inside = (PLACES @ [6.5, 2.5, 4.5, 1])[:3]
+    assert np.isfinite(image.at(inside[None])).all()
+    for index, message in (
+        (0, "are in voxels that are no numbers"),
+        (-2, "are outside of the image"),
+    ):
+        x = (PLACES @ [index + 0.5, 2, 4, 1])[:3]
+        with pytest.raises(InputError, match=f"1 of 2 points {message}"):
+            image.at(np.stack([inside, x]))
+
+
+# Labels
+
+BALL = (np.indices((24, 24, 24)) - 12.0) ** 2
+LABELS = (BALL.sum(axis=0) < 81.0) + 1 * (BALL.sum(axis=0) < 30.0)
+
+
+def labelled(folder: Path, values: Any) -> Path:
+    path = folder / "labels.npz"
+    np.savez(path, values=values, affine=np.eye(4))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("factor", "off"), [(0.99999, "2e-05"), (1.01, "0.02"), (32768 / 32767, "6.1e-05")]
+)
+def test_labels_that_are_nearly_whole_are_rounded(factor: float, off: str, tmp_path: Path) -> None:
+    corners, _ = label_surface.read(labelled(tmp_path, LABELS), 1)
+    values = (LABELS * factor).astype(np.float32)
+    near, told = label_surface.read(labelled(tmp_path, values), 1)
+    assert near == pytest.approx(corners)
+    assert f"labels rounded by up to {off}" in told
+
+
+def test_labels_between_whole_numbers_are_refused(tmp_path: Path) -> None:
+    """As linear interpolation leaves them at borders."""
+    values = 0.5 * (LABELS + np.roll(LABELS, 1, axis=0))
+    between = int((values % 1 > 0).sum())
+    with pytest.raises(
+        InputError, match=f"{between:,} voxels have values between whole .* nearest"
+    ):
+        label_surface.read(labelled(tmp_path, values), 1)
+
+
+def test_labels_of_a_mask_are_1(tmp_path: Path) -> None:
+    corners, _ = label_surface.read(labelled(tmp_path, LABELS == 2), 1)
+    assert corners == pytest.approx(label_surface.read(labelled(tmp_path, LABELS), 2)[0])
+
+
+def test_labels_that_are_no_numbers_are_background(tmp_path: Path) -> None:
+    values = np.where(LABELS > 0, LABELS, np.nan)
+    corners, told = label_surface.read(labelled(tmp_path, values), 2)
+    assert f"{int((LABELS == 0).sum()):,} voxels are no numbers: taken as 0" in told
+    assert corners == pytest.approx(label_surface.read(labelled(tmp_path, LABELS), 2)[0])
+
+
+# Folders of DICOM slices
+
+NUMBERS = np.random.default_rng(1).integers(-900, 1400, SHAPE).astype(float)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return slices(tmp_path / "ct", NUMBERS, PLACES)
+
+
+def change(path: Path, to: Path | None = None, **tags: Any) -> Path:
+    """Write a slice with other tags, or without those that are None."""
+    data = pydicom.dcmread(path)
+    for tag, value in tags.items():
+        if value is None:
+            delattr(data, tag)
+        else:
+            setattr(data, tag, value)
+    data.save_as(to or path)
+    return to or path
+
+
+def dicomdir(folder: Path) -> None:
+    data = pydicom.dcmread(folder / "1.2.0", stop_before_pixels=True)
+    for tag in ("Rows", "Columns", "SeriesInstanceUID", "ImagePositionPatient"):
+        delattr(data, tag)
+    data.SOPClassUID = data.file_meta.MediaStorageSOPClassUID = "1.2.840.10008.1.3.10"
+    data.save_as(folder / "DICOMDIR")
+
+
+def report(folder: Path) -> None:
+    data = pydicom.dcmread(folder / "1.2.0", stop_before_pixels=True)
+    for tag in ("Rows", "Columns", "ImageOrientationPatient", "ImagePositionPatient"):
+        delattr(data, tag)
+    data.SOPClassUID, data.Modality = "1.2.840.10008.5.1.4.1.1.88.67", "SR"
+    data.save_as(folder / "dose.dcm")
+
+
+def junk(folder: Path) -> None:
+    (folder / "notes.txt").write_text("no slice")
+    (folder / "empty").write_bytes(b"")
+    (folder / "thumbs.db").write_bytes(b"\x08\x00\x01")
+
+
+def localizer(folder: Path) -> None:
+    change(
+        folder / "1.2.0",
+        folder / "scout",
+        ImageType=["ORIGINAL", "PRIMARY", "LOCALIZER"],
+        SeriesInstanceUID="1.9",
+        ImageOrientationPatient=[0, 1, 0, 0, 0, -1],
+    )
+
+
+def captured(folder: Path) -> None:
+    change(folder / "1.2.0", folder / "shot", ImagePositionPatient=None)
+
+
+def twice(folder: Path) -> None:
+    for file in sorted(folder.iterdir()):
+        (folder / f"copy_{file.name}").write_bytes(file.read_bytes())
+
+
+def once_more(folder: Path) -> None:
+    (folder / "copy").write_bytes((folder / "1.2.3").read_bytes())
+
+
+def without_preamble(folder: Path) -> None:
+    for file in folder.iterdir():
+        file.write_bytes(file.read_bytes()[132:])
+
+
+def without_meta(folder: Path) -> None:
+    """As old programs write: neither preamble nor the group that names the syntax."""
+    for file in folder.iterdir():
+        data = pydicom.dcmread(file)
+        data.is_implicit_VR, data.is_little_endian = True, True
+        data.file_meta = pydicom.dataset.FileMetaDataset()
+        pydicom.dcmwrite(file, data, write_like_original=True)
+        content = file.read_bytes()
+        file.write_bytes(content[132:] if content[128:132] == b"DICM" else content)
+
+
+def turned(folder: Path) -> None:
+    change(folder / "1.2.3", ImageOrientationPatient=[1, 2e-4, 0, -2e-4, 1, 0])
+
+
+def empty_slope(folder: Path) -> None:
+    for file in folder.iterdir():
+        data = pydicom.dcmread(file)
+        stored = (0.5 * data.pixel_array - 1000).astype("<i2")
+        data.PixelData, data.PixelRepresentation = stored.tobytes(), 1
+        data.RescaleSlope, data.RescaleIntercept = None, None
+        data.save_as(file)
+
+
+def subfolder(folder: Path) -> None:
+    (folder / "S2").mkdir()
+    (folder / "1.2.0").replace(folder / "S2" / "other")
+    (folder / "1.2.0").write_bytes((folder / "S2" / "other").read_bytes())
+
+
+READ: dict[str, tuple[Callable[[Path], None], str]] = {
+    "DICOMDIR": (dicomdir, "1 files without an image left out: DICOMDIR"),
+    "dose report": (report, "1 files without an image left out: dose.dcm"),
+    "junk": (junk, "3 other files left out: empty, notes.txt, thumbs.db"),
+    "localizer": (localizer, "1 localizers left out: scout"),
+    "secondary capture": (captured, "1 images without position left out: shot"),
+    "all twice": (twice, "8 slices that stand twice taken once: "),
+    "one twice": (once_more, "1 slices that stand twice taken once: "),
+    "no preamble": (without_preamble, ""),
+    "no preamble, no syntax": (without_meta, ""),
+    "turned by rounding": (turned, ""),
+    "slope without value": (empty_slope, ""),
+    "subfolder": (subfolder, "its folder S2 (1 files) is not read"),
+}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_dicom_folders_of_hospitals_are_the_series(name: str, folder: Path) -> None:
+    alter, note = READ[name]
+    alter(folder)
+    image = images.read(folder)
+    assert image.values == pytest.approx(NUMBERS)
+    assert image.affine == pytest.approx(PLACES, abs=1e-3)
+    line, *more = image.told
+    assert line.startswith("8 DICOM slices of ")
+    assert "12 x 10 x 8 voxels of 0.7 x 0.8 x 1.25 mm" in line
+    assert note in "; ".join(more) and bool(note) == bool(more)
+
+
+def fewer_rows(folder: Path) -> None:
+    data = pydicom.dcmread(folder / "1.2.3")
+    data.PixelData = data.pixel_array[:5].tobytes()
+    data.Rows = 5
+    data.save_as(folder / "1.2.3")
+
+
+def other_series(folder: Path) -> None:
+    for file in sorted(folder.iterdir())[:3]:
+        change(
+            file, folder / f"b{file.name}", SeriesInstanceUID="1.7", SeriesDescription="Thin B70"
+        )
+
+
+def other_plane(folder: Path) -> None:
+    change(folder / "1.2.3", ImageOrientationPatient=[0, 1, 0, 0, 0, -1])
+
+
+def other_values(folder: Path) -> None:
+    data = pydicom.dcmread(folder / "1.2.3")
+    data.PixelData = (data.pixel_array + 5).tobytes()
+    data.save_as(folder / "phase2")
+
+
+def in_folders(folder: Path) -> None:
+    (folder / "S1").mkdir()
+    for file in list(folder.iterdir()):
+        if file.is_file():
+            file.replace(folder / "S1" / file.name)
+
+
+def emptied(folder: Path) -> None:
+    for file in folder.iterdir():
+        file.unlink()
+    (folder / "readme.txt").write_text("none")
+
+
+def no_positions(folder: Path) -> None:
+    for file in folder.iterdir():
+        change(file, ImageOrientationPatient=None, SOPClassUID="1.2.840.10008.5.1.4.1.1.7")
+
+
+def frames(folder: Path) -> None:
+    change(folder / "1.2.3", NumberOfFrames=8)
+
+
+def alone(folder: Path) -> None:
+    for file in folder.iterdir():
+        if file.name != "1.2.3":
+            file.unlink()
+
+
+def cut(folder: Path) -> None:
+    path = folder / "1.2.3"
+    path.write_bytes(path.read_bytes()[:-1000])
+
+
+def spacing(folder: Path) -> None:
+    change(folder / "1.2.3", PixelSpacing=[0.8, 0.9])
+
+
+DICOM_REFUSED: dict[str, tuple[Callable[[Path], None], str]] = {
+    "other rows": (fewer_rows, r"1\.2\.3 has pixels of 5 x 12, the other slices 10 x 12: leave"),
+    "other spacing": (spacing, r"1\.2\.3 has spacing 0\.8 x 0\.9, the other slices 0\.8 x 0\.7"),
+    "two series": (other_series, "has 8, 3 slices; .* 3 of 'Thin B70', as b1"),
+    "other plane": (other_plane, r"1\.2\.3 is in another plane than the rest"),
+    "two phases": (other_values, r"1\.2\.3 and phase2 are at one place and differ|phase2 and 1"),
+    "subfolder alone": (in_folders, r"has no slices; look in its folder S1 \(8 files\)"),
+    "nothing": (emptied, "has no slices: none of its 1 files is DICOM"),
+    "no position": (no_positions, "no position in the patient .Secondary Capture Image Storage"),
+    "many frames": (frames, r"1\.2\.3: is of many frames in a file; convert it"),
+    "one slice": (alone, r"has one slice only, 1\.2\.3"),
+    "cut": (cut, r"1\.2\.3: has no pixels that can be read"),
+}
+
+
+@pytest.mark.parametrize("name", DICOM_REFUSED)
+def test_dicom_folders_are_refused_by_file_and_reason(name: str, folder: Path) -> None:
+    alter, message = DICOM_REFUSED[name]
+    alter(folder)
+    with pytest.raises(InputError, match=message):
+        images.read(folder)
+
+
+def test_damaged_images_are_read_or_refused_in_words(folder: Path, tmp_path: Path) -> None:
+    """No other error, of 150 files: NIfTI plain and compressed, arrays, slices, labels of them."""
+    slice_file = folder / "1.2.3"
+    paths = {
+        "nii": nifti(tmp_path / "ct.nii"),
+        "nii.gz": nifti(tmp_path / "ct.nii.gz"),
+        "npz": labelled(tmp_path, LABELS),
+        "dicom": slice_file,
+    }
+    whole = {name: path.read_bytes() for name, path in paths.items()}
+    for seed in range(150):
+        rng = random.Random(seed)
+        name = rng.choice(sorted(whole))
+        content = whole[name]
+        for _ in range(rng.choice((1, 1, 3))):
+            at = rng.randrange(min(len(content), rng.choice((400, 10**6))) + 1)
+            cut_off = rng.random() < 0.2
+            end = b"" if cut_off else content[at + rng.randint(0, 3) :]
+            content = content[:at] + rng.randbytes(rng.randint(1, 4)) + end
+        paths[name].write_bytes(content)
+        path = folder if name == "dicom" else paths[name]
+        images._read.cache_clear()
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of the readers, on what is damaged
+                image = images.read(path)
+                label_surface.whole(path, image.values)
+                if name == "npz":
+                    label_surface.read(path, 1)
+        except InputError as error:
+            assert str(path) in str(error)
+        except BaseException as error:
+            raise AssertionError(f"seed {seed}: {name}") from error
+    assert dicom_series.is_dicom(whole["dicom"])

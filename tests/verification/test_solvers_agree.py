@@ -1,0 +1,288 @@
+"""Linear solvers: each finds the same equilibrium, or refuses the same case for the same reason."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mantle
+from app.case.case import Case, load
+from app.case.quantities import TABLE
+from app.verification.check import CONFIGS, CheckRun, within
+from app.verification.engine import SUITES
+from tests import support
+
+SOLVERS = ("condensed", "direct", "multigrid")
+# Difference of a number between solvers over the largest number of its unit.
+SAME = 1e-6
+
+# A rigid slope, rising along x, and a heavy block on it that is pushed up.
+SLOPE = """\
+geometry:
+  kind: blocks
+  tilt: 9 deg
+  blocks:
+    - {name: slope, size: [16 mm, 7 mm, 7 mm]}
+    - {name: block, size: [16 mm, 7 mm, 7 mm]}
+mesh: {size: 2.6 mm, far_size: 2.6 mm, order: 1}
+regions:
+  slope: {rigid: true, tissue: other}
+  block: {youngs_modulus: 210 GPa, poisson_ratio: 0.3, tissue: other}
+interfaces:
+  slope_block: {kind: contact, friction_coefficient: 0.46}
+supports:
+  slope: {kind: fixed, boundary: bottom}
+  push: {kind: displacement, boundary: top, x: 0.3 mm, y: 0 mm, history: [0, 1]}
+loads:
+  weight: {kind: body_force, regions: [block], density: "[0, 0, -0.01] N/mm^3"}
+stages:
+  - {name: rest}
+  - {name: push, increments: 2}
+"""
+WEIGHT = 0.01 * 16 * 7 * 7  # N
+
+# Two arms, clamped at one end, that touch along their length and are pulled apart at the other.
+ARMS = """\
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [50 mm, 1 mm, 2 mm]}
+    - {name: upper, size: [50 mm, 1 mm, 2 mm]}
+mesh: {size: 1 mm, order: 2}
+regions:
+  lower: {youngs_modulus: 20 GPa, poisson_ratio: 0, tissue: other}
+  upper: {youngs_modulus: 20 GPa, poisson_ratio: 0, tissue: other}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 0.2}
+supports:
+  end: {kind: fixed, boundary: x_max}
+loads:
+  up: {kind: force, boundary: upper_x_min, force: "[0, 0, 0.1] N"}
+  down: {kind: force, boundary: lower_x_min, force: "[0, 0, -0.1] N"}
+"""
+
+# A belt over a quarter of a rigid drum: pulled below, held above.
+BELT = """\
+geometry: {kind: file, path: belt.geo, interfaces: {joint: [drum, belt]}}
+mesh: {size: 1 mm, order: 2, curved: true}
+regions:
+  drum: {rigid: true, tissue: other}
+  belt: {youngs_modulus: 10 GPa, poisson_ratio: 0, tissue: other}
+interfaces:
+  joint: {kind: contact, friction_coefficient: 0}
+supports:
+  drum: {kind: fixed, boundary: drum_in}
+  hold: {kind: roller, boundary: hold, axis: x}
+  side: {kind: roller, boundary: both_z, axis: z}
+loads:
+  pull: {kind: pressure, boundary: pull, pressure: -20 MPa}
+"""
+BELT_GEO = """\
+DefineConstant[ size = 1 ];
+n = 40; R = 15; t = 0.2;
+Point(1) = {0, 0, 0};
+Point(2) = {12, 0, 0}; Point(3) = {0, 12, 0};
+Point(4) = {R, 0, 0}; Point(5) = {0, R, 0};
+Point(6) = {R + t, 0, 0}; Point(7) = {0, R + t, 0};
+Circle(1) = {2, 1, 3}; Circle(2) = {4, 1, 5}; Circle(3) = {6, 1, 7};
+Line(4) = {2, 4}; Line(5) = {3, 5}; Line(6) = {4, 6}; Line(7) = {5, 7};
+Curve Loop(1) = {4, 2, -5, -1}; Plane Surface(1) = {1};
+Curve Loop(2) = {6, 3, -7, -2}; Plane Surface(2) = {2};
+Transfinite Curve{1, 2, 3} = n + 1; Transfinite Curve{4, 5} = 3; Transfinite Curve{6, 7} = 2;
+Transfinite Surface{1}; Transfinite Surface{2};
+a[] = Extrude{0, 0, 1}{ Surface{1}; Layers{1}; };
+b[] = Extrude{0, 0, 1}{ Surface{2}; Layers{1}; };
+Coherence;
+Physical Volume("drum") = {a[1]};
+Physical Volume("belt") = {b[1]};
+Physical Surface("drum_in") = {a[5]};
+Physical Surface("pull") = {b[2]};
+Physical Surface("hold") = {a[4], b[4]};
+Physical Surface("both_z") = {1, 2};
+"""
+TENSION = 20 * 0.2 * 1  # N
+
+
+@pytest.fixture(params=SOLVERS)
+def linear(request: pytest.FixtureRequest) -> str:
+    """Override that asks for one of the solvers."""
+    return f"solver.linear={request.param}"
+
+
+@pytest.mark.parametrize(("degrees", "friction"), [(9, 0.46), (6, 0.3), (12, 0.6)])
+def test_solvers_push_a_block_up_a_slope(linear: str, degrees: float, friction: float) -> None:
+    """push = weight (tan a + mu) / (1 - mu tan a), and the residual is that of the forces.
+
+    A block that has left the slope and is far away is in balance but for rounding of K u.
+    """
+    changes = (
+        f"geometry.tilt={degrees} deg",
+        f"interfaces.slope_block.friction_coefficient={friction}",
+    )
+    solved = support.solve(SLOPE, *changes, linear)
+    slope = math.tan(math.radians(degrees))
+    contact = solved.problem.contact
+    assert contact is not None
+    push, _, lift = (contact.own.weight[:, None] * contact.state.force).sum(axis=0)
+    assert abs(lift) == pytest.approx(WEIGHT, rel=1e-9)
+    expected = WEIGHT * (slope + friction) / (1 - friction * slope)
+    assert abs(push) == pytest.approx(expected, rel=1e-9)
+    assert max(step.outcome.residuals[-1] for step in solved.steps) < 1e-9
+    assert solved.interfaces["slope_block"]["slip_max"] < 0.35
+
+
+def test_solvers_open_two_arms(linear: str) -> None:
+    """Each is a cantilever: together they open by 8 F L^3 / (E b h^3)."""
+    solved = support.solve(ARMS, linear)
+    opening = 8 * 0.1 * 50**3 / (20e3 * 1 * 2**3)
+    assert solved.interfaces["lower_upper"]["gap_max"] == pytest.approx(opening, rel=0.02)
+    assert sum(step.outcome.iterations for step in solved.steps) < 60
+
+
+@pytest.mark.parametrize("friction", [0, 0.001, 0.25])
+def test_solvers_hold_a_belt(
+    linear: str, friction: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """hold = pull exp(-mu pi / 2), where contact alone holds the belt across its length."""
+    monkeypatch.setenv("MANTLE_ALLOW_SCRIPTS", "1")
+    (tmp_path / "belt.geo").write_text(BELT_GEO)
+    (tmp_path / "case.yaml").write_text(BELT)
+    changes = f"interfaces.joint.friction_coefficient={friction}", linear
+    solved = support.solve(load(tmp_path / "case.yaml", changes).config)
+    contact = solved.problem.contact
+    assert contact is not None
+    # What the drum bears is the hold along x and the pull along y.
+    borne = np.abs((contact.own.weight[:, None] * contact.state.force).sum(axis=0))
+    hold = TENSION * math.exp(-friction * math.pi / 2)
+    assert borne[:2] == pytest.approx([hold, TENSION], rel=0.01)
+
+
+COLUMNS = """\
+geometry: {kind: file, path: columns.geo, interfaces: {joint: [low, high]}}
+mesh: {size: 1 mm, order: 2}
+regions:
+  low: {youngs_modulus: 10 GPa, poisson_ratio: 0, tissue: other}
+  high: {youngs_modulus: 10 GPa, poisson_ratio: 0, tissue: other}
+interfaces:
+  joint: {kind: contact, friction_coefficient: 0.3, gap: "0.03 * max(0, min(1, x - 4))"}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+  first: {kind: displacement, boundary: top_0, x: 0 mm, y: 0 mm, z: -0.01 mm}
+  second: {kind: displacement, boundary: top_1, x: 0 mm, y: 0 mm, z: -0.02 mm}
+  third: {kind: displacement, boundary: top_2, x: 0 mm, y: 0 mm, z: -0.05 mm}
+"""
+COLUMNS_GEO = """\
+DefineConstant[ size = 1 ];
+SetFactory("OpenCASCADE");
+For i In {0 : 2}
+  Box(1 + i) = {3 * i, 0, 0, 2, 2, 2};
+  Box(11 + i) = {3 * i, 0, 2, 2, 2, 3};
+EndFor
+Coherence;
+Mesh.MeshSizeMax = size;
+Physical Volume("low") = {1, 2, 3};
+Physical Volume("high") = {11, 12, 13};
+Physical Surface("bottom") = Surface In BoundingBox {-0.1, -0.1, -0.1, 9, 2.1, 0.1};
+"""
+
+
+def test_solvers_press_columns_that_share_no_node(
+    linear: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each column bears E A d / L of what its gap leaves of its displacement d.
+
+    In the elimination tree of the factors the jumps of each column are a branch.
+    """
+    monkeypatch.setenv("MANTLE_ALLOW_SCRIPTS", "1")
+    tops = [
+        f'Physical Surface("top_{k}") = Surface In BoundingBox '
+        f"{{{3 * k - 0.1}, -0.1, 4.9, {3 * k + 2.1}, 2.1, 5.1}};\n"
+        for k in range(3)
+    ]
+    (tmp_path / "columns.geo").write_text(COLUMNS_GEO + "".join(tops))
+    (tmp_path / "case.yaml").write_text(COLUMNS)
+    solved = support.solve(load(tmp_path / "case.yaml", [linear]).config)
+    contact = solved.problem.contact
+    assert contact is not None
+    column = contact.own.x[:, 0] // 3
+    pushed = contact.own.weight * contact.state.force[:, 2]
+    borne = [abs(pushed[column == k].sum()) for k in range(3)]
+    # The gap of the second column is open at its left edge (x = 4) alone.
+    assert borne[0] == pytest.approx(10e3 * 4 * 0.01 / 5, rel=1e-6)
+    assert borne[2] == pytest.approx(10e3 * 4 * (0.05 - 0.03) / 5, rel=1e-6)
+    assert 0 < borne[1] < 10e3 * 4 * 0.02 / 5
+
+
+# All that is shipped
+
+
+def _shipped() -> Iterator[Any]:
+    """Runs of verify and stress with contact, each once."""
+    known: dict[tuple[str, tuple[str, ...]], CheckRun] = {}
+    for suite in ("verify", "stress"):
+        for check in SUITES[suite]():
+            if within(check.tier, "default"):
+                for run in check.up_to("default").runs:
+                    changes = tuple(c for c in run.overrides if not c.startswith("solver.linear"))
+                    if not run.mesh:
+                        known[run.case, changes] = run
+    for case, changes in known:
+        yield pytest.param(case, changes, id=f"{Path(case).stem} {' '.join(changes)}")
+
+
+def _numbers(summary: Mapping[str, Any]) -> dict[tuple[str, str], tuple[float, str]]:
+    """Numbers of interfaces and regions with their units, without those of rounding."""
+    numbers = {}
+    for section in ("interfaces", "regions"):
+        for name, quantities in summary[section].items():
+            for key, value in quantities.items():
+                row = TABLE[section].get(key)
+                if row and isinstance(value, float) and not key.startswith("penetration"):
+                    numbers[f"{section}.{name}", key] = value, row.unit
+    return numbers
+
+
+def _outcome(
+    case: Case | Any, folder: Path
+) -> tuple[int, dict[tuple[str, str], tuple[float, str]]]:
+    try:
+        results = mantle.run(case, folder)
+    except mantle.UnusableError as error:
+        return error.exit_code, _numbers(support.summary(folder))
+    except mantle.MantleError as error:
+        return error.exit_code, {}
+    return 0, _numbers(results.summary)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "changes"), _shipped())
+def test_solvers_agree_on_all_that_is_shipped(
+    case: str, changes: tuple[str, ...], tmp_path: Path
+) -> None:
+    """The same exit, and numbers that differ by `SAME` of the largest of their unit."""
+    if not load(CONFIGS / case, changes).config.interfaces:
+        pytest.skip("no interface")
+    outcomes = {
+        solver: _outcome(
+            load(CONFIGS / case, [*changes, f"solver.linear={solver}"]), tmp_path / solver
+        )
+        for solver in SOLVERS
+    }
+    code, expected = outcomes["direct"]
+    largest: dict[str, float] = {}
+    for value, unit in expected.values():
+        largest[unit] = max(largest.get(unit, 0.0), abs(value))
+    for solver, (other, numbers) in outcomes.items():
+        assert other == code, {name: code for name, (code, _) in outcomes.items()}
+        assert numbers.keys() == expected.keys()
+        off = {
+            key: (solver, value, expected[key][0])
+            for key, (value, unit) in numbers.items()
+            if abs(value - expected[key][0]) > SAME * largest[unit]
+        }
+        assert not off
