@@ -163,31 +163,51 @@ BLANK = re.sub(r"(?<!\d)0\.0", "", deck())
 SECTIONS = "".join(f"*SOLID SECTION, ELSET={n}\n" for n in ("bone", "cement"))
 
 
-@pytest.mark.parametrize(
-    ("text", "areas"),
-    [
-        (BLANK, {}),
-        (deck(more=TOP + TOP_BY_SETS + SECTIONS), {"top": AREA}),
-        (deck(more="*ELSET, ELSET=a\nb\n*ELSET, ELSET=b\nbone\n*SURFACE, NAME=s\na\n" + SECTIONS), {"s": AREA + 4 * SIDE * H}),
-        (deck(bone='"upper one"', more='*SURFACE, NAME=s\n"upper one"\n').replace("upper one", "bone"), {"s": AREA + 4 * SIDE * H}),
-        (deck().replace("3.0", "3.0D+00").replace("5.0", "0.5d1"), {}),
-        (
-            deck(more=surface("a", 0.0) + surface("b", 2 * H) + "*SURFACE, NAME=u, COMBINE=UNION\na, b\n"
-                 "*SURFACE, NAME=d, COMBINE=DIFFERENCE\nu, a\n*SURFACE, NAME=i, COMBINE=INTERSECTION\nu, b\n"),
-            {"a": AREA, "b": AREA, "u": 2 * AREA, "d": AREA, "i": AREA},
-        ),
-        (deck().replace("C3D4, ELSET=bone", "C3D4,\n  ELSET=bone"), {}),
-        (deck().replace("*ELEMENT,", "*ELEMENT\t,\t"), {}),
-        ("\ufeff" + deck(), {}),
-        (deck().lower().replace("\n", "\r\n"), {}),
-        (deck(more="*ELEMENT, TYPE=S3, ELSET=skin\n90,1,2,4\n91,1,4,3\n*SURFACE, NAME=s\nskin, SPOS\n"), {"skin": AREA, "s": AREA}),
-        (deck(more="*ELEMENT, TYPE=S3, ELSET=skin\n90,1,2,4\n91,1,4,3\n*SURFACE, NAME=s\nskin, SNEG\n"), {"skin": AREA, "s": AREA}),
-        (deck(more="*NSET, NSET=n, ELSET=bone\n*SURFACE, TYPE=NODE, NAME=n2\nn, 1\n"), {"n": AREA + 4 * SIDE * H, "n2": AREA + 4 * SIDE * H}),
-    ],
-    ids=["empty fields", "later sets", "sets of sets", "quotes", "Fortran", "combined", "continued", "tabs", "mark", "lower case", "SPOS", "SNEG", "nodes of elements"],
-)  # fmt: skip
-def test_inp_spellings(text: str, areas: dict[str, float], tmp_path: Path) -> None:
+SKIN = "*ELEMENT, TYPE=S3, ELSET=skin\n90,1,2,4\n91,1,4,3\n*SURFACE, NAME=s\nskin, "
+COMBINED = """*SURFACE, NAME=u, COMBINE=UNION
+a, b
+*SURFACE, NAME=d, COMBINE=DIFFERENCE
+u, a
+*SURFACE, NAME=i, COMBINE=INTERSECTION
+u, b
+"""
+NESTED = "*ELSET, ELSET=a\nb\n*ELSET, ELSET=b\nbone\n*SURFACE, NAME=s\na\n"
+OF_ELEMENTS = "*NSET, NSET=n, ELSET=bone\n*SURFACE, TYPE=NODE, NAME=n2\nn, 1\n"
+# The bottom and the four sides of bone.
+FREE = AREA + 4 * SIDE * H
+SPELLINGS = {
+    "empty fields": (BLANK, {}),
+    "later sets": (deck(more=TOP + TOP_BY_SETS + SECTIONS), {"top": AREA}),
+    "sets of sets": (deck(more=NESTED + SECTIONS), {"s": FREE}),
+    "Fortran": (deck().replace("3.0", "3.0D+00").replace("5.0", "0.5d1"), {}),
+    "combined": (
+        deck(more=surface("a", 0.0) + surface("b", 2 * H) + COMBINED),
+        {"a": AREA, "b": AREA, "u": 2 * AREA, "d": AREA, "i": AREA},
+    ),
+    "combined before": (
+        deck(more=COMBINED + surface("a", 0.0) + surface("b", 2 * H)),
+        {"a": AREA, "b": AREA, "u": 2 * AREA, "d": AREA, "i": AREA},
+    ),
+    "continued": (deck().replace("C3D4, ELSET=bone", "C3D4,\n  ELSET=bone"), {}),
+    "tabs": (deck().replace("*ELEMENT,", "*ELEMENT\t,\t"), {}),
+    "mark": ("\ufeff" + deck(), {}),
+    "lower case": (deck().lower().replace("\n", "\r\n"), {}),
+    "SPOS": (deck(more=f"{SKIN}SPOS\n"), {"skin": AREA, "s": AREA}),
+    "SNEG": (deck(more=f"{SKIN}SNEG\n"), {"skin": AREA, "s": AREA}),
+    "nodes of elements": (deck(more=OF_ELEMENTS), {"n": FREE, "n2": FREE}),
+}
+
+
+@pytest.mark.parametrize("name", SPELLINGS)
+def test_inp_spellings(name: str, tmp_path: Path) -> None:
+    text, areas = SPELLINGS[name]
     assert whole(build(tmp_path / "a.inp", text)) == pytest.approx(areas)
+
+
+def test_inp_blanks_in_quotes_count(tmp_path: Path) -> None:
+    more = '*SURFACE, NAME="its skin"\n"upper one"\n'
+    data = build(tmp_path / "a.inp", deck('"upper one"', "cement", more))
+    assert whole(data, "upper_one") == pytest.approx({"its_skin": FREE})
 
 
 def test_inp_utf16_is_read(tmp_path: Path) -> None:
@@ -198,7 +218,10 @@ def test_inp_utf16_is_read(tmp_path: Path) -> None:
     ("text", "words"),
     [
         (deck().replace("TYPE=C3D4, ELSET=bone", "ELSET=bone"), "line 14: has no option TYPE"),
-        (deck().replace("ELSET=bone", "ELSE=bone"), "line 14: has no option ELSE; did you mean ELSET"),
+        (
+            deck().replace("ELSET=bone", "ELSE=bone"),
+            "line 14: has no option ELSE; did you mean ELSET",
+        ),
         (deck(more="*ELSET, NAME=x\n1\n"), "line 28: has no option ELSET"),
         (deck(more="*SURFACE, NAME=x\nbone, S7\n"), "has no face S7; expected S1 to S4"),
         (deck(more="*SURFACE, NAME=x\nbone, SPOS\n"), "has no face SPOS"),
@@ -207,7 +230,7 @@ def test_inp_utf16_is_read(tmp_path: Path) -> None:
         (deck().replace("*NODE", "*NODE, INPUT=b.txt"), "from another file"),
         (deck().replace("3.0", "3.x"), "could not convert string to float: '3.x' in line 3"),
     ],
-)  # fmt: skip
+)
 def test_inp_faults_name_the_line(text: str, words: str, tmp_path: Path) -> None:
     assert words in refused(tmp_path / "a.inp", text)
 
@@ -228,7 +251,8 @@ def array(
     kind = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "u1": "UInt8", "i4": "Int32"}[
         values.dtype.str[1:]
     ]
-    start = f'<DataArray Name="{name}" type="{kind}" NumberOfComponents="{values.shape[1] if values.ndim > 1 else 1}"'
+    width = values.shape[1] if values.ndim > 1 else 1
+    start = f'<DataArray Name="{name}" type="{kind}" NumberOfComponents="{width}"'
     if way == "ascii":
         return f'{start} format="ascii">{" ".join(map(str, values.ravel().tolist()))}</DataArray>'
     data = values.astype(values.dtype.newbyteorder(order)).tobytes()
@@ -260,8 +284,12 @@ def literal_lz4(block: bytes) -> bytes:
     return bytes([min(len(block), 15) << 4]) + long + block
 
 
-PACKERS = {"": None, "vtkZLibDataCompressor": zlib.compress, "vtkLZMADataCompressor": lzma.compress,
-           "vtkLZ4DataCompressor": literal_lz4}  # fmt: skip
+PACKERS = {
+    "": None,
+    "vtkZLibDataCompressor": zlib.compress,
+    "vtkLZMADataCompressor": lzma.compress,
+    "vtkLZ4DataCompressor": literal_lz4,
+}
 
 
 def vtu(
@@ -292,7 +320,8 @@ def vtu(
     size = {"I": "UInt32", "Q": "UInt64"}[header]
     end = "Big" if order == ">" else "Little"
     pack = f' compressor="{compressor}"' if compressor else ""
-    text = f'<VTKFile type="UnstructuredGrid" version="1.0" byte_order="{end}Endian" header_type="{size}"{pack}>'
+    text = f'<VTKFile type="UnstructuredGrid" version="1.0" byte_order="{end}Endian" '
+    text += f'header_type="{size}"{pack}>'
     text += f"<UnstructuredGrid>{body}</UnstructuredGrid>"
     coded = "raw" if way == "raw" else "base64"
     tail = b""
@@ -393,6 +422,28 @@ def test_bodies_that_lie_on_each_other_are_noted(lift: float, noted: bool, tmp_p
         np.testing.assert_allclose(places["lower", "upper"][:, 2], 2.0, atol=1e-9)
 
 
+def feb(first: str = "bone", second: str = "cement") -> str:
+    rows = "".join(f'<node id="{k}">{x},{y},{z}</node>' for k, (x, y, z) in enumerate(POINTS, 1))
+    text = f"<Nodes>{rows}</Nodes>"
+    for name, part in ((first, range(6)), (second, range(6, 12))):
+        text += f'<Elements type="tet4" name="{name}">'
+        for k in part:
+            text += f'<elem id="{k + 1}">{",".join(map(str, CELLS[k] + 1))}</elem>'
+        text += "</Elements>"
+    return f'<febio_spec version="4.0"><Mesh>{text}</Mesh></febio_spec>'
+
+
+def test_names_that_become_equal_are_refused_in_all_formats(tmp_path: Path) -> None:
+    data = meshio.Mesh(POINTS, [("tetra", CELLS)], cell_data={"cell_tags": [-TAGS]})
+    data.cell_tags = {-3: ["a b"], -8: ["a.b"]}
+    data.write(tmp_path / "a.med")
+    (tmp_path / "a.feb").write_text(feb("a b", "a.b"))
+    (tmp_path / "a.vtu").write_bytes(vtu(data={"a b-a.b": (TAGS > 5).astype(np.int64)}))
+    for suffix in ("med", "feb", "vtu"):
+        with pytest.raises(ValueError, match=r"its sets a.b and a.b are both called a_b here"):
+            MeshFile(path=tmp_path / f"a.{suffix}")
+
+
 def damaged(raw: bytes, dice: random.Random) -> bytes:
     """A file cut, with bytes changed, or with lines left out."""
     way, at = dice.randrange(4), dice.randrange(len(raw))
@@ -410,13 +461,24 @@ def damaged(raw: bytes, dice: random.Random) -> bytes:
 def test_damaged_files_are_input_errors(tmp_path: Path) -> None:
     """A hundred damaged files are read, or refused in words."""
     dice = random.Random(7)
-    meshio.Mesh(POINTS, [("tetra", CELLS)], cell_data={"a": [TAGS]}).write(tmp_path / "b.med")
-    (tmp_path / "x.vtu").write_bytes(vtu())
+    mesh = meshio.Mesh(POINTS, [("tetra", CELLS)], cell_data={"a": [TAGS]})
+    mesh.write(tmp_path / "x.xdmf", data_format="XML")
+    data = meshio.Mesh(POINTS, [("tetra", CELLS)], cell_data={"cell_tags": [-TAGS]})
+    data.cell_tags = {-3: ["bone"], -8: ["cement"]}
+    data.write(tmp_path / "x.med")
+    meshes.write_msh(build(tmp_path / "y.inp", deck()), tmp_path / "x.msh")
     more = surface("top", 2 * H) + "*NSET, NSET=n, GENERATE\n1, 4\n"
     originals = {
         ".inp": deck(more=more).encode(),
         ".vtu": vtu("raw", compressor="vtkZLibDataCompressor"),
+        ".feb": feb().encode(),
+        ".xdmf": (tmp_path / "x.xdmf").read_bytes(),
+        ".med": (tmp_path / "x.med").read_bytes(),
+        ".msh": (tmp_path / "x.msh").read_bytes(),
     }
+    for suffix, raw in originals.items():
+        (tmp_path / f"whole{suffix}").write_bytes(raw)
+        assert len(bonded(tmp_path / f"whole{suffix}").cells) == len(CELLS), suffix
     refusals = 0
     for k in range(100):
         suffix = [*originals][k % len(originals)]
