@@ -13,7 +13,7 @@ import numpy as np
 from app.arrays import Ints
 from app.mesh_files import vtu
 from app.mesh_files.content import ONLY, ORDER, Found, extend, left_out
-from app.mesh_files.grids import Grid
+from app.mesh_files.grids import FileGrid
 
 # The cells of MED are inside out, too.
 ORDER_MED = [0, 2, 1, 3, 6, 5, 4, 7, 8, 9]
@@ -106,21 +106,25 @@ def _nameless(arrays: list[str], of_points: list[str]) -> str:
 
 def _add_unnamed(found: Found, without: list[Ints], order: list[int]) -> None:
     """Add cells of grids without regions that no grid with regions has (DOLFINx writes both)."""
-    named = {tuple(row) for row in np.sort(found.cells[:, :4], axis=1).tolist()} if without else ()
+    if not without:
+        return
+    named = np.sort(found.cells[:, :4], axis=1)
     for cells in without:
-        corners = np.sort(cells[:, :4], axis=1).tolist()
-        new = [k for k, row in enumerate(corners) if tuple(row) not in named]
-        if new:
+        corners = np.concatenate([named, np.sort(cells[:, :4], axis=1)])
+        _, label = np.unique(corners, axis=0, return_inverse=True)
+        first, second = np.split(label.ravel(), [len(named)])
+        new = ~np.isin(second, first)
+        if new.any():
             found.add(cells[new], order)
 
 
-def _vtu(path: Path, found: Found) -> Iterator[tuple[Grid, int]]:
+def _vtu(path: Path, found: Found) -> Iterator[tuple[FileGrid, int]]:
     grid, told = vtu.read(path)
     found.told += told
     yield grid, 0
 
 
-def _by_meshio(path: Path, found: Found) -> Iterator[tuple[Grid, int]]:
+def _by_meshio(path: Path, found: Found) -> Iterator[tuple[FileGrid, int]]:
     """Grids of a MED or XDMF file, each with the row of its first node."""
     import meshio
 
@@ -187,12 +191,12 @@ def _xdmf_grids(root: ET.Element, found: Found) -> Iterator[ET.Element]:
     found.told += left_out("grids without cells in them are not read", empty)
 
 
-def _grid(mesh: Any) -> Grid:
+def _grid(mesh: Any) -> FileGrid:
     """A mesh of meshio with three coordinates."""
     points = np.asarray(mesh.points, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError("its points have no three coordinates")
-    return Grid(
+    return FileGrid(
         points,
         [(block.type, np.asarray(block.data)) for block in mesh.cells],
         {name: [np.asarray(b) for b in blocks] for name, blocks in mesh.cell_data.items()},
@@ -200,7 +204,7 @@ def _grid(mesh: Any) -> Grid:
     )
 
 
-def _labels(grid: Grid, found: Found) -> tuple[str, Callable[[int], list[str]]]:
+def _labels(grid: FileGrid, found: Found) -> tuple[str, Callable[[int], list[str]]]:
     """Array of cells that names regions, if any, and the names of sets by its values."""
     groups = grid.groups
     if groups is not None:
@@ -225,12 +229,12 @@ def _names_by_meshio(name: str, values: np.ndarray) -> list[str]:
     return names if len(values) and values.max() < len(names) else []
 
 
-def _values(grid: Grid, name: str, kinds: tuple[str, ...]) -> np.ndarray:
+def _values(grid: FileGrid, name: str, kinds: tuple[str, ...]) -> np.ndarray:
     blocks = [b for (kind, _), b in zip(grid.cells, grid.data[name], strict=True) if kind in kinds]
     return np.concatenate([np.asarray(b).reshape(len(b), -1) for b in blocks] or [np.zeros((0, 1))])
 
 
-def _best(grid: Grid) -> str:
+def _best(grid: FileGrid) -> str:
     """The array that names regions, or nothing.
 
     It holds up to `MOST` whole numbers and does not number cells. Of several, one that differs

@@ -10,7 +10,7 @@ from app.arrays import Floats, Ints
 
 
 @dataclass
-class Grid:
+class FileGrid:
     """Points (n, 3), cells by meshio's name of their kind, and arrays.
 
     ``data`` holds for each array its values on each block of ``cells``; ``of_points`` are the names

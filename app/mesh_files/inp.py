@@ -136,7 +136,7 @@ class _Block:
                     "is it cut short?"
                 )
         table = self.numbers(rows).reshape(-1, width)
-        self._whole(table.ravel(), np.repeat([n for n, _ in rows], width).tolist())
+        self._whole(table.ravel(), [n for n, _ in rows for _ in range(width)])
         return table.astype(np.int64)
 
 
@@ -242,7 +242,7 @@ class _Sets(_Scoped):
         """
         if key not in self.resolved:
             self.resolved[key] = None
-            parts = [np.zeros(0, dtype=np.int64)]
+            parts: list[Ints] = [np.zeros(0, dtype=np.int64)]
             for block, numbers, names in self.definitions[key]:
                 parts += [numbers, *(self.members(block, name) for name in names)]
             self.resolved[key] = np.unique(np.concatenate(parts))
@@ -268,9 +268,8 @@ class _Mesh:
     @cached_property
     def corners(self) -> Ints:
         """Corners of all tetrahedra (n, 4)."""
-        return np.concatenate(
-            [np.zeros((0, 4), dtype=np.int64), *(cells[:, :4] for cells in self.cells)]
-        )
+        parts: list[Ints] = [np.zeros((0, 4), dtype=np.int64)]
+        return np.concatenate(parts + [cells[:, :4] for cells in self.cells])
 
     def nodes(self, elements: Ints) -> Ints:
         """Nodes of elements, in ascending order (n,)."""
@@ -379,7 +378,7 @@ def read(path: Path) -> Found:
 
 def _nodes(blocks: list[_Block], sets: _Sets, found: Found) -> Ints:
     """Read nodes and the sets that their keywords name; return the numbers (n,)."""
-    tables = [np.zeros((0, 4))]
+    tables: list[Floats] = [np.zeros((0, 4))]
     for b in (b for b in blocks if b.key == "NODE"):
         table = b.nodes(b is blocks[-1])
         if "NSET" in b.options:
@@ -392,8 +391,8 @@ def _nodes(blocks: list[_Block], sets: _Sets, found: Found) -> Ints:
 
 def _elements(blocks: list[_Block], sets: _Sets, found: Found) -> tuple[_Mesh, set[str]]:
     """Read elements and the sets that their keywords name; return those sets of other types."""
-    flat = [np.zeros((0, 4), dtype=np.int64)]
-    solid = [np.zeros(0, dtype=np.int64)]
+    flat: list[Ints] = [np.zeros((0, 4), dtype=np.int64)]
+    solid: list[Ints] = [np.zeros(0, dtype=np.int64)]
     cells: list[Ints] = []
     unread_sets = set()
     unread = []
@@ -419,7 +418,7 @@ def _elements(blocks: list[_Block], sets: _Sets, found: Found) -> tuple[_Mesh, s
 
 
 def _keys(triangles: Ints) -> set[tuple[int, ...]]:
-    return {*map(tuple, np.sort(triangles, axis=1).tolist())}
+    return {(int(a), int(b), int(c)) for a, b, c in np.sort(triangles, axis=1)}
 
 
 def _cartesian(block: _Block, table: Floats, told: list[str]) -> Floats:
@@ -524,10 +523,9 @@ def _combine(block: _Block, parts: list[Ints]) -> Ints:
         both = np.concatenate(parts)
         _, first = np.unique(np.sort(both, axis=1), axis=0, return_index=True)
         return both[np.sort(first)]
-    other = _keys(parts[1])
-    inside = np.array(
-        [tuple(row) in other for row in np.sort(parts[0], axis=1).tolist()], dtype=bool
-    )
+    _, label = np.unique(np.sort(np.concatenate(parts), axis=1), axis=0, return_inverse=True)
+    first, second = np.split(label.ravel(), [len(parts[0])])
+    inside = np.isin(first, second)
     return parts[0][inside if way == "INTERSECTION" else ~inside]
 
 
@@ -535,7 +533,7 @@ def _faces(block: _Block, mesh: _Mesh, element_sets: _Sets) -> Ints:
     """Corners of the faces that a surface lists (n, 3)."""
     everything = np.concatenate([mesh.solid, mesh.flat[:, 0]])
     by_side: dict[tuple[str, int], list[int]] = {}
-    parts = [np.zeros((0, 3), dtype=np.int64)]
+    parts: list[Ints] = [np.zeros((0, 3), dtype=np.int64)]
     if not block.lines:
         parts.append(mesh.faces(block, 0, everything, ""))
     for line, text in block.lines:

@@ -7,6 +7,7 @@ of several. Here each array is cut to its length before it is decoded.
 from __future__ import annotations
 
 import base64
+import binascii
 import lzma
 import math
 import re
@@ -14,13 +15,14 @@ import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from app.arrays import Floats, Ints
 from app.mesh_files.content import left_out
-from app.mesh_files.grids import Grid
+from app.mesh_files.grids import FileGrid
 
 # Cells by VTK's number: name and dimension; Lagrange cells of these sizes are numbered alike.
 TYPES = {
@@ -143,7 +145,7 @@ class _Base64(_Raw):
 class _File:
     """Encoding of the arrays of a file."""
 
-    order: str
+    order: Literal["<", ">"]
     header: np.dtype
     compressor: Callable[[bytes, int], bytes] | None
     appended: bytes
@@ -168,7 +170,7 @@ class _File:
         else:
             try:
                 data = self._bytes(item, form)
-            except (zlib.error, lzma.LZMAError, IndexError, base64.binascii.Error) as error:
+            except (zlib.error, lzma.LZMAError, IndexError, binascii.Error) as error:
                 raise ValueError(f"array {name} is damaged ({error})") from None
             if len(data) % kind.itemsize:
                 raise ValueError(f"array {name} has {len(data)} bytes, which are no {kind}")
@@ -212,7 +214,7 @@ class _File:
         return b"".join(parts)
 
 
-def read(path: Path) -> tuple[Grid, list[str]]:
+def read(path: Path) -> tuple[FileGrid, list[str]]:
     """All pieces of a file as one grid, with notes; nodes at the same place are still several.
 
     Raises:
@@ -251,8 +253,8 @@ class _Piece:
     plane: int
 
 
-def _joined(parts: list[_Piece], names: list[str]) -> Grid:
-    grid = Grid(np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]))
+def _joined(parts: list[_Piece], names: list[str]) -> FileGrid:
+    grid = FileGrid(np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]))
     first = 0
     for part in parts:
         for kind, (cells, rows) in part.cells.items():
@@ -285,7 +287,7 @@ def _open(path: Path) -> tuple[ET.Element, _File]:
     name = root.get("compressor", "")
     if name and name not in COMPRESSORS:
         raise ValueError(f"its compressor {name} is not one of {', '.join(COMPRESSORS)}")
-    order = ">" if root.get("byte_order", "LittleEndian") == "BigEndian" else "<"
+    order: Literal["<", ">"] = ">" if root.get("byte_order", "LittleEndian") == "BigEndian" else "<"
     header = root.get("header_type", "UInt32")
     if header not in ("UInt32", "UInt64"):
         raise ValueError(f"its header_type {header} is not one of UInt32, UInt64")

@@ -18,9 +18,11 @@ import pytest
 
 import meshes
 import meshes.pieces
+from app.case.case import load
 from app.case.geometries import MeshFile, MeshOptions
 from app.case.gmsh_header import content
 from app.errors import MantleError
+from app.soundness.well_posedness import judge, look
 from meshes.data import MeshData, boundary_areas, region_volumes
 from meshes.gmsh_child import session
 
@@ -397,10 +399,22 @@ def test_cells_without_a_region_are_counted(tmp_path: Path) -> None:
 
 CASE = """
 geometry: {kind: file, path: a.msh}
-mesh: {size: 1 mm}
+mesh: {size: 1 mm, order: 1}
 regions:
-  lower: &C {kind: conductor, conductivity: 1 W/(m K)}
+  lower: &C
+    kind: conductor
+    tissue: other
+    thermal:
+      conductivity: 1 W/(m K)
+      density: 1000 kg/m^3
+      specific_heat: 1000 J/(kg K)
+      initial_temperature: 0 degC
   upper: *C
+heat:
+  cold: {kind: temperature, boundary: bottom, temperature: 0 degC}
+  hot: {kind: temperature, boundary: top, temperature: 1 degC}
+stages:
+  - {name: conduct, steady: true}
 """
 
 
@@ -412,12 +426,19 @@ def test_bodies_that_lie_on_each_other_are_noted(lift: float, noted: bool, tmp_p
         gmsh.model.occ.synchronize()
         for name, tag in (("lower", lower), ("upper", upper)):
             gmsh.model.addPhysicalGroup(3, [tag], name=name)
+        for name, z in (("bottom", 0.0), ("top", 3.5 + lift)):
+            found = gmsh.model.getEntitiesInBoundingBox(-1, -1, z - 0.01, 3, 3, z + 0.01, 2)
+            gmsh.model.addPhysicalGroup(2, [tag for _, tag in found], name=name)
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.6)
         gmsh.model.mesh.generate(3)
         gmsh.write(str(tmp_path / "a.msh"))
     data = meshes.build(MeshFile(path=tmp_path / "a.msh"), MeshOptions(size="1 mm"))
     places = meshes.pieces.lying_on_each_other(data)
     assert ([*places] == [("lower", "upper")]) == noted
+    (tmp_path / "case.yaml").write_text(CASE)
+    case = load(tmp_path / "case.yaml").config
+    notes = " ".join(judge(case, look(case, data)))
+    assert ("'lower' and 'upper' lie on each other" in notes) == noted
     if noted:
         np.testing.assert_allclose(places["lower", "upper"][:, 2], 2.0, atol=1e-9)
 
