@@ -22,6 +22,7 @@ from app.case.case import load
 from app.case.geometries import MeshFile, MeshOptions
 from app.case.gmsh_header import content
 from app.errors import MantleError
+from app.mesh_files.vtu import COMPRESSORS
 from app.soundness.well_posedness import judge, look
 from meshes.data import MeshData, boundary_areas, region_volumes
 from meshes.gmsh_child import session
@@ -510,3 +511,47 @@ def test_damaged_files_are_input_errors(tmp_path: Path) -> None:
         except (ValueError, MantleError):
             refusals += 1
     assert refusals > 30
+
+
+def test_inp_sets_of_one_name_in_two_instances_are_kept_apart(tmp_path: Path) -> None:
+    text = ""
+    for part, first, cells in (("P", 0, range(6)), ("Q", 100, range(6, 12))):
+        used = np.unique(CELLS[list(cells)])
+        text += f"*PART, NAME={part}\n*NODE\n"
+        text += "".join(f"{k + 1 + first}, {', '.join(map(str, POINTS[k]))}\n" for k in used)
+        text += "*ELEMENT, TYPE=C3D4, ELSET=Set-1\n"
+        for k in cells:
+            text += f"{k + 1}, " + ", ".join(str(v + 1 + first) for v in CELLS[k]) + "\n"
+        text += "*SOLID SECTION, ELSET=Set-1\n*END PART\n"
+    text += "*ASSEMBLY, NAME=A\n"
+    for part in "PQ":
+        text += f"*INSTANCE, NAME={part}-1, PART={part}\n*END INSTANCE\n"
+    data = build(tmp_path / "a.inp", f"{text}*SURFACE, NAME=s\nQ-1.Set-1\n*END ASSEMBLY\n")
+    assert whole(data, "P-1_Set-1", "Q-1_Set-1")["s"] == pytest.approx(FREE)
+    assert "kept apart: P-1.Set-1, Q-1.Set-1" in str(data.notes["told"])
+
+
+def test_xdmf_grids_with_nodes_of_their_own_are_joined(tmp_path: Path) -> None:
+    """Pieces of a collection: the nodes of the second are not those of the first."""
+    grids = ""
+    for k, cells in enumerate((CELLS[:6], CELLS[6:])):
+        used, rows = np.unique(cells, return_inverse=True)
+        numbers = " ".join(map(str, rows.ravel().tolist()))
+        places = " ".join(map(str, POINTS[used].ravel().tolist()))
+        item = '<DataItem Format="XML" DataType="{}" Precision="8" Dimensions="{}">{}</DataItem>'
+        grids += f'<Grid Name="g{k}"><Geometry GeometryType="XYZ">'
+        grids += item.format("Float", f"{len(used)} 3", places) + "</Geometry>"
+        grids += '<Topology TopologyType="Tetrahedron" NumberOfElements="6">'
+        grids += item.format("Int", "6 4", numbers) + "</Topology>"
+        grids += '<Attribute Name="material" AttributeType="Scalar" Center="Cell">'
+        grids += item.format("Float", "6", " ".join(["2.0", "7.0"][k : k + 1] * 6))
+        grids += "</Attribute></Grid>"
+    text = f'<Grid GridType="Collection" CollectionType="Spatial">{grids}</Grid>'
+    data = build(tmp_path / "a.xdmf", f'<Xdmf Version="3.0"><Domain>{text}</Domain></Xdmf>')
+    whole(data, "material_2", "material_7")
+    assert len(data.points) == len(POINTS)
+
+
+def test_lz4_blocks_with_copies() -> None:
+    """Three letters, six more from three before (they overlap), and a last letter."""
+    assert COMPRESSORS["vtkLZ4DataCompressor"](b"\x32abc\x03\x00\x10x", 10) == b"abcabcabcx"
