@@ -170,25 +170,24 @@ def run(
 
     folder = Path(output) if output is not None else case.output
     if not finished_runs.prepare(case, folder, force=force, restart=restart):
-        ranks.keep_quiet()
-        ranks.alone()
-        with stack_needed():
-            from app.simulation import session
-        try:
-            session.run(
-                case,
-                folder,
-                petsc_options,
-                restart=restart,
-                force=force,
-                walltime=walltime,
-                signals=signals,
-                progress=progress,
-            )
-        except (ConvergenceError, StoppedError, UnusableError):
-            _report(case, folder, failed=True)
-            raise
-        _report(case, folder, failed=False)
+        with ranks.mpi_settings():
+            with stack_needed():
+                from app.simulation import session
+            try:
+                session.run(
+                    case,
+                    folder,
+                    petsc_options,
+                    restart=restart,
+                    force=force,
+                    walltime=walltime,
+                    signals=signals,
+                    progress=progress,
+                )
+            except (ConvergenceError, StoppedError, UnusableError):
+                _report(case, folder, failed=True)
+                raise
+            _report(case, folder, failed=False)
     return read(folder)
 
 

@@ -327,7 +327,7 @@ class FemurSurfaces:
         side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
         text = f"leaves {least:.1f} mm for cement, of {LEAST_MANTLE:g} mm at least,"
         if least < 0:
-            text = f"cuts {-least:.1f} mm into the cortex"
+            text = f"cuts {_rounded_up(-least):.1f} mm into the cortex"
         where = f"{side} at {self._placed.where(x)}"
         raise GeometryError(f"{self.key}: the stem {text} {where}; {self.remedy}")
 
@@ -343,6 +343,11 @@ class FemurSurfaces:
                     f"geometry: a line across the bone from {x} meets the {name} more than once;"
                     " sections must be star-shaped about the stem"
                 )
+
+
+def _rounded_up(length: float) -> float:
+    """Length rounded up to a tenth, which is never zero for a stem that cuts [mm]."""
+    return math.ceil(10 * length) / 10
 
 
 def _distances(mesh: Any, length: float, part: str) -> Floats:

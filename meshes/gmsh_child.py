@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from app import mesh_files
 from app.arrays import Floats, Ints
 from app.captured import captured
 from app.errors import GeometryError, MantleError
@@ -197,7 +198,8 @@ def read(request: Mapping[str, Any]) -> dict[str, Any]:
         points, row = nodes(gmsh)
         tet, triangle = (11, 9) if 11 in kinds else (4, 2)
         cells = {name: elements(gmsh, tet, on, row) for name, on in sorted(regions.items())}
-        if absent := [n for n in request["regions"] if not len(cells.get(n, ()))]:
+        full = {mesh_files.word(name) for name, block in cells.items() if len(block)}
+        if absent := [name for name in request["regions"] if name not in full]:
             raise GeometryError(f"{found}; no cells in the volumes {_listed(absent)}")
         _, tags, _ = mesh.getElements(3)
         arrays = {"points": points, "everything": np.array(sum(map(len, tags)))}

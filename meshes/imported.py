@@ -52,6 +52,13 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         {key.removeprefix(kind): block for key, block in found.items() if key.startswith(kind)}
         for kind in ("cells ", "surfaces ")
     )
+    try:
+        clean = mesh_files.case_names(blocks)
+        blocks = {clean[name]: block for name, block in blocks.items()}
+        clean = mesh_files.case_names(surfaces)
+        surfaces = {clean[name]: block for name, block in surfaces.items()}
+    except ValueError as error:
+        raise GeometryError(f"{path}: {error}") from error
     regions, cells = number(blocks), np.concatenate([*blocks.values()])
     cell_tags = np.repeat([*regions.values()], [*map(len, blocks.values())]).astype(np.int32)
     if len(np.unique(np.sort(cells[:, :4], axis=1), axis=0)) < len(cells):
@@ -82,18 +89,18 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, facets)
     turned = f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes "
     turned += "inside out: they are turned, and no cell overlaps its neighbours"
-    without = int(found["everything"]) - len(cells)
-    lost = f"geometry: {without} of {without + len(cells)} cells of the file are in no region and "
-    lost += "are left out"
+    told = [*([turned] if negative.any() else []), *found.get("told", [])]
+    everything = int(found["everything"])
+    if everything > len(cells):
+        told.append(
+            f"geometry: {everything - len(cells)} of {everything} cells of the file belong to no "
+            "region: they are left out"
+        )
     notes = {
         "file": str(path),
         "interior_surfaces": sorted({*masks} - {*boundaries}),
-        "cells_without_region": without,
-        "told": [
-            *([lost] if without else []),
-            *([turned] if negative.any() else []),
-            *found.get("told", []),
-        ],
+        "cells_without_region": everything - len(cells),
+        "told": told,
     }
     return replace(data, notes=notes)
 
@@ -139,8 +146,16 @@ def _of_others(path: Path, apart: Iterable[Sequence[Sequence[str]]]) -> dict[str
     told = found.told + mesh_files.left_out("sets of nodes without a facet", empty)
     if doubled := int((row != np.arange(len(row))).sum()):
         told.append(f"geometry: {doubled} nodes are merged with others at their places")
-    arrays: dict[str, Any] = {"points": points, "everything": len(cells), "told": told}
-    arrays |= {f"cells {name}": row[cells[rows]] for name, rows in found.sets.items()}
+    blocks, twice = dict[str, Any](), 0
+    for name, rows in found.sets.items():
+        block = row[cells[rows]]
+        once = np.unique(np.sort(block[:, :4], axis=1), axis=0, return_index=True)[1]
+        twice += len(block) - len(once)
+        blocks[f"cells {name}"] = block[np.sort(once)]
+    if twice:
+        told.append(f"geometry: {twice} cells stand twice in the file: one of each is kept")
+    arrays: dict[str, Any] = {"points": points, "everything": len(cells) - twice, "told": told}
+    arrays |= blocks
     return arrays | {f"surfaces {n}": row[t] for n, t in (whole | found.triangles).items()}
 
 

@@ -29,13 +29,8 @@ from meshes.data import (
 COINCIDENT = 1e-7
 # Facets that meet at more than this angle are different faces [rad].
 SMOOTH = np.radians(50)
-
-# Facets near a facet that may lie on it.
-NEAR = 24
-# Facets lie on each other if they are this close, in parts of the smaller one's size, and if the
-# cosine between their outward normals is below FACING.
-ON_EACH_OTHER = 1e-4
-FACING = -0.999
+# Least cosine between the normal of a facet and the reversed one of a facet on which it lies.
+FACING = 0.9
 
 # Nodes of a facet, the middle of each edge in the place of the vertex opposite, as in `NODES`.
 OPPOSITE = [0, 1, 2, 4, 5, 3]
@@ -274,44 +269,6 @@ def coincident(points: Floats) -> Ints:
     return np.concatenate(pairs)
 
 
-def lying_on_each_other(data: MeshData) -> dict[tuple[str, str], Floats]:
-    """Places where facets of two pieces lie on each other without common nodes, by their regions.
-
-    The middle of one facet is inside the other, which looks the other way. (n, 3) [mm].
-    """
-    from scipy.spatial import cKDTree  # imported late: few meshes need it
-
-    piece = components(data.neighbours, data.cell_tags)
-    if not len(piece) or piece.max() == 0:
-        return {}
-    facets, cell = exterior_facets(data.cells)
-    facets = facets[:, :3]
-    x = data.points[facets]
-    middle = x.mean(axis=1)
-    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    double = np.linalg.norm(normal, axis=1)
-    normal /= np.maximum(double, np.finfo(float).tiny)[:, None]
-    size = np.sqrt(double)
-    near = cKDTree(middle).query(middle, min(NEAR, len(middle)))[1].reshape(len(middle), -1)
-    one, column = np.nonzero(piece[cell[near]] != piece[cell][:, None])
-    two = near[one, column]
-    height = np.einsum("ij,ij->i", middle[one] - middle[two], normal[two])
-    close = np.abs(height) <= ON_EACH_OTHER * np.minimum(size[one], size[two])
-    facing = np.einsum("ij,ij->i", normal[one], normal[two]) < FACING
-    apart = ~(facets[one][:, :, None] == facets[two][:, None, :]).any(axis=(1, 2))
-    one, two = (rows[close & facing & apart] for rows in (one, two))
-    # Twice the areas of the triangles of the middle and each edge, with their signs.
-    corners = x[two] - middle[one][:, None]
-    areas = np.einsum("ijk,ik->ij", np.cross(corners, np.roll(corners, -1, axis=1)), normal[two])
-    inside = (areas > 0).all(axis=1)
-    names = {tag: name for name, tag in data.regions.items()}
-    found: dict[tuple[str, str], list[Floats]] = {}
-    for a, b in zip(one[inside], two[inside], strict=True):
-        first, second = sorted(names[int(data.cell_tags[cell[k]])] for k in (a, b))
-        found.setdefault((first, second), []).append(middle[a])
-    return {pair: np.array(places) for pair, places in found.items()}
-
-
 def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str, str], Floats]:
     """Positions where two nodes coincide, by the pair of their regions."""
     of_node = np.zeros(len(data.points), dtype=np.int64)
@@ -321,3 +278,101 @@ def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str
         one, two = sorted(pieces[int(of_node[k])].region for k in (a, b))
         found.setdefault((one, two), []).append(data.points[a])
     return {names: np.array(x) for names, x in found.items()}
+
+
+def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
+    """Faces of two bodies that lie on each other and share no node.
+
+    A facet lies on another body if its middle is inside of one of the body's facets, which looks
+    the other way, and is as near to it as straight facets of a smooth surface may be.
+
+    Returns:
+        By the pair of regions the area [mm^2] and a place on it (3,) [mm].
+    """
+    names = {tag: name for name, tag in data.regions.items()}
+    facets, cells = exterior_facets(data.cells)
+    facets = facets[:, :3]
+    bodies = components(data.neighbours, np.zeros(len(data.cells), dtype=np.int32))
+    body = bodies[cells]
+    if body.max(initial=0) == 0:
+        return {}
+    x = data.points[facets]
+    normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    areas = np.linalg.norm(normals, axis=1) / 2
+    normals /= np.maximum(2 * areas, np.finfo(float).tiny)[:, None]
+    middles = x.mean(axis=1)
+    rise = _rise(x, facets, np.asarray(normals, dtype=float))
+    least = COINCIDENT * float(np.linalg.norm(np.ptp(data.points, axis=0)))
+    area: dict[tuple[str, str], float] = {}
+    place: dict[tuple[str, str], Floats] = {}
+    for a, b in combinations(range(int(body.max()) + 1), 2):
+        each = [np.flatnonzero(body == k) for k in (a, b)]
+        margin = max(float(rise[rows].max()) for rows in each) + least
+        low = np.max([x[rows].min(axis=(0, 1)) for rows in each], axis=0) - margin
+        high = np.min([x[rows].max(axis=(0, 1)) for rows in each], axis=0) + margin
+        # Facets in the box that both bodies share.
+        near = [
+            rows[
+                (x[rows].max(axis=1) >= low).all(axis=1) & (x[rows].min(axis=1) <= high).all(axis=1)
+            ]
+            for rows in each
+        ]
+        if not all(map(len, near)):
+            continue
+        both: dict[tuple[str, str], list[float]] = {}
+        for one, two in (near, near[::-1]):
+            on = _lies_on(
+                middles[one], normals[one], rise[one] + least, x[two], normals[two], rise[two]
+            )
+            hit = np.flatnonzero(on >= 0)
+            first, second = one[hit], two[on[hit]]
+            tags = np.sort(
+                np.column_stack([data.cell_tags[cells[first]], data.cell_tags[cells[second]]])
+            )
+            for tag in np.unique(tags, axis=0):
+                here = first[(tags == tag).all(axis=1)]
+                lower, upper = sorted(names[int(t)] for t in tag)
+                both.setdefault((lower, upper), []).append(float(areas[here].sum()))
+                place.setdefault((lower, upper), middles[here[0]])
+        for pair, measured in both.items():
+            area[pair] = area.get(pair, 0.0) + max(measured)
+    return {pair: (area[pair], place[pair]) for pair in area}
+
+
+def _rise(x: Floats, facets: Ints, normals: Floats) -> Floats:
+    """Distance of each facet from the smooth surface through its nodes, at most (k,) [mm]."""
+    edges = np.sort(facets[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T)
+    same = np.flatnonzero((edges[order][1:] == edges[order][:-1]).all(axis=1))
+    one, two = order[same] // 3, order[same + 1] // 3
+    angle = np.arccos(np.clip(np.einsum("ei,ei->e", normals[one], normals[two]), -1.0, 1.0))
+    angle[(angle > SMOOTH) | (angle < 1e-6)] = 0.0
+    bend = np.zeros(len(facets))
+    np.maximum.at(bend, one, angle)
+    np.maximum.at(bend, two, angle)
+    length = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
+    return np.asarray(length * bend / 8)
+
+
+def _lies_on(
+    middles: Floats, normals: Floats, within: Floats, x: Floats, other: Floats, rise: Floats
+) -> Ints:
+    """Facet on which each middle lies, -1 if on none (k,)."""
+    from scipy.spatial import cKDTree
+
+    centres = x.mean(axis=1)
+    count = min(12, len(centres))
+    found = np.full(len(middles), -1, dtype=np.int64)
+    _, candidates = cKDTree(centres).query(middles, count)
+    for column in candidates.reshape(len(middles), count).T:
+        offset = middles - x[column, 0]
+        n = other[column]
+        height = np.einsum("ki,ki->k", offset, n)
+        inside = np.abs(height) <= within + rise[column]
+        inside &= np.einsum("ki,ki->k", normals, n) < -FACING
+        for i in range(3):
+            start, end = x[column, i], x[column, (i + 1) % 3]
+            side = np.einsum("ki,ki->k", np.cross(end - start, middles - start), n)
+            inside &= side >= -1e-9 * np.einsum("ki,ki->k", end - start, end - start)
+        found[inside & (found < 0)] = column[inside & (found < 0)]
+    return found

@@ -16,8 +16,9 @@ from typing import Any
 
 from app.case.case import Case, dump, load, plain
 from app.case.variations import CHANGED, split
-from app.errors import ConvergenceError, StoppedError, UnusableError
+from app.errors import ConvergenceError, EnvironmentProblem, StoppedError, UnusableError
 from app.results.closing_lines import reasons_not_to_use
+from app.soundness import cost, memory
 from app.system import identity
 from app.system.folders import FAILED, saved
 
@@ -195,9 +196,25 @@ def result_of(job: Job, run: BatchRun, *, over: bool = True) -> Result:
     message = tail(run.file("log"))
     if status is None:
         message += "\n" + tail(run.file("slurm"))
-    if code > 128 and code - 128 in set(signal.Signals):
+    if code == 128 + signal.SIGKILL:
+        message += f"\n{_killed(run)}"
+        code = EnvironmentProblem.exit_code
+    elif code > 128 and code - 128 in set(signal.Signals):
         message += f"\nkilled by {signal.Signals(code - 128).name}"
     return result(code or LOST, seconds, {}, message.strip())
+
+
+def _killed(run: BatchRun) -> str:
+    """Message on a run that the system killed, with the memory that it needs and there is."""
+    have = memory.available()
+    need = cost.gigabytes(run.case, have)
+    text = "killed, probably out of memory: "
+    if need:
+        text += f"each run at once needs about {need:.1f} GB of "
+    text += f"{have / 1e9:.1f} GB"
+    at_once = max(1, int(have / 1e9 / need)) if need else 1
+    fewer = f"--cores {at_once * run.job.ranks} runs at most {at_once} at once"
+    return f"{text}; {fewer}, and the same command continues"
 
 
 def tail(path: Path) -> str:

@@ -67,12 +67,14 @@ class Case(Section):
         default_factory=dict,
         json_schema_extra={
             "properties": {k: {"type": "string"} for k in ("library", *overlay.MEASURED)}
+            | {"history": {"type": "array"}}
         },
     )
     """Loads on the bodies. `library: NAME` among them stands for all loads of that name in the
     library, in place of those of the base; further keys change them. `body_weight: 750 N` scales
-    their forces. `sagittal_tilt: 8.4 deg` turns them about x, from the frame of measured forces to
-    that of the shaft, whose proximal end is that far posterior in it."""
+    their forces. `history: [0, 1]` is that of each of them. `sagittal_tilt: 8.4 deg` turns them
+    about x, from the frame of measured forces to that of the shaft, whose proximal end is that far
+    posterior in it."""
     heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
     """Sources, fluxes and given temperatures."""
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)

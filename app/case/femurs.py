@@ -207,12 +207,28 @@ class _Femur(Shape):
         shoulder, plug = self.stem_tip_z + self.stem_length, self.stem_tip_z - self.plug_length
         check_stem(self, "stem_", "stem_tip_")
         if not self.stem_tip_z < self.stem_section_z < shoulder:
-            fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
+            self._refuse_section(shoulder)
         width = 2.0 * self._check_section(shoulder, "the shoulder", 0.0)
         self._check_section(plug, "the end of the plug", spread(self.cement_thickness)[0])
         if self.neck_diameter > width:
             text = f"is wider than the stem's shoulder; expected at most {width:.3g} mm"
             fail(text, at=("neck_diameter",))
+
+    def _refuse_section(self, shoulder: float) -> None:
+        """Fail at the key that puts the proximal section beside the stem."""
+        levels = ("stem_section_z", "stem_length", "stem_tip_z")
+        key = next((k for k in levels if k in self.model_fields_set), levels[0])
+        text = f"puts the stem between z = {self.stem_tip_z:g} and {shoulder:g} mm, without its"
+        text = f"{text} proximal section at {self.stem_section_z:g} mm (stem_section_z)"
+        if key == levels[0]:
+            text = f"is not between the stem's tip at z = {self.stem_tip_z:g} mm and its"
+            text = f"{text} shoulder at {shoulder:g} mm"
+        default = type(self).model_fields
+        usual = default["stem_tip_z"].default + default["stem_length"].default
+        tip = usual - self.stem_length
+        if key == "stem_length" and tip < self.stem_section_z < usual:
+            text = f"{text}; set stem_tip_z: {tip:g} mm too to cut the stem at its tip"
+        fail(text, at=(key,))
 
     def _check_section(self, z: float, where: str, offset: float) -> float:
         """Half-width of the section extrapolated linearly to a level (mm); refuse a degenerate one.

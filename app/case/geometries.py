@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
@@ -243,6 +243,11 @@ class MeshFile(Shape):
     def boundary_names(self) -> tuple[str, ...]:
         """Names of the physical surfaces."""
         return physical_names(self.path, 2)
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """Regions and boundaries that the file names."""
+        return {"regions": list(self.region_names), "boundaries": list(self.boundary_names)}
 
     @property
     def interface_sides(self) -> dict[str, Sides]:

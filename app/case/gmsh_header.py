@@ -6,7 +6,6 @@ import hashlib
 import os
 import re
 import struct
-from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -20,9 +19,8 @@ HEADER = 4 << 20
 # Scripts: comments go, text in quotes stays.
 COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?(?:\*/|\Z)""", re.DOTALL)
 QUOTED = re.compile(r"""\"([^"\n]*)"|'([^'\n]*)'""")
-# End of the name of a file with arrays in an .xdmf file; a path has at most PATH characters.
-ARRAYS = re.compile(r"\.(?:h5|hdf5?|he5):")
-PATH = 4096
+# Files that an .xdmf file names. Each text between tags is looked at once: linear in its length.
+ARRAYS = re.compile(r">()([^<>:]+):")
 GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
 DIMENSIONS = {"Volume": 3, "Surface": 2}
 # Environment variable: the user trusts the scripts of this command.
@@ -43,7 +41,7 @@ def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
         found = mesh_files.read(path, modified)
         return tuple(found.sets if dimension == 3 else found.triangles | found.nodes)
     groups = _groups(path, modified)
-    return tuple(name for d, name in groups if d == dimension)
+    return tuple(mesh_files.case_names(name for d, name in groups if d == dimension).values())
 
 
 @lru_cache(maxsize=8)
@@ -97,30 +95,14 @@ def _files(path: Path) -> list[str]:
         if not name.endswith((".geo", ".xdmf")):
             continue
         text = (folder / name).read_text("utf-8", "replace")
-        named = _quoted(text) if name.endswith(".geo") else _arrays(text)
-        for other in named:
-            other = os.path.normpath(Path(name).parent / other)
+        for quoted in (QUOTED if name.endswith(".geo") else ARRAYS).finditer(text):
+            named = (quoted[1] or quoted[2] or ".").strip()
+            other = os.path.normpath(Path(name).parent / named)
             with suppress(OSError, ValueError):  # not a file name
                 inside = (folder / other).resolve().is_relative_to(folder)
                 if inside and other not in found and (folder / other).is_file():
                     found.append(other)
     return found
-
-
-def _quoted(text: str) -> Iterator[str]:
-    """Texts in quotes in a script."""
-    for match in QUOTED.finditer(text):
-        yield match[1] or match[2] or "."
-
-
-def _arrays(text: str) -> Iterator[str]:
-    """Files with the arrays of an ``.xdmf`` file; each name is looked for backwards from its end.
-
-    Forwards from each character takes a time that grows with the square of the numbers in the file.
-    """
-    for match in ARRAYS.finditer(text):
-        before = text[max(match.start() - PATH, 0) : match.end() - 1]
-        yield re.split("[<>:]", before)[-1].strip()
 
 
 def counts(path: Path) -> int:

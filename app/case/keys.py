@@ -17,6 +17,7 @@ from pydantic_core import core_schema
 import configs
 from app.case import library, quantities
 from app.case.case import Case
+from app.case.overlay import MEASURED
 from app.errors import InputError
 from app.schema.section import TAG, docstrings
 from app.schema.units import bounds_in_words
@@ -28,7 +29,8 @@ TYPES |= {"boolean": "`true`, `false`", "object": "mapping of keys to values"}
 
 WIDTH = 96
 # Words explained by the text of another.
-WITHIN = {"loads.library": "loads", "body_weight": "loads", "E": "youngs_modulus"}
+WITHIN = {"loads.library": "loads", "E": "youngs_modulus"}
+WITHIN |= {key: "loads" for name in MEASURED for key in (name, f"loads.{name}")}
 WITHIN |= {"nu": "poisson_ratio", "mu": "friction_coefficient", "micromotion": "motion"}
 GLOSSARY = configs.FOLDER.parent / "docs" / "glossary.md"
 
@@ -246,6 +248,8 @@ def explained(key: str = "") -> str:
     every = _every()
     asked = key.strip().strip(".").replace(" ", "_")
     asked = WITHIN.get(asked, asked)
+    if asked in ("unit", "units"):
+        return _units()
     if not asked:
         return "\n".join([*map(_line, table()[0].keys), "", *map(library.listed, library.KINDS)])
     found = [k for k in every if _matches(k, asked)] or [k for k in every if k.name == asked]
@@ -268,6 +272,20 @@ def explained(key: str = "") -> str:
         heads.setdefault(_kinds(k.path) if k.name == "kind" else _body(k), []).append(own)
     parts = ["\n".join([*dict.fromkeys(own), body]) for body, own in heads.items()]
     return "\n\n".join(filter(None, [*parts, listed, _results(asked)]))
+
+
+def _units() -> str:
+    """Internal units, each with the keys that have it; then how values are written."""
+    keys: dict[str, list[str]] = {}
+    for key in _every():
+        if key.unit:
+            keys.setdefault(key.unit, []).append(key.name)
+    head = "Values have units in the file, such as 4 mm or 110 GPa; results are in these:"
+    rows = [
+        f"  {unit:<14} {textwrap.shorten(', '.join(dict.fromkeys(names)), WIDTH - 20)}"
+        for unit, names in sorted(keys.items())
+    ]
+    return "\n".join([head, *rows])
 
 
 def _mentions(word: str) -> str:

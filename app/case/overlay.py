@@ -72,6 +72,8 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
         case.data = _over(case, below, upper, ())
         case.places |= file.places
+        if place := file.places.get(("loads", "history")):
+            _place_history(case, place, file.places)
     if len(case.complaints) > found:
         case.raise_all([])  # what they leave incomplete has other errors
     apply(case, overrides)
@@ -158,6 +160,9 @@ def _over(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
     if path == ("loads",) and MEASURED.keys() & upper:
         lower = _measured(case, lower or {}, upper)
         upper = {k: v for k, v in upper.items() if k not in MEASURED}
+    if path == ("loads",) and isinstance(upper.get("history"), list):
+        lower = _with_history(case, lower or {}, upper["history"])
+        upper = {k: v for k, v in upper.items() if k != "history"}
     if isinstance(lower, dict) and _kind(lower, path) != _kind(upper, path) and "kind" in upper:
         lower = None
     if path[:1] == ("regions",) and len(path) == 2 and upper.get("kind") == "rigid":
@@ -228,6 +233,25 @@ def _measured(case: CaseFile, loads: dict[str, Any], keys: Mapping[str, Any]) ->
                 turned = (factor * x, c * y + s * z, c * z - s * y)
                 result[name] = load | {"force": [f"{part!r} N" for part in turned]}
     return result
+
+
+def _with_history(case: CaseFile, loads: dict[str, Any], history: list[Any]) -> dict[str, Any]:
+    """The loads of a base or a library, each with the same history."""
+    if not loads:
+        text = "there are no loads of a library or a base here; set the history of each load"
+        case.complaints.append(Fault(("loads", "history"), text))
+    return {
+        name: load | {"history": list(history)} if isinstance(load, dict) else load
+        for name, load in loads.items()
+    }
+
+
+def _place_history(case: CaseFile, place: Any, given: Mapping[Path, Any]) -> None:
+    """Give the histories of all loads the place of the one that they share."""
+    for name in case.data.get("loads") or {}:
+        path = ("loads", name, "history")
+        if path not in given:
+            case.places[path] = place
 
 
 def _measure(case: CaseFile, key: str, value: Any) -> None:
@@ -412,7 +436,9 @@ def _put(case: CaseFile, holder: Any, path: Path, value: Any) -> None:
             case.data[str(path[0])][path[1]].pop(key, None)
     own = {p: place for p, place in case.places.items() if p[: len(path)] == path}
     of_entry = step in ("material", "finish", "library") and path[0] in NAMED
-    if (of_entry and isinstance(value, str)) or (path[0] == "loads" and step in MEASURED):
+    if (of_entry and isinstance(value, str)) or (
+        path == ("loads", step) and (step in MEASURED or step == "history")
+    ):
         new = _over(case, holder, {step: value}, path[:-1])
     else:
         new = {step: _over(case, old if step == "force" else None, value, path)}

@@ -130,6 +130,10 @@ class Stem(Section):
     @model_validator(mode="after")
     def _solid(self) -> Stem:
         if not self.section_depth < self.length:
+            set_keys = self.model_fields_set
+            if "length" in set_keys and "section_depth" not in set_keys:
+                text = "puts the tip above the proximal section, which is at section_depth ="
+                fail(f"{text} {self.section_depth:g} mm; set section_depth too", at=("length",))
             fail("is not above the tip", at=("section_depth",))
         femurs.check_stem(self, "", "tip_")
         return self

@@ -191,7 +191,7 @@ class CheckpointOptions(Section):
 
     steps: units.PositiveInteger | None = None
     """Number of steps between two checkpoints."""
-    minutes: units.PositiveNumber | None = 5.0
+    minutes: units.PositiveNumber | None = 1.0
     """Minutes between two checkpoints; saved after the step that passes them. Those of a run that
     ends well are removed, unless this section asks for some."""
 

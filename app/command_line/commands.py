@@ -66,6 +66,10 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
         return 0
     if size is None and count > 1:
         print(f"starting {count} ranks", flush=True)
+        cores = len(os.sched_getaffinity(0))
+        if count > cores:
+            text = f"note: {count} ranks share {cores} cores, which is slower than -n {cores}"
+            print(painted(text, "doubtful", sys.stderr), file=sys.stderr, flush=True)
         pass_colours()
         return ranks.launch(count, [sys.executable, "-m", "mantle", *arguments])
     if size is not None and count not in (1, size) and rank() == 0:
@@ -83,9 +87,15 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
 
 
 def _load(options: argparse.Namespace) -> LoadedCase:
+    """Load the case of a command: a file, or a shipped case by its name alone."""
+    from app.case import overlay
     from app.case.case import load
 
-    return load(options.case, options.overrides)
+    path = options.case
+    if not path.exists():
+        path = overlay.found(path.parent, str(path))
+        path = path if path.exists() else options.case
+    return load(path, options.overrides)
 
 
 def _init(options: argparse.Namespace) -> int:

@@ -32,12 +32,15 @@ class Creep(OfRegion):
     per: units.PositiveTime | None = None
     """The unit of time that N counts, such as `1 hour`; cycles by default."""
     stresses: Range | None = None
-    """Least and largest stress that the law was measured at; results beyond are told."""
+    """Least and largest stress that the law was measured at, required with `m1`; results beyond are
+    reported."""
 
     @model_validator(mode="after")
     def _hardens(self) -> Creep:
         if self.m1 and self.stresses is None:
-            fail("'stresses' is missing; expected the range that m was measured in")
+            fail(
+                "'stresses' is missing, required with m1; expected the range that m was measured in"
+            )
         for s in self.stresses or ():
             m = self.m0 + self.m1 * math.log10(s)
             if not 0.0 < m <= 1.0:

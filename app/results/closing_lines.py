@@ -16,6 +16,7 @@ from app.case.quantities import NECROSIS, TABLE, in_print, numbers_of
 from app.errors import UnusableError
 from app.results.cycles import sentences
 from app.results.damage import RESOLVED
+from app.results.error_estimate import is_zero, largest_of_units
 from app.system import layout
 
 if TYPE_CHECKING:
@@ -251,13 +252,18 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
     estimated = summary.get("error", {})
     if not estimated.get("companions"):
         return Verdict(f"{BOTH}: error not estimated (--error does)")
-    shares = {
-        f"{key} of {name}": q[f"{key}_error"] / abs(q[key])
-        for section in ("interfaces", "regions")
-        for name, q in summary.get(section, {}).items()
-        for key in q
-        if PERCENTILE.search(key) and q.get(f"{key}_error") is not None and q[key]
-    }
+    largest = largest_of_units(dict(summary))
+    shares, zero = dict[str, float](), list[str]()
+    for section in ("interfaces", "regions"):
+        for name, q in summary.get(section, {}).items():
+            for key in filter(PERCENTILE.search, q):
+                error = q.get(f"{key}_error")
+                if error is None or not q[key] or key not in TABLE[section]:
+                    continue
+                if is_zero(q[key], error, largest[TABLE[section][key].unit]):
+                    zero.append(f"{key} of {name}")
+                else:
+                    shares[f"{key} of {name}"] = error / abs(q[key])
     share, text = sorted(shares, key=shares.__getitem__), "± is their estimated error"
     if share:
         of_them = (share[len(share) // 2], share[-1])
@@ -266,6 +272,8 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
         text += f", the least sure ({share[-1]}) within ± {worst} %"
         if within := estimated.get("within"):
             text += f"; about {100 * within:.0f} of 100 such numbers lie within their ±"
+    if zero:
+        text += f"; zero to rounding or beside others: {', '.join(zero)}"
     of = estimated.get("of", BOTH)
     return Verdict(f"{of}: {text}" + ("" if of == BOTH else "; error of the mesh not estimated"))
 

@@ -12,6 +12,9 @@ to cement that sets, and tested on others (docs/verification.md). Orders of conv
 give a; they leave the truth outside too often, as contact begins and ends inside cells. A companion
 of another coarsening is taken as if errors fell with the order in `case.quantities`.
 
+A number that is zero says nothing about others and is in no median: it is rounding beside the
+largest one of its unit, or it is small beside that one and changes by more than itself.
+
 Where friction makes the path matter, the error of n load steps is taken as C / n (the incremental
 minimisation is an implicit Euler method). The companion takes half the steps, which is cheaper; two
 on a mesh of 3 h take half of them and all (or one and two where the run takes one), and the
@@ -37,6 +40,10 @@ COARSER = (2.0, 3.0)
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
 # A peak is unsettled if it changes by more than this part from the next mesh to that of the run.
 UNSETTLED = 0.1
+# Below this part of the largest number of its unit a number is zero to rounding. Below the second
+# part it is zero if it changes from mesh to mesh by more than itself.
+ROUNDING = 1e-6
+SMALL = 0.01
 # A mesh must be coarser than this to be compared.
 LEAST = 1.25
 # Factors a and b at first and at second order, by the orders of convergence of a class.
@@ -170,6 +177,7 @@ def estimate(
         for k, q in TABLE[section].items()
         if q.peak and k in numbers
     ]
+    largest = largest_of_units(run)
     for section, name, numbers in tables:
         others = [(c, o.get((section, name), {})) for c, o in relatives]
         known = [q for k, q in TABLE[section].items() if numbers.get(k) is not None]
@@ -178,6 +186,8 @@ def estimate(
             error, value = numbers.get(f"{q.key}_error"), numbers[q.key]
             if error is not None and not q.vector and q.order in FACTORS and value:
                 change = error / (r * FACTORS[q.order][order][0] * abs(value))
+                if is_zero(value, change * abs(value), largest[q.unit]):
+                    continue
                 if (section, name) in whole:
                     changes.setdefault(LIKE.get(q.order, q.order), []).append(change)
                 raised.append((numbers, q.key, q.order))
@@ -187,7 +197,10 @@ def estimate(
             like = "motion" if k in ALIKE else k
             # A peak that is negligible beside its like on other interfaces does not count.
             size = max(abs(value), UNSETTLED * max(v for of, v in peaks if of == like))
-            if (change := abs(value - coarser)) > UNSETTLED * size:
+            unit, change = TABLE[section][k].unit, abs(value - coarser)
+            if is_zero(value, change, largest[unit]) and abs(coarser) < SMALL * largest[unit]:
+                continue
+            if change > UNSETTLED * size:
                 unsettled.append((change / max(size, abs(coarser)), f"{name}.{k}", values))
     _put_in_zones(run, order, solved)
     typical = {like: float(np.median(own)) for like, own in changes.items()}
@@ -196,6 +209,26 @@ def estimate(
         numbers[f"{key}_error"] = max(numbers[f"{key}_error"], least)
     worst = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
     return {name: values for _, name, values in worst}
+
+
+def largest_of_units(summary: Numbers) -> dict[str, float]:
+    """Largest size of the numbers of a summary by their unit."""
+    found: dict[str, float] = {}
+    for section, _, numbers in numbers_of(summary, parts=True):
+        for key, q in TABLE[section].items():
+            value = numbers.get(key)
+            if value is not None and not q.vector:
+                found[q.unit] = max(found.get(q.unit, 0.0), abs(float(value)))
+    return found
+
+
+def is_zero(value: float, change: float, largest: float) -> bool:
+    """Whether a number is zero: rounding, or small and changing by its size or more.
+
+    ``change`` is that to a coarser mesh, or the error; ``largest`` the largest number of the unit.
+    """
+    size = abs(value)
+    return size <= ROUNDING * largest or (size < SMALL * largest and change >= size)
 
 
 def _put_in_zones(run: Numbers, order: int, solved: Others) -> None:

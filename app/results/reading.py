@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from math import ceil
 from pathlib import Path
@@ -24,6 +24,7 @@ from app.arrays import Floats, Ints
 from app.errors import InputError
 from app.results.vtkhdf import QUADRATIC_NODES
 from app.schema import yaml_file
+from app.schema.section import did_you_mean
 from meshes.data import exterior_facets, facet_areas
 
 FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
@@ -110,7 +111,7 @@ class Run(Results):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        with h5py.File(folder / "fields.vtkhdf", "r") as file:
+        with self._file() as file:
             root = file["VTKHDF"]
             self.points: Floats = root["Points"][:]
             width = len(root["Connectivity"]) // len(root["Types"])
@@ -171,9 +172,16 @@ class Run(Results):
         """Temperature of the nodes at a written step (n,) [degC]."""
         return self.on_points("temperature", step)
 
-    def nodes_of(self, region: int) -> Ints:
-        """Nodes of a region, some of which other regions may share."""
-        return np.unique(self.cells[self.region == region])
+    def nodes_of(self, region: str | int) -> Ints:
+        """Nodes of a region, by its name or number; other regions may share some of them.
+
+        Raises:
+            InputError: There is no such region.
+        """
+        number = self.regions.get(region) if isinstance(region, str) else region
+        if number not in self.regions.values():
+            raise self._unknown("region", region, self.regions)
+        return np.unique(self.cells[self.region == number])
 
     def volumes(self) -> Floats:
         """Volume of each cell (m,), as if its edges were straight [mm3]."""
@@ -189,7 +197,16 @@ class Run(Results):
         """An interface quantity at every node (n,), slip and motion (n, 3); zero away from it.
 
         Quantities: gap, slip, slip_path, motion [mm], pressure, shear [MPa] and status.
+
+        Raises:
+            InputError: There is no such interface, or it has no such quantity.
         """
+        if name not in self.contacts:
+            raise self._unknown("interface", name, self.contacts)
+        prefix = f"{name}_"
+        quantities = [n.removeprefix(prefix) for n in self.point_fields if n.startswith(prefix)]
+        if quantity not in quantities:
+            raise self._unknown("quantity", quantity, quantities, f" at interface '{name}'")
         return self.on_points(f"{name}_{quantity}", step)
 
     def on_interface(self, name: str) -> NDArray[np.bool_]:
@@ -243,25 +260,57 @@ class Run(Results):
 
         return norm(have - should), norm(have), norm(should)
 
+    def _file(self) -> h5py.File:
+        """Open the fields without a lock: a viewer may hold one, and a folder may be read-only.
+
+        Raises:
+            OSError: They cannot be read; names the file and the cause.
+        """
+        path = self.folder / "fields.vtkhdf"
+        try:
+            return h5py.File(path, "r", locking=False)
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            raise OSError(f"{path}: the fields cannot be read: {error}") from error
+
     def _field(self, name: str, rows: int, step: int | str) -> Floats:
-        k = self._last_of(step) if isinstance(step, str) else range(len(self.times))[step]
-        group, _, own = name.partition("/")
+        group, _, field_name = name.partition("/")
         there = self.point_fields if group == "PointData" else self.cell_fields
-        if own not in there:
-            raise InputError(f"{self.folder}: no field '{own}'; fields: {', '.join(there)}")
-        with h5py.File(self.folder / "fields.vtkhdf", "r") as file:
+        if field_name not in there:
+            place = "points" if group == "PointData" else "cells"
+            raise self._unknown("field", field_name, there, f" on {place}")
+        k = self._last_of(step) if isinstance(step, str) else self._written(step)
+        with self._file() as file:
             field = file["VTKHDF"][name]
             k = 0 if len(field) == rows else k  # one for all steps
             return np.asarray(field[k * rows : (k + 1) * rows])
 
+    def _written(self, step: int) -> int:
+        """Number of a written step counted from 0; InputError if there is none."""
+        count = len(self.times)
+        if not -count <= step < count:
+            text = f"no written step {step}; there are {count}, 0 to {count - 1}"
+            raise InputError(f"{self.folder}: {text}")
+        return step % count
+
     def _last_of(self, stage: str) -> int:
         """Last written step of a stage; InputError if there is none."""
+        if stage not in self.written_stages:
+            raise self._unknown("stage", stage, self.written_stages, " with a written step")
         ends = {s["name"]: k for k, s in enumerate(self.case["stages"], 1)}
-        steps = [k for k, time in enumerate(self.times) if ceil(time - 1e-9) == ends.get(stage)]
-        if not steps:
-            allowed = ", ".join(ends)
-            raise InputError(f"{self.folder}: no step of a stage '{stage}'; stages: {allowed}")
+        steps = [k for k, time in enumerate(self.times) if ceil(time - 1e-9) == ends[stage]]
         return steps[-1]
+
+    def _unknown(
+        self, kind: str, name: str | int, known: Iterable[str], where: str = ""
+    ) -> InputError:
+        """Error for a name of a kind that the results do not have; lists those that they have."""
+        names = [*known]
+        hint = did_you_mean(str(name), names)
+        plural = f"{kind.removesuffix('y')}ies" if kind.endswith("y") else f"{kind}s"
+        listed = ", ".join(names) or "none"
+        return InputError(f"{self.folder}: no {kind} '{name}'{where}; {plural}: {listed}{hint}")
 
 
 def shape_functions(points: Floats, nodes: int) -> tuple[Floats, Floats]:

@@ -37,6 +37,20 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
+    def __eq__(self, other: object) -> bool:
+        """Return True for the same class with equal fields.
+
+        Values cached beside the fields, which may be arrays, do not count.
+        """
+        if type(self) is not type(other):
+            return NotImplemented
+        fields = type(self).model_fields
+        return all(getattr(self, key) == getattr(other, key) for key in fields)
+
+    def __hash__(self) -> int:
+        """Hash of class and fields."""
+        return hash((type(self), *(getattr(self, key) for key in type(self).model_fields)))
+
     @model_validator(mode="wrap")
     @classmethod
     def _told(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:

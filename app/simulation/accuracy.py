@@ -12,7 +12,7 @@ from typing import Any
 
 from app.case.case import Case
 from app.case.quantities import TABLE
-from app.results.error_estimate import Orders
+from app.results.error_estimate import Orders, is_zero, largest_of_units
 from app.soundness import cost, memory
 from app.system.layout import duration, percent
 
@@ -33,7 +33,8 @@ def shares(summary: Mapping[str, Any]) -> list[tuple[float, str, Orders]]:
         for key, q in TABLE["interfaces"].items()
         if q.headline and q.order and numbers.get(f"{key}_error") is not None
     ]
-    largest = dict(sorted((unit, value) for _, unit, _, value, _ in found))
+    largest = largest_of_units(dict(summary))
+    found = [row for row in found if not is_zero(row[3], row[4], largest[row[1]])]
     sizes = [max(value, NEGLIGIBLE * largest[unit]) for _, unit, _, value, _ in found]
     return [(e / size, n, p) for (n, _, p, _, e), size in zip(found, sizes, strict=True) if size]
 

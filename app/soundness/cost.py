@@ -226,6 +226,18 @@ def _mantle(note: Mapping[str, Any]) -> str:
     )
 
 
+def gigabytes(case: Case, available: float = math.inf) -> float:
+    """Estimated memory of a run [GB]; 0 where its mesh is not known yet."""
+    size = _estimated(case)
+    choice, condensed = _choice(case, size, max(1, len(case.variations)), available)
+    return _gigabytes(choice, condensed, size) if size.cells else 0.0
+
+
+def _gigabytes(choice: SolverChoice, condensed: bool, size: _Size) -> float:
+    memory = BASE + (CONDENSED if condensed else MULTIGRID) * size.unknowns
+    return float(memory + choice.needed / 1e9 * condensed)
+
+
 def _told(title: str, case: Case, size: _Size, available: float) -> str:
     """Lines on cells, unknowns, memory and time."""
     parts = [f"{count(size.cells)} cells"]
@@ -237,8 +249,7 @@ def _told(title: str, case: Case, size: _Size, available: float) -> str:
         parts.append(f"{count(size.steps)} temperature jumps")
     runs = max(1, len(case.variations))
     choice, condensed = _choice(case, size, runs, available)
-    memory = BASE + (CONDENSED if condensed else MULTIGRID) * size.unknowns
-    memory += choice.needed / 1e9 * condensed
+    memory = _gigabytes(choice, condensed, size)
     contact = size.jumps and contact_solves(case)
     solver = f"\n  contact: {choice.words(condensed)}" if contact else ""
     every = f", {duration(_duration(case, size, runs))} for all variations" if runs > 1 else ""

@@ -194,6 +194,8 @@ STIFFNESS = {
 }
 # Forces on a hip from that of a finger to that of a fall [N].
 HIP_FORCES = (20.0, 5e4)
+# Largest usual friction coefficient: porous metal in bone has 1.5.
+MOST_FRICTION = 5.0
 
 
 def warnings(case: Case) -> list[str]:
@@ -251,10 +253,26 @@ def warnings(case: Case) -> list[str]:
             "remodelling.lazy_zone is 0: of parallel columns all but one vanish where the modulus"
         )
         messages.append(f"{text} rises faster than the density, and results depend on the mesh")
+    messages += _without_effect(case)
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         messages += _far_off(f"heat.{name}", condition, limits)
     return messages
+
+
+def _without_effect(case: Case) -> Iterable[str]:
+    """Notes on loads on held boundaries and on high friction."""
+    held = {s.boundary: n for n, s in case.supports.items() if s.kind == "fixed"}
+    for name, load in case.loads.items():
+        support = held.get(getattr(load, "boundary", ""))
+        if support and not getattr(case.supports[support], "stages", None):
+            text = f"acts on {load.boundary}, which supports.{support} fixes: it moves nothing"
+            yield f"loads.{name}: {text}"
+    for name, law in case.interfaces.items():
+        friction = getattr(law, "friction_coefficient", 0.0)
+        if friction > MOST_FRICTION:
+            text = f"is {friction:g}; of implants it is 0 to 1.5. Is it in per cent?"
+            yield f"interfaces.{name}.friction_coefficient {text}"
 
 
 def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[str]:

@@ -31,7 +31,7 @@ from app.soundness.mesh_parts import (
 )
 from app.system.layout import point_text
 from meshes.data import boundary_areas, interface_facets
-from meshes.pieces import Parts, lying_on_each_other, parts
+from meshes.pieces import Parts, lying, parts
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -421,7 +421,7 @@ def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
 
 
 def _cracks(case: Case, found: Parts) -> list[str]:
-    """Notes on coincident nodes that are not joined, and on faces that lie on each other."""
+    """Coincident nodes that are not joined, and faces on each other without a common node."""
     notes = []
     slides = [{*sum(case.geometry.interface_sides[n], ())} for n in found.faces]
     for (a, b), x in found.doubled.items():
@@ -433,16 +433,17 @@ def _cracks(case: Case, found: Parts) -> list[str]:
             f"{point_text(x[0])}: an open crack; if it is not intended, merge them (in gmsh "
             "BooleanFragments before meshing, or Coherence Mesh after it)"
         )
-    # Only files have bodies that were meshed apart without an interface.
-    touching = lying_on_each_other(found.data) if case.geometry.kind == "file" else {}
-    for (a, b), x in touching.items():
-        if (a, b) in found.doubled or (a != b and any({a, b} <= regions for regions in slides)):
+    if case.geometry.kind != "file":
+        return notes
+    for (a, b), (area, place) in lying(found.data).items():
+        sliding = a != b and any({a, b} <= regions for regions in slides)
+        if sliding or (a, b) in found.doubled or (b, a) in found.doubled:
             continue
-        where = f"regions '{a}' and '{b}'" if a != b else f"pieces of region '{a}'"
+        where = f"regions '{a}' and '{b}'" if a != b else f"two bodies of region '{a}'"
         notes.append(
-            f"{where} lie on each other, e.g. at {point_text(x[0])}, without common nodes and "
-            "without an interface: neither force nor heat crosses; if it is not intended, merge "
-            "them (in gmsh BooleanFragments before meshing), or declare an interface between them"
+            f"{where} lie on each other on {area:.3g} mm2, e.g. at {point_text(place)}, but share "
+            "no node: neither force nor heat passes between them; if they are to be joined, mesh "
+            "them together (in gmsh BooleanFragments), or let them slide (`sliding: finite`)"
         )
     return notes
 

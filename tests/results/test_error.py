@@ -317,3 +317,42 @@ def test_the_stances_errors_cover_the_truth() -> None:
     assert len(off) > 50
     assert sum(x <= 1 for x in off) >= 0.85 * len(off), sorted(off)
     assert max(off) < 2
+
+
+def test_numbers_that_are_zero_set_no_error() -> None:
+    """Rounding, and a slip that the mesh makes, leave the median; the rest keeps its errors."""
+    this = case("interfaces.lower_upper.friction_coefficient=0")
+
+    def on(size: float) -> dict[str, Any]:
+        wrong = 1 + 1e-3 * size
+        rounding = {"gap_p99": 3e-18 * size, "gap_p95": 1e-18 / size, "shear_p95": 1e-14 / size}
+        made = {"slip_p99": 4e-6 * size**2, "slip_mean": 1e-6 * size**2, "slip_max": 1e-5 * size**2}
+        right = {"pressure_p95": 2 * wrong, "motion_p99": 0.004 * wrong}
+        return {"interfaces": {"lower_upper": rounding | made | right}}
+
+    run = on(1.0)
+    assert compared(run, this, on(2.0)) == {}
+    q, r = run["interfaces"]["lower_upper"], resolution(this)
+    _, b = error_estimate.FACTORS[quantities.TRACTION][1]
+    assert q["pressure_p95_error"] == pytest.approx(r * b * 2e-3, rel=0.01)
+    assert q["motion_p99_error"] < 2e-3 * q["motion_p99"] * r
+    # A change of the other kind counts: a slip as large as the motion.
+    large = {"interfaces": {"lower_upper": {"slip_p99": 0.004, "motion_p99": 0.004}}}
+    compared(large, this, {"interfaces": {"lower_upper": {"slip_p99": 0.009, "motion_p99": 0.004}}})
+    assert large["interfaces"]["lower_upper"]["slip_p99_error"] > 0.002
+
+
+@pytest.mark.parametrize("jump", [0.0, 1e-13])
+def test_a_temperature_jump_of_zero_sets_no_error(jump: float) -> None:
+    this = support.case(HEAT, "stages=[{name: cool, steady: true}]")
+
+    def on(size: float) -> dict[str, Any]:
+        sides = {"temperature_max_first": 50 - 0.01 * size, "temperature_jump_max": jump * size}
+        region = {"temperature_max": 50 - 0.01 * size, "temperature_mean": 40 + 0.01 * size}
+        return {"thermal": {"regions": {"lower": region}, "interfaces": {"a_b": sides}}}
+
+    run, (a, _) = on(1.0), error_estimate.FACTORS[quantities.HEAT][1]
+    compared(run, this, on(2.0))
+    sides = run["thermal"]["interfaces"]["a_b"]
+    assert sides["temperature_max_first_error"] == pytest.approx(0.01 * a * resolution(this))
+    assert (sides.get("temperature_jump_max_error") or 0.0) < 1e-11

@@ -270,7 +270,8 @@ def test_a_second_interruption_stops_a_single_rank_at_once(
     assert ended == [130]
     assert capfd.readouterr().err == (
         "mantle: stopping; the state is saved first (once more: stop at once)\n"
-        "mantle: stopped before the state was saved\n"
+        "mantle: stopped before the state was saved; --restart auto goes on from an earlier "
+        "checkpoint, if any\n"
     )
 
 

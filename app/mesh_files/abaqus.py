@@ -1,0 +1,465 @@
+"""Reader of ``.inp`` files of Abaqus and CalculiX."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import difflib
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from app.mesh_files.content import ONLY, Found, left_out, rows_of
+
+# Elements: tetrahedra, triangles, and others that have a volume.
+SOLID = re.compile(r"D?C3D(4|10)[A-Z]*")
+FLAT = re.compile(r"(?:CPS|CPE|S|STRI|M3D|SFM3D|R3D|DS)(3|6|65)[A-Z]*")
+OTHER = re.compile(r"\w*C3D\w*")
+# Corners of the faces of a tetrahedron.
+SIDES = {"S1": (0, 1, 2), "S2": (0, 3, 1), "S3": (1, 3, 2), "S4": (2, 3, 0)}
+# Keywords that make or move nodes and cells, or take them from elsewhere.
+MOVING = {"INCLUDE", "SYSTEM", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "IMPORT"}
+MOVING |= {"IMPERFECTION", "ADJUST", "SYMMETRICMODELGENERATION"}
+READ = {"NODE", "ELEMENT", "ELSET", "NSET", "SURFACE", "SOLIDSECTION", "HEADING", "PREPRINT"}
+READ |= {"PART", "INSTANCE", "ASSEMBLY", "ENDPART", "ENDINSTANCE", "ENDASSEMBLY", "ENDSTEP"}
+# Options without a value, which may stand alone in the second line of a keyword.
+FLAGS = {"GENERATE", "INTERNAL", "UNSORTED", "NOPRINT"}
+# Exponents as Fortran writes them.
+EXPONENT = re.compile(r"(?<=[\d.])(?:[dD]|(?=[+-]))(?=[+-]?\d)")
+
+Key = tuple[str, str]  # instance or part, "" for the assembly; name in capitals
+
+
+@dataclass(frozen=True)
+class Keyword:
+    """A keyword without blanks, its options by name, its lines of data with their numbers.
+
+    ``scope`` is the part or instance in which it stands, "" outside of all.
+    """
+
+    at: str
+    key: str
+    options: dict[str, str]
+    lines: list[tuple[int, str]]
+    scope: str
+
+    def option(self, name: str) -> str:
+        """Value of an option that must be there.
+
+        Raises:
+            ValueError: It is not.
+        """
+        if self.options.get(name):
+            return self.options[name]
+        there = ", ".join(self.options) or "none"
+        raise ValueError(f"{self.at}: has no option {name}=; its options: {there}")
+
+    def fields(self, line: str) -> list[str]:
+        """Fields of a line, apart by commas, or by blanks if it has no comma."""
+        if "," not in line:
+            return line.split() if '"' not in line else [line.strip().strip('"')]
+        if '"' in line:
+            (row,) = csv.reader([line], skipinitialspace=True)
+            return [word.strip() for word in row]
+        return [word.strip() for word in line.split(",")]
+
+    def number(self, at: int, text: str, kind: Callable[[str], Any]) -> Any:
+        """A number of a line, 0 if the field is empty."""
+        try:
+            return kind(EXPONENT.sub("e", text) if kind is float else text) if text else kind("0")
+        except ValueError:
+            what = "number" if kind is float else "whole number"
+            raise ValueError(f"{self.at}: line {at}: {text!r} is no {what}") from None
+
+    def coordinates(self) -> tuple[Floats, int]:
+        """Number and coordinates of each node (n, 4), and how many coordinates are empty."""
+        rows, empty = [], 0
+        for at, line in self.lines:
+            words = [*self.fields(line), "", "", ""][:4]
+            if len(self.fields(line)) < 2 or not words[0]:
+                raise ValueError(f"{self.at}: line {at}: is no node: is it cut short?")
+            empty += words.count("")
+            rows.append([self.number(at, w, float) for w in words])
+        return np.array(rows, dtype=float).reshape(-1, 4), empty
+
+    def table(self, width: int) -> Ints:
+        """Whole numbers of records that may go over several lines (n, width)."""
+        rows: list[list[int]] = []
+        record: list[int] = []
+        at = 0
+        for at, line in self.lines:
+            words = self.fields(line.rstrip(", \t"))
+            if "" in words:
+                raise ValueError(f"{self.at}: line {at}: a node is missing")
+            record += [self.number(at, w, int) for w in words]
+            if len(record) > width:
+                raise ValueError(f"{self.at}: line {at}: {len(record)} numbers for {width}")
+            if len(record) == width:
+                rows.append(record)
+                record = []
+        if record:
+            text = f"{len(record)} numbers for {width}: is it cut short?"
+            raise ValueError(f"{self.at}: line {at}: {text}")
+        return np.array(rows, dtype=np.int64).reshape(-1, width)
+
+
+def text_of(path: Path) -> str:
+    """Text of a file in UTF-8, UTF-16 with a mark of its order, or a Western encoding."""
+    raw = path.read_bytes()
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return raw.decode("utf-16")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+# Options that name or place something: one that is spelled almost like them is a slip of the pen.
+KNOWN = {"ELSET", "NSET", "TYPE", "NAME", "SYSTEM", "COMBINE", "GENERATE", "INSTANCE", "PART"}
+KNOWN |= {"MATERIAL", "ORIENTATION", "INTERNAL", "UNSORTED", "LIBRARY", "CONTROLS", "COMPOSITE"}
+# Share of letters in their places.
+ALIKE = 0.75
+
+
+def _options(at: str, words: list[str]) -> dict[str, str]:
+    pairs = (word.partition("=") for word in words if word.strip())
+    named = {a.strip().upper(): b.strip().strip('"').strip() for a, _, b in pairs}
+    if "INPUT" in named or "OFFSET" in named:
+        raise ValueError(f"{at}: takes numbers from elsewhere; save the mesh as one file")
+    for name in named.keys() - KNOWN:
+        close = difflib.get_close_matches(name, KNOWN - named.keys(), 1, ALIKE)
+        if close:
+            raise ValueError(f"{at}: has no option {name}; did you mean {close[0]}?")
+    return named
+
+
+def _goes_on(line: str) -> bool:
+    """Return True if a line after a keyword's comma has more of its options."""
+    first = line.split(",")[0]
+    return "=" in first or first.strip().upper() in FLAGS
+
+
+def blocks(path: Path) -> Iterator[Keyword]:
+    """Keywords of a file in their order.
+
+    Raises:
+        ValueError: It is no such file, or something in it makes or moves nodes.
+    """
+    rows = enumerate(text_of(path).splitlines(), 1)
+    lines = [(n, text.strip()) for n, text in rows if text.strip() and text.strip()[:2] != "**"]
+    if not lines or lines[0][1][0] != "*":
+        raise ValueError("no .inp file of Abaqus or CalculiX: it does not begin with a keyword")
+    heads = [k for k, (_, text) in enumerate(lines) if text[0] == "*"]
+    scope = ""
+    for head, end in zip(heads, [*heads[1:], len(lines)], strict=True):
+        number, text = lines[head]
+        first = head + 1
+        while text.endswith(",") and first < end and _goes_on(lines[first][1]):
+            text += lines[first][1]
+            first += 1
+        (words,) = (
+            csv.reader([text[1:]], quoting=csv.QUOTE_NONE)
+            if '"' not in text
+            else [re.findall(r'(?:[^,"]|"[^"]*")+', text[1:])]
+        )
+        name = " ".join(words[0].split()) if words else ""
+        at, key = f"*{name} in line {number}", name.upper().replace(" ", "")
+        block = Keyword(at, key, {}, lines[first:end], scope)
+        if key in READ:
+            block = Keyword(at, key, _options(at, words[1:]), lines[first:end], scope)
+        if key in MOVING or (key == "INSTANCE" and (block.lines or "LIBRARY" in block.options)):
+            raise ValueError(f"{at}: makes or moves nodes; save the mesh as one file without it")
+        if key in ("PART", "INSTANCE"):
+            scope = block.option("NAME").upper()
+        elif key in ("ENDPART", "ENDINSTANCE"):
+            scope = ""
+        yield block
+
+
+def _cartesian(block: Keyword, nodes: Floats) -> Floats:
+    """Cartesian coordinates of nodes (n, 4), whatever the system of their block."""
+    system = block.options.get("SYSTEM", "R").upper()[:1]
+    if system == "R":
+        return nodes
+    if system != "C":
+        raise ValueError(
+            f"{block.at}: SYSTEM={block.options['SYSTEM']} is not read; save Cartesian coordinates"
+        )
+    r, angle = nodes[:, 1], np.radians(nodes[:, 2])
+    return np.column_stack([nodes[:, 0], r * np.cos(angle), r * np.sin(angle), nodes[:, 3]])
+
+
+class _Sets:
+    """Sets by kind and name, resolved in any order."""
+
+    def __init__(self, instances: set[str]) -> None:
+        self.instances = instances
+        self.made: dict[str, dict[Key, list[Callable[[], np.ndarray]]]] = {
+            kind: {} for kind in ("ELSET", "NSET", "SURFACE")
+        }
+        self.spelled: dict[Key, str] = {}
+        self.done: dict[tuple[str, Key], np.ndarray] = {}
+        self.open: set[tuple[str, Key]] = set()
+
+    def key(self, name: str, scope: str) -> Key:
+        """Scope and name of a set; what stands before a dot is a scope if it is an instance."""
+        before, dot, after = name.partition(".")
+        while dot and before.upper() not in self.instances:
+            more, dot, after = after.partition(".")
+            before += f".{more}"
+        if dot:
+            return before.upper(), after.upper()
+        return scope, name.upper()
+
+    def add(self, kind: str, name: str, scope: str, part: Callable[[], np.ndarray]) -> None:
+        key = self.key(name, scope)
+        self.spelled.setdefault(key, name if key[0] == scope else name[len(key[0]) + 1 :])
+        self.made[kind].setdefault(key, []).append(part)
+
+    def get(self, kind: str, name: str, scope: str, at: str) -> np.ndarray:
+        """Members of a set that a block names."""
+        key = self.key(name, scope)
+        if key not in self.made[kind]:
+            others = [k for k in self.made[kind] if k[1] == key[1]]
+            if len(others) != 1 or ("." in name and key[0] != scope):
+                raise ValueError(f"{at}: there is no set {name} in the file")
+            key = others[0]
+        return self.members(kind, key)
+
+    def members(self, kind: str, key: Key) -> np.ndarray:
+        """Members of a set."""
+        what = (kind, key)
+        if what in self.open:
+            raise ValueError(f"the set {self.spelled[key]} contains itself")
+        if what not in self.done:
+            self.open.add(what)
+            try:
+                self.done[what] = np.concatenate([part() for part in self.made[kind][key]])
+            finally:
+                self.open.discard(what)
+        return self.done[what]
+
+
+def read(path: Path) -> Found:
+    """Read nodes, tetrahedra, triangles, sets and surfaces.
+
+    Capitals do not matter; the first spelling of a name is kept. Of names in several instances
+    each begins with that of its instance. Parts without an instance are left out.
+    """
+    found, everything = Found(), [*blocks(path)]
+    instance = {b.option("NAME").upper(): b for b in everything if b.key == "INSTANCE"}
+    of_part: dict[str, str] = {}
+    for name, b in instance.items():
+        part = b.option("PART").upper()
+        if part in of_part:
+            raise ValueError(f"{b.at}: part {part} has two instances; save the mesh as one part")
+        of_part[part] = name
+    parts = {b.options["NAME"].upper(): b.options["NAME"] for b in everything if b.key == "PART"}
+    unused = {p for p in parts if instance and p not in of_part}
+    found.told += left_out("parts without an instance", [parts[p] for p in parts if p in unused])
+    used = [b for b in everything if b.scope not in unused]
+    found.told += left_out(
+        "of the file are not read", (f"*{b.key}" for b in used if b.key not in READ)
+    )
+    sets = _Sets({*instance} | {*parts})
+
+    def scope(b: Keyword) -> str:
+        return b.options.get("INSTANCE", of_part.get(b.scope, b.scope)).upper()
+
+    nodes: list[np.ndarray] = [np.zeros((0, 4))]
+    empty = 0
+    for b in (b for b in used if b.key == "NODE"):
+        rows, blank = b.coordinates()
+        nodes.append(_cartesian(b, rows))
+        empty += blank
+        if "NSET" in b.options:
+            numbers = rows[:, 0].astype(np.int64)
+            sets.add("NSET", b.option("NSET"), scope(b), lambda n=numbers: n)  # type: ignore[misc]
+    table = np.concatenate(nodes)
+    found.points, node = table[:, 1:], table[:, 0].astype(np.int64)
+    if empty:
+        found.told.append(f"geometry: {empty} coordinates of nodes are empty, and are taken as 0")
+    _elements(found, used, sets, node, scope)
+    return found
+
+
+def _elements(
+    found: Found, used: list[Keyword], sets: _Sets, node: Ints, scope: Callable[[Keyword], str]
+) -> None:
+    numbers: list[np.ndarray] = [np.zeros(0, dtype=np.int64)]
+    flat: list[np.ndarray] = [np.zeros((0, 4), dtype=np.int64)]
+    unread: list[str] = []
+    for b in (b for b in used if b.key == "ELEMENT"):
+        kind = b.option("TYPE").upper()
+        if "ELSET" in b.options:
+            b.option("ELSET")
+        known = SOLID.fullmatch(kind) or FLAT.fullmatch(kind)
+        if not known and OTHER.fullmatch(kind):
+            raise ValueError(f"{b.at}: the cells are of type {kind}; {ONLY}")
+        if not known:
+            unread.append(kind)
+            first = [b.fields(line)[0] for _, line in b.lines]
+            own = np.array([int(w) for w in first if w.isdigit()], dtype=np.int64)
+        else:
+            rows = b.table(int(known[1].replace("65", "6")) + 1)
+            own = rows[:, 0]
+            if SOLID.fullmatch(kind):
+                found.add(rows_of(node, rows[:, 1:], "node"))
+                numbers.append(own)
+            else:
+                flat.append(rows[:, :4])
+        if "ELSET" in b.options:
+            sets.add("ELSET", b.option("ELSET"), scope(b), lambda n=own: n)  # type: ignore[misc]
+    found.told += left_out("elements that are not read", unread)
+    element, shells = np.concatenate(numbers), np.concatenate(flat)
+    cells = found.cells if found.blocks else np.zeros((0, 4), dtype=np.int64)
+
+    def listed(kind: str, b: Keyword, other: str = "") -> np.ndarray:
+        """Members of a set: from, to, step; or each, and those of sets that are named."""
+        out: list[np.ndarray] = [np.zeros(0, dtype=np.int64)]
+        if "GENERATE" in b.options:
+            for at, line in b.lines:
+                r = [b.number(at, w, int) for w in b.fields(line.rstrip(", "))]
+                if not 1 <= len(r) <= 3 or (r[2:] or [1])[0] < 1:
+                    raise ValueError(f"{b.at}: line {at}: is no range: from, to, step")
+                if (r[1:2] or r)[0] - r[0] > 10**9:
+                    raise ValueError(f"{b.at}: line {at}: the range is too long")
+                out.append(np.arange(r[0], (r[1:2] or r)[0] + 1, (r[2:] or [1])[0]))
+            return np.concatenate(out)
+        single: list[int] = []
+        for _, line in b.lines:
+            for w in b.fields(line):
+                alone = sets.key(w, "")[1]
+                if alone.isdigit():
+                    single.append(int(alone))
+                elif w:
+                    out.append(sets.get(kind, w, scope(b), b.at))
+        if other:
+            members = sets.get("ELSET", other, scope(b), b.at)
+            out.append(node[np.unique(cells[np.isin(element, members)])])
+        return np.concatenate([*out, np.array(single, dtype=np.int64)])
+
+    def faces(b: Keyword) -> np.ndarray:
+        """Corners of the facets of a surface (n, 3), as rows of nodes."""
+        out: list[np.ndarray] = [np.zeros((0, 3), dtype=np.int64)]
+        if combine := b.options.get("COMBINE", "").upper():
+            names = [w for _, line in b.lines for w in b.fields(line) if w]
+            each = [sets.get("SURFACE", name, scope(b), b.at) for name in names]
+            return _combined(combine, each, b.at)
+        for at, line in b.lines:
+            name, side = [*b.fields(line), ""][:2]
+            side = side.upper().replace(" ", "")
+            alone = sets.key(name, "")[1]
+            if alone.isdigit():
+                members = np.array([int(alone)])
+            else:
+                members = sets.get("ELSET", name, scope(b), b.at)
+            own = rows_of(node, shells[np.isin(shells[:, 0], members), 1:], "node")
+            solid = np.isin(element, members)
+            if side in SIDES:
+                rows = rows_of(element, members[np.isin(members, element)], "element")
+                out.append(cells[rows][:, SIDES[side]])
+                if len(rows) < len(members):
+                    text = "elements of a surface are no tetrahedra of the file"
+                    found.told += left_out(text, [b.options["NAME"]])
+            elif side in ("SPOS", "SNEG"):
+                if solid.any():
+                    text = f"{side} is no face of a tetrahedron; expected S1 to S4, or none"
+                    raise ValueError(f"{b.at}: line {at}: {text}")
+                out.append(own)
+            elif not side:
+                out += [own, *(cells[solid][:, f] for f in SIDES.values())]
+            else:
+                raise ValueError(f"{b.at}: line {at}: {side} is no face of a tetrahedron")
+        return np.concatenate(out)
+
+    for b in used:
+        if b.key == "NSET":
+            of = b.options.get("ELSET", "")
+            sets.add("NSET", b.option("NSET"), scope(b), lambda b=b, of=of: listed("NSET", b, of))  # type: ignore[misc]
+        elif b.key == "ELSET":
+            sets.add("ELSET", b.option("ELSET"), scope(b), lambda b=b: listed("ELSET", b))  # type: ignore[misc]
+        elif b.key == "SURFACE":
+            kind, name = b.options.get("TYPE", "ELEMENT").upper(), b.option("NAME")
+            if kind == "NODE":
+                leading = [(at, b.fields(line)[0]) for at, line in b.lines]
+                alone = Keyword(b.at, b.key, b.options, leading, b.scope)
+                sets.add("NSET", name, scope(b), lambda b=alone: listed("NSET", b))  # type: ignore[misc]
+            elif kind == "ELEMENT":
+                sets.add("SURFACE", name, scope(b), lambda b=b: faces(b))  # type: ignore[misc]
+            else:
+                found.told += left_out(f"surfaces of TYPE={kind} are not read", [name])
+    _named(found, used, sets, scope, node, element, shells)
+
+
+def _combined(how: str, each: list[np.ndarray], at: str) -> np.ndarray:
+    """Union, intersection or difference of surfaces (n, 3)."""
+    if how not in ("UNION", "INTERSECTION", "DIFFERENCE") or not each:
+        raise ValueError(
+            f"{at}: COMBINE={how} is not read; expected UNION, INTERSECTION, DIFFERENCE"
+        )
+    if how == "UNION":
+        return np.concatenate(each)
+    first, *others = each
+    keys = [{tuple(sorted(f)) for f in other.tolist()} for other in others]
+    wanted = how == "INTERSECTION"
+    keep = [all((tuple(sorted(f)) in k) == wanted for k in keys) for f in first.tolist()]
+    return first[np.array(keep, dtype=bool)]
+
+
+def _named(
+    found: Found,
+    used: list[Keyword],
+    sets: _Sets,
+    scope: Callable[[Keyword], str],
+    node: Ints,
+    element: Ints,
+    shells: Ints,
+) -> None:
+    """Regions and boundaries by the names of sets, with that of the instance where it is needed."""
+
+    def titles(*kinds: str) -> dict[Key, str]:
+        keys = dict.fromkeys(k for kind in kinds for k in sets.made[kind])
+        often = [name for _, name in keys]
+        twice = {k for k in keys if often.count(k[1]) > 1 and k[0]}
+        titled = {k: f"{k[0]}.{sets.spelled[k]}" if k in twice else sets.spelled[k] for k in keys}
+        text = "sets of one name in several parts have the part before their name"
+        found.told.extend(left_out(text, [titled[k] for k in keys if k in twice]))
+        return titled
+
+    sections = set()
+    for b in (b for b in used if b.key == "SOLIDSECTION"):
+        key = sets.key(b.option("ELSET"), scope(b))
+        others = [k for k in sets.made["ELSET"] if k[1] == key[1]]
+        if key not in sets.made["ELSET"] and len(others) == 1:
+            key = others[0]
+        if key not in sets.made["ELSET"]:
+            raise ValueError(f"{b.at}: there is no set {b.option('ELSET')} in the file")
+        sections.add(key)
+    title = titles("ELSET")
+    solids: dict[Key, np.ndarray] = {}
+    for key in sets.made["ELSET"]:
+        members = sets.members("ELSET", key)
+        solids[key] = np.unique(members[np.isin(members, element)])
+        triangles = shells[np.isin(shells[:, 0], members), 1:]
+        if len(triangles):
+            found.triangles[title[key]] = rows_of(node, triangles, "node")
+    regions = [key for key, members in solids.items() if len(members)]
+    left = [k for k in regions if sections & {*regions} and k not in sections]
+    found.told += left_out("sets without *SOLID SECTION are no regions", [title[k] for k in left])
+    for key in regions:
+        if key not in left:
+            found.sets[title[key]] = rows_of(element, solids[key], "element")
+    boundary = titles("SURFACE", "NSET")
+    for key in sets.made["SURFACE"]:
+        corners = sets.members("SURFACE", key)
+        if not len(corners):
+            found.told += left_out("surfaces without a facet", [boundary[key]])
+        found.triangles[boundary[key]] = corners
+    for key in sets.made["NSET"]:
+        found.nodes[boundary[key]] = rows_of(node, sets.members("NSET", key), "node")

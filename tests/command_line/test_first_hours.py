@@ -1,0 +1,118 @@
+"""What a new user meets in the first hours: names, units, bases, messages about one key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mantle
+from app.case import keys
+from app.command_line.commands import dispatch
+from app.errors import InputError
+from app.laws.creep import Creep
+from app.schema.section import Section
+from app.soundness import preview
+from meshes.femur_surfaces import _rounded_up
+from tests.support import CONFIGS, ROOT
+
+
+def test_sections_with_cached_arrays_compare_by_their_fields() -> None:
+    """Caches by geometry meet a second one of the same case, which holds arrays already."""
+
+    class Place(Section):
+        x: float = 1.0
+
+    one, two, other = Place(), Place(), Place(x=2.0)
+    one.__dict__["placement"], two.__dict__["placement"] = np.zeros(3), np.ones(3)
+    assert one == two and hash(one) == hash(two)
+    assert one != other and one != 1.0
+
+
+def test_the_history_of_all_loads_of_a_library_or_a_base(tmp_path: Path) -> None:
+    case = tmp_path / "two.yaml"
+    stages = "stages: [{name: rest}, {name: stand}, {name: walk}]\n"
+    load = "loads: {library: one_leg_stance, history: [0, 1, 0.5], hip: {history: [1, 1, 1]}}\n"
+    case.write_text(f"base: stance\n{load}{stages}")
+    loads = mantle.load(case).config.loads
+    assert loads["hip"].history == (1.0, 1.0, 1.0) and len(loads) > 2
+    assert {a.history for n, a in loads.items() if n != "hip"} == {(0.0, 1.0, 0.5)}
+    changed = mantle.load(CONFIGS / "stance.yaml", **{"loads.history": [0.25]}).config.loads
+    assert {a.history for a in changed.values()} == {(0.25,)}
+    case.write_text(f"base: stance\nloads:\n  history: [0, 1]\n{stages}")
+    with pytest.raises(InputError, match=r"two.yaml:3:3: .*history: has 2 values; expected 3"):
+        mantle.load(case)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"stem_length": "120 mm"}, "stem_length: .* set stem_tip_z: -91 mm too"),
+        ({"stem_section_z": "31 mm"}, "stem_section_z: is not between .* -118 mm and .* 29 mm"),
+        ({"stem_tip_z": "16 mm"}, "stem_tip_z: puts the stem between z = 16 and 163 mm"),
+    ],
+)
+def test_a_stem_without_its_section_names_the_key_that_was_set(
+    changes: dict[str, str], text: str
+) -> None:
+    given = {f"geometry.{key}": value for key, value in changes.items()}
+    with pytest.raises(InputError, match=f"geometry.{text}") as caught:
+        mantle.load(CONFIGS / "stance.yaml", **given)
+    assert len(caught.value.messages) == 1
+
+
+def test_a_shorter_stem_cut_at_its_tip_is_as_the_message_says() -> None:
+    given = {"geometry.stem_length": "120 mm", "geometry.stem_tip_z": "-91 mm"}
+    assert mantle.load(CONFIGS / "stance.yaml", **given).config.geometry.kind == "femur"
+
+
+def test_commands_take_a_shipped_case_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert dispatch(["check", "cylinders"]) == 0
+    assert capsys.readouterr().out.startswith(mantle.load(CONFIGS / "cylinders.yaml").config.title)
+    with pytest.raises(InputError, match="cylinder"):
+        dispatch(["check", "cylinder"])
+    assert ROOT != tmp_path
+
+
+def test_explain_knows_units_and_the_keys_among_loads() -> None:
+    assert "body_weight: 750 N scales" in " ".join(keys.explained("loads.body_weight").split())
+    assert "sagittal_tilt: 8.4 deg" in " ".join(keys.explained("sagittal_tilt").split())
+    table = keys.explained("units").splitlines()
+    assert any(line.split()[:2] == ["MPa", "youngs_modulus,"] for line in table)
+    assert keys.explained("unit") == keys.explained("units")
+
+
+def test_a_base_with_a_material_is_overlaid_by_a_kind(tmp_path: Path) -> None:
+    below, above = tmp_path / "below.yaml", tmp_path / "above.yaml"
+    below.write_text("base: stance\nregions: {cortical_bone: {material: cortical_bone}}\n")
+    law = "{kind: isotropic, youngs_modulus: 16 GPa, poisson_ratio: 0.31}"
+    above.write_text(f"base: below.yaml\nregions: {{cortical_bone: {law}}}\n")
+    region = mantle.load(above).config.regions["cortical_bone"]
+    assert (region.kind, region.youngs_modulus) == ("isotropic", 16e3)  # type: ignore[union-attr]
+
+
+def test_creep_with_an_exponent_of_the_stress_requires_stresses() -> None:
+    with pytest.raises(ValueError, match="'stresses' is missing, required with m1"):
+        Creep.model_validate({"A": 1e-7, "p": 1.8, "m0": 0.3, "m1": 0.02})
+    explained = " ".join(keys.explained("regions.creep.stresses").split())
+    assert "required with m1" in explained
+
+
+def test_a_stem_that_cuts_by_a_hair_is_never_said_to_cut_by_zero() -> None:
+    assert [_rounded_up(x) for x in (0.001, 0.04, 0.1, 0.31)] == [0.1, 0.1, 0.1, 0.4]
+
+
+def test_notes_on_input_without_effect() -> None:
+    notes = preview.warnings(mantle.load(CONFIGS / "stance.yaml").config)
+    assert not any("friction_coefficient" in n or "fixes" in n for n in notes)
+    changes = {
+        "loads.hip.boundary": "distal_cut",
+        "interfaces.cement_bone.friction_coefficient": 6.5,
+    }
+    notes = preview.warnings(mantle.load(CONFIGS / "stance.yaml", **changes).config)
+    assert any(n.startswith("loads.hip: acts on distal_cut, which supports.shaft") for n in notes)
+    assert any(n.startswith("interfaces.cement_bone.friction_coefficient is 6.5") for n in notes)
