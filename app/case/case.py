@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
+from pydantic.config import JsonDict
 
 from app.case import checks, overlay, points
 from app.case.geometries import Geometry, MeshFile, MeshOptions
@@ -36,6 +37,12 @@ from app.schema.yaml_file import CaseFile, Fault
 
 # Sections whose entries are valid one by one.
 TABLES = ("regions", "interfaces", "supports", "motions", "loads", "heat")
+
+# Keys beside the names of loads, as the JSON schema has them.
+LIBRARY_KEYS: JsonDict = {
+    **{key: {"type": "string"} for key in ("library", *overlay.MEASURED)},
+    "history": {"type": "array"},
+}
 
 
 class Case(Section):
@@ -65,10 +72,7 @@ class Case(Section):
     """Regions that turn far, by a course through each cycle of the last stage."""
     loads: Annotated[dict[Name, AnyLoad], MAPPING] = Field(
         default_factory=dict,
-        json_schema_extra={
-            "properties": {k: {"type": "string"} for k in ("library", *overlay.MEASURED)}
-            | {"history": {"type": "array"}}
-        },
+        json_schema_extra={"properties": LIBRARY_KEYS},
     )
     """Loads on the bodies. `library: NAME` among them stands for all loads of that name in the
     library, in place of those of the base; further keys change them. `body_weight: 750 N` scales

@@ -167,7 +167,8 @@ def with_rigid_regions(
         body = np.full(len(here), bodies.of_region[region])
         support = np.where(given, RIGIDLY, -1)
         rows = vertex[here], body, support, np.ones(len(here), dtype=bool)
-        parts.append(tuple(gather(mechanics.mesh.comm, *rows)))
+        vertices, of_bodies, supports, at_rigid = gather(mechanics.mesh.comm, *rows)
+        parts.append((vertices, of_bodies, supports, at_rigid))
     # A rigid region replaces supports of its body at the same vertex.
     columns = [np.concatenate(column) for column in zip(*reversed(parts), strict=True)]
     sides = np.column_stack(columns[:2])

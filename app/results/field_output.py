@@ -146,12 +146,12 @@ class HeatFields:
             every = np.zeros((2, len(j.points.dof)))
             every[:, j.mine] = τ, W_PER_M2 * j.flux(τ)[0]
             self._operators.forms.comm.Allreduce(MPI.IN_PLACE, every)
-            every = np.array([j.points.surface.spread(values) for values in every])
+            at_corners = [j.points.surface.spread(values) for values in every]
             rows = _contact_rows(j.points.surface, self.space, self.bodies, nodes)
             for c, at in zip(self._operators.scene.thermal_contacts, rows, strict=True):
                 # From first to second side, whichever is the master.
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
-                for what, values in zip(("temperature_jump", "heat_flux"), every, strict=True):
+                for what, values in zip(("temperature_jump", "heat_flux"), at_corners, strict=True):
                     found[f"{c.name}_{what}"] = _along(at, values if forward else -values)
         return found
 
@@ -219,15 +219,15 @@ class MechanicalFields:
         point: dict[str, Floats] = {"displacement": u, **_named(self._nodal_stress(nodes))}
         if samples is not None:
             assert self._problem.contact is not None
-            points = self._problem.contact.points.surface
-            rows = _contact_rows(points, self.space, self.bodies, nodes)
+            surface = self._problem.contact.points.surface
+            rows = _contact_rows(surface, self.space, self.bodies, nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
                 point |= _interface(contact, samples, rows[i], i)
                 if bearing := self._bearings.get(contact.name):
                     (there,) = _contact_rows(bearing, self.space, self.bodies, nodes)
                     for key, (slave, master) in bearing.fields().items():
-                        whole = np.zeros(len(points.dof))
-                        whole[np.flatnonzero(points.interface == i)[: len(slave)]] = slave
+                        whole = np.zeros(len(surface.dof))
+                        whole[np.flatnonzero(surface.interface == i)[: len(slave)]] = slave
                         both = _along(rows[i], whole) + _along(there, master)
                         point[f"{contact.name}_{key}"] = both
         for name, (points, index) in self._bonds.indices().items():

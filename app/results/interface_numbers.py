@@ -116,7 +116,7 @@ class ContactSamples:
         self.shear = whole(np.linalg.norm(history.friction, axis=1))
         self.force = whole(-sign * history.force)
         status = contact.whole(np.where(own.faces > 0, trial.law.status, STICK))
-        self.status = surface.spread_status(status)
+        self.status = surface.spread_status(status.astype(np.int64))
         self.dissipation, self.least = total(history.dissipation), total(history.least)
         self.contact_work, self.stored = total(history.contact_work), total(history.stored)
         self.own = {name: whole(values) for name, values in history.own.items()}

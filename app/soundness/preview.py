@@ -264,10 +264,11 @@ def _without_effect(case: Case) -> Iterable[str]:
     """Notes on loads on held boundaries and on high friction."""
     held = {s.boundary: n for n, s in case.supports.items() if s.kind == "fixed"}
     for name, load in case.loads.items():
-        support = held.get(getattr(load, "boundary", ""))
-        if support and not getattr(case.supports[support], "stages", None):
-            text = f"acts on {load.boundary}, which supports.{support} fixes: it moves nothing"
-            yield f"loads.{name}: {text}"
+        for boundary in load.boundaries:
+            support = held.get(boundary)
+            if support and not getattr(case.supports[support], "stages", None):
+                text = f"acts on {boundary}, which supports.{support} fixes: it moves nothing"
+                yield f"loads.{name}: {text}"
     for name, law in case.interfaces.items():
         friction = getattr(law, "friction_coefficient", 0.0)
         if friction > MOST_FRICTION:
