@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+import difflib
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -118,11 +119,22 @@ def text_of(path: Path) -> str:
         return raw.decode("latin-1")
 
 
+# Options that name or place something: one that is spelled almost like them is a slip of the pen.
+KNOWN = {"ELSET", "NSET", "TYPE", "NAME", "SYSTEM", "COMBINE", "GENERATE", "INSTANCE", "PART"}
+KNOWN |= {"MATERIAL", "ORIENTATION", "INTERNAL", "UNSORTED", "LIBRARY", "CONTROLS", "COMPOSITE"}
+# Share of letters in their places.
+ALIKE = 0.75
+
+
 def _options(at: str, words: list[str]) -> dict[str, str]:
     pairs = (word.partition("=") for word in words if word.strip())
     named = {a.strip().upper(): b.strip().strip('"').strip() for a, _, b in pairs}
     if "INPUT" in named or "OFFSET" in named:
         raise ValueError(f"{at}: takes numbers from elsewhere; save the mesh as one file")
+    for name in named.keys() - KNOWN:
+        close = difflib.get_close_matches(name, KNOWN - named.keys(), 1, ALIKE)
+        if close:
+            raise ValueError(f"{at}: has no option {name}; did you mean {close[0]}?")
     return named
 
 
@@ -356,6 +368,9 @@ def _elements(
                     text = "elements of a surface are no tetrahedra of the file"
                     found.told += left_out(text, [b.options["NAME"]])
             elif side in ("SPOS", "SNEG"):
+                if solid.any():
+                    text = f"{side} is no face of a tetrahedron; expected S1 to S4, or none"
+                    raise ValueError(f"{b.at}: line {at}: {text}")
                 out.append(own)
             elif not side:
                 out += [own, *(cells[solid][:, f] for f in SIDES.values())]

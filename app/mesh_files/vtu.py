@@ -15,12 +15,14 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from app.arrays import Ints
+from app.mesh_files import lz4_block
 
 TYPES = {f"{'U' * u}Int{8 * n}": f"{'ui'[not u]}{n}" for u in (0, 1) for n in (1, 2, 4, 8)}
 TYPES |= {"Float32": "f4", "Float64": "f8"}
 DECOMPRESS: dict[str, Callable[[bytes], bytes]] = {
     "vtkZLibDataCompressor": zlib.decompress,
     "vtkLZMADataCompressor": lzma.decompress,
+    "vtkLZ4DataCompressor": lz4_block.decompress,
 }
 # Types of VTK's cells of two and three dimensions, with their numbers of nodes.
 TRIANGLES = {5: (3,), 22: (6,), 69: (3, 6)}

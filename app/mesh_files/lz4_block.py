@@ -1,0 +1,50 @@
+"""Decompression of one block of LZ4, as VTK and ParaView write it; no library has to be there."""
+
+from __future__ import annotations
+
+# A length of this in a token goes on in the next bytes; one below MORE ends it.
+LONG = 15
+MORE = 255
+# Bytes of the shortest copy.
+SHORTEST = 4
+
+
+def decompress(block: bytes) -> bytes:
+    """Bytes of a block: literals, each followed by a copy of earlier bytes.
+
+    Raises:
+        ValueError: The block is damaged.
+    """
+    out = bytearray()
+    at = 0
+    try:
+        while at < len(block):
+            token = block[at]
+            count, at = _length(block, at + 1, token >> 4)
+            if at + count > len(block):
+                raise ValueError("an array compressed by LZ4 is cut short")
+            out += block[at : at + count]
+            at += count
+            if at == len(block):
+                break
+            back = block[at] | block[at + 1] << 8
+            count, at = _length(block, at + 2, token & LONG)
+            if not 0 < back <= len(out):
+                raise ValueError("an array compressed by LZ4 is damaged")
+            count += SHORTEST
+            earlier = bytes(out[-back:])
+            # A copy may be longer than what it repeats.
+            out += (earlier * (count // back + 1))[:count]
+    except IndexError:
+        raise ValueError("an array compressed by LZ4 is cut short") from None
+    return bytes(out)
+
+
+def _length(block: bytes, at: int, start: int) -> tuple[int, int]:
+    """A length that begins in a token, and the place after its bytes."""
+    if start < LONG:
+        return start, at
+    while block[at] == MORE:
+        start += MORE
+        at += 1
+    return start + block[at], at + 1
