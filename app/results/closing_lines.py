@@ -157,6 +157,11 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
         clauses.append(Verdict(f"heat: {kept}", "bad" if "heat" in lost else "good"))
     if summary["interfaces"]:
         clauses.append(_contact(summary["interfaces"]))
+    clauses += [
+        _by_facets(name, q)
+        for name, q in summary["interfaces"].items()
+        if "pressure_by_facets" in q
+    ]
     clauses += [_crack(name, q) for name, q in summary["interfaces"].items() if "zone_length" in q]
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
@@ -245,6 +250,17 @@ def _contact(interfaces: Mapping[str, Any]) -> Verdict:
     between = most["penetration_sampled"] >= 1e-9
     rest = f", within {length('penetration_sampled')} between them" if between else ""
     return Verdict(f"contact: exact to rounding at points{rest}{apart}", "good")
+
+
+def _by_facets(name: str, q: Mapping[str, Any]) -> Verdict:
+    """The largest pressure of an interface, where straight facets decide it."""
+    most = TABLE["interfaces"]["pressure_max"].text(q)
+    part = TABLE["interfaces"]["pressure_by_facets"].text(q)
+    text = (
+        f"pressure: the maximum on {name}, {most} MPa, depends on the facets of the mesh: slip "
+        f"over them makes up to {part} MPa; use second order with curved cells, or refine"
+    )
+    return Verdict(text, "doubtful")
 
 
 def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:

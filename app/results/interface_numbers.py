@@ -31,6 +31,8 @@ from meshes.contact_points import ContactSurface
 
 Parts = Sequence["Surface"]
 MICROMOTION = 0.030  # mm: where biology reacts
+# Part of the largest pressure above which facets decide it.
+DECIDED = 0.2
 
 
 def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
@@ -140,6 +142,9 @@ class ContactSamples:
             arm[far.rows] = far.paired.arm
             self.arm, self.friction = whole(arm), whole(history.friction)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
+        # A normal that is off by an angle presses the surface by the slip times that angle.
+        pressed = np.linalg.norm(history.slip, axis=1) * points.doubt[own.rows]
+        self.by_facets = contact.whole(contact.law.met * pressed)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(surface, i, {}) for i in range(len(contacts))]
 
@@ -175,6 +180,9 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
     if wanted:
         return main
     area = float(s.weight[at].sum()) - sum(part["area"] for part in parts.values())
+    by_facets = float(s.by_facets[s.of_points == i].max(initial=0.0))
+    if by_facets > DECIDED * main["pressure_max"]:
+        main["pressure_by_facets"] = by_facets
     return main | {"area": area, "force": (s.weight[at] @ s.force[at]).tolist(), **parts}
 
 
