@@ -41,6 +41,14 @@ def test_what_is_good() -> None:
     }
 
 
+def test_largest_pressure_that_facets_decide() -> None:
+    found = summary()
+    found["interfaces"]["stem_cement"]["pressure_by_facets"] = 4.0
+    words, tone = told(found)["pressure"]
+    assert words.startswith("the maximum on stem_cement, 9.00 ± 9.00 MPa, depends on the facets")
+    assert "makes up to 4.00 MPa" in words and tone == "doubtful"
+
+
 def test_what_is_bad_stands_out() -> None:
     found = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0, "heat": 1e-3})
     found["interfaces"]["stem_cement"] |= {"penetration_max": 2e-3, "slip_max": 5.0}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from app.results.hip import StemMotion
+from app.results.interface_numbers import ContactSamples
 from app.results.percentiles import SurfaceField
 from app.results.stresses import Stresses
 from tests import support
@@ -184,3 +186,21 @@ def test_uniform_stress_is_that_of_every_node(order: int, tmp_path: Path) -> Non
     found = support.run(text, tmp_path, "interfaces={}", f"mesh.order={order}")
     stress = found.fields.on_points("stress")
     np.testing.assert_allclose(stress, np.tile([0, 0, -1, 0, 0, 0], (len(stress), 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize(("doubt", "decides"), [(0.0, False), (0.1, True)])
+def test_pressure_by_facets_is_stiffness_times_slip_times_angle(
+    doubt: float, decides: bool
+) -> None:
+    """A normal that is off by an angle a presses the surface by k s sin a at a slip s."""
+    solved = support.solve(support.STEM)
+    contact = solved.problem.contact
+    assert contact is not None
+    contact.points = replace(contact.points, doubt=np.full(len(contact.points.x), doubt))
+    trial = solved.problem.trial(*solved.solver.u_and_q())
+    numbers = ContactSamples(solved.problem, trial).numbers["stem_cement"]
+    assert ("pressure_by_facets" in numbers) == decides
+    if decides:
+        here = contact.own.interface == 0
+        pressed = contact.law.met * np.linalg.norm(contact.state.slip, axis=1) * doubt
+        assert numbers["pressure_by_facets"] == pytest.approx(pressed[here].max(), rel=1e-6)
