@@ -70,7 +70,7 @@ class InterfaceFacets:
 
     @cached_property
     def straight(self) -> Bools:
-        """Whether each facet is of an interface whose facets are all straight (f,)."""
+        """Mask of the facets of interfaces whose facets are all straight (f,)."""
         if self.nodes.shape[1] == 3:
             return np.ones(len(self.area), dtype=bool)
         start, end = self.nodes[:, [1, 2, 0]], self.nodes[:, [2, 0, 1]]

@@ -44,7 +44,7 @@ class Image:
 
     @cached_property
     def _numbers(self) -> Any:
-        """Those of its values that are numbers (n,)."""
+        """Its values that are numbers (n,)."""
         return self.values[np.isfinite(self.values)]
 
     @cached_property
@@ -59,7 +59,7 @@ class Image:
 
     @property
     def lost(self) -> int:
-        """How many voxels are no numbers."""
+        """Number of voxels that are no numbers."""
         return int(self.values.size - self._numbers.size)
 
     def at(self, x: Floats) -> Floats:

@@ -53,7 +53,7 @@ class Element:
 
     @property
     def has_lists(self) -> bool:
-        """Whether rows may have different lengths."""
+        """True if rows may have different lengths."""
         return any(p.count_type for p in self.properties)
 
 

@@ -47,7 +47,7 @@ BOOKKEEPING = re.compile(
 
 @lru_cache(maxsize=1)
 def read(path: Path, modified: int) -> Found:
-    """What a file, as it was modified last, holds; its sets of cells are the regions.
+    """Return the content of a file, as it was modified last; its sets of cells are the regions.
 
     Raises:
         ValueError: The file is damaged or of no use; what is wrong, in words.

@@ -19,7 +19,7 @@ ONLY = "only straight tetrahedra, or only quadratic ones, can be used"
 
 @dataclass
 class Found:
-    """What a file holds: nodes (n, 3), cells (m, 4 or 10) in gmsh's order, and named sets.
+    """Content of a mesh file: nodes (n, 3), cells (m, 4 or 10) in gmsh's order, and named sets.
 
     Sets of cells are rows of ``cells``; triangles (k, 3) and sets of nodes rows of ``points``.
     """

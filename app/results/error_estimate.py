@@ -223,7 +223,7 @@ def largest_of_units(summary: Numbers) -> dict[str, float]:
 
 
 def is_zero(value: float, change: float, largest: float) -> bool:
-    """Whether a number is zero: rounding, or small and changing by its size or more.
+    """Return True if a number is zero: rounding, or small and changing by its size or more.
 
     ``change`` is that to a coarser mesh, or the error; ``largest`` the largest number of the unit.
     """

@@ -1,4 +1,4 @@
-"""What a new user meets in the first hours: names, units, bases, messages about one key."""
+"""First hours of a new user: names, units, bases, messages about one key."""
 
 from __future__ import annotations
 
