@@ -50,6 +50,8 @@ MOST, PARTS = 40, 2.0 ** -np.arange(8)
 ROUGH, SINGULAR, CHORD = 1e-2, 1e-4, 1e-2
 # Stiffness of the weak springs of a singular step, as a part of the diagonal of S.
 SPRINGS = 1e-2
+# Singular steps in a row, within which the residual has to be halved.
+SINGULAR_STEPS = 4
 # Part of the tolerance that out-of-balance forces of a start may have without being removed.
 LITTLE = 0.01
 
@@ -101,6 +103,7 @@ class Condensed:
         self._matrix: csc_array | None = self._gathered_matrix()
         self._made = self._bodies = -1
         self._untied: Untied | None = None
+        self._sprung = False
         if self._matrix is not None:
             self.cholesky = self._analysed(self._matrix)
 
@@ -242,11 +245,18 @@ class Condensed:
         e = e - pulled
         r, scale = self._contact.law(e, q)
         norm, moving, kept = self._norm(r), True, False
+        before_springs: list[float] = []
         # One at least: states that are only just in balance would drift from cycle to cycle.
         while norm > (tolerance * scale if number else 0.0) and moving and number < MOST:
             if not kept:
                 self.setUp()
             dq = self._on_root(self._step, q_vector, r)
+            if not self._comm.bcast(self._sprung):
+                before_springs = []
+            else:
+                before_springs.append(norm)
+                if norm > min(before_springs[:-SINGULAR_STEPS], default=math.inf) / 2:
+                    break  # what is free stays unbalanced
             de = self._on_root(lambda: self._pushed, q_vector)
             for part in PARTS:
                 there = e - part * de, q - part * dq
@@ -298,11 +308,12 @@ class Condensed:
 
     def _step(self, r: Floats) -> Floats:
         """Solution of (T S + B) dq = r, with weak springs if that is singular; S dq is kept."""
-        dq = self._by_factors(r)
+        dq, self._sprung = self._by_factors(r), False
         if not self._solves(dq, r, ROUGH):
             self._factor(self._S, self._B)
             dq = self._by_factors(r)
             if not self._solves(dq, r, SINGULAR):
+                self._sprung = True
                 springs = diags_array(SPRINGS * np.abs(self._S.diagonal()))
                 self._factor(self._S, csr_array(self._B + springs))
                 dq = self._by_factors(r)
