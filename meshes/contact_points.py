@@ -33,10 +33,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array, eye_array, kron, vstack
-from scipy.sparse.linalg import inv
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError
@@ -48,6 +47,9 @@ from meshes.contact_facets import (
     projectors,
     shared,
 )
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Parts of a jump below this are rounding.
 ROUNDING = 1e-12
@@ -353,6 +355,9 @@ def _handed_area(
     Raises:
         InputError: There is no such point.
     """
+    # Imported here: interfaces that do not meet need no scipy.
+    from scipy.sparse import csr_array
+
     n, m = len(held), len(surface.weight)
     same = np.column_stack([surface.interface, surface.bodies])
     loose = ~held.any(axis=(1, 2))
@@ -400,6 +405,10 @@ def _in_means(
     the mean jumps are D = G d and d = G^-1 D: the columns of the entries are multiplied by G^-1.
     A component that supports prescribe stays the jump of the point.
     """
+    # Imported here: interfaces that do not meet need no scipy.
+    from scipy.sparse import csc_array, csr_array, eye_array, vstack
+    from scipy.sparse.linalg import inv
+
     n, surface = len(points.vertex), points.surface
     weight = points.weight + handed.sum(axis=0)
     A = _dependent_jumps(surface, n)
@@ -447,11 +456,17 @@ def _in_means(
 
 def _three(scalar: csr_array) -> csr_array:
     """The same factors for each of three components."""
+    # Imported here: interfaces that do not meet need no scipy.
+    from scipy.sparse import csr_array, eye_array, kron
+
     return csr_array(kron(scalar, eye_array(3), format="csr"))
 
 
 def _dependent_jumps(surface: ContactSurface, n: int) -> csr_array:
     """Signs of the jumps of the n points in those of the dependent corners (m - n, n)."""
+    # Imported here: interfaces that do not meet need no scipy.
+    from scipy.sparse import csr_array
+
     rows: list[int] = []
     columns: list[int] = []
     values: list[float] = []

@@ -396,6 +396,14 @@ class ContactInterfaces:
         moves = np.linalg.norm(free.reshape(self._bodies, -1), axis=1) > MOVES
         return {int(body) for body in np.flatnonzero(moves)}
 
+    def apart(self) -> bool:
+        """Return True if no point touches in the committed state; collective."""
+        opening = self.opening(self.state.jump)
+        gaps = np.einsum("pi,pki->pk", opening, self.own.normals)
+        faces = np.arange(3) < self.own.faces[:, None]
+        touches = self.state.force.any(axis=1) | ((gaps <= 0) & faces).any(axis=1)
+        return not self.comm.allreduce(bool(touches.any()), MPI.LOR)
+
     def release(self, on: bool) -> bool:
         """Let all interfaces of contact be open, or not; return True if there are any; collective.
 

@@ -209,7 +209,7 @@ def explain(
     pulled = loose_bodies.pulled_off(problem, contact)
     free = pulled if scales or contact.large else []
     # Iterates lose contact that the loads would close: that is no free body.
-    if not free and (pulled or not problem.load_size):
+    if not free and (pulled or not problem.load_size or contact.apart()):
         free = loose_bodies.free_bodies(problem, trial)
         free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
     friction = [] if free else loose_bodies.sliding(problem, contact)

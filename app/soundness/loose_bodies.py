@@ -43,7 +43,7 @@ RUNAWAY = 0.05
 # by friction, 70 for a frictionless taper of 1.5 degrees, 600 for a straight frictionless stem.
 LOOSE = 200.0
 # Part of that size beyond which displacements are not small, whatever resists them.
-NOT_SMALL = 0.1
+NOT_SMALL = 0.2
 # Motion of an interface over the largest prescribed displacement that a lever may cause.
 LEVER = 10.0
 # Root of the compliance of springs on which rigid bodies press, with which a taper of 1 degree and
