@@ -13,7 +13,6 @@ from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
-from scipy.sparse import csr_array
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError, everywhere
@@ -281,6 +280,8 @@ class Constraints:
         """
         if not self._P:
             return self.constrained.reshape(-1, 3)[nodes]
+        from scipy.sparse import csr_array  # few cases have rigid regions or local axes
+
         start, columns, values = self.at(nodes).getValuesCSR()
         shape = 3 * len(nodes), int(columns.max(initial=0)) + 1
         rows = csr_array((values, columns, start), shape=shape)
