@@ -277,6 +277,9 @@ def test_solvers_agree_on_all_that_is_shipped(
     largest: dict[str, float] = {}
     for value, unit in expected.values():
         largest[unit] = max(largest.get(unit, 0.0), abs(value))
+    # Energies that are zero are rounding of forces times motions.
+    work = math.prod(largest.get(unit, 0.0) for unit in ("MPa", "mm^2", "mm"))
+    largest["N mm"] = max(largest.get("N mm", 0.0), work)
     for solver, (other, numbers) in outcomes.items():
         assert other == code, {name: code for name, (code, _) in outcomes.items()}
         assert numbers.keys() == expected.keys()
