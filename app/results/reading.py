@@ -201,9 +201,10 @@ class Run(Results):
         Raises:
             InputError: There is no such interface, or it has no such quantity.
         """
+        interfaces = [*self.summary.get("interfaces", {})]
+        if name not in interfaces:
+            raise self._unknown("interface", name, interfaces)
         prefix = f"{name}_"
-        if name not in self.contacts and not any(n.startswith(prefix) for n in self.point_fields):
-            raise self._unknown("interface", name, self.contacts)
         quantities = [n.removeprefix(prefix) for n in self.point_fields if n.startswith(prefix)]
         if quantity not in quantities:
             raise self._unknown("quantity", quantity, quantities, f" at interface '{name}'")

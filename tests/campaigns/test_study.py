@@ -326,6 +326,8 @@ ELSEWHERE = {
     *("torque_size", "torque_along", "torque_max", "eccentricity", "dissipation_cycle"),
     *("slid_max", "slid_mean", "slid_max_master", "friction_power", "temperature_swing"),
     "uncovered_fraction",
+    # Of curved interfaces with straight facets.
+    "pressure_by_facets",
     *(f"wear_volume{times}" for times in ("", "_million")),
     *(
         f"wear_depth_{how}{side}{times}"

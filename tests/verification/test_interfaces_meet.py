@@ -298,10 +298,11 @@ loads: {{press: {{kind: pressure, boundary: top, pressure: 1.7 MPa}}}}
 
 
 ON_RANKS = """
-import json, sys
+import json, os, sys
 from pathlib import Path
 from mpi4py import MPI
 sys.path.insert(0, {root!r})
+os.environ["MANTLE_ALLOW_SCRIPTS"] = "1"
 from tests.verification.test_interfaces_meet import COULOMB, check, smooth_box, three
 solved = smooth_box(Path({folder!r}), three(), (COULOMB,), 2)
 check(solved, three())
