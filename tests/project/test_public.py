@@ -176,7 +176,7 @@ def test_a_run_tells_its_steps_and_gives_its_results(tmp_path: Path) -> None:
         f"no written step {len(f.times)}; there are": lambda: f.stress(len(f.times)),
         "no region 'stemm'; regions: .*did you mean 'stem'": lambda: f.nodes_of("stemm"),
         "no region '0'; regions: ": lambda: f.nodes_of(0),
-        "no interface 'stem'; interfaces: cement_bone, stem_cement": lambda: f.at_interface(
+        "no interface 'stem'; interfaces: stem_cement, cement_bone": lambda: f.at_interface(
             "stem", "gap"
         ),
         "no interface 'cement'; ": lambda: f.areas("cement"),
