@@ -7,7 +7,7 @@ per load. `mechanics.problem` combines them with the contact law.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -45,6 +45,39 @@ Domains = list[tuple[int, NDArray[np.int32]]]
 MOMENT_DEGREE = 8
 # The same of moduli from images, whose 14 weights are positive; of degree 3 one is negative.
 IMAGE_DEGREE = 4
+
+
+class SurfaceMeasure:
+    """Measures of boundaries by body; made collectively.
+
+    Attributes:
+        facets: Own facets, as cells and local numbers, by number of the subdomain.
+    """
+
+    def __init__(self, tagged: TaggedMesh, bodies: Bodies, boundaries: Collection[str]) -> None:
+        self.facets: Domains = []
+        self._number: dict[tuple[str, int], int] = {}
+        for name in sorted(boundaries):
+            for b, facets in facets_by_body(tagged, bodies, name).items():
+                self._number[name, b] = len(self.facets) + 1
+                exterior, topology = IntegralType.exterior_facet, tagged.mesh.topology
+                entities = compute_integration_domains(exterior, topology, facets, 2)
+                self.facets.append((len(self.facets) + 1, entities))
+        self._measure = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=self.facets)
+
+    def has(self, boundaries: Collection[str]) -> bool:
+        """Whether there are boundaries and all are measured."""
+        return bool(boundaries) and {b for b, _ in self._number}.issuperset(boundaries)
+
+    def on(self, boundary: str, body: int) -> ufl.Measure | None:
+        """Measure of the facets of a boundary that belong to a body, if any."""
+        number = self._number.get((boundary, body))
+        return None if number is None else self._measure(number)
+
+    def facets_on(self, body: int) -> Domains:
+        """The facets, without those of other bodies."""
+        mine = {number for (_, b), number in self._number.items() if b == body}
+        return [(k, f if k in mine else f[:0]) for k, f in self.facets]
 
 
 class OnBody:
@@ -120,9 +153,9 @@ class BodyForms:
         self.space = fem.functionspace(self.mesh, ("Lagrange", scene.order, (3,)))
         self.u = fem.Function(self.space, name="displacement")
         self._tags = cell_tags(tagged)
-        self._patches: dict[tuple[str, int], int] = {}
-        self._facets: Domains = []
-        self._surface = self._surface_measure()
+        used = {f.boundary for f in scene.foundations}
+        used |= {boundary for load in scene.loads for boundary in load.boundaries}
+        self._surface = SurfaceMeasure(tagged, bodies, used)
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
         bone = [e for e in scene.elastic if e._remodelling]
         self.remodels = tuple(e.region for e in bone)
@@ -150,20 +183,6 @@ class BodyForms:
 
     # Measures
 
-    def _surface_measure(self) -> ufl.Measure:
-        """Measure with one subdomain per boundary name in use and body."""
-        scene = self.scene
-        used = {t.boundary for t in scene.foundations}
-        used |= {boundary for load in scene.loads for boundary in load.boundaries}
-        domains = self._facets
-        for name in sorted(used):
-            for b, facets in facets_by_body(self.tagged, self.bodies, name).items():
-                self._patches[name, b] = len(domains) + 1
-                exterior, topology = IntegralType.exterior_facet, self.mesh.topology
-                entities = compute_integration_domains(exterior, topology, facets, 2)
-                domains.append((len(domains) + 1, entities))
-        return ufl.Measure("ds", domain=self.mesh, subdomain_data=domains)
-
     def cells(self) -> ufl.Measure:
         """Volume measure by region tag, over all owned cells."""
         return ufl.Measure("dx", domain=self.mesh, subdomain_data=self._domains())
@@ -184,8 +203,7 @@ class BodyForms:
 
     def ds(self, boundary: str, body: int) -> ufl.Measure | None:
         """Measure of the facets of a boundary that belong to a body, if any."""
-        patch = self._patches.get((boundary, body))
-        return None if patch is None else self._surface(patch)
+        return self._surface.on(boundary, body)
 
     def constant(self, value: Any) -> fem.Constant:
         """A constant, in UFL."""
@@ -355,15 +373,13 @@ class BodyForms:
 
     def stiffness(self) -> fem.Form:
         """Stiffness of all bodies moving with u, supports not yet applied."""
-        return self._stiffness_on(self._domains(), self._facets)
+        return self._stiffness_on(self._domains(), self._surface.facets)
 
     def strip_stiffness(self, body: int, dofs: NDArray[np.bool_]) -> fem.Form:
         """Stiffness of one body restricted to its cells that hold any of the marked dofs."""
         near = dofs[self.space.dofmap.list].any(axis=1)
         near &= self.bodies.of_tag[self._tags] == body
-        mine = {patch for (_, b), patch in self._patches.items() if b == body}
-        facets = [(k, f if k in mine else f[:0]) for k, f in self._facets]
-        return self._stiffness_on(self._domains(near), facets)
+        return self._stiffness_on(self._domains(near), self._surface.facets_on(body))
 
     def _stiffness_on(self, cells: Domains, facets: Domains) -> fem.Form:
         """Stiffness of some cells and of the foundations on some facets (cell, local facet)."""

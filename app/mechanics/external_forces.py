@@ -50,10 +50,10 @@ class Forces:
         self.comm, self._given = mechanics.mesh.comm, scene.loads
         found: dict[Load, Action] = known._full if known else {}
         self._full: dict[Load, Action] = {
-            _at_full(s): found.get(_at_full(s)) or self.action(nodal_forces(s, mechanics).items())
+            at_full(s): found.get(at_full(s)) or self.action(nodal_forces(s, mechanics).items())
             for s in scene.loads
         }
-        self._loads = [(load, self._full[_at_full(load)]) for load in scene.loads]
+        self._loads = [(load, self._full[at_full(load)]) for load in scene.loads]
         strains = [(e, k, s.history) for e in scene.elastic for k, s in enumerate(e.eigenstrains)]
         self._eigenstrains: list[tuple[tuple[float, ...] | None, Action]]
         self._eigenstrains = (
@@ -120,7 +120,7 @@ class Forces:
         work = np.zeros((len(self._bodies.names), motions.shape[2]))
         flat = motions.reshape(-1, motions.shape[2])
         for load in self._given:
-            for body, nodal in nodal_forces(_at_full(load), self._mechanics).items():
+            for body, nodal in nodal_forces(at_full(load), self._mechanics).items():
                 work[body] += load.amplitude(time) * (nodal.array_r[: len(flat)] @ flat)
         return np.asarray(self.comm.allreduce(work))
 
@@ -143,6 +143,6 @@ def nodal_forces(load: Load, mechanics: BodyForms) -> dict[int, PETSc.Vec]:
     return {b: assembled_vector(form) for b, form in forms.items()}
 
 
-def _at_full(load: Load) -> Load:
+def at_full(load: Load) -> Load:
     """The load at full amplitude and without a name: the key of its assembled vector."""
     return load.named("", history=None)

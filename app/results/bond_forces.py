@@ -1,52 +1,95 @@
 """Tractions of bonded interfaces, by equilibrium of the sides: would the bond hold?
 
-What one side exerts on the other follows from the forces of its stress on their common nodes. They
-are of the points that contact would have there, and equal those of contact that sticks. Loads on
-cells at the interface count as traction.
+What one side exerts on the other follows from the forces of its stress on their common nodes, less
+those of loads and elastic foundations there. They are of the points that contact would have, beside
+the contact interfaces of the scene, and equal those of contact that sticks. Loads on cells at the
+interface count as traction.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
-import numpy as np
+from petsc4py import PETSc
 
-from app.arrays import Floats, Ints
+import numpy as np
+import ufl
+from dolfinx import fem
+from ufl.core.expr import Expr
+
+from app.arrays import Field, Floats, Ints
 from app.laws.failure import InterfaceStrength
+from app.laws.loads import Load
+from app.mechanics.body_forms import BodyForms, OnBody, SurfaceMeasure, assembled_vector
+from app.mechanics.external_forces import at_full
 from app.mechanics.problem import Problem
 from app.results.cement_risk import Borders
 from app.results.interface_numbers import Surface, failing, normal_pressure
 from app.results.stresses import Stresses
-from app.scene.bodies import Bodies, contact_facets, facets_between
+from app.scene.bodies import (
+    Bodies,
+    boundary_facets,
+    contact_facets,
+    facet_nodes,
+    facets_between,
+    pieces_of,
+)
 from app.scene.frames import held_at
 from app.scene.scene import Interface
 from meshes.contact_facets import projectors
-from meshes.contact_points import ContactPoints, Entries, contact_points
+from meshes.contact_points import ContactPoints, ContactSurface, Entries, contact_points
 
 # Strength of the cement-bone interface: Mann, Werner & Ayers 1999, as quoted by the paper in its
 # section 4.5.
 CEMENT_ON_BONE = InterfaceStrength.model_validate({"tension": "1.35 MPa", "shear": "2.25 MPa"})
 
 
+class _OnPiece(OnBody):
+    """A part of a body between interfaces; loads act on its boundaries alone."""
+
+    def __init__(self, mechanics: BodyForms, piece: int, surface: SurfaceMeasure) -> None:
+        super().__init__(mechanics, piece)
+        self._surface = surface
+
+    def ds(self, boundary: str) -> ufl.Measure | None:
+        """Measure of the facets of a boundary that belong to the piece, if any."""
+        return self._surface.on(boundary, self._body)
+
+    def spread(self, density: Field, regions: Any) -> list[tuple[Expr, ufl.Measure]]:
+        """Nothing: loads on cells count as traction."""
+        return []
+
+
 @dataclass(frozen=True)
 class _Place:
-    """A bonded interface on the mesh.
+    """All interfaces of the mesh, bonded or not, between pieces of the bodies.
 
     Attributes:
-        entries: Displacement of the sides by jumps of its points.
-        nodes: Their global blocked dofs, rising (m,).
-        cells: Of each side, by region: which of its own cells meet the interface (c,), their nodes
-            among those above, m elsewhere (c, nodes), and gradients of the shape functions times
-            volume at the points of the stress (c, points, nodes, 3) [mm2].
+        points: Contact points that these interfaces would have.
+        entries: Displacement of the pieces by their jumps.
+        surfaces: The facets of each bond.
+        pieces: The pieces.
+        rigid: Pieces that are rigid.
+        nodes: Global blocked dofs of the entries, rising (m,).
+        cells: Of each region: which of its own cells have such nodes (c,), their nodes among those
+            above, m elsewhere (c, nodes), and gradients of the shape functions times volume at the
+            points of the stress (c, points, nodes, 3) [mm2].
+        near: Measures of the boundaries that have such nodes, on the pieces.
+        springs: Forces of elastic foundations on these boundaries, by piece, of opposite sign.
     """
 
     points: ContactPoints
     entries: Entries
+    surfaces: dict[str, Surface]
+    pieces: Bodies
+    rigid: Ints
     nodes: Ints
-    cells: tuple[dict[str, tuple[Ints, Ints, Floats]], ...]
-    surface: Surface
+    cells: dict[str, tuple[Ints, Ints, Floats]]
+    near: SurfaceMeasure
+    springs: list[tuple[int, fem.Form]]
 
 
 class BondForces:
@@ -54,19 +97,27 @@ class BondForces:
 
     def __init__(self, problem: Problem, stresses: Stresses, borders: Borders | None) -> None:
         self._problem, self._stresses, self._borders = problem, stresses, borders
-        self._places: dict[str, _Place | None] = {}
+        self._at_full: dict[Load, Floats] = {}
 
-    def indices(self) -> dict[str, tuple[ContactPoints, Floats]]:
-        """Points and their failure indices (n,) by interface; collective."""
-        return {b.name: (place.points, index) for b, place, _, index in self._loaded(strong=True)}
+    def indices(self) -> tuple[ContactSurface, dict[str, tuple[int, Floats]]] | None:
+        """Surface of all interfaces; by bond its number there and failure indices (m,); collective.
+
+        None without a bond of known strength.
+        """
+        known = [b for b in self._bonds if b.law.strength]
+        if not known:
+            return None
+        number = {b.name: i for i, b in enumerate(self._bonds)}
+        found = {b.name: (number[b.name], index) for b, _, _, index in self._loaded(strong=True)}
+        return self._place.points.surface, found
 
     def numbers(self, strong: bool = False) -> dict[str, dict[str, Any]]:
         """Published numbers by interface, of those whose strength is known or all; collective."""
         found = {}
-        for b, place, loads, index in self._loaded(strong):
-            s, of_parts = place.surface, dict[str, dict[str, Any]]()
+        for b, s, loads, index in self._loaded(strong):
+            x, of_parts = self._place.points.surface.x, dict[str, dict[str, Any]]()
             for part in (part for part, at in s.at.items() if at.any()):
-                of_parts[part] = own = failing(s, index, place.points.x, part)
+                of_parts[part] = own = failing(s, index, x, part)
                 if not b.law.strength:
                     own = of_parts[part] = {"strength_fraction": own["strength_fraction"]}
                 for name, values in (("normal", -loads[0]), ("shear", loads[1])):
@@ -78,58 +129,140 @@ class BondForces:
 
     def _loaded(
         self, strong: bool
-    ) -> Iterator[tuple[Interface, _Place, tuple[Floats, Floats], Floats]]:
+    ) -> Iterator[tuple[Interface, Surface, tuple[Floats, Floats], Floats]]:
         """Bonds with facets in the mesh, of known strength or all: tractions and indices."""
-        for b in self._problem.scene.bonds:
-            if b.law.strength or not strong:
-                if b.name not in self._places:  # all states and variations share it
-                    self._places[b.name] = self._place(b)
-                if place := self._places[b.name]:
-                    loads = self._tractions(place)
-                    yield b, place, loads, (b.law.strength or CEMENT_ON_BONE).index(*loads)
+        wanted = [b for b in self._bonds if b.law.strength or not strong]
+        loads = self._tractions() if wanted else None
+        for b in wanted:
+            assert loads is not None
+            index = (b.law.strength or CEMENT_ON_BONE).index(*loads)
+            yield b, self._place.surfaces[b.name], loads, index
 
-    def _tractions(self, place: _Place) -> tuple[Floats, Floats]:
-        """Pressure, negative in tension, and shear at the points (n,) [MPa]; collective."""
-        p, e, force = place.points, place.entries, np.zeros((len(place.points.x), 3))
-        for side, cells in enumerate(place.cells):
-            nodal = np.zeros((len(place.nodes) + 1, 3))
-            for region, (rows, nodes, slopes) in cells.items():
-                σ = self._stresses.evaluate(region)[rows]
-                np.add.at(nodal, nodes, np.einsum("cqij,cqnj->cni", σ, slopes))
-            nodal = self._problem.comm.allreduce(nodal)
-            here = e.body == side
-            node, component = np.divmod(e.row[here], 3)
-            nodal = nodal[np.searchsorted(place.nodes, node), component]
-            np.add.at(force.ravel(), e.column[here], -e.value[here] * nodal)
+    def _tractions(self) -> tuple[Floats, Floats]:
+        """Pressure, negative in tension, and shear at the corners (m,) [MPa]; collective."""
+        place, p, e = self._place, self._place.points, self._place.entries
+        exerted = self._exerted()
+        node, component = np.divmod(e.row, 3)
+        forces = exerted[e.body, np.searchsorted(place.nodes, node), component]
+        force = np.zeros((len(p.x), 3))
+        np.add.at(force.ravel(), e.column, -e.value * forces)
         force /= p.weight[:, None]
         force -= np.einsum("pij,pj->pi", projectors(p.axes, p.held), force)
-        pressures = -np.einsum("pik,pi->pk", np.linalg.pinv(p.normals), force)
-        shear = force + np.einsum("pk,pki->pi", pressures, p.normals)
-        return normal_pressure(pressures, p.normals), np.linalg.norm(shear, axis=1)
+        at_corners, normals = p.surface.spread(force), p.surface.normals
+        pressures = -np.einsum("cik,ci->ck", np.linalg.pinv(normals), at_corners)
+        shear = at_corners + np.einsum("ck,cki->ci", pressures, normals)
+        return normal_pressure(pressures, normals), np.linalg.norm(shear, axis=1)
 
-    def _place(self, b: Interface) -> _Place | None:
-        """The interface as though its sides were two bodies, if it has facets in the mesh."""
-        p, scene, regions = self._problem, self._problem.scene, self._problem.tagged.regions
-        if not p.comm.allreduce(len(facets_between(p.tagged, b.slave, b.master).cells)):
-            return None
-        sides, frames = (b.master, b.slave), p.stiffness.frames
-        of_tag = -np.ones_like(p.bodies.of_tag)
-        for k, side in enumerate(sides):
-            of_tag[[regions[region] for region in side]] = k
-        apart, body = Bodies(("", ""), {}, of_tag), p.bodies.of_region[b.slave[0]]
+    def _exerted(self) -> Floats:
+        """What the interfaces exert on the pieces at the nodes (pieces, m, 3) [N]; collective."""
+        place, p = self._place, self._problem
+        nodal = np.zeros((len(place.pieces.names), len(place.nodes) + 1, 3))
+        for region, (rows, nodes, slopes) in place.cells.items():
+            σ = self._stresses.evaluate(region)[rows]
+            forces = np.einsum("cqij,cqnj->cni", σ, slopes)
+            np.add.at(nodal[place.pieces.of_region[region]], nodes, forces)
+        exerted = p.comm.allreduce(nodal)[:, :-1]
+        for load in p.scene.loads:
+            if place.near.has(load.boundaries):
+                exerted -= load.amplitude(p.load_time) * self._forces(load)
+        for piece, form in place.springs:
+            exerted[piece] += self._at_nodes(assembled_vector(form))
+        # The stress of a rigid piece is not known: it takes what the others do not.
+        exerted[place.rigid] = 0.0
+        exerted[place.rigid] = -exerted.sum(axis=0)
+        return np.asarray(exerted)
+
+    @cached_property
+    def _bonds(self) -> list[Interface]:
+        """Bonds with facets in the mesh; collective."""
+        p = self._problem
+
+        def there(b: Interface) -> bool:
+            return bool(p.comm.allreduce(len(facets_between(p.tagged, b.slave, b.master).cells)))
+
+        return [b for b in p.scene.bonds if there(b)]
+
+    @cached_property
+    def _place(self) -> _Place:
+        """All interfaces as contact would have them; all states and variations share it."""
+        p, scene, frames = self._problem, self._problem.scene, self._problem.stiffness.frames
+        conforming = [c for c in scene.contacts if not c.between]
+        pieces, others = pieces_of(p.tagged, [*self._bonds, *conforming])
+        unnamed = [
+            replace(self._bonds[0], name=f"{a}_{b}", master=(a,), slave=(b,)) for a, b in others
+        ]
+        interfaces = [*self._bonds, *conforming, *unnamed]
+        # The body of the mechanics of each piece.
+        body = np.zeros(len(pieces.names), dtype=np.int64)
+        for region, piece in pieces.of_region.items():
+            body[piece] = p.bodies.of_region[region]
         if frames is not None:
-            frames = replace(frames, acts=np.repeat(frames.acts[:, [body]], 2, axis=1))
-        facets = contact_facets(p.tagged, apart, p.space, [b], scene.moduli)
-        holds = held_at(frames, p.tagged, apart, p.space, scene.supports, facets)
-        points, entries = contact_points(facets, holds[0], [b.name], holds[1])
+            frames = replace(frames, acts=frames.acts[:, body])
+        facets = contact_facets(p.tagged, pieces, p.space, interfaces, scene.moduli)
+        holds = held_at(frames, p.tagged, pieces, p.space, scene.supports, facets)
+        points, entries = contact_points(facets, holds[0], [i.name for i in interfaces], holds[1])
+        surface = points.surface
+        levels = self._borders(surface.x) if self._borders else {}
+        surfaces = {b.name: Surface(surface, i, levels) for i, b in enumerate(self._bonds)}
         nodes = np.unique(entries.row // 3)
-        of = self._stresses.cells
-        cells = tuple({r: self._cells(r, nodes) for r in side if r in of} for side in sides)
-        levels = self._borders(points.surface.x) if self._borders else {}
-        surface = Surface(points.surface, 0, levels)
-        whole = replace(points.surface, bodies=np.full_like(points.surface.bodies, body))
-        points = replace(points, surface=whole)
-        return _Place(points, entries, nodes, cells, surface)
+        near = self._boundaries_near(pieces, nodes)
+        return _Place(
+            points=replace(points, surface=replace(surface, bodies=body[surface.bodies])),
+            entries=entries,
+            surfaces=surfaces,
+            pieces=pieces,
+            rigid=np.unique([pieces.of_region[r.region] for r in scene.rigid]).astype(np.int64),
+            nodes=nodes,
+            cells={r: self._cells(r, nodes) for r in self._stresses.cells},
+            near=near,
+            springs=self._springs(near, body),
+        )
+
+    def _boundaries_near(self, pieces: Bodies, nodes: Ints) -> SurfaceMeasure:
+        """Measures of loaded and supported boundaries that have some of the nodes; collective."""
+        p, scene = self._problem, self._problem.scene
+
+        def near(boundary: str) -> bool:
+            dofs = facet_nodes(p.tagged, p.space, boundary_facets(p.tagged, boundary))[1]
+            return bool(p.comm.allreduce(int(np.isin(dofs, nodes).any())))
+
+        names = {f.boundary for f in scene.foundations}
+        names |= {name for load in scene.loads for name in load.boundaries}
+        return SurfaceMeasure(p.tagged, pieces, [name for name in sorted(names) if near(name)])
+
+    def _springs(self, near: SurfaceMeasure, body: Ints) -> list[tuple[int, fem.Form]]:
+        """``springs`` of the place; ``body`` is that of the mechanics of each piece."""
+        p, found = self._problem, list[tuple[int, fem.Form]]()
+        U, v = p.displacements(), ufl.TestFunction(p.space)
+        for f, k in zip(p.scene.foundations, p.mechanics.springs, strict=True):
+            for piece, b in enumerate(body):
+                if ds := near.on(f.boundary, piece):
+                    work = sum(k[i] * U[b][i] * v[i] for i in range(3)) * ds
+                    found.append((piece, p.mechanics.form(work)))
+        return found
+
+    def _forces(self, load: Load) -> Floats:
+        """Forces of a load on the pieces at the nodes (pieces, m, 3) at full amplitude [N]."""
+        key = at_full(load)
+        if key not in self._at_full:
+            p, place = self._problem, self._place
+            v = ufl.TestFunction(p.space)
+            forces = self._at_full[key] = np.zeros((len(place.pieces.names), len(place.nodes), 3))
+            for piece in range(len(forces)):
+                work = key.work(v, _OnPiece(p.mechanics, piece, place.near))
+                if work != 0:
+                    vector = assembled_vector(p.mechanics.form(work))
+                    forces[piece] = self._at_nodes(vector)
+        return self._at_full[key]
+
+    def _at_nodes(self, vector: PETSc.Vec) -> Floats:
+        """Values of a vector at the nodes (m, 3), on all ranks; collective."""
+        nodes = self._place.nodes
+        low, high = self._problem.space.dofmap.index_map.local_range
+        mine = (nodes >= low) & (nodes < high)
+        values = np.zeros((len(nodes), 3))
+        values[mine] = vector.array_r.reshape(-1, 3)[nodes[mine] - low]
+        return np.asarray(self._problem.comm.allreduce(values))
 
     def _cells(self, region: str, nodes: Ints) -> tuple[Ints, Ints, Floats]:
         s, space = self._stresses, self._problem.space

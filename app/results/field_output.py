@@ -230,9 +230,11 @@ class MechanicalFields:
                         whole[np.flatnonzero(surface.interface == i)[: len(slave)]] = slave
                         both = _along(rows[i], whole) + _along(there, master)
                         point[f"{contact.name}_{key}"] = both
-        for name, (bonded, index) in self._bonds.indices().items():
-            (at,) = _contact_rows(bonded.surface, self.space, self.bodies, nodes)
-            point[f"{name}_failure_index"] = _along(at, bonded.surface.spread(index))
+        if bonds := self._bonds.indices():
+            surface, indices = bonds
+            rows = _contact_rows(surface, self.space, self.bodies, nodes)
+            for name, (i, index) in indices.items():
+                point[f"{name}_failure_index"] = _along(rows[i], index)
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:

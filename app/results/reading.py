@@ -201,7 +201,8 @@ class Run(Results):
         Raises:
             InputError: There is no such interface, or it has no such quantity.
         """
-        interfaces = [*self.summary.get("interfaces", {})]
+        summary = self.summary
+        interfaces = [*summary.get("interfaces", {}), *summary.get("bonds", {})]
         if name not in interfaces:
             raise self._unknown("interface", name, interfaces)
         prefix = f"{name}_"

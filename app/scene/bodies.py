@@ -78,23 +78,12 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence
     Raises:
         InputError: The sides of a contact interface are joined elsewhere.
     """
-    tags = cell_tags(tagged)
     names = {tag: name for name, tag in tagged.regions.items()}
-    between = np.unique(np.sort(tags[_interior(tagged)[1]], axis=1), axis=0)
-    pairs = {(int(a), int(b)) for a, b in between if a != b}
-    pairs = set().union(*tagged.mesh.comm.allgather(pairs))
-    separated = {
-        frozenset((tagged.regions[a], tagged.regions[b]))
-        for c in contacts
-        for a in c.master
-        for b in c.slave
-    }
+    separated = _separated(tagged, contacts)
     group = {tag: tag for tag in names}
-    for a, b in sorted(pairs):
-        if frozenset((a, b)) in separated:
-            continue
-        old, new = group[b], group[a]
-        group = {t: new if g == old else g for t, g in group.items()}
+    for a, b in _touching(tagged):
+        if frozenset((a, b)) not in separated:
+            group = _joined(group, a, b)
     # Where supports hold both sides of a jump the first body is the base: the rigid one, if any.
     stiff = {group[tagged.regions[r.region]] for r in rigid}
 
@@ -119,6 +108,56 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence
         of_region,
         of_tag,
     )
+
+
+def pieces_of(
+    tagged: TaggedMesh, interfaces: Sequence[Interface]
+) -> tuple[Bodies, list[tuple[str, str]]]:
+    """Parts that all interfaces separate, bonds too, as bodies; collective.
+
+    Returns:
+        The bodies, without names; pairs of regions that touch without an interface and are in two
+        bodies, as the sides of an interface would be in one otherwise.
+    """
+    names = {tag: name for name, tag in tagged.regions.items()}
+    separated = _separated(tagged, interfaces)
+    group, others = {tag: tag for tag in names}, []
+    for a, b in _touching(tagged):
+        if frozenset((a, b)) in separated:
+            continue
+        joined = _joined(group, a, b)
+        if any(len({joined[tag] for tag in pair}) == 1 for pair in separated):
+            others.append((names[a], names[b]))
+        else:
+            group = joined
+    labels = sorted(set(group.values()))
+    of_tag = np.full(max(names) + 1, -1, dtype=np.int64)
+    for tag, label in group.items():
+        of_tag[tag] = labels.index(label)
+    of_region = {name: int(of_tag[tag]) for tag, name in names.items()}
+    return Bodies(("",) * len(labels), of_region, of_tag), others
+
+
+def _touching(tagged: TaggedMesh) -> list[tuple[int, int]]:
+    """Pairs of tags of regions that share facets, rising; collective."""
+    between = np.sort(cell_tags(tagged)[_interior(tagged)[1]], axis=1)
+    pairs = {(int(a), int(b)) for a, b in np.unique(between, axis=0) if a != b}
+    return sorted(set().union(*tagged.mesh.comm.allgather(pairs)))
+
+
+def _separated(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> set[frozenset[int]]:
+    """Pairs of tags of regions on the two sides of an interface."""
+    return {
+        frozenset((tagged.regions[a], tagged.regions[b]))
+        for c in interfaces
+        for a in c.master
+        for b in c.slave
+    }
+
+
+def _joined(group: Mapping[int, int], a: int, b: int) -> dict[int, int]:
+    """Groups of tags, with those of two tags joined."""
+    return {t: group[a] if g == group[b] else g for t, g in group.items()}
 
 
 def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from itertools import permutations, product
 from pathlib import Path
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 
 import meshes
 from app.arrays import Floats
+from app.results.bond_forces import BondForces
+from app.results.stresses import Stresses
+from app.scene.scene import build_scene
 from meshes import write_msh
 from meshes.data import MeshData, interface_facets
 from tests import support
@@ -108,12 +112,16 @@ def pairs(data: MeshData) -> list[tuple[str, str]]:
 def scene(
     folder: Path,
     blocks: dict[str, Any],
-    law: dict[str, Any],
+    *laws: dict[str, Any],
     cells: Sequence[int] = (4, 3, 4),
     size: Sequence[float] = (4.0, 3.0, 4.0),
     turn: int = 0,
+    order: int = 1,
 ) -> dict[str, Any]:
-    """Blocks in a smooth box under pressure, interfaces in an order turned by some places."""
+    """Blocks in a smooth box under pressure; interfaces take the laws in turn.
+
+    The order of the interfaces is turned by some places.
+    """
     data = box(blocks, size, cells)
     write_msh(data, folder / "blocks.msh")
     every = pairs(data)
@@ -121,7 +129,7 @@ def scene(
     sides = {f"{a}_{b}": [[a], [b]] for a, b in every}
     return {
         "geometry": {"kind": "file", "path": str(folder / "blocks.msh"), "interfaces": sides},
-        "mesh": {"order": 1, "size": "1 mm"},
+        "mesh": {"order": order, "size": "1 mm"},
         "regions": {
             name: {
                 "youngs_modulus": f"{MODULUS} MPa",
@@ -130,7 +138,7 @@ def scene(
             }
             for name in blocks
         },
-        "interfaces": {name: dict(law) for name in sides},
+        "interfaces": {name: dict(laws[k % len(laws)]) for k, name in enumerate(sides)},
         "supports": {
             name: {"kind": "roller", "boundary": name, "axis": name[0]}
             for name in ("x0", "x1", "y0", "y1", "z0")
@@ -200,17 +208,116 @@ def test_a_uniform_pressure_is_exact(layout: str, friction: float, tmp_path: Pat
     if layout == "strip":  # the middle block has no point but on lines
         blocks = blocks | {"two": lambda x: (x[:, 2] < 2) & (x[:, 0] > 1) & (x[:, 0] < 2)}
         blocks["three"] = lambda x: (x[:, 2] < 2) & (x[:, 0] > 2)
-    text = scene(tmp_path, blocks, contact(friction), cells)
+    text = scene(tmp_path, blocks, contact(friction), cells=cells)
     case = support.case(text)
     data = meshes.build(case.geometry, case.mesh)
     check_uniform(support.solve(case), data)
+
+
+BONDED = {"kind": "bonded"}
+# Strong enough to hold any pressure of these tests.
+STRONG = {
+    "kind": "cohesive",
+    "friction_coefficient": 0.2,
+    "stiffness": "5e4 MPa/mm",
+    "tensile_strength": "8 MPa",
+    "shear_strength": "8 MPa",
+    "tensile_energy": "0.3 N/mm",
+    "shear_energy": "0.3 N/mm",
+}
+
+
+@pytest.mark.parametrize("layout", ["T", "cross"])
+@pytest.mark.parametrize(
+    "laws",
+    [
+        (contact(0.35), contact(0.0)),
+        (contact(0.0), contact(0.0), contact(0.35)),
+    ],
+)
+def test_a_uniform_pressure_is_exact_with_different_laws(
+    layout: str, laws: Sequence[dict[str, Any]], tmp_path: Path
+) -> None:
+    blocks, cells = LAYOUTS[layout]
+    case = support.case(scene(tmp_path, blocks, *laws, cells=cells, order=2))
+    check_uniform(support.solve(case), meshes.build(case.geometry, case.mesh))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_uniform_pressure_beside_cohesive_interfaces(order: int, tmp_path: Path) -> None:
+    """Under the bars of a T cohesive layers close alike; its stem has contact."""
+    text = scene(tmp_path, T, STRONG, order=order)
+    text["interfaces"]["left_right"] = contact(0.35)
+    numbers = support.solve(support.case(text)).last.numbers
+    sideways = POISSON / (1 - POISSON) * PRESSURE
+    for name, p in (("left_top", PRESSURE), ("right_top", PRESSURE), ("left_right", sideways)):
+        assert numbers[name]["area"] == pytest.approx(6.0)
+        assert numbers[name]["pressure_mean"] == pytest.approx(p, rel=1e-9)
+        assert numbers[name]["pressure_max"] == pytest.approx(p, rel=1e-9)
+        assert numbers[name]["shear_max"] < 1e-9
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("bonded", ["left_right", "left_top", "all"])
+def test_a_bond_beside_contact_bears_what_crosses_it(
+    bonded: str, order: int, tmp_path: Path
+) -> None:
+    """The bond of a T with contact has the tractions of uniaxial strain, at the line as well."""
+    text = scene(tmp_path, T, contact(0.35), order=order)
+    for name in text["interfaces"] if bonded == "all" else [bonded]:
+        text["interfaces"][name] = BONDED
+    solved = support.solve(support.case(text))
+    sideways = POISSON / (1 - POISSON) * PRESSURE
+    bonds = BondForces(solved.problem, Stresses(solved.problem), None).numbers()
+    assert {*bonds, *solved.interfaces} == {"left_right", "left_top", "right_top"}
+    for name, numbers in bonds.items():
+        p = PRESSURE if name.endswith("_top") else sideways
+        assert numbers["area"] == pytest.approx(6.0)
+        for key in ("normal_mean", "normal_max"):
+            assert numbers[key] == pytest.approx(-p, rel=1e-9)
+        assert numbers["shear_max"] < 1e-9
+    for name, numbers in solved.interfaces.items():
+        p = PRESSURE if name.endswith("_top") else sideways
+        assert numbers["pressure_mean"] == pytest.approx(p, rel=1e-9)
+        assert numbers["pressure_max"] == pytest.approx(p, rel=1e-9)
+
+
+@pytest.mark.parametrize("springs", [False, True])
+def test_a_bond_that_ends_at_a_loaded_surface(springs: bool, tmp_path: Path) -> None:
+    """Two bonded blocks are pressed between a load, and a support or springs: no shear."""
+    text = scene(tmp_path, {"left": lambda x: x[:, 0] < 2, "right": lambda x: x[:, 0] > 2}, BONDED)
+    if springs:
+        text["supports"]["z0"] = {
+            "kind": "foundation",
+            "boundary": "z0",
+            "stiffness": "80 MPa/mm",
+        }
+    solved = support.solve(support.case(text))
+    numbers = BondForces(solved.problem, Stresses(solved.problem), None).numbers()["left_right"]
+    p = POISSON / (1 - POISSON) * PRESSURE
+    assert numbers["normal_max"] == pytest.approx(-p, rel=1e-9)
+    assert numbers["normal_mean"] == pytest.approx(-p, rel=1e-9)
+    assert numbers["shear_max"] < 1e-9
+
+
+def test_the_stem_of_a_T_depends_on_its_bars(tmp_path: Path) -> None:
+    """Whatever the order in the file, the jump of the stem follows from those of the bars."""
+    dependent = []
+    for turn in range(3):
+        case = support.case(scene(tmp_path, T, contact(0.3), turn=turn))
+        names = [c.name for c in build_scene(case).contacts]
+        contact_ = support.assemble(case)[0].contact
+        assert contact_ is not None
+        surface, n = contact_.points.surface, len(contact_.points.vertex)
+        dependent.append({names[i] for i in surface.interface[n:]})
+    assert dependent == [{"left_right"}] * 3
 
 
 def test_the_order_in_the_file_does_not_matter(tmp_path: Path) -> None:
     """A block pulled off its neighbours, which part: the same state in any order and naming."""
     found = []
     for turn in range(3):
-        text = scene(tmp_path, LYING_T, contact(0.2), (4, 2, 4), turn=turn)
+        text = scene(tmp_path, LYING_T, contact(0.2), cells=(4, 2, 4), turn=turn)
         text["supports"]["x0"] = {"kind": "displacement", "boundary": "x0", "x": "0.01 mm"}
         text["loads"] = {"press": {"kind": "force", "boundary": "z1", "force": "[9 N, 0 N, -40 N]"}}
         solved = support.solve(text, balances=True)
@@ -298,7 +405,7 @@ def test_friction_where_two_components_are_prescribed() -> None:
 @pytest.mark.parametrize("layout", ["T", "three under one"])
 def test_a_block_pushed_over_several_rubs_on_all_of_them(layout: str, tmp_path: Path) -> None:
     blocks, cells = LAYOUTS[layout]
-    text = scene(tmp_path, blocks, contact(0.3), cells, turn=1)
+    text = scene(tmp_path, blocks, contact(0.3), cells=cells, turn=1)
     top = text["supports"].pop("x1")
     text["supports"]["x0"] = top | {"boundary": "low_x0"}
     text["supports"]["x1"] = top | {"boundary": "low_x1"}
@@ -334,3 +441,61 @@ def test_a_body_is_free_where_supports_hold_those_beside_it(tmp_path: Path) -> N
     widening = POISSON * (1 + POISSON) * PRESSURE / MODULUS
     np.testing.assert_allclose(u[:, 1], 0.05 + widening * (x[:, 1] - 3), atol=1e-9)
     assert solved.balances.max() < 1e-8
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_block_on_a_rigid_floor_with_a_plane_of_symmetry(order: int) -> None:
+    """The floor is held elsewhere: its vertices are held, too, and the block bears the pressure."""
+    text = f"""
+geometry:
+  kind: blocks
+  blocks: [{{name: floor, size: [6 mm, 8 mm, 3 mm]}}, {{name: block, size: [6 mm, 8 mm, 4 mm]}}]
+mesh: {{size: 2 mm, order: {order}}}
+regions:
+  floor: {{rigid: true}}
+  block: {{youngs_modulus: 700 MPa, poisson_ratio: 0.35, tissue: other}}
+interfaces: {{floor_block: {{kind: contact, friction_coefficient: 0}}}}
+supports:
+  floor: {{kind: displacement, boundary: bottom, x: 0.01 mm, y: 0 mm, z: 0 mm}}
+  sym: {{kind: roller, boundary: block_x_min, axis: x}}
+  mid: {{kind: roller, boundary: block_y_min, axis: y}}
+loads: {{press: {{kind: pressure, boundary: top, pressure: 1.7 MPa}}}}
+"""
+    solved = support.solve(text, balances=True)
+    assert np.abs(solved.last.pressure - 1.7).max() < 1e-9
+    assert np.abs(solved.stress("block") - np.diag([0, 0, -1.7])).max() < 1e-9
+    _, u = solved.displacement("floor")
+    np.testing.assert_allclose(u, np.broadcast_to([0.01, 0, 0], u.shape), atol=1e-14)
+    x, u = solved.displacement("block")
+    exact = 1.7 / 700 * x * [0.35, 0.35, -1] + [0, 0, 1.7 / 700 * 3]
+    np.testing.assert_allclose(u, exact, atol=1e-12)
+    assert solved.balances.max() < 1e-8
+
+
+ON_RANKS = """
+import json, sys
+from pathlib import Path
+from mpi4py import MPI
+sys.path.insert(0, {root!r})
+from tests import support
+from tests.mechanics.test_interfaces_that_meet import BONDED, T, contact, scene
+folder = Path({folder!r})
+text = scene(folder, T, contact(0.2), contact(0.35), order=2) if MPI.COMM_WORLD.rank == 0 else None
+solved = support.solve(support.case(MPI.COMM_WORLD.bcast(text)), balances=True)
+keys = ("area", "pressure_mean", "pressure_max")
+numbers = {{name: [q[k] for k in keys] for name, q in solved.last.numbers.items()}}
+if MPI.COMM_WORLD.rank == 0:
+    (folder / "numbers.json").write_text(json.dumps(numbers))
+"""
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_a_uniform_pressure_is_exact_on_ranks(ranks: int, tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(ON_RANKS.format(root=str(support.ROOT), folder=str(tmp_path)))
+    support.on_ranks(ranks, program)
+    numbers = json.loads((tmp_path / "numbers.json").read_text())
+    sideways = POISSON / (1 - POISSON) * PRESSURE
+    for name, p in (("left_top", PRESSURE), ("right_top", PRESSURE), ("left_right", sideways)):
+        assert numbers[name] == pytest.approx([6.0, p, p], rel=1e-9)
