@@ -59,6 +59,9 @@ from ufl.variable import Variable
 # A face counts as open when the gap it keeps exceeds minus this fraction of |S|/r, so that the sign
 # of a rounding error does not decide.
 ROUNDING = 1e-9
+# A point at the limit of friction has the status of one that sticks while its trial force exceeds
+# the limit by less than this part: where loads rest, rounding does not decide.
+AT_REST = 1e-6
 
 OPEN, STICK, SLIP = 0, 1, 2
 _ONE = as_ufl(1.0)
@@ -117,7 +120,10 @@ class _Touching:
             return OPEN * _ONE
         if len(self.faces) == 3:
             return STICK * _ONE
-        return SLIP * _ONE if self.sticks is None else conditional(self.sticks, STICK, SLIP)
+        if self.sticks is None:
+            return SLIP * _ONE
+        limit = (1 + AT_REST) * self.radius
+        return conditional(le(inner(self.tangential, self.tangential), limit**2), STICK, SLIP)
 
 
 def contact_law(
