@@ -143,8 +143,9 @@ def _of_others(path: Path, apart: Iterable[Sequence[Sequence[str]]]) -> dict[str
         pairs = pairs[~(one & two[:, ::-1]).any(axis=1)]
     label = connected(len(points), *pairs.T)
     row = np.unique(label, return_index=True)[1][label]
-    told = found.told + mesh_files.left_out("sets of nodes without a facet", empty)
-    if doubled := int((row != np.arange(len(row))).sum()):
+    told = found.notes + mesh_files.left_out("sets of nodes without a facet", empty)
+    doubled = int((row != np.arange(len(row))).sum())
+    if doubled:
         told.append(f"geometry: {doubled} nodes are merged with others at their places")
     blocks, twice = dict[str, Any](), 0
     for name, rows in found.sets.items():

@@ -55,7 +55,8 @@ def read(path: Path, modified: int) -> Found:
     try:
         found = READERS[path.suffix](path)
         found.points = np.asarray(found.points, dtype=float)
-        if len(bad := np.flatnonzero(~np.isfinite(found.points).all(axis=1))):
+        bad = np.flatnonzero(~np.isfinite(found.points).all(axis=1))
+        if len(bad):
             raise ValueError(f"node {bad[0] + 1}: its coordinates are no numbers")
         _divide(found)
         clean = case_names(found.sets)
@@ -81,7 +82,7 @@ def _divide(found: Found) -> None:
                 "are regions, or name them by *SOLID SECTION in an .inp file"
             )
         free[rows] = False
-    found.told += left_out("sets without cells of their own are no regions", left)
+    found.notes += left_out("sets without cells of their own are no regions", left)
     if free.all():
         raise ValueError("names no region: it has no set of tetrahedra with a name")
     found.sets = {name: rows for name, rows in found.sets.items() if name not in left}
@@ -118,7 +119,7 @@ def _feb(path: Path) -> Found:
             extend(found.nodes, [name], rows_of(number, np.concatenate(parts), "node"))
         elif part.tag != "Nodes":
             other.append(f"{part.tag} {name}")
-    found.told += left_out("of the file's mesh are not read", other)
+    found.notes += left_out("of the file's mesh are not read", other)
     return found
 
 
@@ -138,7 +139,7 @@ def _vtu(path: Path) -> Found:
     """VTU, all of its pieces."""
     grid = vtu.read(path)
     found = Found(points=grid.points)
-    found.told += grid.notes
+    found.notes += grid.notes
     solids = [block for block in grid.blocks if block.dim == 3]
     names = grid.blocks[0].arrays if grid.blocks else {}
     data = {n: np.concatenate([b.arrays[n] for b in solids]) for n in names if solids}
@@ -253,8 +254,8 @@ def _choice(data: dict[str, Any], found: Found) -> tuple[str, Callable[[float], 
             )
         return "", lambda _: []
     key = pool[0]
-    found.told += [f"geometry: regions are the values of the array {key}"]
-    found.told += left_out("arrays of cells that are not read", (n for n in data if n != key))
+    found.notes += [f"geometry: regions are the values of the array {key}"]
+    found.notes += left_out("arrays of cells that are not read", (n for n in data if n != key))
     names = key.split("-")
     if whole[key].max() >= len(names):
         return key, lambda v: [f"{key}_{int(v)}"]

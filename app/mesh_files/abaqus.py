@@ -261,9 +261,9 @@ def read(path: Path) -> Found:
         of_part[part] = name
     parts = {b.options["NAME"].upper(): b.options["NAME"] for b in everything if b.key == "PART"}
     unused = {p for p in parts if instance and p not in of_part}
-    found.told += left_out("parts without an instance", [parts[p] for p in parts if p in unused])
+    found.notes += left_out("parts without an instance", [parts[p] for p in parts if p in unused])
     used = [b for b in everything if b.scope not in unused]
-    found.told += left_out(
+    found.notes += left_out(
         "of the file are not read", (f"*{b.key}" for b in used if b.key not in READ)
     )
     sets = _Sets({*instance} | {*parts})
@@ -283,7 +283,7 @@ def read(path: Path) -> Found:
     table = np.concatenate(nodes)
     found.points, node = table[:, 1:], table[:, 0].astype(np.int64)
     if empty:
-        found.told.append(f"geometry: {empty} coordinates of nodes are empty, and are taken as 0")
+        found.notes.append(f"geometry: {empty} coordinates of nodes are empty, and are taken as 0")
     _elements(found, used, sets, node, scope)
     return found
 
@@ -315,7 +315,7 @@ def _elements(
                 flat.append(rows[:, :4])
         if "ELSET" in b.options:
             sets.add("ELSET", b.option("ELSET"), scope(b), lambda n=own: n)  # type: ignore[misc]
-    found.told += left_out("elements that are not read", unread)
+    found.notes += left_out("elements that are not read", unread)
     element, shells = np.concatenate(numbers), np.concatenate(flat)
     cells = found.cells if found.blocks else np.zeros((0, 4), dtype=np.int64)
 
@@ -347,7 +347,8 @@ def _elements(
     def faces(b: Keyword) -> np.ndarray:
         """Corners of the facets of a surface (n, 3), as rows of nodes."""
         out: list[np.ndarray] = [np.zeros((0, 3), dtype=np.int64)]
-        if combine := b.options.get("COMBINE", "").upper():
+        combine = b.options.get("COMBINE", "").upper()
+        if combine:
             names = [w for _, line in b.lines for w in b.fields(line) if w]
             each = [sets.get("SURFACE", name, scope(b), b.at) for name in names]
             return _combined(combine, each, b.at)
@@ -366,7 +367,7 @@ def _elements(
                 out.append(cells[rows][:, SIDES[side]])
                 if len(rows) < len(members):
                     text = "elements of a surface are no tetrahedra of the file"
-                    found.told += left_out(text, [b.options["NAME"]])
+                    found.notes += left_out(text, [b.options["NAME"]])
             elif side in ("SPOS", "SNEG"):
                 if solid.any():
                     text = f"{side} is no face of a tetrahedron; expected S1 to S4, or none"
@@ -393,7 +394,7 @@ def _elements(
             elif kind == "ELEMENT":
                 sets.add("SURFACE", name, scope(b), lambda b=b: faces(b))  # type: ignore[misc]
             else:
-                found.told += left_out(f"surfaces of TYPE={kind} are not read", [name])
+                found.notes += left_out(f"surfaces of TYPE={kind} are not read", [name])
     _named(found, used, sets, scope, node, element, shells)
 
 
@@ -429,7 +430,7 @@ def _named(
         twice = {k for k in keys if often.count(k[1]) > 1 and k[0]}
         titled = {k: f"{k[0]}.{sets.spelled[k]}" if k in twice else sets.spelled[k] for k in keys}
         text = "sets of one name in several parts have the part before their name"
-        found.told.extend(left_out(text, [titled[k] for k in keys if k in twice]))
+        found.notes.extend(left_out(text, [titled[k] for k in keys if k in twice]))
         return titled
 
     sections = set()
@@ -451,7 +452,7 @@ def _named(
             found.triangles[title[key]] = rows_of(node, triangles, "node")
     regions = [key for key, members in solids.items() if len(members)]
     left = [k for k in regions if sections & {*regions} and k not in sections]
-    found.told += left_out("sets without *SOLID SECTION are no regions", [title[k] for k in left])
+    found.notes += left_out("sets without *SOLID SECTION are no regions", [title[k] for k in left])
     for key in regions:
         if key not in left:
             found.sets[title[key]] = rows_of(element, solids[key], "element")
@@ -459,7 +460,7 @@ def _named(
     for key in sets.made["SURFACE"]:
         corners = sets.members("SURFACE", key)
         if not len(corners):
-            found.told += left_out("surfaces without a facet", [boundary[key]])
+            found.notes += left_out("surfaces without a facet", [boundary[key]])
         found.triangles[boundary[key]] = corners
     for key in sets.made["NSET"]:
         found.nodes[boundary[key]] = rows_of(node, sets.members("NSET", key), "node")

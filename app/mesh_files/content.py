@@ -29,7 +29,7 @@ class Found:
     sets: dict[str, Ints] = field(default_factory=dict)
     triangles: dict[str, Ints] = field(default_factory=dict)
     nodes: dict[str, Ints] = field(default_factory=dict)
-    told: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     @property
     def cells(self) -> Ints:
@@ -81,11 +81,13 @@ def case_names(names: Iterable[str]) -> dict[str, str]:
 def rows_of(numbers: Ints, wanted: Ints, what: str) -> Ints:
     """Rows of the nodes or cells that have some numbers, in the shape of those."""
     by = np.argsort(numbers, kind="stable")
-    if len(again := np.flatnonzero(np.diff(numbers[by]) == 0)):
+    again = np.flatnonzero(np.diff(numbers[by]) == 0)
+    if len(again):
         text = f"{what} {numbers[by][again[0]]} is there twice"
         raise ValueError(f"{text}; save a model of parts as one, without parts and instances")
     at = by[np.searchsorted(numbers, wanted, sorter=by).clip(max=len(by) - 1)]
-    if (wrong := numbers[at] != wanted).any():
+    wrong = numbers[at] != wanted
+    if wrong.any():
         raise ValueError(f"{what} {wanted[wrong][0]} is used, but is not in the file")
     return np.asarray(at)
 
