@@ -17,6 +17,32 @@ ORDER_MED = [0, 2, 1, 3, 6, 5, 4, 7, 8, 9]
 ONLY = "only straight tetrahedra, or only quadratic ones, can be used"
 
 
+@dataclass(frozen=True)
+class Pick:
+    """Parts of a file that make the model: an array of cells, meshes; empty: the only ones."""
+
+    array: str = ""
+    meshes: tuple[str, ...] = ()
+
+
+@dataclass
+class CellBlock:
+    """Simplices of one dimension, nodes as rows of the grid's (n, k), with their data (n, ...)."""
+
+    dim: int
+    data: Ints
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass
+class CellGrid:
+    """Nodes (n, 3), blocks of cells, and notes on what was left out."""
+
+    points: Floats
+    blocks: list[CellBlock]
+    notes: list[str]
+
+
 @dataclass
 class Found:
     """Content of a mesh file: nodes (n, 3), cells (m, 4 or 10) in gmsh's order, and named sets.
