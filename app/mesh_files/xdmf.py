@@ -31,6 +31,7 @@ MIXED |= {9: ("hexahedron", 8), 34: ("edge_3", 3), 35: ("quadrilateral_9", 9)}
 MIXED |= {36: ("triangle_6", 6), 37: ("quadrilateral_8", 8), 38: ("tetrahedron_10", 10)}
 MIXED |= {39: ("pyramid_13", 13), 40: ("wedge_15", 15), 41: ("wedge_18", 18)}
 MIXED |= {48: ("hexahedron_20", 20), 49: ("hexahedron_24", 24), 50: ("hexahedron_27", 27)}
+RUN = 4096  # cells of one kind that are looked for at once
 KINDS = {"float": "f", "int": "i", "uint": "u", "char": "i", "uchar": "u"}
 ORDERS = {"big": ">", "little": "<", "native": "="}
 # References within the file: by names, by positions, and to several parts of an element.
@@ -246,25 +247,28 @@ class _File:
 
 def _mixed(data: Ints) -> dict[str, tuple[Ints, Ints]]:
     """Cells of several kinds: of each its positions among all cells (n,), and nodes (n, k)."""
-    starts: dict[str, list[tuple[int, int]]] = {}
+    starts: dict[str, list[tuple[Ints, Ints]]] = {}
     at = count = 0
     while at < len(data):
         code = int(data[at])
         if code not in MIXED:
             raise ValueError(f"has a cell of type {code}, which XDMF does not have")
         name, width = MIXED[code]
-        at += 1
-        if not width:
-            width = int(data[at]) if at < len(data) else 0
-            at += 1
-        starts.setdefault(name, []).append((count, at))
-        at += width
-        count += 1
+        run, first = 1, at + 1
+        if width:
+            codes = data[at : at + RUN * (width + 1) : width + 1]
+            run = len(codes) if (codes == code).all() else int(np.argmax(codes != code))
+        else:
+            width, first = max(0, int(data[first])) if first < len(data) else 0, at + 2
+        cells = np.arange(run)
+        starts.setdefault(name, []).append((count + cells, first + cells * (width + 1)))
+        at = first + run * (width + 1) - 1
+        count += run
     if at > len(data):
         raise ValueError("its cells of several kinds are cut short")
     blocks: dict[str, tuple[Ints, Ints]] = {}
     for name, places in starts.items():
-        rows, first = np.array(places).T
+        rows, first_nodes = (np.concatenate(parts) for parts in zip(*places, strict=True))
         width = SIMPLICES[name][1] if name in SIMPLICES else 0
-        blocks[name] = rows, data[first[:, None] + np.arange(width)]
+        blocks[name] = rows, data[first_nodes[:, None] + np.arange(width)]
     return blocks

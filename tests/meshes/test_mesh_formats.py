@@ -643,21 +643,21 @@ def test_xdmf_arrays_in_other_files(form: str, tmp_path: Path) -> None:
     arrays = {"x y": POINTS, "cells": CELLS.astype("i8"), "tags": TAGS.astype("i8")}
     order = ">" if "big" in form else "<"
     endian = ' Endian="Big"' if "big" in form else ' Endian="Little"'
-    with h5py.File(tmp_path / "my data.h5", "w") as file:
+    with h5py.File(tmp_path / "me & my data.h5", "w") as file:
         for name, values in arrays.items():
             file[f"mesh/{name}"] = values
             raw = values.astype(values.dtype.newbyteorder(order)).tobytes()
             (tmp_path / f"{name}.bin").write_bytes(b"skip" + raw)
     text = xdmf(grid(geometry(), topology(), attribute(TAGS)))
     for name, found in zip(arrays, re.findall(r"<DataItem.*?<", text), strict=True):
-        place = f"my data.h5:/mesh/{name}" if form == "HDF" else f"{name}.bin"
+        place = f"me &amp; my data.h5:/mesh/{name}" if form == "HDF" else f"{name}.bin"
         head = found[: found.index(">")].replace("XML", form.split()[0])
         head += "" if form == "HDF" else f'{endian} Seek="4"'
         text = text.replace(found, f"{head}> {place} <")
     path = tmp_path / "a.xdmf"
     whole(build(path, text), *MATERIALS)
     files = {*named.names(path)}
-    other = {"my data.h5"} if form == "HDF" else {f"{name}.bin" for name in arrays}
+    other = {"me & my data.h5"} if form == "HDF" else {f"{name}.bin" for name in arrays}
     assert files == {"a.xdmf", *other}
     (tmp_path / min(other)).unlink()
     assert f"its file {min(other)} is not there" in refused(path)
@@ -688,6 +688,7 @@ CUBE = np.arange(8)[None]
             "has a cell of type 99",
         ),
         (xdmf(grid(geometry(), topology(MIXED[:-2], "Mixed"))), "several kinds are cut short"),
+        (xdmf(grid(geometry(), topology(np.array([2, -2, 0]), "Mixed"))), "a cell of type 0"),
         (
             xdmf(grid(geometry(), topology(CELLS + 1), attribute(TAGS), name="x")),
             "its grid x: a cell has a node that is not in the file",
