@@ -198,7 +198,10 @@ class _File:
         return values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
 
     def _there(self, name: str) -> Path:
-        """A file that this one names."""
+        """A file that this one names, which is part of its content."""
+        folder = self.folder.resolve()
+        if not (folder / name).resolve().is_relative_to(folder):
+            raise ValueError(f"its file {name} is not in its folder or below")
         if not (self.folder / name).is_file():
             raise ValueError(f"its file {name} is not there")
         return self.folder / name

@@ -659,6 +659,8 @@ def test_xdmf_arrays_in_other_files(form: str, tmp_path: Path) -> None:
     files = {*named.names(path)}
     other = {"me & my data.h5"} if form == "HDF" else {f"{name}.bin" for name in arrays}
     assert files == {"a.xdmf", *other}
+    outside = text.replace("> ", "> ../", 1)
+    assert "is not in its folder or below" in refused(tmp_path / "b.xdmf", outside)
     (tmp_path / min(other)).unlink()
     assert f"its file {min(other)} is not there" in refused(path)
 
