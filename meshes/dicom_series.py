@@ -1,7 +1,8 @@
-"""Images in folders of DICOM slices, as a hospital exports them.
+"""Images in folders of DICOM slices, or in one file of many frames, as a hospital exports them.
 
-Slices of one series are taken. Folders hold other files, too: a directory of the medium, reports,
-localizers, secondary captures; they are left out by name. What could be meant is refused.
+Slices of one series are taken; a frame of a file is a slice like others. Folders hold other files,
+too: a directory of the medium, reports, localizers, secondary captures; they are left out by name.
+What could be meant is refused.
 """
 
 from __future__ import annotations
@@ -26,6 +27,19 @@ FIRST_GROUPS = (b"\x02\x00", b"\x08\x00")
 PREAMBLE = 128  # bytes before the letters DICM
 NAMED = 3  # files that a message names, at most
 PLACED = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")
+# Functional groups of a frame that have what other slices have themselves.
+GROUPS = {
+    "PlanePositionSequence": ("ImagePositionPatient",),
+    "PlaneOrientationSequence": ("ImageOrientationPatient",),
+    "PixelMeasuresSequence": ("PixelSpacing",),
+    "PixelValueTransformationSequence": ("RescaleSlope", "RescaleIntercept"),
+    "FrameContentSequence": ("StackID",),
+}
+# Tags of a file that its frames share.
+COMMON = (
+    *("SOPClassUID", "SeriesInstanceUID", "SeriesDescription", "Modality", "ImageType"),
+    *("Rows", "Columns", "SamplesPerPixel"),
+)
 
 
 def read(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
@@ -37,7 +51,7 @@ def read(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
         InputError: There are no slices of one series, in one plane, at even steps.
         Exception: A slice is damaged, in any way that pydicom meets it.
     """
-    headers, told = _headers(path)
+    headers, told = _headers(path) if path.is_dir() else (_of_file(path), [])
     slices = _of_one_series(path, headers, told)
     _check_equal(path, slices)
     across, down = np.split(np.mean([s.ImageOrientationPatient for s in slices], axis=0), 2)
@@ -59,7 +73,8 @@ def read(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
     affine[:3] = np.stack([across * spacing[1], down * spacing[0], step, at[0]], axis=1)
     affine[:2] *= -1
     modality = str(slices[0].get("Modality", "") or "no modality")
-    series = f"{len(slices)} DICOM slices of {_described(slices[0])} ({modality})"
+    what = "slices" if _frame(slices[0]) is None else "frames"
+    series = f"{len(slices)} DICOM {what} of {_described(slices[0])} ({modality})"
     return np.stack(numbers).T, affine, [series, *told], []
 
 
@@ -89,6 +104,43 @@ def _headers(path: Path) -> tuple[list[Any], list[str]]:
     if others:
         told.append(f"{len(others)} other files left out: {_names(others)}")
     return headers, told
+
+
+def _of_file(path: Path) -> list[Any]:
+    """Header of a file of many frames."""
+    header = _header(path)
+    if int(header.get("NumberOfFrames") or 1) < 2:
+        raise InputError(f"{path}: is one file of DICOM: give the folder of its series")
+    return [header]
+
+
+def _frames(header: Any) -> list[Any]:
+    """Frames of a file, each with the tags of a slice; the file alone if it is one slice."""
+    import pydicom
+
+    count = int(header.get("NumberOfFrames") or 1)
+    groups = header.get("PerFrameFunctionalGroupsSequence")
+    if groups is None and count > 1 and _is_placed(header):
+        text = f"has {count} frames and one place; convert it to NIfTI, as dcm2niix does"
+        raise InputError(f"{header.filename}: {text}")
+    if groups is None:
+        return [header]
+    if len(groups) != count:
+        text = f"has {count} frames, and places of {len(groups)}"
+        raise InputError(f"{header.filename}: {text}: is it damaged?")
+    shared = header.get("SharedFunctionalGroupsSequence") or [pydicom.Dataset()]
+    common = {tag: header[tag] for tag in COMMON if tag in header}
+    frames = []
+    for number, group in enumerate(groups):
+        frame = pydicom.Dataset()
+        frame.update({element.tag: element for element in common.values()})
+        for name, tags in GROUPS.items():
+            items = group.get(name) or shared[0].get(name) or [pydicom.Dataset()]
+            frame.update({items[0][tag].tag: items[0][tag] for tag in tags if tag in items[0]})
+        frame.filename = header.filename
+        frame.frame = number
+        frames.append(frame)
+    return frames
 
 
 def _is_slice(file: Path) -> bool:
@@ -126,10 +178,7 @@ def _of_one_series(path: Path, headers: Sequence[Any], told: list[str]) -> list[
         return [h for h in headers if not of(h)]
 
     slices = drop(headers, "files without an image", lambda h: "Rows" not in h)
-    many = [_name(s) for s in slices if int(s.get("NumberOfFrames") or 1) > 1]
-    if many:
-        text = f"{_names(many)}: is of many frames in a file; convert it to NIfTI, as dcm2niix does"
-        raise InputError(f"{path}: {text}")
+    slices = [frame for one in slices for frame in _frames(one)]
     if slices and not any(map(_is_placed, slices)):
         kind = slices[0].get("SOPClassUID", "")
         raise InputError(
@@ -142,7 +191,8 @@ def _of_one_series(path: Path, headers: Sequence[Any], told: list[str]) -> list[
         raise InputError(f"{path}: has no slices; {'; '.join(told)}")
     series: dict[str, list[Any]] = {}
     for one in slices:
-        series.setdefault(str(one.get("SeriesInstanceUID", "")), []).append(one)
+        key = f"{one.get('SeriesInstanceUID', '')} {one.get('StackID', '')}"
+        series.setdefault(key, []).append(one)
     if len(series) > 1:
         counts = ", ".join(str(len(those)) for those in series.values())
         each = "; ".join(
@@ -150,7 +200,9 @@ def _of_one_series(path: Path, headers: Sequence[Any], told: list[str]) -> list[
             for those in series.values()
         )
         text = f"has {counts} slices; expected those of one series, in one plane: {each}"
-        raise InputError(f"{path}: {text}. Put one series into a folder")
+        one_file = len({one.filename for one in slices}) == 1
+        remedy = "Convert one to NIfTI, as dcm2niix does" if one_file else "Put one into a folder"
+        raise InputError(f"{path}: {text}. {remedy}")
     return slices
 
 
@@ -184,8 +236,11 @@ def _without_copies(
     kept: list[Any] = []
     numbers: list[Any] = []
     copies = []
+    pixels: dict[str, Any] = {}
     for one in slices:
-        values = _numbers(one)
+        if one.filename not in pixels:
+            pixels = {one.filename: _pixels(one)}
+        values = _numbers(one, pixels[one.filename])
         near = kept and np.allclose(
             np.array(one.ImagePositionPatient, float),
             np.array(kept[-1].ImagePositionPatient, float),
@@ -205,20 +260,25 @@ def _without_copies(
     return kept, numbers
 
 
-def _numbers(header: Any) -> Any:
-    """CT numbers (rows, columns) of a slice, by its slope and intercept."""
+def _pixels(header: Any) -> Any:
+    """Stored pixels of the file of a slice (frames, rows, columns)."""
     import pydicom
 
     try:
         data = pydicom.dcmread(header.filename, force=True)
         if "TransferSyntaxUID" not in data.file_meta:
             data.file_meta.TransferSyntaxUID = pydicom.uid.ImplicitVRLittleEndian
-        pixels = data.pixel_array
+        return data.pixel_array.reshape(-1, int(header.Rows), int(header.Columns))
     except Exception as error:  # damaged files let pydicom fail in any way
         raise InputError(f"{header.filename}: has no pixels that can be read: {error}") from None
-    slope, intercept = data.get("RescaleSlope"), data.get("RescaleIntercept")
+
+
+def _numbers(header: Any, pixels: Any) -> Any:
+    """CT numbers (rows, columns) of a slice, by its slope and intercept."""
+    slope, intercept = header.get("RescaleSlope"), header.get("RescaleIntercept")
     slope = np.float32(1 if slope is None else slope)
-    return slope * pixels + np.float32(0 if intercept is None else intercept)
+    stored = pixels[_frame(header) or 0]
+    return slope * stored + np.float32(0 if intercept is None else intercept)
 
 
 def _is_placed(header: Any) -> bool:
@@ -226,7 +286,13 @@ def _is_placed(header: Any) -> bool:
 
 
 def _name(header: Any) -> str:
-    return Path(header.filename).name
+    frame = _frame(header)
+    return Path(header.filename).name + ("" if frame is None else f" (frame {frame + 1})")
+
+
+def _frame(header: Any) -> int | None:
+    """Position of a frame in its file; None of a slice that is a file."""
+    return getattr(header, "frame", None)
 
 
 def _names(names: Iterable[str]) -> str:

@@ -84,7 +84,7 @@ class Image:
 
 
 def read(path: Path) -> Image:
-    """Read NIfTI, a folder of DICOM, or ``values`` and ``affine`` in an ``.npz``; or InputError."""
+    """Read NIfTI, DICOM (folder, or file of frames), or ``values``, ``affine`` of an ``.npz``."""
     return _read(path, max(file.stat().st_mtime_ns for file in (path, *parts(path))))
 
 
@@ -131,7 +131,7 @@ def _reader(path: Path) -> Any:
         return _npz
     with path.open("rb") as file:
         if dicom_series.is_dicom(file.read(200)):
-            raise InputError(f"{path}: is one file of DICOM: give the folder of its series")
+            return dicom_series.read
     return nifti_file.read
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -112,7 +111,7 @@ def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
         if not (path.is_file() and geometry.copy_files(Path(folder)) == geometry.content):
             raise GeometryError(f"{path} has changed since it was looked at: run it again")
         if path.suffix in mesh_files.READERS:
-            return _of_others(path, geometry.apart)
+            return _of_others(path, geometry)
         request = {
             "path": str(path),
             "script": geometry.is_script,
@@ -125,26 +124,27 @@ def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
         return confined.ask("meshes.gmsh_child:read", request, folder)
 
 
-def _of_others(path: Path, apart: Iterable[Sequence[Sequence[str]]]) -> dict[str, Any]:
+def _of_others(path: Path, geometry: Any) -> dict[str, Any]:
     """The same of another program's file: facets of sets of nodes, nodes that coincide as one.
 
-    Those of regions on either side of ``apart`` stay two.
+    Those of regions on either side of ``apart`` of the geometry stay two.
     """
-    found = mesh_files.read(path, path.stat().st_mtime_ns)
+    found = mesh_files.read(path, geometry.pick)
     points, cells = found.points, found.cells
     facets = exterior_facets(cells)[0][:, :3]
     whole = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in found.nodes.items()}
     empty = [n for n, block in whole.items() if not len(block) and n not in found.triangles]
     pairs = coincident(points)
-    for sides in apart:
+    for sides in geometry.apart:
         one, two = (
             np.isin(pairs, cells[np.concatenate([found.sets[n] for n in side])]) for side in sides
         )
         pairs = pairs[~(one & two[:, ::-1]).any(axis=1)]
     label = connected(len(points), *pairs.T)
     row = np.unique(label, return_index=True)[1][label]
-    told = found.told + mesh_files.left_out("sets of nodes without a facet", empty)
-    if doubled := int((row != np.arange(len(row))).sum()):
+    told = found.notes + mesh_files.left_out("sets of nodes without a facet", empty)
+    doubled = int((row != np.arange(len(row))).sum())
+    if doubled:
         told.append(f"geometry: {doubled} nodes are merged with others at their places")
     blocks, twice = dict[str, Any](), 0
     for name, rows in found.sets.items():

@@ -73,7 +73,9 @@ def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
             before = line.rstrip()[:-1] + " "
             continue
         before = ""
-        if words := line.split():
+        words = line.split()
+        if words:
             yield number, [words[0].lower(), *words[1:]]
-    if words := before.split():
+    words = before.split()
+    if words:
         yield number, [words[0].lower(), *words[1:]]

@@ -79,7 +79,8 @@ def read(path: Path) -> tuple[Floats, list[str]]:
         if "vertex" not in columns or "face" not in columns:
             raise _Damaged(f"has no faces; its elements are {names or 'none'}")
         vertex = columns["vertex"]
-        if missing := {"x", "y", "z"} - vertex.keys():
+        missing = {"x", "y", "z"} - vertex.keys()
+        if missing:
             raise _Damaged(f"its vertices have no {', '.join(sorted(missing))}")
         corners = next((columns["face"][name] for name in CORNERS if name in columns["face"]), None)
         if corners is None:

@@ -106,7 +106,8 @@ def _faces(request: Mapping[str, Any]) -> tuple[Floats, list[Any]]:
             occ.synchronize()
         except Exception as error:
             raise GeometryError(f"{path}: no STEP, IGES or BREP file: {error}") from error
-        if (solids := len(gmsh.model.getEntities(3))) != 1:
+        solids = len(gmsh.model.getEntities(3))
+        if solids != 1:
             raise GeometryError(
                 f"{path}: {solids or 'no'} solid{'s' * (solids > 1)}; a stem is one:"
                 f" {'fuse them, or leave parts out' if solids else 'close its surface'}"

@@ -94,14 +94,18 @@ def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
     corners: list[tuple[str, ...]] = []
     at, solids = 0, 0
     while at < len(text):
-        if not (begin := BEGIN.match(text, at)):
+        begin = BEGIN.match(text, at)
+        if not begin:
             raise _unread(path, text, at, "`solid`")
         solids += 1
         first, at = begin.start() + 1, begin.end()
-        while facet := FACET.match(text, at):
+        facet = FACET.match(text, at)
+        while facet:
             corners.append(facet.groups())
             at = facet.end()
-        if not (end := END.match(text, at)):
+            facet = FACET.match(text, at)
+        end = END.match(text, at)
+        if not end:
             rest = text[at:].lstrip()
             read = f"after {len(corners):,} facets"
             if not rest or BEGIN.match(rest):

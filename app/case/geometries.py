@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -19,6 +19,8 @@ from app.case.gmsh_header import content, counts, physical_names
 from app.case.head_cups import HeadCup
 from app.case.patients import Patient
 from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
+from app.mesh_files import Pick
+from app.mesh_files.named import stamps
 from app.schema.paths import file
 from app.schema.section import ITEMS, MAPPING, Kinds, Name, Pair, Section, fail, not_one_of
 from app.schema.units import Angle, PositiveLength, SizeVector
@@ -188,21 +190,26 @@ _Side = Annotated[tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(
 _TwoSides = Annotated[tuple[_Side, _Side], Pair("[cement, [cortical, cancellous]]")]
 
 
-def _has_regions(path: Path) -> None:
-    if not physical_names(path, 3):
+def _has_regions(path: Path, keys: Mapping[str, Any]) -> None:
+    if not physical_names(path, 3, Pick(keys.get("array") or "", keys.get("meshes") or ())):
         raise ValueError("names no region: it has no physical volume with a name")
 
 
 class MeshFile(Shape):
     """A mesh file; its named volumes or sets of cells are regions, its named surfaces boundaries.
 
-    Files of gmsh (``.msh``), Abaqus and CalculiX (``.inp``), FEBio (``.feb``), VTU, XDMF and MED
-    are taken as they are. A ``.geo`` script of gmsh is meshed: it declares
+    Files of gmsh (``.msh``), Abaqus and CalculiX (``.inp``), FEBio (``.feb``), VTU (``.vtu``,
+    ``.pvtu``), XDMF and MED are taken as they are. A ``.geo`` script of gmsh is meshed: it declares
     ``DefineConstant[ size = 1 ];``, and ``far_size`` if it likes, which are set from the mesh
     section (in the script's unit).
     """
 
     kind: Literal["file"] = "file"
+    # Before the path, whose check needs them.
+    array: str | None = None
+    """Array of cells whose values are the regions, where a VTU or XDMF file has several."""
+    meshes: Annotated[tuple[str, ...], ITEMS] = ()
+    """Meshes that make the model, where a MED file has several of tetrahedra."""
     path: Annotated[Path, file(check=_has_regions)]
     """The file; relative to the case file."""
     unit: Literal["mm", "cm", "m", "um", "inch"] = "mm"
@@ -235,14 +242,19 @@ class MeshFile(Shape):
         return math.inf if self.is_script else 0.0
 
     @property
+    def pick(self) -> Pick:
+        """Parts of the file that make the model."""
+        return Pick(self.array or "", self.meshes)
+
+    @property
     def region_names(self) -> tuple[str, ...]:
         """Names of the physical volumes."""
-        return physical_names(self.path, 3)
+        return physical_names(self.path, 3, self.pick)
 
     @property
     def boundary_names(self) -> tuple[str, ...]:
         """Names of the physical surfaces."""
-        return physical_names(self.path, 2)
+        return physical_names(self.path, 2, self.pick)
 
     @property
     def told(self) -> dict[str, Any]:
@@ -272,7 +284,7 @@ class MeshFile(Shape):
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Number of elements of any dimension in the file, an upper bound; 0 for a script."""
-        return 0 if self.is_script else counts(self.path)
+        return 0 if self.is_script else counts(self.path, self.pick)
 
     @property
     def is_script(self) -> bool:
@@ -284,8 +296,13 @@ class MeshFile(Shape):
         """Hash of the file at the first access."""
         return content(self.path)
 
+    @property
+    def modified(self) -> float:
+        """Time at which the file, or one that it names, was modified last [s]."""
+        return max(stamp for _, stamp in stamps(self.path)) / 1e9
+
     def copy_files(self, folder: Path) -> str:
-        """Copy the file, and files that a script names, to a folder; return their hash."""
+        """Copy the file, and files that it names, to a folder; return their hash."""
         return content(self.path, folder)
 
 

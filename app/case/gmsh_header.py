@@ -6,41 +6,39 @@ import hashlib
 import os
 import re
 import struct
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
 import configs
 from app import mesh_files
+from app.mesh_files import EVERYTHING, Pick, named
 
 ENTRY = re.compile(rb'\s*(\d+)\s+\d+\s+"(.*)"\s*')
 # The sections before the nodes are short; a file without names is not read to its end.
 HEADER = 4 << 20
 # Scripts: comments go, text in quotes stays.
 COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?(?:\*/|\Z)""", re.DOTALL)
-QUOTED = re.compile(r"""\"([^"\n]*)"|'([^'\n]*)'""")
-# Files that an .xdmf file names. Each text between tags is looked at once: linear in its length.
-ARRAYS = re.compile(r">()([^<>:]+):")
 GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
 DIMENSIONS = {"Volume": 3, "Surface": 2}
 # Environment variable: the user trusts the scripts of this command.
 ALLOWED = "MANTLE_ALLOW_SCRIPTS"
 
 
-def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
+def physical_names(path: Path, dimension: int, pick: Pick = EVERYTHING) -> tuple[str, ...]:
     """Names of the physical groups of one dimension, in the order of the file.
 
-    It is a ``.msh`` file of format 2.2 or 4.1, a ``.geo`` script, or of another program.
+    It is a ``.msh`` file of format 2.2 or 4.1, a ``.geo`` script, or of another program, of which
+    parts may be picked.
 
     Raises:
         ValueError: The file is not of this format; the script does not use its parameter, or is
             not allowed to run.
     """
-    modified = path.stat().st_mtime_ns
+    mesh_files.check(path, pick)
     if path.suffix in mesh_files.READERS:
-        found = mesh_files.read(path, modified)
+        found = mesh_files.read(path, pick)
         return tuple(found.sets if dimension == 3 else found.triangles | found.nodes)
-    groups = _groups(path, modified)
+    groups = _groups(path, path.stat().st_mtime_ns)
     return tuple(mesh_files.case_names(name for d, name in groups if d == dimension).values())
 
 
@@ -76,9 +74,9 @@ def _groups_of_script(path: Path) -> list[tuple[int, str]]:
 
 
 def content(path: Path, copies: Path | None = None) -> str:
-    """Hash of a file and of the files that a script names; copy them to a folder on demand."""
+    """Hash of a file and of the files that it names; copy them to a folder on demand."""
     digest = hashlib.sha256()
-    for name in _files(path):
+    for name in named.names(path):
         raw = (path.parent / name).read_bytes()
         digest.update(f"{len(raw)} {name if name != path.name else ''}\0".encode() + raw)
         if copies:
@@ -88,27 +86,10 @@ def content(path: Path, copies: Path | None = None) -> str:
     return digest.hexdigest()
 
 
-def _files(path: Path) -> list[str]:
-    """A file, and the files below its folder that it names, recursively."""
-    folder, found = path.parent.resolve(), [path.name]
-    for name in found:  # it grows
-        if not name.endswith((".geo", ".xdmf")):
-            continue
-        text = (folder / name).read_text("utf-8", "replace")
-        for quoted in (QUOTED if name.endswith(".geo") else ARRAYS).finditer(text):
-            named = (quoted[1] or quoted[2] or ".").strip()
-            other = os.path.normpath(Path(name).parent / named)
-            with suppress(OSError, ValueError):  # not a file name
-                inside = (folder / other).resolve().is_relative_to(folder)
-                if inside and other not in found and (folder / other).is_file():
-                    found.append(other)
-    return found
-
-
-def counts(path: Path) -> int:
+def counts(path: Path, pick: Pick) -> int:
     """Number of cells, in a ``.msh`` file of all dimensions as announced; 0 if unknown."""
     if path.suffix in mesh_files.READERS:
-        return len(mesh_files.read(path, path.stat().st_mtime_ns).cells)
+        return len(mesh_files.read(path, pick).cells)
     data = path.read_bytes()
     elements = data.partition(b"$Elements\n")[2]
     try:

@@ -37,7 +37,7 @@ class Outline(Section):
     surface: SurfaceFile | None = None
     """STL, PLY or OBJ file of its triangles; relative to the case file."""
     image: ImageFile | None = None
-    """Labelled image in place of them: NIfTI, a folder of DICOM slices, or `values` and `affine`
+    """Labelled image in place of them: NIfTI, DICOM (slices or frames), or `values` and `affine`
     (to mm) in an `.npz`."""
     label: Annotated[int, Plain(integer=True)] | None = None
     """Number of its voxels in the image."""

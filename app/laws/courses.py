@@ -16,7 +16,7 @@ from app.schema.paths import file
 from app.schema.section import ITEMS, Section, Text, fail, show
 from app.schema.units import ANGLE, FORCE, Dimension
 
-CSV: Any = file(".csv", check=lambda path: path.read_text(encoding="utf-8-sig"))
+CSV: Any = file(".csv", check=lambda path, _: path.read_text(encoding="utf-8-sig"))
 # Name and unit of a column: `rotation x [deg]`.
 HEADER = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*")
 ROTATIONS = tuple(f"rotation {axis}" for axis in "xyz")

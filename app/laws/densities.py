@@ -98,7 +98,7 @@ class ImageModulus(Section):
     found: ClassVar[tuple[str, ...]] = ("sha256",)
 
     density: ImageFile
-    """Image of CT numbers: NIfTI, a folder of DICOM slices, or `values` and `affine` in an `.npz`
+    """Image of CT numbers: NIfTI, DICOM (slices or frames), or `values` and `affine` in an `.npz`
     of numpy."""
     calibration: Calibration
     """What makes densities of CT numbers: the line of a phantom."""

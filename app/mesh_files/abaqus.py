@@ -23,14 +23,17 @@ OTHER = re.compile(r"\w*C3D\w*")
 # Corners of the faces of a tetrahedron.
 SIDES = {"S1": (0, 1, 2), "S2": (0, 3, 1), "S3": (1, 3, 2), "S4": (2, 3, 0)}
 # Keywords that make or move nodes and cells, or take them from elsewhere.
-MOVING = {"INCLUDE", "SYSTEM", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "IMPORT"}
+MOVING = {"INCLUDE", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "IMPORT"}
 MOVING |= {"IMPERFECTION", "ADJUST", "SYMMETRICMODELGENERATION"}
 READ = {"NODE", "ELEMENT", "ELSET", "NSET", "SURFACE", "SOLIDSECTION", "HEADING", "PREPRINT"}
 READ |= {"PART", "INSTANCE", "ASSEMBLY", "ENDPART", "ENDINSTANCE", "ENDASSEMBLY", "ENDSTEP"}
+READ |= {"SYSTEM"}
 # Options without a value, which may stand alone in the second line of a keyword.
 FLAGS = {"GENERATE", "INTERNAL", "UNSORTED", "NOPRINT"}
 # Exponents as Fortran writes them.
 EXPONENT = re.compile(r"(?<=[\d.])(?:[dD]|(?=[+-]))(?=[+-]?\d)")
+# Sine of the angle between the axes of a system, at least.
+ON_A_LINE = 1e-9
 
 Key = tuple[str, str]  # instance or part, "" for the assembly; name in capitals
 
@@ -181,17 +184,67 @@ def blocks(path: Path) -> Iterator[Keyword]:
         yield block
 
 
-def _cartesian(block: Keyword, nodes: Floats) -> Floats:
-    """Cartesian coordinates of nodes (n, 4), whatever the system of their block."""
-    system = block.options.get("SYSTEM", "R").upper()[:1]
-    if system == "R":
-        return nodes
-    if system != "C":
-        raise ValueError(
-            f"{block.at}: SYSTEM={block.options['SYSTEM']} is not read; save Cartesian coordinates"
-        )
-    r, angle = nodes[:, 1], np.radians(nodes[:, 2])
-    return np.column_stack([nodes[:, 0], r * np.cos(angle), r * np.sin(angle), nodes[:, 3]])
+def _cartesian(block: Keyword, given: Floats) -> Floats:
+    """Cartesian coordinates (n, 3) of nodes in the system of their block.
+
+    R is Cartesian. C has the radius, the angle about z from x and z. S has the radius, the same
+    angle and that from the xy-plane to z. Angles are in degrees.
+    """
+    system = block.options.get("SYSTEM", "R").upper()
+    if system[:1] == "R":
+        return given
+    if system[:1] not in ("C", "S"):
+        raise ValueError(f"{block.at}: SYSTEM={system} is not read; expected R, C or S")
+    radius, longitude = given[:, 0], np.radians(given[:, 1])
+    height = given[:, 2]
+    if system[:1] == "S":
+        latitude = np.radians(given[:, 2])
+        height = radius * np.sin(latitude)
+        radius = radius * np.cos(latitude)
+    return np.column_stack([radius * np.cos(longitude), radius * np.sin(longitude), height])
+
+
+@dataclass(frozen=True)
+class _Axes:
+    """Axes of ``*SYSTEM``, in which the nodes after it are given: origin (3,), axes in rows."""
+
+    origin: Floats
+    axes: Floats
+
+    @classmethod
+    def of(cls, block: Keyword) -> _Axes:
+        """The axes of a block: origin and a point on x, then one in the xy-plane.
+
+        Without the last the plane's normal is the global z, and x is projected. Without both the
+        axes are the global ones. A block without lines ends an earlier one.
+        """
+        if len(block.lines) > 2:
+            raise ValueError(f"{block.at}: has more than two lines")
+        numbers: list[float] = []
+        given = 0
+        for (at, line), width in zip(block.lines, (6, 3), strict=False):
+            words = block.fields(line.rstrip(", \t"))
+            if len(words) > width:
+                raise ValueError(f"{block.at}: line {at}: {len(words)} numbers for {width}")
+            given = len(numbers) + len(words)
+            numbers += [block.number(at, word, float) for word in [*words, *[""] * width][:width]]
+        origin, on_x, in_plane = np.array([*numbers, *[0.0] * 9][:9]).reshape(3, 3)
+        if given <= 3:
+            return cls(origin, np.eye(3))
+        first = on_x - origin
+        other = in_plane - origin
+        if given <= 6:
+            first = first * [1, 1, 0]
+            other = np.array([-first[1], first[0], 0.0])
+        third = np.cross(first, other)
+        if not np.linalg.norm(third) > ON_A_LINE * np.linalg.norm(first) * np.linalg.norm(other):
+            raise ValueError(f"{block.at}: its points are on one line")
+        axes = np.stack([first, np.cross(third, first), third])
+        return cls(origin, axes / np.linalg.norm(axes, axis=1, keepdims=True))
+
+    def global_places(self, x: Floats) -> Floats:
+        """Global coordinates of places (n, 3) in these axes."""
+        return self.origin + x @ self.axes
 
 
 class _Sets:
@@ -261,9 +314,9 @@ def read(path: Path) -> Found:
         of_part[part] = name
     parts = {b.options["NAME"].upper(): b.options["NAME"] for b in everything if b.key == "PART"}
     unused = {p for p in parts if instance and p not in of_part}
-    found.told += left_out("parts without an instance", [parts[p] for p in parts if p in unused])
+    found.notes += left_out("parts without an instance", [parts[p] for p in parts if p in unused])
     used = [b for b in everything if b.scope not in unused]
-    found.told += left_out(
+    found.notes += left_out(
         "of the file are not read", (f"*{b.key}" for b in used if b.key not in READ)
     )
     sets = _Sets({*instance} | {*parts})
@@ -271,19 +324,25 @@ def read(path: Path) -> Found:
     def scope(b: Keyword) -> str:
         return b.options.get("INSTANCE", of_part.get(b.scope, b.scope)).upper()
 
-    nodes: list[np.ndarray] = [np.zeros((0, 4))]
+    points: list[Floats] = [np.zeros((0, 3))]
+    numbered: list[Ints] = [np.zeros(0, dtype=np.int64)]
     empty = 0
-    for b in (b for b in used if b.key == "NODE"):
+    axes: dict[str, _Axes] = {}
+    for b in (b for b in used if b.key in ("NODE", "SYSTEM")):
+        if b.key == "SYSTEM":
+            axes[b.scope] = _Axes.of(b)
+            continue
         rows, blank = b.coordinates()
-        nodes.append(_cartesian(b, rows))
+        x = _cartesian(b, rows[:, 1:])
+        points.append(axes[b.scope].global_places(x) if b.scope in axes else x)
+        numbered.append(rows[:, 0].astype(np.int64))
         empty += blank
         if "NSET" in b.options:
-            numbers = rows[:, 0].astype(np.int64)
-            sets.add("NSET", b.option("NSET"), scope(b), lambda n=numbers: n)  # type: ignore[misc]
-    table = np.concatenate(nodes)
-    found.points, node = table[:, 1:], table[:, 0].astype(np.int64)
+            own = numbered[-1]
+            sets.add("NSET", b.option("NSET"), scope(b), lambda n=own: n)  # type: ignore[misc]
+    found.points, node = np.concatenate(points), np.concatenate(numbered)
     if empty:
-        found.told.append(f"geometry: {empty} coordinates of nodes are empty, and are taken as 0")
+        found.notes.append(f"geometry: {empty} coordinates of nodes are empty, and are taken as 0")
     _elements(found, used, sets, node, scope)
     return found
 
@@ -315,7 +374,7 @@ def _elements(
                 flat.append(rows[:, :4])
         if "ELSET" in b.options:
             sets.add("ELSET", b.option("ELSET"), scope(b), lambda n=own: n)  # type: ignore[misc]
-    found.told += left_out("elements that are not read", unread)
+    found.notes += left_out("elements that are not read", unread)
     element, shells = np.concatenate(numbers), np.concatenate(flat)
     cells = found.cells if found.blocks else np.zeros((0, 4), dtype=np.int64)
 
@@ -347,7 +406,8 @@ def _elements(
     def faces(b: Keyword) -> np.ndarray:
         """Corners of the facets of a surface (n, 3), as rows of nodes."""
         out: list[np.ndarray] = [np.zeros((0, 3), dtype=np.int64)]
-        if combine := b.options.get("COMBINE", "").upper():
+        combine = b.options.get("COMBINE", "").upper()
+        if combine:
             names = [w for _, line in b.lines for w in b.fields(line) if w]
             each = [sets.get("SURFACE", name, scope(b), b.at) for name in names]
             return _combined(combine, each, b.at)
@@ -366,7 +426,7 @@ def _elements(
                 out.append(cells[rows][:, SIDES[side]])
                 if len(rows) < len(members):
                     text = "elements of a surface are no tetrahedra of the file"
-                    found.told += left_out(text, [b.options["NAME"]])
+                    found.notes += left_out(text, [b.options["NAME"]])
             elif side in ("SPOS", "SNEG"):
                 if solid.any():
                     text = f"{side} is no face of a tetrahedron; expected S1 to S4, or none"
@@ -393,7 +453,7 @@ def _elements(
             elif kind == "ELEMENT":
                 sets.add("SURFACE", name, scope(b), lambda b=b: faces(b))  # type: ignore[misc]
             else:
-                found.told += left_out(f"surfaces of TYPE={kind} are not read", [name])
+                found.notes += left_out(f"surfaces of TYPE={kind} are not read", [name])
     _named(found, used, sets, scope, node, element, shells)
 
 
@@ -429,7 +489,7 @@ def _named(
         twice = {k for k in keys if often.count(k[1]) > 1 and k[0]}
         titled = {k: f"{k[0]}.{sets.spelled[k]}" if k in twice else sets.spelled[k] for k in keys}
         text = "sets of one name in several parts have the part before their name"
-        found.told.extend(left_out(text, [titled[k] for k in keys if k in twice]))
+        found.notes.extend(left_out(text, [titled[k] for k in keys if k in twice]))
         return titled
 
     sections = set()
@@ -451,7 +511,7 @@ def _named(
             found.triangles[title[key]] = rows_of(node, triangles, "node")
     regions = [key for key, members in solids.items() if len(members)]
     left = [k for k in regions if sections & {*regions} and k not in sections]
-    found.told += left_out("sets without *SOLID SECTION are no regions", [title[k] for k in left])
+    found.notes += left_out("sets without *SOLID SECTION are no regions", [title[k] for k in left])
     for key in regions:
         if key not in left:
             found.sets[title[key]] = rows_of(element, solids[key], "element")
@@ -459,7 +519,7 @@ def _named(
     for key in sets.made["SURFACE"]:
         corners = sets.members("SURFACE", key)
         if not len(corners):
-            found.told += left_out("surfaces without a facet", [boundary[key]])
+            found.notes += left_out("surfaces without a facet", [boundary[key]])
         found.triangles[boundary[key]] = corners
     for key in sets.made["NSET"]:
         found.nodes[boundary[key]] = rows_of(node, sets.members("NSET", key), "node")

@@ -17,6 +17,32 @@ ORDER_MED = [0, 2, 1, 3, 6, 5, 4, 7, 8, 9]
 ONLY = "only straight tetrahedra, or only quadratic ones, can be used"
 
 
+@dataclass(frozen=True)
+class Pick:
+    """Parts of a file that make the model: an array of cells, meshes; empty: the only ones."""
+
+    array: str = ""
+    meshes: tuple[str, ...] = ()
+
+
+@dataclass
+class CellBlock:
+    """Simplices of one dimension, nodes as rows of the grid's (n, k), with their data (n, ...)."""
+
+    dim: int
+    data: Ints
+    arrays: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass
+class CellGrid:
+    """Nodes (n, 3), blocks of cells, and notes on what was left out."""
+
+    points: Floats
+    blocks: list[CellBlock]
+    notes: list[str]
+
+
 @dataclass
 class Found:
     """Content of a mesh file: nodes (n, 3), cells (m, 4 or 10) in gmsh's order, and named sets.
@@ -29,7 +55,7 @@ class Found:
     sets: dict[str, Ints] = field(default_factory=dict)
     triangles: dict[str, Ints] = field(default_factory=dict)
     nodes: dict[str, Ints] = field(default_factory=dict)
-    told: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     @property
     def cells(self) -> Ints:
@@ -81,11 +107,13 @@ def case_names(names: Iterable[str]) -> dict[str, str]:
 def rows_of(numbers: Ints, wanted: Ints, what: str) -> Ints:
     """Rows of the nodes or cells that have some numbers, in the shape of those."""
     by = np.argsort(numbers, kind="stable")
-    if len(again := np.flatnonzero(np.diff(numbers[by]) == 0)):
+    again = np.flatnonzero(np.diff(numbers[by]) == 0)
+    if len(again):
         text = f"{what} {numbers[by][again[0]]} is there twice"
         raise ValueError(f"{text}; save a model of parts as one, without parts and instances")
     at = by[np.searchsorted(numbers, wanted, sorter=by).clip(max=len(by) - 1)]
-    if (wrong := numbers[at] != wanted).any():
+    wrong = numbers[at] != wanted
+    if wrong.any():
         raise ValueError(f"{what} {wanted[wrong][0]} is used, but is not in the file")
     return np.asarray(at)
 

@@ -1,4 +1,4 @@
-"""Reader of ``.vtu`` files of VTK and ParaView: text, binary and appended data, all pieces."""
+"""Reader of ``.vtu`` and ``.pvtu`` files of VTK and ParaView, of all encodings and pieces."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import base64
 import lzma
 import re
 import zlib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from app.arrays import Ints
 from app.mesh_files import lz4_block
+from app.mesh_files.content import CellBlock, CellGrid
 
 TYPES = {f"{'U' * u}Int{8 * n}": f"{'ui'[not u]}{n}" for u in (0, 1) for n in (1, 2, 4, 8)}
 TYPES |= {"Float32": "f4", "Float64": "f8"}
@@ -30,24 +31,6 @@ TETRAHEDRA = {10: (4,), 24: (10,), 71: (4, 10)}
 SOLIDS = {*range(10, 17), 24, 25, 26, 27, 29, 32, 33, 42, *range(71, 75), *range(78, 82)}
 # Bit of ``vtkGhostType``: the cell is a copy of one of another piece.
 DUPLICATE = 1
-
-
-@dataclass
-class CellBlock:
-    """Cells of one number of nodes, as `dim`-dimensional simplices, with their data (n, ...)."""
-
-    dim: int
-    data: Ints
-    arrays: dict[str, np.ndarray] = field(default_factory=dict)
-
-
-@dataclass
-class PieceGrid:
-    """Nodes (n, 3), blocks of cells, and notes on what was left out."""
-
-    points: np.ndarray
-    blocks: list[CellBlock]
-    notes: list[str]
 
 
 class _Source:
@@ -149,65 +132,113 @@ class _Source:
         return text[: 4 * -(-size // 3)].endswith(b"=")
 
 
-def read(path: Path) -> PieceGrid:
+@dataclass
+class _Piece:
+    """Nodes and cells of a piece, the names of its arrays, and counts of what is not read."""
+
+    points: np.ndarray
+    blocks: list[CellBlock]
+    names: set[str]
+    ghosts: int
+    unread: dict[int, int]
+
+
+def read(path: Path) -> CellGrid:
     """All pieces of a file as one grid.
 
     Raises:
         ValueError: The file is damaged or of no use.
     """
+    return _joined(_pieces(path))
+
+
+def read_parallel(path: Path) -> CellGrid:
+    """All pieces of the files that a ``.pvtu`` file names, as one grid.
+
+    Raises:
+        ValueError: A file is not there, outside of the folder, damaged or of no use.
+    """
+    root = ET.fromstring(path.read_bytes())
+    grid = root.find("PUnstructuredGrid")
+    if grid is None:
+        raise ValueError(f"is no PUnstructuredGrid but {root.get('type', 'something else')}")
+    names = [piece.get("Source", "") for piece in grid.findall("Piece")]
+    folder = path.parent.resolve()
+    outside = [n for n in names if not (folder / n).resolve().is_relative_to(folder)]
+    if outside:
+        raise ValueError(f"its pieces {', '.join(outside)} are not in its folder or below")
+    missing = [n or "(no Source)" for n in names if not (folder / n).is_file()]
+    if missing:
+        count = f"{len(missing)} of its {len(names)} pieces are not there"
+        raise ValueError(f"{count}: {', '.join(missing)}")
+    pieces = []
+    for name in names:
+        try:
+            pieces += _pieces(folder / name)
+        except Exception as error:  # of a damaged file there is no telling which
+            raise ValueError(f"its piece {name}: {error}") from error
+    return _joined(pieces)
+
+
+def _pieces(path: Path) -> list[_Piece]:
+    """Pieces of a file that have cells."""
     source = _Source(path)
     grid = source.root.find("UnstructuredGrid")
     if grid is None:
         raise ValueError(f"is no UnstructuredGrid but {source.root.get('type', 'something else')}")
-    pieces = [piece for piece in grid.findall("Piece") if int(piece.get("NumberOfCells", 0))]
+    full = (piece for piece in grid.findall("Piece") if int(piece.get("NumberOfCells", 0)))
+    return [_piece(source, piece) for piece in full]
+
+
+def _piece(source: _Source, piece: ET.Element) -> _Piece:
+    x = source.array(_only(piece, "Points/DataArray"))
+    if x.ndim != 2 or x.shape[1] != 3 or len(x) != int(piece.get("NumberOfPoints", -1)):
+        raise ValueError("its points are no rows of three, or not as many as announced")
+    arrays = {a.get("Name", ""): source.array(a) for a in piece.findall("CellData/DataArray")}
+    cells = {a.get("Name", ""): source.array(a) for a in piece.findall("Cells/DataArray")}
+    count = int(piece.get("NumberOfCells", 0))
+    wrong = [name for name, values in arrays.items() if len(values) != count]
+    if {*cells} < {"connectivity", "offsets", "types"} or len(cells["types"]) != count:
+        raise ValueError("its cells are not as many as announced")
+    if wrong or len(cells["offsets"]) != count:
+        raise ValueError(f"its array {(wrong or ['offsets'])[0]} has not a value for each cell")
+    names = {*arrays}
+    flag = arrays.pop("vtkGhostType", None)
+    level = arrays.pop("vtkGhostLevels", None)
+    keep = np.ones(count, dtype=bool)
+    if flag is not None:
+        keep = (flag.astype(np.int64) & DUPLICATE) == 0
+    elif level is not None:
+        keep = level == 0
+    unread: dict[int, int] = {}
+    blocks = [*_blocks(cells, arrays, keep, unread)]
+    if any(block.data.min() < 0 or block.data.max() >= len(x) for block in blocks):
+        raise ValueError("a cell has a node that is not in the file")
+    return _Piece(x, blocks, names, int((~keep).sum()), unread)
+
+
+def _joined(pieces: Sequence[_Piece]) -> CellGrid:
+    """Nodes and cells of pieces as one grid; nodes at the same place stay several."""
     if not pieces:
         raise ValueError("has no cells")
-    points, blocks, notes, unread, ghosts = (
-        list[np.ndarray](),
-        list[CellBlock](),
-        list[str](),
-        dict[int, int](),
-        0,
-    )
-    known: set[str] | None = None
+    if any(piece.names != pieces[0].names for piece in pieces):
+        raise ValueError("its pieces have different arrays of cells")
+    blocks = []
+    shift = 0
     for piece in pieces:
-        x = source.array(_only(piece, "Points/DataArray"))
-        if x.ndim != 2 or x.shape[1] != 3 or len(x) != int(piece.get("NumberOfPoints", -1)):
-            raise ValueError("its points are no rows of three, or not as many as announced")
-        arrays = {a.get("Name", ""): source.array(a) for a in piece.findall("CellData/DataArray")}
-        cells = {a.get("Name", ""): source.array(a) for a in piece.findall("Cells/DataArray")}
-        count = int(piece.get("NumberOfCells", 0))
-        wrong = [name for name, values in arrays.items() if len(values) != count]
-        if {*cells} < {"connectivity", "offsets", "types"} or len(cells["types"]) != count:
-            raise ValueError("its cells are not as many as announced")
-        if wrong or len(cells["offsets"]) != count:
-            raise ValueError(f"its array {(wrong or ['offsets'])[0]} has not a value for each cell")
-        if known is not None and known != {*arrays}:
-            raise ValueError("its pieces have different arrays of cells")
-        known = {*arrays}
-        flag = arrays.pop("vtkGhostType", None)
-        level = arrays.pop("vtkGhostLevels", None)
-        keep = np.ones(count, dtype=bool)
-        if flag is not None:
-            keep = (flag.astype(np.int64) & DUPLICATE) == 0
-        elif level is not None:
-            keep = level == 0
-        ghosts += int((~keep).sum())
-        shift = sum(map(len, points))
-        for block in _blocks(cells, arrays, keep, unread):
-            if block.data.min() < 0 or block.data.max() >= len(x):
-                raise ValueError("a cell has a node that is not in the file")
-            block.data = block.data + shift
-            blocks.append(block)
-        points.append(x)
+        blocks += [replace(block, data=block.data + shift) for block in piece.blocks]
+        shift += len(piece.points)
+    notes = []
     if len(pieces) > 1:
         notes.append(f"geometry: the file has {len(pieces)} pieces, which are read as one mesh")
+    ghosts = sum(piece.ghosts for piece in pieces)
     if ghosts:
         notes.append(f"geometry: {ghosts} ghost cells, copies of other pieces' cells, are left out")
+    unread = sum((Counter(piece.unread) for piece in pieces), Counter())
     if unread:
         kinds = ", ".join(f"{n} of VTK type {kind}" for kind, n in sorted(unread.items()))
         notes.append(f"geometry: cells that are no tetrahedra or triangles are not read: {kinds}")
-    return PieceGrid(np.concatenate(points), blocks, notes)
+    return CellGrid(np.concatenate([piece.points for piece in pieces]), blocks, notes)
 
 
 def _only(piece: ET.Element, path: str) -> ET.Element:

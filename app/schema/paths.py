@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ValidationInfo
 
@@ -12,11 +12,13 @@ from app.schema.section import fail, not_one_of, show
 
 
 def file(
-    *suffixes: str, check: Callable[[Path], object] | None = None, folder: bool = False
+    *suffixes: str,
+    check: Callable[[Path, Mapping[str, Any]], object] | None = None,
+    folder: bool = False,
 ) -> BeforeValidator:
     """A file that exists, relative to the case's folder; `check` raises ValueError or OSError.
 
-    With `folder` it may be a folder.
+    It is called with the keys before the file's, too. With `folder` it may be a folder.
     """
 
     def find(value: object, info: ValidationInfo) -> Path:
@@ -25,7 +27,7 @@ def file(
         try:
             path: Path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
             if (found := path.is_file() or (folder and path.is_dir())) and check:
-                check(path)
+                check(path, info.data)
         except OSError as error:
             fail(f"{show(str(value))} cannot be read: {error.strerror}")
         except (RuntimeError, ValueError) as error:  # an unknown user; a bad file

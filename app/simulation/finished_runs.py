@@ -28,7 +28,7 @@ def finished(folder: Path, case: Case) -> bool:
         return False
     same &= record.get("identity") == identity.parts()
     geometry = case.geometry
-    newer = isinstance(geometry, MeshFile) and geometry.path.stat().st_mtime > done
+    newer = isinstance(geometry, MeshFile) and geometry.modified > done
     return same and not newer
 
 

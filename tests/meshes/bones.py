@@ -83,7 +83,7 @@ def slices(folder: Path, values: Any, affine: Floats, series: str = "1.2") -> Pa
 
     By the standard's C.7.6.2. The affine to mm is as in NIfTI: right, anterior, superior positive.
     """
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(exist_ok=True, parents=True)
     s = pydicom.dcmread(pydicom.data.get_testdata_file("CT_small.dcm"))
     lps, n = np.diag([-1.0, -1.0, 1.0]) @ affine[:3], values.shape[2]
     edge = np.linalg.norm(lps[:, :2], axis=0)
@@ -96,6 +96,46 @@ def slices(folder: Path, values: Any, affine: Floats, series: str = "1.2") -> Pa
         s.PixelData = (2 * values[:, :, k].T + 2000).astype("<i2").tobytes()
         s.save_as(folder / f"{series}.{7 * k % n}")
     return folder
+
+
+def enhanced(path: Path, values: Any, affine: Floats) -> Path:
+    """Write numbers as one DICOM file of many frames, an enhanced CT, its frames out of order.
+
+    By the standard's C.7.6.16: what frames share is in one group, their places in others. Each
+    has an intercept of its own.
+    """
+    one = slices(path.parent / "slices", values, affine)
+    files = [pydicom.dcmread(file) for file in sorted(one.iterdir())]
+    whole = files[0]
+    whole.SOPClassUID = whole.file_meta.MediaStorageSOPClassUID = "1.2.840.10008.5.1.4.1.1.2.1"
+    shared = pydicom.Dataset()
+    shared.PixelMeasuresSequence = [part(whole, "PixelSpacing")]
+    shared.PlaneOrientationSequence = [part(whole, "ImageOrientationPatient")]
+    whole.SharedFunctionalGroupsSequence, groups = [shared], []
+    for k, file in enumerate(files):
+        group = pydicom.Dataset()
+        group.PlanePositionSequence = [part(file, "ImagePositionPatient")]
+        file.PixelData = (file.pixel_array + 2 * k).astype("<i2").tobytes()
+        file.RescaleIntercept -= k
+        group.PixelValueTransformationSequence = [part(file, "RescaleSlope", "RescaleIntercept")]
+        group.FrameContentSequence = [pydicom.Dataset()]
+        group.FrameContentSequence[0].StackID = "1"
+        groups.append(group)
+    whole.PerFrameFunctionalGroupsSequence = groups
+    whole.NumberOfFrames = len(files)
+    whole.PixelData = b"".join(file.PixelData for file in files)
+    for tag in ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"):
+        delattr(whole, tag)
+    del whole.RescaleSlope, whole.RescaleIntercept
+    whole.save_as(path)
+    return path
+
+
+def part(data: Any, *tags: str) -> Any:
+    """A data set of some tags of another one."""
+    made = pydicom.Dataset()
+    made.update({data[tag].tag: data[tag] for tag in tags})
+    return made
 
 
 def inside(surface: BoneSurface, x: Floats, y: Floats, z: Floats) -> Bools:

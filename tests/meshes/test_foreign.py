@@ -11,7 +11,7 @@ from mpi4py import MPI
 import meshio
 import numpy as np
 import pytest
-from dolfinx import io
+from dolfinx import fem, io, mesh
 
 import meshes
 from app.case.case import load
@@ -121,7 +121,7 @@ def edges(data: MeshData) -> set[tuple[int, int, int]]:
     return {*map(tuple, np.hstack([ends, middles]).tolist())}
 
 
-@pytest.mark.parametrize("suffix", ["inp", "feb", "med", "vtu"])
+@pytest.mark.parametrize("suffix", ["inp", "feb", "med", "vtu", "xdmf"])
 def test_a_mesh_through_each_format(suffix: str, rod: MeshData, tmp_path: Path) -> None:
     """Volumes, areas, names and the places of all nodes, in the unit of the file."""
     path, small = tmp_path / f"rod.{suffix}", replace(rod, points=rod.points / 10)
@@ -220,6 +220,32 @@ def test_tags_of_dolfinx(rod: MeshData, tmp_path: Path) -> None:
     for name, tags in rod.boundaries.items():
         assert sum(areas[f"wall_{t}"] for t in tags) == pytest.approx(boundary_areas(rod)[name])
     assert edges(back) == edges(rod)
+
+
+def test_meshes_of_dolfinx_in_one_file(tmp_path: Path) -> None:
+    """Two meshes with nodes of their own, a function over time on one and tags on the other."""
+    path = tmp_path / "two.xdmf"
+    lower, upper = (
+        mesh.create_box(MPI.COMM_SELF, [[0, 0, z], [2, 3, z + 1 + z]], [1, 1, 1]) for z in (0, 1)
+    )
+    lower.name, upper.name = "lower", "upper"
+    part = fem.Function(fem.functionspace(lower, ("DG", 0)), name="material")
+    part.x.array[:] = 4
+    count = upper.topology.index_map(3).size_local
+    tags = mesh.meshtags(upper, 3, np.arange(count), np.full(count, 7, dtype=np.int32))
+    tags.name = "material"
+    with io.XDMFFile(MPI.COMM_SELF, path, "w") as file:
+        file.write_mesh(lower)
+        for time in (0.0, 1.0):
+            file.write_function(part, time)
+        file.write_mesh(upper)
+        file.write_meshtags(tags, upper.geometry, "/Xdmf/Domain/Grid[@Name='upper']/Geometry")
+    geometry = MeshFile(path=path, interfaces={"i": (("material_4",), ("material_7",))})
+    back = meshes.build(geometry, MeshOptions(size="1 mm"))
+    assert region_volumes(back) == pytest.approx({"material_4": 6.0, "material_7": 12.0})
+    assert len(back.points) == 12
+    text = " ".join(back.notes["told"])
+    assert "2 sets of nodes" in text and "of the 2 time steps of the grid material" in text
 
 
 ONE = "*NODE\n1,0,0,0\n2,1,0,0\n3,0,1,0\n4,0,0,1\n*ELEMENT, TYPE=C3D4, ELSET=a\n1,1,2,3,4\n"

@@ -15,7 +15,7 @@ import pytest
 
 from app.errors import InputError
 from meshes import dicom_series, images, label_surface
-from tests.meshes.bones import slices
+from tests.meshes.bones import enhanced, slices
 
 SHAPE = (12, 10, 8)
 SPACING = np.array([0.7, 0.8, 1.25])
@@ -368,7 +368,7 @@ DICOM_REFUSED: dict[str, tuple[Callable[[Path], None], str]] = {
     "subfolder alone": (in_folders, r"has no slices; look in its folder S1 \(8 files\)"),
     "nothing": (emptied, "has no slices: none of its 1 files is DICOM"),
     "no position": (no_positions, "no position in the patient .Secondary Capture Image Storage"),
-    "many frames": (frames, r"1\.2\.3: is of many frames in a file; convert it"),
+    "many frames at one place": (frames, r"1\.2\.3: has 8 frames and one place; convert it"),
     "one slice": (alone, r"has one slice only, 1\.2\.3"),
     "cut": (cut, r"1\.2\.3: has no pixels that can be read"),
 }
@@ -382,6 +382,115 @@ def test_dicom_folders_are_refused_by_file_and_reason(name: str, folder: Path) -
         images.read(folder)
 
 
+# One file of many frames
+
+
+@pytest.fixture
+def framed(tmp_path: Path) -> Path:
+    return enhanced(tmp_path / "ct.dcm", NUMBERS, PLACES)
+
+
+def test_dicom_frames_of_a_file_are_its_slices(framed: Path) -> None:
+    """Given as the file, in a folder, and in one with other files."""
+    images_of = [images.read(framed)]
+    folder = framed.parent / "alone"
+    folder.mkdir()
+    framed.rename(folder / "ct.dcm")
+    images_of.append(images.read(folder))
+    change(
+        framed.parent / "slices" / "1.2.0",
+        folder / "scout",
+        ImageType=["ORIGINAL", "PRIMARY", "LOCALIZER"],
+    )
+    images_of.append(images.read(folder))
+    for image in images_of:
+        assert image.values == pytest.approx(NUMBERS)
+        assert image.affine == pytest.approx(PLACES, abs=1e-3)
+        assert image.told[0].startswith("8 DICOM frames of ")
+        assert "12 x 10 x 8 voxels of 0.7 x 0.8 x 1.25 mm" in image.told[0]
+    assert images_of[2].told[1] == "1 localizers left out: scout"
+
+
+def test_dicom_files_of_frames_of_one_series_are_joined(framed: Path, tmp_path: Path) -> None:
+    """A series of two files: the lower slices in one, the upper in the other."""
+    folder = tmp_path / "two"
+    folder.mkdir()
+    for name, rows in (("a", slice(0, 5)), ("b", slice(5, 8))):
+        places = PLACES @ np.array([*np.eye(4)[:3], [0, 0, 0, 1.0]])
+        places[:3, 3] += places[:3, 2] * rows.start
+        enhanced(tmp_path / name / "x.dcm", NUMBERS[:, :, rows], places).rename(folder / name)
+    image = images.read(folder)
+    assert image.values == pytest.approx(NUMBERS)
+    assert image.affine == pytest.approx(PLACES, abs=1e-3)
+
+
+def without_frame(data: Any, frame: int = 3) -> None:
+    groups = list(data.PerFrameFunctionalGroupsSequence)
+    pixels = data.pixel_array
+    kept = [k for k in range(len(groups)) if k != frame]
+    data.PerFrameFunctionalGroupsSequence = [groups[k] for k in kept]
+    data.PixelData, data.NumberOfFrames = pixels[kept].tobytes(), len(kept)
+
+
+def frames_of_two_stacks(data: Any) -> None:
+    for group in data.PerFrameFunctionalGroupsSequence[:3]:
+        group.FrameContentSequence[0].StackID = "2"
+
+
+def frames_at_one_place(data: Any) -> None:
+    first, second, *_ = data.PerFrameFunctionalGroupsSequence
+    second.PlanePositionSequence = first.PlanePositionSequence
+
+
+def frames_without_place(data: Any) -> None:
+    for group in data.PerFrameFunctionalGroupsSequence:
+        del group.PlanePositionSequence
+
+
+def fewer_places(data: Any) -> None:
+    data.PerFrameFunctionalGroupsSequence = data.PerFrameFunctionalGroupsSequence[:5]
+
+
+def frames_of_other_plane(data: Any) -> None:
+    group = data.PerFrameFunctionalGroupsSequence[2]
+    group.PlaneOrientationSequence = [pydicom.Dataset()]
+    group.PlaneOrientationSequence[0].ImageOrientationPatient = [0, 1, 0, 0, 0, -1]
+
+
+def fewer_pixels(data: Any) -> None:
+    data.PixelData = data.PixelData[:-200]
+
+
+def one_frame(data: Any) -> None:
+    for _ in range(7):
+        without_frame(data, 0)
+
+
+FRAMES_REFUSED: dict[str, tuple[Callable[[Any], None], str]] = {
+    "missing": (without_frame, r"2\.5 mm apart; is one missing after ct\.dcm \(frame \d\)\?"),
+    "two stacks": (
+        frames_of_two_stacks,
+        r"has 3, 5 slices; .* as ct\.dcm \(frame 1\); .* as ct\.dcm \(frame 4\)\. Convert one",
+    ),
+    "two phases": (frames_at_one_place, r"ct\.dcm \(frame .\) are at one place and differ"),
+    "no place": (frames_without_place, "have no position in the patient .Enhanced CT Image"),
+    "fewer places": (fewer_places, r"ct\.dcm: has 8 frames, and places of 5: is it damaged"),
+    "other plane": (frames_of_other_plane, r"ct\.dcm \(frame 3\) is in another plane"),
+    "cut": (fewer_pixels, r"ct\.dcm: has no pixels that can be read"),
+    "one frame": (one_frame, r"ct\.dcm: is one file of DICOM: give the folder of its series"),
+}
+
+
+@pytest.mark.parametrize("name", FRAMES_REFUSED)
+def test_dicom_frames_are_refused_by_frame_and_reason(name: str, framed: Path) -> None:
+    alter, message = FRAMES_REFUSED[name]
+    data = pydicom.dcmread(framed)
+    alter(data)
+    data.save_as(framed)
+    with pytest.raises(InputError, match=message):
+        images.read(framed)
+
+
 def test_damaged_images_are_read_or_refused_in_words(folder: Path, tmp_path: Path) -> None:
     """No other error, of 150 files: NIfTI plain and compressed, arrays, slices, labels of them."""
     slice_file = folder / "1.2.3"
@@ -390,6 +499,7 @@ def test_damaged_images_are_read_or_refused_in_words(folder: Path, tmp_path: Pat
         "nii.gz": nifti(tmp_path / "ct.nii.gz"),
         "npz": labelled(tmp_path, LABELS),
         "dicom": slice_file,
+        "frames": enhanced(tmp_path / "ct.dcm", NUMBERS, PLACES),
     }
     whole = {name: path.read_bytes() for name, path in paths.items()}
     for seed in range(150):

@@ -1,0 +1,101 @@
+"""Reader of ``.med`` files of Salome: groups of volumes, faces and nodes, of one or more meshes."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.mesh_files.content import ONLY, ORDER_MED, Found, Pick, extend, left_out
+
+TETRAHEDRA = ("tetra", "tetra10")
+
+
+def read(path: Path, pick: Pick) -> Found:
+    """Read the only mesh of tetrahedra, or the meshes that are picked.
+
+    Groups of one name in several meshes have the mesh before their name.
+
+    Raises:
+        ValueError: There are several meshes and none is picked, or one is not there.
+    """
+    meshes = _meshes(path)
+    solid = {
+        name: sum(len(b.data) for b in mesh.cells if b.dim == 3) for name, mesh in meshes.items()
+    }
+    full = [name for name, count in solid.items() if count]
+    listed = ", ".join(f"{name} ({count:,} tetrahedra)" for name, count in solid.items())
+    missing = [name for name in pick.meshes if name not in meshes]
+    if missing:
+        raise ValueError(f"has no mesh {missing[0]}; its meshes: {listed}")
+    if len(full) > 1 and not pick.meshes:
+        raise ValueError(f"has the meshes {listed}: set `geometry.meshes` to those of the model")
+    chosen = pick.meshes or full or [*meshes]
+    found = Found()
+    found.notes += left_out("meshes that are not read", (n for n in meshes if n not in chosen))
+    groups = [group for name in chosen for group in _groups(meshes[name])]
+    twice = {group for group in groups if groups.count(group) > 1}
+    shift = 0
+    for name in chosen:
+        titles = {g: f"{name}.{g}" if g in twice else g for g in _groups(meshes[name])}
+        _add(found, meshes[name], shift, titles)
+        shift += len(meshes[name].points)
+    text = "groups of one name in several meshes have the mesh before their name"
+    found.notes += left_out(text, sorted(twice))
+    found.points = np.concatenate([meshes[name].points for name in chosen])
+    return found
+
+
+def _meshes(path: Path) -> dict[str, Any]:
+    """Meshes by name, each as meshio reads a file that has it alone."""
+    import h5py
+    import meshio
+
+    meshes = {}
+    with h5py.File(path, "r", locking=False) as file:
+        for name in file["ENS_MAA"]:
+            alone = BytesIO()
+            with h5py.File(alone, "w") as copy:
+                for part in ("ENS_MAA", "FAS"):
+                    group = copy.create_group(part)
+                    if name in file.get(part, ()):
+                        file.copy(file[part][name], group, name)
+                copy.visititems(_with_families)
+            meshes[name] = meshio.med.read(alone)
+    if not meshes:
+        raise ValueError("has no mesh")
+    return meshes
+
+
+def _with_families(_name: str, group: Any) -> None:
+    """Put nodes and cells whose families are left out into the family 0, which has no group."""
+    for content in ("COO", "NOD"):
+        if content in getattr(group, "keys", tuple)() and "FAM" not in group:
+            group["FAM"] = np.zeros(group[content].attrs["NBR"], dtype=np.int64)
+
+
+def _groups(mesh: Any) -> set[str]:
+    """Names of the groups of a mesh."""
+    families = [*mesh.cell_tags.values(), *mesh.point_tags.values()]
+    return {name for names in families for name in names}
+
+
+def _add(found: Found, mesh: Any, shift: int, titles: dict[str, str]) -> None:
+    """Add cells and groups of a mesh, whose first node has a number."""
+    families = mesh.cell_data["cell_tags"]
+    for k, block in enumerate(mesh.cells):
+        if block.dim == 3 and block.type not in TETRAHEDRA:
+            raise ValueError(f"the cells are of type {block.type}; {ONLY}")
+        if block.dim < 2:
+            continue
+        sets = found.sets if block.dim == 3 else found.triangles
+        data = block.data + shift
+        members = found.add(data, ORDER_MED) if block.dim == 3 else data[:, :3]
+        for family in np.unique(families[k]):
+            names = [titles[name] for name in mesh.cell_tags.get(family, ())]
+            extend(sets, names, members[families[k].ravel() == family])
+    for family, groups in mesh.point_tags.items():
+        rows = np.flatnonzero(mesh.point_data["point_tags"] == family) + shift
+        extend(found.nodes, [titles[name] for name in groups], rows)

@@ -1,0 +1,43 @@
+"""Files that a mesh file names: parts of a script, arrays of XDMF, pieces of a parallel VTU."""
+
+from __future__ import annotations
+
+import os
+import re
+from contextlib import suppress
+from functools import lru_cache
+from html import unescape
+from pathlib import Path
+
+QUOTED = re.compile(r"""\"([^"\n]*)"|'([^'\n]*)'""")
+# Text between tags that may be a file's name, or has one before a colon. Numbers are longer.
+ARRAYS = re.compile(r">()([^<>:]{1,1024})[:<]")
+SOURCES = re.compile(r"""\bSource\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+NAMES = {".geo": QUOTED, ".xdmf": ARRAYS, ".xmf": ARRAYS, ".pvtu": SOURCES}
+
+
+def names(path: Path) -> list[str]:
+    """A file, and the files in its folder and below that it names, recursively."""
+    folder, found = path.parent.resolve(), [path.name]
+    for name in found:  # it grows
+        if Path(name).suffix not in NAMES:
+            continue
+        for words in _words(folder / name, (folder / name).stat().st_mtime_ns):
+            other = os.path.normpath(Path(name).parent / words)
+            with suppress(OSError, ValueError):  # not a file name
+                inside = (folder / other).resolve().is_relative_to(folder)
+                if inside and other not in found and (folder / other).is_file():
+                    found.append(other)
+    return found
+
+
+def stamps(path: Path) -> tuple[tuple[str, int], ...]:
+    """A file and those that it names, with the times at which they were modified last [ns]."""
+    return tuple((name, (path.parent / name).stat().st_mtime_ns) for name in names(path))
+
+
+@lru_cache(maxsize=8)
+def _words(path: Path, _modified: int) -> tuple[str, ...]:
+    """Words of a file that may be names of files."""
+    matches = NAMES[path.suffix].finditer(path.read_text("utf-8", "replace"))
+    return tuple(unescape((m[1] or m[2] or ".").strip()) for m in matches)

@@ -1,0 +1,206 @@
+"""Regions and boundaries by arrays of cells, as VTU and XDMF have them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from app.arrays import Ints
+from app.mesh_files.content import CellBlock, CellGrid, Found, extend, left_out
+
+MOST = 255  # values of an array; one of more does not tell regions apart
+# Names of arrays that are regions, and of those that number cells, their kinds or processes.
+REGIONS = re.compile(
+    "material|region|label|part(?!ition)|tissue|domain|physical|segment|tags?$|^mat(_?id)?$",
+    re.IGNORECASE,
+)
+BOOKKEEPING = re.compile(
+    "global|element_?(type|id)|cell_?(ids?|type|number)|ghost|process|^ids?$|partition|rank|original"
+    "|geometrical",
+    re.IGNORECASE,
+)
+
+Names = tuple[str, ...]
+
+
+def fill(found: Found, grid: CellGrid, array: str = "") -> None:
+    """Put cells into regions, and triangles into boundaries, by the values of their arrays.
+
+    Blocks whose arrays have the same names take the same array, the given one if there is one. A
+    grid may have the cells of another one once more, with an array, as DOLFINx writes tags: these
+    cells are taken once. Triangles of other grids are in boundaries by all of their arrays.
+
+    Raises:
+        ValueError: No array has whole numbers of regions, or several arrays disagree.
+    """
+    found.points = grid.points
+    found.notes += grid.notes
+    solids, flats = ([b for b in grid.blocks if b.dim == dim] for dim in (3, 2))
+    cells = _cells(grid.points, solids)
+    keys = _keys(solids, cells, array)
+    sides = {names: _fit(arrays) for names, arrays in _joined(flats).items()}
+    sides |= {names: [key] for names, key in keys.items() if key and names in sides}
+    regions = dict.fromkeys(key for key in keys.values() if key)
+    boundaries = dict.fromkeys(key for those in sides.values() for key in those)
+    used = regions | boundaries
+    title = {key: _title(key, grid.blocks) for key in used}
+    tagged = [one for one, b in zip(cells, solids, strict=True) if keys[tuple(b.arrays)]]
+    known = np.concatenate([np.zeros(0, dtype=np.int64), *tagged])
+    for block, numbers in zip(solids, cells, strict=True):
+        key = keys[tuple(block.arrays)]
+        rows = np.flatnonzero(bool(key) | ~np.isin(numbers, known))
+        if len(rows):
+            members = found.add(block.data[rows])
+            if key:
+                _put(found.sets, block.arrays[key], title[key], members)
+    for block in flats:
+        for key in sides[tuple(block.arrays)]:
+            _put(found.triangles, block.arrays[key], title[key], block.data[:, :3])
+    only_boundaries = [key for key in boundaries if key not in regions]
+    for what, names in (("regions", regions), ("boundaries", only_boundaries)):
+        found.notes += [f"geometry: {what} are the values of the array {key}" for key in names]
+    every = [name for block in grid.blocks for name in block.arrays]
+    found.notes += left_out(
+        "arrays of cells that are not read", (name for name in every if name not in used)
+    )
+
+
+def _keys(solids: Sequence[CellBlock], cells: Sequence[Ints], array: str) -> dict[Names, str]:
+    """The array that makes regions, "" for none, by the names of arrays of blocks."""
+    joined = _joined(solids)
+    if array:
+        return _given(array, joined)
+    keys = {names: choice(arrays) for names, arrays in joined.items()}
+    dropped = _overruled(solids, cells, keys)
+    return {names: "" if key in dropped else key for names, key in keys.items()}
+
+
+def _given(array: str, joined: Mapping[Names, Mapping[str, np.ndarray]]) -> dict[Names, str]:
+    """The array that the case gives, by the names of arrays of each kind of block."""
+    if not any(array in names for names in joined):
+        there = ", ".join(dict.fromkeys(name for names in joined for name in names)) or "none"
+        raise ValueError(f"has no array {array} of its cells; its arrays: {there}")
+    if any(array in names and array not in _whole(arrays) for names, arrays in joined.items()):
+        text = f"has no whole numbers of regions, at most {MOST} different ones"
+        raise ValueError(f"its array {array} {text}")
+    return {names: array if array in names else "" for names in joined}
+
+
+def _put(
+    sets: dict[str, Ints], values: np.ndarray, title: Callable[[float], list[str]], members: Ints
+) -> None:
+    """Add members to the sets of their values."""
+    for value in np.unique(values[np.isfinite(values) & (values == np.round(values))]):
+        extend(sets, title(value), members[values == value])
+
+
+def _joined(blocks: Sequence[CellBlock]) -> dict[Names, dict[str, np.ndarray]]:
+    """Arrays of blocks one after another, by the names of all arrays of a block."""
+    together: dict[Names, list[CellBlock]] = {}
+    for block in blocks:
+        together.setdefault(tuple(block.arrays), []).append(block)
+    return {
+        names: {name: np.concatenate([b.arrays[name] for b in those]) for name in names}
+        for names, those in together.items()
+    }
+
+
+def _cells(points: np.ndarray, blocks: Sequence[CellBlock]) -> list[Ints]:
+    """Numbers of the cells of each block; cells with corners at the same places have one.
+
+    Of blocks whose arrays have the same names no cell is compared with others.
+    """
+    ends = np.cumsum([len(block.data) for block in blocks])
+    if len({tuple(block.arrays) for block in blocks}) < 2:
+        return np.split(np.arange(ends[-1]), ends[:-1]) if blocks else []
+    place = np.unique(points, axis=0, return_inverse=True)[1].ravel()
+    corners = np.concatenate([np.sort(place[block.data[:, :4]], axis=1) for block in blocks])
+    number = np.unique(corners, axis=0, return_inverse=True)[1].ravel()
+    return np.split(number, ends[:-1])
+
+
+def _overruled(
+    blocks: Sequence[CellBlock], cells: Sequence[Ints], keys: Mapping[Names, str]
+) -> set[str]:
+    """Arrays that divide the same cells as another one, which goes before them."""
+    kept: dict[str, tuple[Ints, np.ndarray]] = {}
+    dropped: set[str] = set()
+    for key in dict.fromkeys(key for key in keys.values() if key):
+        those = [k for k, block in enumerate(blocks) if keys[tuple(block.arrays)] == key]
+        mine = np.concatenate([cells[k] for k in those])
+        values = np.concatenate([blocks[k].arrays[key] for k in those])
+        for other, (numbers, others) in list(kept.items()):
+            _, i, j = np.intersect1d(mine, numbers, return_indices=True)
+            if len(i):
+                best = choice({other: others[j], key: values[i]})
+                dropped.add(key if best == other else other)
+        kept[key] = mine, values
+        kept = {name: pair for name, pair in kept.items() if name not in dropped}
+    return dropped
+
+
+def _whole(arrays: Mapping[str, np.ndarray]) -> dict[str, Ints]:
+    """Arrays of few whole numbers, of integers or floats."""
+    whole = {}
+    for name, values in arrays.items():
+        finite = values.ndim == 1 and values.dtype.kind in "iuf" and bool(np.isfinite(values).all())
+        if finite and len(values) and (values == np.round(values)).all():
+            if abs(values).max() < 2**53 and len(np.unique(values)) <= MOST:
+                whole[name] = values.astype(np.int64)
+    return whole
+
+
+def _fit(arrays: Mapping[str, np.ndarray]) -> list[str]:
+    """Arrays that divide cells: of few whole numbers, not of kinds and numbers of cells."""
+    return [name for name in _whole(arrays) if not BOOKKEEPING.search(name)]
+
+
+def choice(arrays: Mapping[str, np.ndarray]) -> str:
+    """Name of the array of cells that makes regions, "" if there are no arrays.
+
+    It has few whole numbers, of integers or floats. Arrays whose names say that they are regions
+    go before others, and arrays that differ between cells before constant ones. Numbers and kinds
+    of cells and processes are no regions.
+
+    Raises:
+        ValueError: No array has whole numbers, or several divide the cells, each in another manner.
+    """
+    whole = _whole(arrays)
+    fit = _fit(arrays)
+    named = [n for n in fit if REGIONS.search(n) or "-" in n]
+    pool = named or fit
+    differing = [n for n in pool if len(np.unique(whole[n])) > 1]
+    if named and not differing:
+        others = [n for n in fit if len(np.unique(whole[n])) > 1]
+        differing = [*named[:1], *others] if others else []
+    pool = differing or pool
+    integers = [n for n in pool if arrays[n].dtype.kind in "iu"]
+    pool = integers or pool
+    if len(pool) > 1 and any(_divides(whole[n]) != _divides(whole[pool[0]]) for n in pool):
+        raise ValueError(
+            f"its arrays {', '.join(pool)} divide the cells, each in another manner: set "
+            "`geometry.array` to the one that makes the regions"
+        )
+    if pool or not arrays:
+        return pool[0] if pool else ""
+    raise ValueError(
+        f"names no region: none of its arrays of cells ({', '.join(arrays)}) has whole numbers of "
+        f"regions, at most {MOST} different ones; if one does, set `geometry.array` to it"
+    )
+
+
+def _title(key: str, blocks: Sequence[CellBlock]) -> Callable[[float], list[str]]:
+    """Names of sets by the values of an array: KEY_1, or a and b if it is called a-b."""
+    names = key.split("-")
+    largest = max(np.fmax.reduce(b.arrays[key], initial=0) for b in blocks if key in b.arrays)
+    if largest >= len(names):
+        return lambda value: [f"{key}_{int(value)}"]
+    return lambda value: names[int(value) : int(value) + 1] if value >= 0 else []
+
+
+def _divides(values: Ints) -> list[int]:
+    """The first cell of the part of each cell: the same for arrays that divide cells alike."""
+    _, first, inverse = np.unique(values, return_index=True, return_inverse=True)
+    return list(map(int, first[inverse]))

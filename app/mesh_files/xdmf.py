@@ -1,0 +1,277 @@
+"""Reader of ``.xdmf`` files: all grids, their arrays in the file, in HDF5 or in binary files."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from app.arrays import Ints
+from app.mesh_files.content import ONLY, CellBlock, CellGrid
+
+# Kinds of cells, with the dimension and number of nodes of those that are read.
+SIMPLICES = {
+    "triangle": (2, 3),
+    "triangle_6": (2, 6),
+    "tri_6": (2, 6),
+    "tetrahedron": (3, 4),
+    "tetrahedron_10": (3, 10),
+    "tet_10": (3, 10),
+}
+SOLIDS = re.compile("hex|wedge|pyramid|polyhedron|3d", re.IGNORECASE)
+# Cells of a mixed topology by their codes: name and number of nodes, 0 if a number follows.
+MIXED = {1: ("polyvertex", 0), 2: ("polyline", 0), 3: ("polygon", 0), 4: ("triangle", 3)}
+MIXED |= {5: ("quadrilateral", 4), 6: ("tetrahedron", 4), 7: ("pyramid", 5), 8: ("wedge", 6)}
+MIXED |= {9: ("hexahedron", 8), 34: ("edge_3", 3), 35: ("quadrilateral_9", 9)}
+MIXED |= {36: ("triangle_6", 6), 37: ("quadrilateral_8", 8), 38: ("tetrahedron_10", 10)}
+MIXED |= {39: ("pyramid_13", 13), 40: ("wedge_15", 15), 41: ("wedge_18", 18)}
+MIXED |= {48: ("hexahedron_20", 20), 49: ("hexahedron_24", 24), 50: ("hexahedron_27", 27)}
+RUN = 4096  # cells of one kind that are looked for at once
+KINDS = {"float": "f", "int": "i", "uint": "u", "char": "i", "uchar": "u"}
+ORDERS = {"big": ">", "little": "<", "native": "="}
+# References within the file: by names, by positions, and to several parts of an element.
+POINTER = re.compile(r"(xpointer|element)\((.*)\)")
+EITHER = re.compile(r"\*\[(self::\w+(?:\s+or\s+self::\w+)*)\]$")
+
+
+def read(path: Path) -> CellGrid:
+    """All grids of a file as one; of a series over time the first step.
+
+    Raises:
+        ValueError: The file is damaged or of no use.
+    """
+    file = _File(path)
+    grid = CellGrid(np.zeros((0, 3)), [], [])
+    nodes: dict[str, tuple[int, np.ndarray]] = {}
+    unread: Counter[str] = Counter()
+    for element in file.grids(grid.notes):
+        name = element.get("Name", "without a name")
+        parts: dict[str, list[ET.Element]] = {}
+        for part in file.parts(element):
+            parts.setdefault(part.tag, []).append(part)
+        lacking = [tag for tag in ("Topology", "Geometry") if tag not in parts]
+        if lacking:
+            raise ValueError(f"its grid {name} has no {lacking[0]}")
+        geometry = parts["Geometry"][0]
+        place = "".join(geometry.itertext()).strip()
+        if place not in nodes:
+            nodes[place] = sum(len(x) for _, x in nodes.values()), file.points(geometry)
+        shift, x = nodes[place]
+        arrays = {
+            part.get("Name", "array"): file.array(_item(part))
+            for part in parts.get("Attribute", ())
+            if part.get("Center", "Node") == "Cell"
+        }
+        for block in file.blocks(parts["Topology"][0], arrays, unread):
+            if block.data.min() < 0 or block.data.max() >= len(x):
+                raise ValueError(f"its grid {name}: a cell has a node that is not in the file")
+            grid.blocks.append(replace(block, data=block.data + shift))
+    if len(nodes) > 1:
+        text = f"its grids have {len(nodes)} sets of nodes, which are read as one mesh"
+        grid.notes.append(f"geometry: {text}")
+    if unread:
+        kinds = ", ".join(f"{n} {kind}" for kind, n in sorted(unread.items()))
+        text = "cells that are no tetrahedra or triangles are not read"
+        grid.notes.append(f"geometry: {text}: {kinds}")
+    if nodes:
+        grid.points = np.concatenate([x for _, x in nodes.values()])
+    return grid
+
+
+def _item(part: ET.Element) -> ET.Element:
+    """The one array of a part."""
+    items = part.findall("DataItem")
+    if len(items) != 1:
+        raise ValueError(f"its {part.tag} has {len(items)} arrays; expected one")
+    return items[0]
+
+
+def _kind(part: ET.Element) -> str:
+    """Type of a part, by either name of the attribute."""
+    return part.get(f"{part.tag}Type") or part.get("Type") or ""
+
+
+class _File:
+    """The tree of a file, and the arrays that its items hold or name."""
+
+    def __init__(self, path: Path) -> None:
+        self.folder = path.parent
+        self.root = ET.fromstring(path.read_bytes())
+
+    def grids(self, notes: list[str]) -> Iterator[ET.Element]:
+        """Grids with cells, of all collections; of one over time the first step's, with a note."""
+        waiting = self.root.findall("Domain/Grid")
+        while waiting:
+            grid = waiting.pop(0)
+            inner = grid.findall("Grid")
+            if grid.get("CollectionType", "").lower() == "temporal" and len(inner) > 1:
+                name = grid.get("Name", "without a name")
+                text = f"of the {len(inner)} time steps of the grid {name} the first is read"
+                notes.append(f"geometry: {text}")
+            if grid.get("CollectionType", "").lower() == "temporal":
+                waiting = [*inner[:1], *waiting]
+            elif inner or grid.get("GridType", "Uniform").lower() in ("collection", "tree"):
+                waiting = [*inner, *waiting]
+            else:
+                yield grid
+
+    def parts(self, grid: ET.Element) -> Iterator[ET.Element]:
+        """Parts of a grid, and parts of others to which it refers."""
+        for part in grid:
+            reference = part.get("Reference")
+            if part.tag.endswith("}include"):
+                pointer = POINTER.fullmatch(part.get("xpointer", "").strip())
+                if part.get("href") or not pointer:
+                    raise ValueError("includes parts of other files; save it as one file")
+                yield from self.at(pointer[2], by_positions=pointer[1] == "element")
+            elif reference:
+                yield self.at((part.text or "") if reference == "XML" else reference)[0]
+            else:
+                yield part
+
+    def at(self, address: str, by_positions: bool = False) -> list[ET.Element]:
+        """Elements at an address in the file; it names parts or, by positions, counts them."""
+        address = address.strip()
+        try:
+            if by_positions:
+                found = [self.root]
+                for position in address.strip("/").split("/")[1:]:
+                    found = [found[0][int(position) - 1]]
+                return found
+            either = EITHER.search(address)
+            outer = (address[: either.start()] if either else address).rstrip("/")
+            root = f"/{self.root.tag}"
+            found = self.root.findall(f".{outer.removeprefix(root)}")
+            if either:
+                wanted = re.findall(r"self::(\w+)", either[1])
+                found = [part for element in found[:1] for part in element if part.tag in wanted]
+            if found:
+                return found
+        except (SyntaxError, KeyError, ValueError, IndexError):
+            pass
+        raise ValueError(f"refers to {address}, which is not in the file or cannot be read")
+
+    def points(self, geometry: ET.Element) -> np.ndarray:
+        """Nodes (n, 3)."""
+        kind = _kind(geometry) or "XYZ"
+        if kind != "XYZ":
+            raise ValueError(f"its nodes are of type {kind}; expected XYZ")
+        x = self.array(_item(geometry))
+        if x.size % 3:
+            raise ValueError("its nodes are no rows of three")
+        return x.reshape(-1, 3).astype(float)
+
+    def array(self, item: ET.Element) -> np.ndarray:
+        """Values of an item, in its dimensions; (n, 1) is (n,)."""
+        reference = item.get("Reference")
+        if reference:
+            item = self.at((item.text or "") if reference == "XML" else reference)[0]
+        name, text = item.get("Name", ""), (item.text or "").strip()
+        called = f"its array {name}" if name else "an array"
+        if item.get("ItemType", "Uniform") != "Uniform":
+            raise ValueError(f"{called} is a {item.get('ItemType')}, which is not read")
+        form = item.get("Format", "XML")
+        kind = KINDS.get((item.get("NumberType") or item.get("DataType") or "Float").lower())
+        if kind is None:
+            raise ValueError(f"{called} is of type {item.get('NumberType')}, which is not read")
+        if form == "XML":
+            values = np.array(text.split(), dtype=float if kind == "f" else np.int64)
+        elif form == "HDF":
+            values = self._hdf(text, called)
+        elif form == "Binary":
+            order = ORDERS.get(item.get("Endian", "Native").lower(), "=")
+            dtype = np.dtype(f"{order}{kind}{item.get('Precision', '4')}")
+            count = int(np.prod([int(n) for n in item.get("Dimensions", "0").split()]))
+            values = np.fromfile(self._there(text), dtype, count, offset=int(item.get("Seek", 0)))
+            values = values.astype(dtype.newbyteorder("="))
+        else:
+            raise ValueError(f"{called} is of format {form}, which is not read")
+        shape = [int(n) for n in item.get("Dimensions", str(values.size)).split()]
+        if int(np.prod(shape)) != values.size:
+            raise ValueError(f"{called} has {values.size} values for {' x '.join(map(str, shape))}")
+        values = values.reshape(shape)
+        return values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
+
+    def _there(self, name: str) -> Path:
+        """A file that this one names, which is part of its content."""
+        folder = self.folder.resolve()
+        if not (folder / name).resolve().is_relative_to(folder):
+            raise ValueError(f"its file {name} is not in its folder or below")
+        if not (self.folder / name).is_file():
+            raise ValueError(f"its file {name} is not there")
+        return self.folder / name
+
+    def _hdf(self, text: str, called: str) -> np.ndarray:
+        import h5py
+
+        name, colon, inside = text.rpartition(":")
+        if not colon:
+            raise ValueError(f"{called} names no part of an HDF5 file: {text[:80]}")
+        with h5py.File(self._there(name), "r", locking=False) as file:
+            if inside not in file:
+                raise ValueError(f"{called}: {inside} is not in {name}")
+            return np.asarray(file[inside])
+
+    def blocks(
+        self, topology: ET.Element, arrays: dict[str, np.ndarray], unread: Counter[str]
+    ) -> Iterator[CellBlock]:
+        """Cells of a topology with their arrays; cells of no use are counted."""
+        kind = _kind(topology).lower()
+        if SOLIDS.search(kind):
+            raise ValueError(f"the cells are of type {_kind(topology)}; {ONLY}")
+        if kind != "mixed" and kind not in SIMPLICES:
+            unread[kind] += int(topology.get("NumberOfElements", "1").split()[0])
+            return
+        base = int(topology.get("BaseOffset", 0))
+        data = self.array(_item(topology)).astype(np.int64)
+        if kind == "mixed":
+            blocks = _mixed(data.ravel())
+        else:
+            alone: Ints = data.reshape(-1, SIMPLICES[kind][1])
+            blocks = {kind: (np.arange(len(alone)), alone)}
+        count = sum(len(rows) for rows, _ in blocks.values())
+        wrong = [name for name, values in arrays.items() if len(values) != count]
+        if wrong:
+            raise ValueError(f"its array {wrong[0]} has not a value for each of {count} cells")
+        for name, (rows, nodes) in blocks.items():
+            if SOLIDS.search(name):
+                raise ValueError(f"the cells are of type {name}; {ONLY}")
+            if name not in SIMPLICES:
+                unread[name] += len(rows)
+            elif len(rows):
+                own = {array: values[rows] for array, values in arrays.items()}
+                yield CellBlock(SIMPLICES[name][0], nodes - base, own)
+
+
+def _mixed(data: Ints) -> dict[str, tuple[Ints, Ints]]:
+    """Cells of several kinds: of each its positions among all cells (n,), and nodes (n, k)."""
+    starts: dict[str, list[tuple[Ints, Ints]]] = {}
+    at = count = 0
+    while at < len(data):
+        code = int(data[at])
+        if code not in MIXED:
+            raise ValueError(f"has a cell of type {code}, which XDMF does not have")
+        name, width = MIXED[code]
+        run, first = 1, at + 1
+        if width:
+            codes = data[at : at + RUN * (width + 1) : width + 1]
+            run = len(codes) if (codes == code).all() else int(np.argmax(codes != code))
+        else:
+            width, first = max(0, int(data[first])) if first < len(data) else 0, at + 2
+        cells = np.arange(run)
+        starts.setdefault(name, []).append((count + cells, first + cells * (width + 1)))
+        at = first + run * (width + 1) - 1
+        count += run
+    if at > len(data):
+        raise ValueError("its cells of several kinds are cut short")
+    blocks: dict[str, tuple[Ints, Ints]] = {}
+    for name, places in starts.items():
+        rows, first_nodes = (np.concatenate(parts) for parts in zip(*places, strict=True))
+        width = SIMPLICES[name][1] if name in SIMPLICES else 0
+        blocks[name] = rows, data[first_nodes[:, None] + np.arange(width)]
+    return blocks
