@@ -13,6 +13,7 @@ import pytest
 import mantle
 from app.case.case import Case, load
 from app.case.quantities import TABLE
+from app.errors import MantleError, Reason
 from app.verification.check import CONFIGS, CheckRun, within
 from app.verification.engine import SUITES
 from tests import support
@@ -216,6 +217,104 @@ def test_solvers_press_columns_that_share_no_node(
     assert borne[0] == pytest.approx(10e3 * 4 * 0.01 / 5, rel=1e-6)
     assert borne[2] == pytest.approx(10e3 * 4 * (0.05 - 0.03) / 5, rel=1e-6)
     assert 0 < borne[1] < 10e3 * 4 * 0.02 / 5
+
+
+# A block that touches another along an edge: friction alone holds it until the wedge has closed.
+WEDGE = """\
+geometry:
+  kind: blocks
+  blocks:
+    - {name: low, size: [6 mm, 3 mm, 4 mm]}
+    - {name: high, size: [6 mm, 3 mm, 4 mm]}
+mesh: {size: 1.5 mm, far_size: 1.5 mm, order: 1}
+regions:
+  low: {youngs_modulus: 4 GPa, poisson_ratio: 0.3, tissue: other}
+  high: {youngs_modulus: 3 GPa, poisson_ratio: 0.3, tissue: other}
+interfaces:
+  low_high: {kind: contact, friction_coefficient: 0.2, gap: "0.0004 * x"}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+loads:
+  press: {kind: force, boundary: top, force: "[0, 0, -63] N", at: [3 mm, 1.5 mm, 8 mm]}
+"""
+
+
+@pytest.mark.parametrize("gap", ["0.0004 * x", "0.0003 * (6 - x)", "0.0003 * (x + 1)"])
+def test_solvers_close_a_wedge(linear: str, gap: str) -> None:
+    """All of the interface bears the force, about its axis."""
+    solved = support.solve(WEDGE, f'interfaces.low_high.gap="{gap}"', linear)
+    numbers, contact = solved.interfaces["low_high"], solved.problem.contact
+    assert contact is not None
+    assert numbers["pressure_mean"] == pytest.approx(63 / 18, rel=1e-6)
+    assert numbers["open_fraction"] == 0
+    pushed = contact.own.weight * contact.state.force[:, 2]
+    # Its moments are those of the force, at z = 4 mm of friction's none.
+    centre = pushed @ contact.own.x[:, :2] / pushed.sum()
+    assert centre == pytest.approx([3, 1.5], abs=2e-3)
+
+
+# A stiff block on soft springs, some way off a slope, pressed on and pushed along it.
+CLEARANCE = """\
+geometry:
+  kind: blocks
+  tilt: {degrees} deg
+  blocks:
+    - {{name: slope, size: [20 mm, 8 mm, 20 mm]}}
+    - {{name: block, size: [20 mm, 8 mm, 20 mm]}}
+mesh: {{size: 4 mm, order: 1}}
+regions:
+  slope: {{youngs_modulus: 2e6 MPa, poisson_ratio: 0, tissue: other}}
+  block: {{youngs_modulus: 2e6 MPa, poisson_ratio: 0, tissue: other}}
+interfaces:
+  slope_block: {{kind: contact, friction_coefficient: 0.3, gap: {gap} mm}}
+supports:
+  slope: {{kind: fixed, boundary: bottom}}
+  springs: {{kind: foundation, boundary: block_x_min, stiffness: "[1e-3, 1e-3, 1e-3] MPa/mm"}}
+loads:
+  press: {{kind: force, boundary: top, force: "{press} N", history: [1, 1], at: {at}}}
+  push: {{kind: force, boundary: top, force: "{push} N", history: [0, 1], at: {at}}}
+stages: [{{name: press}}, {{name: push, increments: 2}}]
+"""
+
+
+def clearance(degrees: float, gap: float, share: float, linear: str) -> support.Solved:
+    """Solve the block, pushed up the slope by a share of what friction bears."""
+    tangent, normal = (
+        np.array([math.cos(a), 0.0, math.sin(a)])
+        for a in (math.radians(degrees), math.radians(degrees + 90))
+    )
+    at = [10.0, 4.0, 20.0 + 10 * math.tan(math.radians(degrees))]
+    text = CLEARANCE.format(
+        degrees=degrees,
+        gap=gap,
+        press=(-1000 * normal).tolist(),
+        push=(share * 300 * tangent).tolist(),
+        at=f"[{', '.join(f'{c} mm' for c in at)}]",
+    )
+    return support.solve(text, linear)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "gap", "share"), [(0, 0.4, 0.9), (20, 0.4, 0.0), (20, 0.2, 0.9), (20, 0.4, -0.9)]
+)
+def test_solvers_close_a_clearance(linear: str, degrees: float, gap: float, share: float) -> None:
+    """The block goes along the normal of the slope until it touches, and friction holds it."""
+    solved = clearance(degrees, gap, share, linear)
+    a = math.radians(degrees)
+    _, u = solved.displacement("block")
+    way = [gap * math.sin(a), 0, -gap * math.cos(a)]
+    assert u.mean(axis=0) == pytest.approx(way, abs=5e-3 * gap)
+    force = np.asarray(solved.interfaces["slope_block"]["force"])
+    borne = force @ [-math.sin(a), 0, math.cos(a)], abs(force @ [math.cos(a), 0, math.sin(a)])
+    assert borne == pytest.approx((1000, abs(share) * 300), rel=1e-2, abs=0.2)
+
+
+def test_solvers_refuse_what_slides_away_on_springs(linear: str) -> None:
+    """Pushed beyond friction, springs hold the block 19 mm away: displacements are not small."""
+    with pytest.raises(MantleError) as error:
+        clearance(20, 0.4, 1.01, linear)
+    assert error.value.exit_code == 4
+    assert Reason.within(str(error.value)) == {Reason.LARGE_DISPLACEMENT}
 
 
 # All that is shipped
