@@ -206,17 +206,18 @@ def explain(
         return Explanation(outcome, scales=scales)
     trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
-    pulled = loose_bodies.pulled_off(problem, contact)
+    taken = sum(float(np.sum(t.law.told["spent"])) for t in (trial, first))
+    breaks = bool(contact.law.history and problem.comm.allreduce(taken, MPI.SUM) > 0)
+    pulled = [] if breaks else loose_bodies.pulled_off(problem, contact)
     free = pulled if scales or contact.large else []
-    # Iterates lose contact that the loads would close: that is no free body.
-    if not free and (pulled or not problem.load_size or contact.apart()):
+    # Iterates lose contact that the loads would close: that is no free body. Nor is one whose bond
+    # breaks in this step.
+    if not free and not breaks and (pulled or not problem.load_size or contact.apart()):
         free = loose_bodies.free_bodies(problem, trial)
         free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
     friction = [] if free else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
     places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
-    spends = float(np.sum(trial.law.told["spent"])) if contact.law.history else 0.0
-    breaks = bool(problem.comm.allreduce(spends > 0, MPI.LOR))
     return Explanation(outcome, free, friction, places, scales, breaks)
 
 

@@ -8,12 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.errors import InputError
+from app.errors import InputError, MantleError
 from app.results.reading import Run
 from tests import restarted, support
 from tests.support import CONFIGS
 
 BAR = (CONFIGS / "verification/cohesive_bar.yaml").read_text()
+FORCED = """supports:
+  base: {kind: fixed, boundary: bottom}
+loads:
+  up: {kind: force, boundary: top, force: "[0, 0, 0] N"}
+stages: [{name: pull, increments: 4}]
+"""
 # Torn from one side.
 TORN = (
     *(f"geometry.blocks.{k}.size=[4 mm, 4 mm, 2 mm]" for k in (0, 1)),
@@ -139,3 +145,15 @@ def test_cohesion_as_an_extension_has_the_same_numbers(tmp_path: Path, pull: str
 def test_values_at_points_are_refused(tmp_path: Path, change: str, words: str) -> None:
     with pytest.raises(InputError, match=re.escape(f"interfaces.lower_upper.{words}")):
         support.run(BAR, tmp_path, f"interfaces.lower_upper.{change}")
+
+
+def test_advice_beyond_the_peak_of_a_bond() -> None:
+    """Torn by more than its strength, the advice is to control the energy; below it is borne."""
+    text = BAR[: BAR.index("supports:")] + FORCED
+    size = [f"geometry.blocks.{k}.size=[4 mm, 4 mm, 2 mm]" for k in (0, 1)]
+    strength = 16 * 10.0
+    solved = support.solve(text, *size, f"loads.up.force=[0, 0, {0.95 * strength}] N")
+    assert solved.interfaces["lower_upper"]["area_broken"] == 0
+    with pytest.raises(MantleError, match="`fracture_step` in the stage") as error:
+        support.solve(text, *size, f"loads.up.force=[0, 0, {1.05 * strength}] N")
+    assert error.value.exit_code == 4
