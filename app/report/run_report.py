@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import meshes
+from app import figures
 from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
@@ -185,13 +186,14 @@ def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]
         folder = case.folder / PICTURES if whole else Path(scratch)
         folder.mkdir(exist_ok=True)
         try:
-            maps, missing = pictures.maps([("", case)], folder)
+            suffixes = figures.SUFFIXES[: None if whole else 1]
+            maps, missing = pictures.maps([("", case)], folder, suffixes)
         except (KeyError, OSError) as error:
             maps, missing = [], [f"fields that cannot be read: {error}"]
         sides = pictures.sides(Run(case.folder), folder) if whole else []
-        files = [f.name for f in (*sides, *maps)] + [f"{pictures.SIDES}.pdf"] * len(sides)
+        files = page.files((*sides, *maps), folder)
         blocks = [page.figures(found, folder) for found in (sides, maps)]
-    return blocks[0], blocks[1] + bullets(missing), [folder / name for name in files] * whole
+    return blocks[0], blocks[1] + bullets(missing), files * whole
 
 
 def _view(folder: Path) -> tuple[str, list[str]]:

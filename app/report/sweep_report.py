@@ -18,7 +18,7 @@ from app.system.layout import duration, noted
 
 PAGE, PICTURES = "report.html", "report"
 # Files that an earlier report may have left in the folder of pictures.
-OURS = ("over_*.*", "map_*.png", "shielding.png")
+OURS = ("over_*.*", "map_*.*", "shielding.*")
 
 
 def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
@@ -52,7 +52,7 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
         write_text(folder / PAGE, page.page(sweep.title, sections, **head))
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
-    figures = (drawings / f.name for f in (*mapped, *shields))
+    figures = page.files((*mapped, *shields), drawings)
     return [folder / PAGE, *figures, *drawn], sweep.cases
 
 
