@@ -391,6 +391,11 @@ class Femur(_Femur):
         return half, half, 0.0
 
     @property
+    def proud(self) -> float:
+        """Height of the stem's shoulder above the neck cut, along the shaft's axis (mm)."""
+        return self.stem_tip_z + self.stem_length - self._cut
+
+    @property
     def mantles(self) -> tuple[Mantle, ...]:
         """The mantle around the stem, with a plug around its end."""
         tip = flanks_end(self) if self.insertion else self.stem_tip_z + self.tip_height

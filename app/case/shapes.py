@@ -179,6 +179,11 @@ class Shape(Section):
         """Doubts about what files gave, for `mantle check` and the log."""
         return ()
 
+    @property
+    def proud(self) -> float:
+        """Height of a stem's shoulder above the neck cut, along the shaft's axis (mm)."""
+        return 0.0
+
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError if a stem does not fit into a measured bone."""
 
