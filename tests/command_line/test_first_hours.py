@@ -9,12 +9,13 @@ import pytest
 
 import mantle
 from app.case import keys
+from app.case.geometries import Femur, MeshOptions
 from app.command_line.commands import dispatch
-from app.errors import InputError
+from app.errors import GeometryError, InputError
 from app.laws.creep import Creep
 from app.schema.section import Section
 from app.soundness import preview
-from meshes.femur_surfaces import _rounded_up
+from meshes.femur_surfaces import FemurSurfaces, _rounded_up
 from tests.support import CONFIGS, ROOT
 
 
@@ -103,7 +104,22 @@ def test_creep_with_an_exponent_of_the_stress_requires_stresses() -> None:
 
 
 def test_a_stem_that_cuts_by_a_hair_is_never_said_to_cut_by_zero() -> None:
-    assert [_rounded_up(x) for x in (0.001, 0.04, 0.1, 0.31)] == [0.1, 0.1, 0.1, 0.4]
+    assert [_rounded_up(x) for x in (0.001, 0.041, 0.1, 0.31)] == [0.01, 0.05, 0.1, 0.4]
+
+
+@pytest.mark.parametrize(
+    ("half_width", "words"),
+    [
+        (9.75, "leaves 0.9[0-9] mm for cement, of 1 mm at least, .*; 0.0[1-9] mm more are needed"),
+        (11.0, "leaves 0.3 mm for cement, of 1 mm at least, .*; 0.7 mm more are needed"),
+        (11.7255, r"cuts 0.0[4-6] mm into the cortex .*\(stem_tip_z\); 1.1 mm more are needed"),
+    ],
+)
+def test_a_stem_without_room_says_by_how_much(half_width: float, words: str) -> None:
+    """At the last the cells between stem and cortex would have no volume."""
+    geometry = Femur.model_validate({"stem_half_width": f"{half_width} mm"})
+    with pytest.raises(GeometryError, match=words):
+        FemurSurfaces(geometry, MeshOptions.model_validate({"size": "6 mm"}))
 
 
 def test_notes_on_input_without_effect() -> None:
