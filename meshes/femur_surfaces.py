@@ -332,8 +332,8 @@ class FemurSurfaces:
         if least < 0:
             text = f"cuts {_rounded_up(-least):.2g} mm into the cortex"
         where = f"{side} at {self._placed.where(x)}"
-        room = f"{missing:.2g} mm more are needed there"
-        raise GeometryError(f"{self.key}: the stem {text} {where}; {self.remedy}; {room}")
+        needed = f"{missing:.2g} mm more are needed there"
+        raise GeometryError(f"{self.key}: the stem {text} {where}; {self.remedy}; {needed}")
 
     def _check(self, lines: Lines) -> None:
         """Refuse lines that meet bone twice."""

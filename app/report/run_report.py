@@ -25,9 +25,8 @@ from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
 from app.results import cycles
 from app.results.reading import Run
-from app.results.run_folder import CASE_PICTURE
 from app.system import folders
-from app.system.folders import write_text
+from app.system.folders import CASE_PICTURE, write_text
 from app.system.layout import noted, plain
 from app.system.ranks import rank
 
@@ -100,7 +99,8 @@ def write(folder: Path, share: float = math.inf, spread: Path | None = None) -> 
             return _variations(folder, share)
         return _run(folder, share, spread=spread)
     except OSError as error:
-        raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
+        text = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
+        raise StoppedError(text) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder}: results that cannot be read: {error!r}") from error
 

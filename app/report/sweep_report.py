@@ -51,7 +51,8 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
         head["view"] = viewer({name: case.folder for name, case in chosen[:2]})
         write_text(folder / PAGE, page.page(sweep.title, sections, **head))
     except OSError as error:
-        raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
+        text = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
+        raise StoppedError(text) from error
     figures = page.files((*mapped, *shields), drawings)
     return [folder / PAGE, *figures, *drawn], sweep.cases
 

@@ -10,6 +10,7 @@ import pytest
 import mantle
 from app.case import keys
 from app.case.geometries import Femur, MeshOptions
+from app.cli import main
 from app.command_line.commands import dispatch
 from app.errors import GeometryError, InputError
 from app.laws.creep import Creep
@@ -189,3 +190,41 @@ def test_check_finds_a_probe_outside_its_region(
     with pytest.raises(InputError) as caught:
         mantle.check(case)
     assert "output.probes.tip: " in str(caught.value) and where in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["case.yaml", "fields.vtkhdf", "history.csv", "summary.json"])
+def test_a_folder_in_the_way_of_a_result_is_named(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is solved, also for variations."""
+    way = tmp_path / name
+    way.mkdir()
+    case = str(CONFIGS / "blocks.yaml")
+    assert main(["run", case, "-o", str(tmp_path), "--force"]) == 2
+    assert f"{way}: is a folder where results of a run are a file" in capsys.readouterr().err
+    way.rmdir()
+    (tmp_path / "a" / name).mkdir(parents=True)
+    varied = "variations={a: {title: one}, b: {title: two}}"
+    assert main(["run", case, "-o", str(tmp_path), "--force", "--set", varied]) == 2
+    assert f"{tmp_path / 'a' / name}: is a folder" in capsys.readouterr().err
+
+
+def test_a_read_only_folder_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path) != tmp_path)
+    assert main(["run", str(CONFIGS / "blocks.yaml"), "-o", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.strip() == f"-o {tmp_path}: is not writable"
+
+
+@pytest.mark.parametrize("left", ["checkpoint-3.state", "a/checkpoint-3.state", "a/DONE"])
+def test_a_killed_run_names_how_to_go_on(
+    left: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where it was one of variations; each minute a checkpoint is written by default."""
+    (tmp_path / left).parent.mkdir(exist_ok=True)
+    (tmp_path / left).touch()
+    case = CONFIGS / "blocks.yaml"
+    assert main(["run", str(case), "-o", str(tmp_path)]) == 2
+    assert "--restart auto to go on from its checkpoint" in capsys.readouterr().err
+    assert mantle.load(case).config.output.checkpoint.minutes == 1.0
