@@ -80,8 +80,8 @@ def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
 def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
     """Describe a case as understood, its size, and doubtful values in it.
 
-    With ``meshed`` the mesh is made: sizes are counted instead of estimated, and loose parts and
-    unsolvable problems are found.
+    With ``meshed``, or with probes, the mesh is made: sizes are counted instead of estimated, and
+    loose parts, unsolvable problems and probes outside their regions are found.
 
     Returns:
         Texts on the case: its ``description``, its ``size`` and its ``notes``; print it.
@@ -96,7 +96,7 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
     memory.check(case.file, case.config)
     size = cost.estimated_size(case.config, memory.available())
     notes = preview.warnings(case.config)
-    if meshed:
+    if meshed or case.config.output.probes:
         data = mesh(case)
         with stack_needed():
             from app.soundness import well_posedness

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from app.arrays import Floats
+
+PIXELS = 500  # of a shaded surface, along both axes
+DIGITS = 6  # to which places of equal corners agree [mm or degrees]
+# Of every picture: for pages, to be edited, and for papers.
+SUFFIXES = (".png", ".svg", ".pdf")
+PAD = 0.1  # around a figure [inch], so that no letter of a title is cut
 
 
 def new(width: float, height: float) -> Any:
@@ -14,21 +22,59 @@ def new(width: float, height: float) -> Any:
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     # A file in the working folder, which may be another's, can have it start LaTeX.
     mpl.rcdefaults()
-    figure = Figure(figsize=(width, height), layout="constrained")
+    layout = ConstrainedLayoutEngine(w_pad=PAD, h_pad=PAD)
+    figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
 
+def save(figure: Any, path: Path, dpi: int, suffixes: Sequence[str] = SUFFIXES) -> list[Path]:
+    """Write a figure in each format beside a path; return the files."""
+    files = [path.with_suffix(suffix) for suffix in suffixes]
+    for file in files:
+        figure.savefig(file, dpi=dpi)
+        figure.set_layout_engine("none")  # found once: it takes longer than drawing
+    return files
+
+
 def shaded(axes: Any, x: Floats, values: Floats, colours: str, limits: tuple[float, float]) -> Any:
-    """Shade triangles of corners (m, 3, 2) by values there (m, 3); those without area are left."""
-    from matplotlib.tri import Triangulation
+    """Shade a surface in the plane, of triangles with corners (m, 3, 2), by values there (m, 3).
+
+    Values are linear between the corners. They are drawn as an image: where triangles are thin,
+    matplotlib's shading of triangles draws streaks.
+    """
+    from matplotlib.path import Path as Outline
+    from scipy.interpolate import LinearNDInterpolator
 
     a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
-    solid = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) > 1e-9
-    x, y = x[solid].reshape(-1, 2).T
-    mesh = Triangulation(x, y, np.arange(x.size).reshape(-1, 3))
-    options = {"shading": "gouraud", "cmap": colours, "vmin": limits[0], "vmax": limits[1]}
-    return axes.tripcolor(mesh, values[solid].ravel(), rasterized=True, **options)
+    doubled = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    solid = np.abs(doubled) > 1e-9
+    corners = np.where(doubled[:, None, None] < 0, x[:, ::-1], x)[solid]
+    places = np.round(x[solid].reshape(-1, 2), DIGITS)
+    places, first = np.unique(places, axis=0, return_index=True)
+    # A unit of the plane is the mean extent of an edge, along both axes.
+    unit = np.abs(corners - np.roll(corners, 1, axis=1)).mean(axis=(0, 1))
+    between = LinearNDInterpolator(places / unit, values[solid].ravel()[first])
+    low, high = places.min(axis=0), places.max(axis=0)
+    pixels = (np.arange(PIXELS) + 0.5) / PIXELS
+    across, up = ((low + pixels[:, None] * (high - low)) / unit).T
+    image = axes.imshow(
+        between(across[None, :], up[:, None]),
+        cmap=colours,
+        vmin=limits[0],
+        vmax=limits[1],
+        extent=(low[0], high[0], low[1], high[1]),
+        origin="lower",
+        aspect=axes.get_aspect(),
+        interpolation="bilinear",
+    )
+    outline = np.concatenate([corners, corners[:, :1]], axis=1).reshape(-1, 2)
+    codes = np.tile(
+        [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY], len(corners)
+    )
+    image.set_clip_path(Outline(outline, codes), axes.transData)
+    return image

@@ -325,11 +325,15 @@ class FemurSurfaces:
         x = self._placed.to_model(lines.start[worst])
         out = x - self._placed.to_model([0.0, 0.0, zeta[worst]])
         side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
-        text = f"leaves {least:.1f} mm for cement, of {LEAST_MANTLE:g} mm at least,"
+        missing = _rounded_up(LEAST_MANTLE - least)
+        text = (
+            f"leaves {LEAST_MANTLE - missing:.2g} mm for cement, of {LEAST_MANTLE:g} mm at least,"
+        )
         if least < 0:
-            text = f"cuts {_rounded_up(-least):.1f} mm into the cortex"
+            text = f"cuts {_rounded_up(-least):.2g} mm into the cortex"
         where = f"{side} at {self._placed.where(x)}"
-        raise GeometryError(f"{self.key}: the stem {text} {where}; {self.remedy}")
+        needed = f"{missing:.2g} mm more are needed there"
+        raise GeometryError(f"{self.key}: the stem {text} {where}; {self.remedy}; {needed}")
 
     def _check(self, lines: Lines) -> None:
         """Refuse lines that meet bone twice."""
@@ -346,8 +350,9 @@ class FemurSurfaces:
 
 
 def _rounded_up(length: float) -> float:
-    """Length rounded up to a tenth, which is never zero for a stem that cuts [mm]."""
-    return math.ceil(10 * length) / 10
+    """Length rounded up to a tenth, below that to a hundredth: never zero [mm]."""
+    parts = 10 if length > 0.1 else 100
+    return math.ceil(parts * length) / parts
 
 
 def _distances(mesh: Any, length: float, part: str) -> Floats:

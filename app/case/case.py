@@ -9,7 +9,7 @@ and takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -60,7 +60,7 @@ class Case(Section):
     """Side of the hip, z being proximal and y anterior: x is medial of a left one and lateral of a
     right one. It decides the signs of retroversion and varus, and nothing else. Parametric femurs
     are left, and nothing else: their numbers are those of the mirrored right one."""
-    mesh: MeshOptions
+    mesh: MeshOptions = Field(default_factory=MeshOptions)
     """Mesh size and order."""
     regions: Annotated[dict[Name, Region], MAPPING]
     """Material of every region of the geometry."""
@@ -176,12 +176,12 @@ class LoadedCase:
     def __repr__(self) -> str:
         """Title, file, geometry, mesh, interfaces and stages in five lines."""
         c = self.config
-        mesh = f"{c.mesh.size:g} mm, order {c.mesh.order}" if c.mesh else "none"
+        size = f"{c.mesh.size:g} mm" if c.mesh.size else "of the file"
         laws = ", ".join(f"{name} {law.kind}" for name, law in c.interfaces.items())
         return (
             f"case {self.path}: {c.title or 'without title'}\n"
             f"  geometry {c.geometry.kind}: {', '.join(c.geometry.region_names)}\n"
-            f"  mesh {mesh}\n  interfaces {laws or 'none'}\n"
+            f"  mesh {size}, order {c.mesh.order}\n  interfaces {laws or 'none'}\n"
             f"  stages {', '.join(stage.name for stage in c.stages)}; all values in .config"
         )
 
@@ -244,15 +244,11 @@ def resolve(file: CaseFile, folder: Path) -> Case:
         InputError: As `load`.
     """
     case, faults = valid_parts(file.data, folder)
+    case = _with_tissues(case, file.tissues)
     file.raise_all([*faults, *checks.cross_check(case)])
     if isinstance(case.geometry, MeshFile):
         case = case.model_copy(update={"geometry": case.geometry.parted(case.faces)})
     laws = {name: case.interfaces.get(name, Bonded()) for name in case.geometry.interface_sides}
-    tissues = case.geometry.tissues
-    regions = {
-        name: region if region.tissue else region.model_copy(update={"tissue": tissues[name]})
-        for name, region in case.regions.items()
-    }
     mesh = case.mesh
     if mesh.curved is None:
         curved = mesh.order == 2 and case.geometry.has_curved_surfaces
@@ -261,14 +257,28 @@ def resolve(file: CaseFile, folder: Path) -> Case:
         case.geometry.check_fit(mesh)
     time = (case.time or TimeOptions()) if case.conducts else None
     title = title_with_changes(case.title, file)
-    changes = {"title": title, "regions": regions, "interfaces": laws, "mesh": mesh, "time": time}
+    changes = {"title": title, "interfaces": laws, "mesh": mesh, "time": time}
     return case.model_copy(update=changes)
+
+
+def _with_tissues(case: Case, of_materials: Mapping[str, str]) -> Case:
+    """Give regions without a tissue that of the geometry, else of the material."""
+    if case.geometry is None or case.regions is None:
+        return case
+    known = {**of_materials, **case.geometry.tissues}
+    regions = {
+        name: region.model_copy(update={"tissue": known[name]})
+        if region and region.tissue is None and name in known
+        else region
+        for name, region in case.regions.items()
+    }
+    return case.model_copy(update={"regions": regions})
 
 
 def valid_parts(data: dict[str, Any], folder: Path) -> tuple[Case, list[Fault]]:
     """A case whose missing or invalid parts are None, and their faults."""
     faults: list[Fault] = []
-    parts: dict[str, Any] = dict.fromkeys(("geometry", "mesh", "regions"))
+    parts: dict[str, Any] = dict.fromkeys(("geometry", "regions"))
     notes = {"folder": folder, "points": None, "parts": parts, "faults": faults}
     try:
         Case.model_validate(data, context=notes)

@@ -80,7 +80,7 @@ def _names(case: Any) -> Iterable[Fault]:
     if missing := [name for name in regions if name not in case.regions]:
         yield Fault(("regions",), f"no material for {', '.join(missing)}; every region needs one")
     for _, name, region in _entries(case, "regions"):
-        if region.tissue is None and name in regions and name not in case.geometry.tissues:
+        if region.tissue is None and name in regions:
             text = "'tissue' is missing; expected bone, cement, implant or other"
             yield Fault(("regions", name), text)
 
@@ -89,6 +89,9 @@ def _mesh(case: Any) -> Iterable[Fault]:
     """Lengths too small for the mesh size, and numbers of what the mesh does not have."""
     largest = case.geometry.coarsest_size
     if case.mesh is not None:
+        if not case.mesh.size and largest:
+            text = "'size' is missing; expected: edge length at the interfaces"
+            yield Fault(("mesh",), text)
         if not case.geometry.spans and 0.0 < largest < case.mesh.size:
             text = (
                 f"{case.mesh.size:g} mm: no part holds such cells; expected at most {largest:g} mm"

@@ -31,8 +31,8 @@ MUSCLES: dict[str, Point3] = {
 # thickness of the mantle less the widening of the canal (mm).
 FILLED = (0.0, 0.05, 0.4, 0.64, 0.7, 0.74, 0.8, 0.85, 0.9)
 FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
-# Mean widths of cancellous and cortical bone along the lines (mm).
-WIDTHS = (5.6, 5.2)
+# Mean widths of cancellous bone, and of cortical bone around a canal that is not widened (mm).
+CANCELLOUS_WIDTH, CORTICAL_WIDTH = 5.0, 6.2
 # Least fraction of the stem in the bone; range of the angle between neck and shaft (deg).
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
 HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
@@ -310,7 +310,9 @@ class _Femur(Shape):
         """Tetrahedra below the neck cut, and in one step of the core and of all layers above it.
 
         Three for each triangle of the section. Where the mantle fills the canal, along a part of
-        the circumference fitted to counted meshes, there is no cancellous bone.
+        the circumference fitted to counted meshes, there is no cancellous bone. A wider canal has
+        thinner cortical bone. Of 370 random hips, 367 have the number of cells within 12 %, and all
+        within 18 %.
         """
         around, stem, below, (_, *bone) = self.grid(mesh).values()
         most = (mesh.along_cement(self.cement_thickness), *bone)
@@ -318,7 +320,7 @@ class _Femur(Shape):
         cement = spread(self.cement_thickness)[1]
         filled = cement - self.canal_widening
         open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
-        widths = (1.4 + 0.4 * cement, *WIDTHS)
+        widths = (1.0 + 0.7 * cement, CANCELLOUS_WIDTH, CORTICAL_WIDTH - self.canal_widening)
         through, cancellous, cortical = (
             min(cells, max(1.0, width / length))
             for cells, width, length in zip(most, widths, mesh.least_through, strict=True)
@@ -387,6 +389,11 @@ class Femur(_Femur):
             return super()._section()
         half = float(self.stem.found["around"]) / 8  # of a square
         return half, half, 0.0
+
+    @property
+    def proud(self) -> float:
+        """Height of the stem's shoulder above the neck cut, along the shaft's axis (mm)."""
+        return self.stem_tip_z + self.stem_length - self._cut
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:

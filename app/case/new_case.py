@@ -77,7 +77,7 @@ def _own(mesh: Path, meeting: Meeting | None) -> str:
                 file = MeshFile(kind="file", path=mesh)
                 pairs, inside = meeting(file, MeshOptions.model_validate({"size": "3 mm"}))
         boundaries = tuple(s for s in surfaces if s not in inside) or boundaries
-    lines = (f"  {_word(r)}: {{material: cortical_bone, tissue: bone}}\n" for r in regions)
+    lines = (f"  {_word(r)}: {{material: cortical_bone}}\n" for r in regions)
     return (
         (FOLDER / "file.template")
         .read_text(encoding="utf-8")

@@ -285,6 +285,9 @@ def _named_entry(
     known = lower if isinstance(lower, dict) else {}
     if kind == "finishes":
         return (known if known.get("kind") == entry["kind"] else {}) | entry, rest
+    case.tissues.pop(str(path[1]), None)
+    if isinstance(tissue := entry.pop("tissue", None), str):
+        case.tissues[str(path[1])] = tissue
     return _material(known, entry, rest), rest
 
 
@@ -353,7 +356,11 @@ def _material(
 def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
     """A copy with more overrides, without reading the file again."""
     copies: dict[str, Any] = {"data": deepcopy(case.data), "places": dict(case.places)}
-    copies |= {"given": dict(case.given), "measured": dict(case.measured)}
+    copies |= {
+        "given": dict(case.given),
+        "measured": dict(case.measured),
+        "tissues": dict(case.tissues),
+    }
     copy = replace(case, **copies, complaints=[])
     apply(copy, overrides)
     return copy

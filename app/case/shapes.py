@@ -7,7 +7,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, Discriminator, Tag, model_validator
+from pydantic import (
+    BaseModel,
+    Discriminator,
+    Field,
+    SerializerFunctionWrapHandler,
+    Tag,
+    model_serializer,
+    model_validator,
+)
 
 from app.schema.section import TAG, Section, Truth, fail
 from app.schema.units import Dimension, Plain, PositiveLength
@@ -171,6 +179,11 @@ class Shape(Section):
         """Doubts about what files gave, for `mantle check` and the log."""
         return ()
 
+    @property
+    def proud(self) -> float:
+        """Height of a stem's shoulder above the neck cut, along the shaft's axis (mm)."""
+        return 0.0
+
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError if a stem does not fit into a measured bone."""
 
@@ -215,8 +228,8 @@ class Shape(Section):
 class MeshOptions(Section):
     """Mesh size and order of the displacement."""
 
-    size: PositiveLength
-    """Edge length at the interfaces."""
+    size: Annotated[PositiveLength, Field(json_schema_extra={"default": None})] = 0.0
+    """Edge length at the interfaces. Required except for a mesh file, which has cells."""
     far_size: PositiveLength | None = None
     """Edge length far from them; four times `size` by default."""
     order: Annotated[int, Plain(integer=True, at_least=1, at_most=2)] = 2
@@ -296,12 +309,18 @@ class MeshOptions(Section):
         sizes = {"size": factor * self.size, "far_size": factor * self.far}
         return self.model_copy(update=sizes | counts)
 
+    @model_serializer(mode="wrap")
+    def _known(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out the sizes of a mesh file, which are not known."""
+        fields: dict[str, Any] = handler(self)
+        return {k: v for k, v in fields.items() if self.size or k not in ("size", "far_size")}
+
     @model_validator(mode="after")
     def _possible(self) -> MeshOptions:
         if self.curved and self.order == 1:
             # Linear functions on curved cells do not contain the linear displacements.
             fail("curved cells need second order; expected false, or `order: 2`", at=("curved",))
-        if self.size < LEAST:
+        if 0.0 < self.size < LEAST:
             fail(f"{self.size:g} mm is less than an atom", at=("size",))
         if self.far < self.size:
             fail(f"{self.far:g} mm is finer than size, {self.size:g} mm", at=("far_size",))

@@ -120,8 +120,9 @@ REFERENCE = ("study", "reference", "run")
 def _density(case: Case) -> tuple[float, str]:
     """Lines around the stem, else cells per mm, and both in words."""
     around = case.geometry.grid(case.mesh).get("lines around")
-    words = f"{around} lines around" if around else f"size {case.mesh.size:g} mm"
-    return around or 1.0 / case.mesh.size, words
+    if around or not case.mesh.size:
+        return around or 0.0, f"{around} lines around" if around else "the mesh of the file"
+    return 1.0 / case.mesh.size, f"size {case.mesh.size:g} mm"
 
 
 def _shared_meshes(study: Study, runs: Sequence[PlannedRun]) -> Iterator[Fault]:

@@ -119,7 +119,10 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
         help="estimate the error of each number by coarser companions (as output.error: true)",
     ),
     "--accuracy": dict(metavar="PART", help="pick mesh size and order for errors below, e.g. 0.05"),
-    "--mesh": dict(action="store_true", help="make the mesh and give exact sizes"),
+    "--mesh": dict(
+        action="store_true",
+        help="make the mesh and give exact sizes (always done if there are probes)",
+    ),
     "--kind": dict(
         choices=("femur", "cylinders", "blocks", "head_cup", "file"),
         default="femur",

@@ -18,10 +18,11 @@ from app.arrays import Floats, Ints
 from app.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.scene.bodies import cell_tags
+from meshes.data import shares
 from meshes.distribute import TaggedMesh
 
 # Tolerance for points outside a cell, in barycentric coordinates: curved surfaces are cut.
-_OUTSIDE = 0.1
+OUTSIDE = 0.1
 
 # A point [mm], and the region that it belongs to; None for any region that holds it.
 Probe = tuple[tuple[float, float, float], str | None]
@@ -148,15 +149,19 @@ def _locate(tagged: TaggedMesh, probed: str, probe: Probe) -> tuple[int, str, Fl
     wanted = tagged.regions[region] if region else tags
     cell, share, inside = _nearest(tagged, np.flatnonzero(tags == wanted), np.array(at))
     best, rank = comm.allreduce((inside, -comm.rank), MPI.MAX)
-    if best < -_OUTSIDE:
-        where = f"region '{region}'" if region else "the model"
-        raise InputError(
-            f"output.probes.{probed}: {list(at)} mm is not in {where}; allowed: a point inside"
-        )
+    if best < -OUTSIDE:
+        raise InputError(outside_text(probed, probe))
     if rank != -comm.rank:
         return None
     names = {tag: name for name, tag in tagged.regions.items()}
     return cell, names[int(tags[cell])], share
+
+
+def outside_text(name: str, probe: Probe) -> str:
+    """The message on a probe that is not in its region."""
+    at, region = probe
+    where = f"region '{region}'" if region else "the model"
+    return f"output.probes.{name}: {list(at)} mm is not in {where}; allowed: a point inside"
 
 
 def _nearest(tagged: TaggedMesh, cells: Ints, point: Floats) -> tuple[int, Floats, float]:
@@ -164,12 +169,10 @@ def _nearest(tagged: TaggedMesh, cells: Ints, point: Floats) -> tuple[int, Float
     if not len(cells):
         return -1, np.zeros(4), -np.inf
     geometry = tagged.mesh.geometry
-    corners = geometry.x[geometry.dofmap[cells][:, :4]]
-    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    ξ = np.linalg.solve(edges, (point - corners[:, 0])[:, :, None])[:, :, 0]
-    smallest = np.minimum(ξ.min(axis=1), 1 - ξ.sum(axis=1))
+    every = shares(np.asarray(geometry.x[geometry.dofmap[cells][:, :4]], float), point)
+    smallest = every.min(axis=1)
     best = int(np.argmax(smallest))
-    place = ξ[best]
+    place = every[best, 1:]
     if geometry.dofmap.shape[1] > 4:
         nodes = np.ascontiguousarray(geometry.x[geometry.dofmap[cells[best]]])
         place = geometry.cmap.pull_back(point[None, :], nodes)[0]

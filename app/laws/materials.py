@@ -86,7 +86,8 @@ class Material(OfRegion):
     material: Text | None = None
     """Material of the library (`mantle explain materials`); other keys change it."""
     tissue: Tissue | None = None
-    """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
+    """Tissue of the region: bone, cement, implant or other; by default that of the geometry, of a
+    `file` that of the library's material."""
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     status: Status = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from petsc4py import PETSc
 
@@ -108,30 +108,18 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     by the default.
     """
     contact = solver.system.contact
-    if contact and not solver.converged and contact.tie(True):
-        start.copy(solver.x)
-        try:
-            yield "closing and tying open interfaces of bodies that nothing else holds"
-        finally:
-            contact.tie(False)
-        yield "releasing the tied interfaces"
-    if contact and not solver.converged and contact.release(True):
-        start.copy(solver.x)
-        try:
-            yield "opening all interfaces"
-        finally:
-            contact.release(False)
-        if solver.system.runs_away(solver.blocks()):
+    if contact:
+        tied = "closing and tying open interfaces of bodies that nothing else holds"
+        yield from _switched(solver, start, contact.tie, tied, "releasing the tied interfaces")
+        overlap = "closing interfaces where the open bodies overlap"
+        yield from _switched(solver, start, contact.release, "opening all interfaces", overlap)
+        if not solver.converged:
             start.copy(solver.x)
-        else:
-            yield "closing interfaces where the open bodies overlap"
-    if contact and not solver.converged:
-        start.copy(solver.x)
-        contact.springs = SPRINGS
-        try:
-            yield "weak springs between the bodies in the Jacobian"
-        finally:
-            contact.springs = 0.0
+            contact.springs = SPRINGS
+            try:
+                yield "weak springs between the bodies in the Jacobian"
+            finally:
+                contact.springs = 0.0
     if not solver.converged and solver.linear.factor_interfaces():
         start.copy(solver.x)
         yield "factorizing the contact block"
@@ -166,6 +154,31 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         contact.scale_augmentation(solver.augmentation)
         times = f"{share:g} times the default"
         yield f"augmentation {solver.augmentation:.3g} r, {times}{_values(contact)}"
+
+
+def _switched(
+    solver: Solver, start: PETSc.Vec, switch: Callable[[bool], bool], first: str, then: str
+) -> Iterator[str]:
+    """Solve from the start with interfaces switched, then from there as they are.
+
+    Args:
+        solver: The solver, whose state is the start again if a body has run away.
+        start: The state to start from.
+        switch: Ties or opens interfaces, or ends that; returns whether there are such.
+        first: The remedy with the interfaces switched, in words.
+        then: The remedy after that.
+    """
+    if solver.converged or not switch(True):
+        return
+    start.copy(solver.x)
+    try:
+        yield first
+    finally:
+        switch(False)
+    if solver.system.runs_away(solver.blocks()):
+        start.copy(solver.x)
+    else:
+        yield then
 
 
 def hopeless(solver: Solver) -> bool:

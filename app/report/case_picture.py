@@ -7,6 +7,7 @@ where they attack: those that point away from the middle of the model begin ther
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +31,9 @@ LOAD, SUPPORT, HEAT = "#b2182b", "#1b7837", "#d9660a"
 BETWEEN = tuple(COLOURS[k] for k in (0, 3, 7, 5)) * 9  # of the interfaces
 # Inches: the body at most, the room around it, arrows, labels and the gap before them.
 TALL, WIDE, SIDE, TOP, BOTTOM = 5.0, 3.4, 2.3, 2.2, 1.45
+LINE = 0.23  # of a title or a legend; two of each have room in TOP and BOTTOM
+LETTERS = 9.5  # of a title in an inch
+ENTRIES = 5  # of the legend in a line
 LONGEST, SHORTEST, LABEL, GAP = 0.95, 0.35, 0.3, 0.65
 SEVERAL = 5  # arrows of a pressure
 # Text, places (n, 3) [mm], and the force of each arrow (n, 3) [N].
@@ -68,10 +72,15 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     low, high = data.points.min(axis=0), data.points.max(axis=0)
     size, clinical = high - low, case.geometry.has_gruen_zones
     inch = max(size[2] / TALL, size[:2].max() / WIDE)
-    wide, tall = size[:2] / inch + 2 * SIDE, size[2] / inch + TOP + BOTTOM
+    wide, forces, left = size[:2] / inch + 2 * SIDE, [*_forces(case, data)], 0.0
+    title = textwrap.wrap(case.title or path.stem, int(LETTERS * wide.sum()))
+    entries = len(data.regions) + len(case.interfaces)
+    entries += sum(map(bool, (case.supports, case.heat, forces)))
+    more = LINE * max(0, len(title) - 1), LINE * max(0, math.ceil(entries / ENTRIES) - 2)
+    top, bottom = TOP + more[0], BOTTOM + more[1]
+    tall = size[2] / inch + top + bottom
     figure = figures.new(wide.sum(), tall)
     figure.set_layout_engine("none")
-    forces, left = [*_forces(case, data)], 0.0
     outside = exterior_facets(data.cells)
     for name in picture.FRONT_AND_SIDE:
         across, leftward, toward = picture.VIEWS[name]
@@ -90,15 +99,15 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
         where += f", section {AXES[toward]} = {round(at, 3):g} mm"
         ax.text((low + high)[across] / 2, high[2] + (TOP - 1.0) * inch, where, ha="center")
         ends = [low[across] - SIDE * inch, high[across] + SIDE * inch][:: -1 if leftward else 1]
-        ax.set(xlim=ends, ylim=(low[2] - BOTTOM * inch, high[2] + TOP * inch))
+        ax.set(xlim=ends, ylim=(low[2] - bottom * inch, high[2] + top * inch))
         ax.set_axis_off()
-    title = f"{case.title or path.stem}\n{len(data.cells):,} cells"
-    place = {"ha": "center", "va": "center", "parse_math": False}
-    figure.text(0.5, 1 - 0.3 / tall, title, fontsize=12, **place)
+    words = "\n".join([*title, f"{len(data.cells):,} cells"])
+    place = {"ha": "center", "va": "top", "parse_math": False}
+    figure.text(0.5, 1 - 0.1 / tall, words, fontsize=12, **place)
     words = f"{len(forces)} loads, {next(preview.resultant(case), '')}" if len(forces) > 1 else ""
-    figure.text(0.5, 1 - 0.7 / tall, words, color=LOAD, **place)
+    figure.text(0.5, 1 - (0.62 + more[0]) / tall, words, color=LOAD, **place)
     legend = handles(figure.axes)
-    figure.legend(legend.values(), legend, loc="lower center", ncols=5, frameon=False)
+    figure.legend(legend.values(), legend, loc="lower center", ncols=ENTRIES, frameon=False)
     figure.savefig(path, dpi=110, format="png")
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from app import figures
 from app.arrays import Floats
 from app.case.quantities import FACTORS, STRESSED, TABLE, printed
 from app.report import page
@@ -87,11 +88,7 @@ def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> list[Path
             frameon=False,
             fontsize=9,
         )
-    files = [path.with_suffix(suffix) for suffix in (".png", ".svg", ".pdf")]
-    for file in files:
-        figure.savefig(file, dpi=120)
-        figure.set_layout_engine("none")  # found once: it takes longer than drawing
-    return files
+    return figures.save(figure, path, 120)
 
 
 def _draw(axes: Any, panel: Panel) -> None:

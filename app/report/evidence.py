@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from app.case import quantities
 from app.case.case import Case, load
+from app.case.geometries import MeshFile
 from app.case.library import ORIGIN
 from app.case.quantities import TABLE
 from app.errors import InputError
@@ -202,7 +203,7 @@ def methods(folder: Path) -> Path:
 
 def _paragraphs(case: Case, summary: Mapping[str, Any], record: Mapping[str, Any]) -> Iterator[str]:
     yield f"## Methods: {case.title}"
-    order, size = case.mesh.order, case.mesh.size
+    order = case.mesh.order
     solver = summary["solver"]
     mantle = ""
     if cement := summary.get("mantle", {}).get("thickness"):
@@ -210,10 +211,11 @@ def _paragraphs(case: Case, summary: Mapping[str, Any], record: Mapping[str, Any
             f" Its cement mantle is {cement['mean']:.2f} mm thick in the mean, "
             f"{cement['min']:.2f} mm at the least (nominal {cement['nominal']:g} mm)."
         )
-    yield (
-        f"The model ({case.geometry.kind}) was meshed by gmsh {record['identity']['gmsh']} with "
-        f"tetrahedra of {size:g} mm and order {order}: {solver['dofs']} unknowns.{mantle}"
-    )
+    made = f"was meshed by gmsh {record['identity']['gmsh']} with tetrahedra of"
+    made = f"{made} {case.mesh.size:g} mm and order {order}"
+    if isinstance(case.geometry, MeshFile) and not case.geometry.is_script:
+        made = f"has the tetrahedra of {case.geometry.path.name}, of order {order}"
+    yield f"The model ({case.geometry.kind}) {made}: {solver['dofs']} unknowns.{mantle}"
     for title in ("regions", "interfaces", "supports", "loads"):
         parts = getattr(case, title).items()
         lines = (f"- {name.replace('_', ' ')}: {_values(part)}" for name, part in parts)

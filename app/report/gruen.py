@@ -111,7 +111,7 @@ def shielding_picture(
     grid[-1].set_xlabel("Gruen zone (1 to 7 frontal, 8 to 14 lateral view)")
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
-    figure.savefig(folder / "shielding.png", dpi=120)
+    figures.save(figure, folder / "shielding.png", 120)
     caption = (
         f"Strain energy per volume of bone against the intact femur ({without.name}); below zero "
         "the stem takes load from the bone."

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from app.figures import SUFFIXES
+
 # Parts of a section: kind, as the template names it, and content.
 Blocks = list[tuple[str, dict[str, Any]]]
 T = TypeVar("T")
@@ -73,6 +75,12 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Blocks:
 def figures(found: Sequence[Figure], folder: Path) -> Blocks:
     """Pictures of a folder with their captions, inside the page."""
     return [("figure", {"figure": f, "data": _smaller(folder / f.name)}) for f in found]
+
+
+def files(found: Sequence[Figure], folder: Path) -> list[Path]:
+    """The files of pictures in a folder, in all formats that were written."""
+    every = ((folder / f.name).with_suffix(suffix) for f in found for suffix in SUFFIXES)
+    return [file for file in every if file.exists()]
 
 
 def _smaller(path: Path) -> str:

@@ -26,8 +26,9 @@ from app.report import sentence
 from app.report.page import Figure
 from app.report.sweep_figures import headlines
 from app.report.sweep_results import WORDS, SweepResults, SweptCase, named
-from app.report.viewer import INTERFACE, lengths, outsides
-from app.results.reading import FACES, Run
+from app.report.viewer import INTERFACE, cells_of, lengths, outsides, quartered
+from app.results.reading import Run
+from meshes.data import FACES
 from meshes.picture import VIEWS, surface
 
 Chosen = list[tuple[str, SweptCase]]
@@ -73,7 +74,9 @@ def ends(sweep: SweepResults) -> Chosen:
     return [(c.name, c) for _, c in shown]
 
 
-def maps(chosen: Chosen, folder: Path) -> tuple[list[Figure], list[str]]:
+def maps(
+    chosen: Chosen, folder: Path, suffixes: Sequence[str] = figures.SUFFIXES
+) -> tuple[list[Figure], list[str]]:
     """Draw the maps of cases, a picture for each interface; tell why cases have none."""
     drawn: list[Figure] = []
     missing: list[str] = []
@@ -97,7 +100,7 @@ def maps(chosen: Chosen, folder: Path) -> tuple[list[Figure], list[str]]:
             missing.append(f"no map of {name}: it does not surround a stem, and is no plane or cup")
             continue
         file = f"map_{name}.png"
-        if labels := draw(folder / file, columns, _rows(name, columns)):
+        if labels := draw(folder / file, columns, _rows(name, columns), suffixes):
             drawn.append(_figure(file, name, columns, labels))
     return drawn, missing
 
@@ -137,16 +140,17 @@ def _figure(file: str, name: str, columns: Sequence[Column], labels: Sequence[st
 
 
 def facets(run: Run, side: Sequence[int], other: Sequence[int]) -> Ints:
-    """Corners of the facets of an interface (m, 3), in the cells of one side."""
+    """Triangles of an interface (m, 3), in the cells of one side; curved facets are four each."""
     mine, theirs = (
-        run.cells[np.isin(run.region, regions)][:, np.array(FACES)].reshape(-1, 3)
-        for regions in (side, other)
+        cells[:, FACES[:, : 3 if cells.shape[1] == 4 else 6]].reshape(4 * len(cells), -1)
+        for cells in (cells_of(run, side), cells_of(run, other))
     )
     # Bodies that can part have nodes of their own at the same places.
     here, there = (
-        np.round(run.points[f].mean(axis=1), 6).view("f8,f8,f8").ravel() for f in (mine, theirs)
+        np.round(run.points[f[:, :3]].mean(axis=1), 6).view("f8,f8,f8").ravel()
+        for f in (mine, theirs)
     )
-    return mine[np.isin(here, there)]
+    return quartered(mine[np.isin(here, there)])
 
 
 def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
@@ -221,8 +225,13 @@ def spread(x: Floats) -> Floats | None:
     return np.asarray(size * angle * place[..., 1:] / np.maximum(across, 1e-12))
 
 
-def draw(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> list[str]:
-    """Draw quantities of an interface, one below the other, cases side by side.
+def draw(
+    path: Path,
+    columns: Sequence[Column],
+    rows: Sequence[Row],
+    suffixes: Sequence[str] = figures.SUFFIXES,
+) -> list[str]:
+    """Draw quantities of an interface, one below the other, cases side by side; one case in pairs.
 
     The colours of a row are the same in all cases, so that they can be compared. Returns the labels
     of the rows drawn; no picture if there is none.
@@ -231,32 +240,41 @@ def draw(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> list[str
     if not rows:
         return []
     round = all(s.round for _, _, s in columns)
+    titles = [textwrap.fill(title.replace("_", " "), 30) for title, _, _ in columns]
+    alone = len(columns) == 1  # quantities of one case side by side
+    down, across = (
+        (math.ceil(len(rows) / 2), min(2, len(rows))) if alone else (len(rows), len(titles))
+    )
     wide, high = (3.0, 2.9) if round else (3.4, 3.0)
-    wide, high = wide * len(columns) + 1.6, high * len(rows) + 0.5
-    figure = figures.new(wide, high)
+    wide, high = (wide + 0.8 * alone) * across + 1.2, high * down + 0.3
+    top = 0.15 + 0.18 * max(len(title.splitlines()) for title in titles)
+    figure = figures.new(wide, high + top)
     figure.set_layout_engine(None)  # takes a third of the time
-    margins = 0.75 / wide, 0.4 / high, 1 - 0.45 / wide, 1 - 0.45 / high
-    figure.subplots_adjust(*margins, wspace=0.12, hspace=0.16)
-    grid = figure.subplots(len(rows), len(columns), squeeze=False, sharey=round)
-    for axes_row, (label, colours, found) in zip(grid, rows, strict=True):
+    margins = 0.75 / wide, 0.4 / (high + top), 1 - 0.45 / wide, high / (high + top)
+    figure.subplots_adjust(*margins, wspace=0.2 if alone else 0.12, hspace=0.16)
+    grid = figure.subplots(down, across, squeeze=False, sharey=round)
+    for axes in grid.ravel()[len(rows) * len(columns) :]:
+        axes.set_visible(False)
+    panels = grid.reshape(-1, len(columns))
+    for axes_row, (label, colours, found) in zip(panels, rows, strict=False):
         of = [(own, v) for (*_, own), v in zip(columns, found, strict=True)]
         every = np.concatenate([v[own.nodes].ravel() for own, v in of if v is not None])
         low = float(every.min()) if label == TEMPERATURE else 0.0
-        top = max(float(np.percentile(every, CLIP)), low + LEAST)
+        most = max(float(np.percentile(every, CLIP)), low + LEAST)
         shade: Any = None
         for axes, (own, v) in zip(axes_row, of, strict=True):
             _axes(axes, own)
             if v is None:
                 axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color="0.4")
                 continue
-            shade = figures.shaded(axes, own.corners, v[own.nodes], colours, (low, top))
-        extend = "max" if every.max() > top * (1 + 1e-6) else "neither"
+            shade = figures.shaded(axes, own.corners, v[own.nodes], colours, (low, most))
+        extend = "max" if every.max() > most * (1 + 1e-6) else "neither"
         figure.colorbar(shade, ax=list(axes_row), label=label, extend=extend, pad=0.04)
-    for axes, (title, _, _) in zip(grid[0], columns, strict=True):
-        axes.set_title(textwrap.fill(title.replace("_", " "), 30), fontsize=10)
+    for axes, title in zip(grid[0], titles, strict=False):
+        axes.set_title(title, fontsize=10)
     for axes in grid[:, 0]:
         axes.set_ylabel("height (mm)" if round else "mm")
-    figure.savefig(path, dpi=110)
+    figures.save(figure, path, 160, suffixes)
     return [label for label, *_ in rows]
 
 
@@ -272,7 +290,11 @@ def _axes(axes: Any, own: Sheet) -> None:
     axes.set_xlim(max(low[0], SEAM), min(high[0], SEAM + 360.0))
     shown = {a: w for a, w in WAYS.items() if axes.get_xlim()[0] <= a <= axes.get_xlim()[1]}
     names = [SHORT[way] for way in shown.values()]
-    axes.set_xticks(list(shown), names, fontsize=8)
+    ticks = axes.set_xticks(list(shown), names, fontsize=8)
+    # The outer names stay inside the frame, so that those of the next map have room.
+    for end, side in ((ticks[:1], "left"), (ticks[1:][-1:], "right")):
+        for tick in end:
+            tick.label1.set_ha(side)
     for angle in (0.0, 90.0, 180.0):
         axes.axvline(angle, color="0.5", lw=0.5, ls=":")
 
@@ -309,8 +331,7 @@ def sides(run: Run, folder: Path) -> list[Figure]:
                 ax.set_axis_off()
             bar = figure.colorbar(scale, ax=near, orientation="horizontal", pad=0.02)
             bar.set_label(f"{label} on the {body.replace('_', ' ')} ({unit})")
-    for suffix in ("png", "pdf"):
-        figure.savefig(folder / f"{SIDES}.{suffix}", dpi=130)
+    figures.save(figure, folder / f"{SIDES}.png", 130)
     names = " and ".join(name.replace("_", "-") for name in shown)
     caption = "Slip, opening and contact pressure at the end, on the inner body of each interface."
     text = f"Slip, gap and pressure of {names}, drawn on the surface from three sides."

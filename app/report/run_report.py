@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import meshes
+from app import figures
 from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
@@ -24,9 +25,8 @@ from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
 from app.results import cycles
 from app.results.reading import Run
-from app.results.run_folder import CASE_PICTURE
 from app.system import folders
-from app.system.folders import write_text
+from app.system.folders import CASE_PICTURE, write_text
 from app.system.layout import noted, plain
 from app.system.ranks import rank
 
@@ -99,7 +99,8 @@ def write(folder: Path, share: float = math.inf, spread: Path | None = None) -> 
             return _variations(folder, share)
         return _run(folder, share, spread=spread)
     except OSError as error:
-        raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
+        text = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
+        raise StoppedError(text) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{folder}: results that cannot be read: {error!r}") from error
 
@@ -185,13 +186,14 @@ def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]
         folder = case.folder / PICTURES if whole else Path(scratch)
         folder.mkdir(exist_ok=True)
         try:
-            maps, missing = pictures.maps([("", case)], folder)
+            suffixes = figures.SUFFIXES[: None if whole else 1]
+            maps, missing = pictures.maps([("", case)], folder, suffixes)
         except (KeyError, OSError) as error:
             maps, missing = [], [f"fields that cannot be read: {error}"]
         sides = pictures.sides(Run(case.folder), folder) if whole else []
-        files = [f.name for f in (*sides, *maps)] + [f"{pictures.SIDES}.pdf"] * len(sides)
+        files = page.files((*sides, *maps), folder)
         blocks = [page.figures(found, folder) for found in (sides, maps)]
-    return blocks[0], blocks[1] + bullets(missing), [folder / name for name in files] * whole
+    return blocks[0], blocks[1] + bullets(missing), files * whole
 
 
 def _view(folder: Path) -> tuple[str, list[str]]:

@@ -18,7 +18,7 @@ from app.system.layout import duration, noted
 
 PAGE, PICTURES = "report.html", "report"
 # Files that an earlier report may have left in the folder of pictures.
-OURS = ("over_*.*", "map_*.png", "shielding.png")
+OURS = ("over_*.*", "map_*.*", "shielding.*")
 
 
 def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
@@ -51,8 +51,9 @@ def run(folder: Path) -> tuple[list[Path], Sequence[SweptCase]]:
         head["view"] = viewer({name: case.folder for name, case in chosen[:2]})
         write_text(folder / PAGE, page.page(sweep.title, sections, **head))
     except OSError as error:
-        raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
-    figures = (drawings / f.name for f in (*mapped, *shields))
+        text = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
+        raise StoppedError(text) from error
+    figures = page.files((*mapped, *shields), drawings)
     return [folder / PAGE, *figures, *drawn], sweep.cases
 
 

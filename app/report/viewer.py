@@ -26,6 +26,7 @@ THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")
 LEVELS = 65534  # values are 0 to this, and one more stands for none
 MOST = 3_000_000  # bytes of values before they are compressed: about half of a page of 2 MB
+QUARTERS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]  # of a facet with six nodes
 MOMENTS = 12  # of a cycle, where a body turns
 # Label, unit, and factor on the value in the file; of vectors the length is shown.
 INTERFACE = {
@@ -203,19 +204,28 @@ def _kinds(run: Run) -> list[tuple[str, str, str, str, float]]:
 
 def outsides(run: Run, curved: bool) -> dict[str, Ints]:
     """Surface triangles of each region (t, 3), facing outwards; curved facets are four each."""
-    width, found = run.cells.shape[1], {}
+    found: dict[str, Ints] = {}
     for name, number in run.regions.items():
-        cells = run.cells[run.region == number][:, [*range(8), 9, 8][:width]]  # in gmsh's order
+        cells = cells_of(run, [number])
         if not len(cells):
             continue
         facets, owner = exterior_facets(cells)
         inverted = cell_volumes(run.points, cells)[owner] < 0
         turned = facets[:, [0, 2, 1, 5, 4, 3][: facets.shape[1]]]
         facets = np.where(inverted[:, None], turned, facets)
-        parts = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
-        six = curved and width == 10
-        found[name] = facets[:, parts].reshape(-1, 3) if six else facets[:, :3]
+        found[name] = quartered(facets) if curved else facets[:, :3]
     return found
+
+
+def cells_of(run: Run, numbers: Sequence[int]) -> Ints:
+    """Nodes of the cells of regions (m, 4 or 10), in gmsh's order."""
+    order = [*range(8), 9, 8][: run.cells.shape[1]]
+    return run.cells[np.isin(run.region, numbers)][:, order]
+
+
+def quartered(facets: Ints) -> Ints:
+    """Triangles (t, 3) of facets with three nodes or six; those with six are four each."""
+    return facets if facets.shape[1] == 3 else facets[:, QUARTERS].reshape(-1, 3)
 
 
 def _levels(part: Floats) -> NDArray[np.uint16]:

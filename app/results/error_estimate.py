@@ -94,7 +94,8 @@ class Companion:
     def __str__(self) -> str:
         """Mesh and steps of the companion, in words."""
         fewer = f", {self.steps:g} times the steps" if self.steps != 1 else ""
-        return f"mesh {self.case.mesh.size:g} mm{fewer}"
+        size = f"{self.case.mesh.size:g} mm" if self.case.mesh.size else "of the file"
+        return f"mesh {size}{fewer}"
 
 
 Orders = tuple[float, float]
@@ -117,7 +118,8 @@ def companions(case: Case) -> tuple[Companion, ...]:
     else:
         half = 0.5 if timed else 1.0
     # Mesh sizes over that of the run, as far as the geometry can be meshed.
-    limit = case.geometry.coarsest_size / case.mesh.size
+    coarsest = case.geometry.coarsest_size
+    limit = coarsest / case.mesh.size if coarsest else 0.0
     coarsenings = tuple(dict.fromkeys(c for f in COARSER if (c := min(f, limit)) > LEAST))
     meshes = tuple(_companion(case, c, half) for c in coarsenings)
     if not (frictional or timed) or (len(meshes) == 1 and half < 1):

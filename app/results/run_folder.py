@@ -25,16 +25,12 @@ from app.errors import StoppedError, on_root
 from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
 from app.system import identity
-from app.system.folders import csv_text, saved, write_json, write_text
+from app.system.folders import ENDS, RESULTS, csv_text, saved, write_json, write_text
 from app.version import __version__
 from meshes.distribute import TaggedMesh
 
 UNITS = {what.partition(" ")[2]: unit for unit, what in quantities.UNITS.items() if unit != "-"}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
-CASE_PICTURE = "case.png"
-# Files written at the end, and all of a run directory.
-ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", CASE_PICTURE, "report.html"),)
-RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
 OFTEN = 1.0  # s between two states of history.csv
 PACKAGES = "fenics-dolfinx petsc4py fenics-ufl fenics-basix mpi4py numpy h5py".split()
 log = logging.getLogger("mantle")
@@ -46,7 +42,8 @@ def _full_disk(what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise StoppedError(f"cannot write {what}: {error.strerror or error}") from error
+        file = error.filename or what
+        raise StoppedError(f"cannot write {file}: {error.strerror or error}") from error
 
 
 def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
@@ -95,7 +92,7 @@ class Writer:
 
         def start() -> None:
             files.clear(folder)
-            for name in RESULTS[: len(ENDS) if again else None]:
+            for name in ENDS if again else RESULTS:
                 (folder / name).unlink(missing_ok=True)
             for old in () if again else saved(folder):
                 old.unlink()

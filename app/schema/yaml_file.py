@@ -81,6 +81,7 @@ class CaseFile:
         given: Values of overrides as given, by key.
         digests: SHA-256 of the file, its bases and libraries, by name.
         libraries: Files of materials and loads by name, the newest last.
+        tissues: Tissue of the library's material of each region that has one.
         measured: Body weight [N], if it is known, and sagittal tilt [rad] of the loads, by key.
         option: What stands before the key of an override in messages.
     """
@@ -92,6 +93,7 @@ class CaseFile:
     given: dict[str, Any] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
     libraries: list[CaseFile] = field(default_factory=list)
+    tissues: dict[str, str] = field(default_factory=dict)
     measured: dict[str, float] = field(default_factory=lambda: {"sagittal_tilt": 0.0})
     option: str = "--set "
 

@@ -58,6 +58,8 @@ def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str
     done = not force and restart in ("", "auto") and (output / "DONE").exists()
     done = done and all(finished(folder, one) for folder, one in runs.items())
     folders.prepare_run(output, force or done or bool(restart))
+    for folder in runs:
+        folders.raise_if_taken(folder)
     if done:
         check_usable({at: folders.read_json(at / "summary.json") for at in runs})
     return done

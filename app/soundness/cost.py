@@ -79,7 +79,9 @@ def _estimated(case: Case) -> _Size:
     nodes = (NODES_PER_CELL + EDGES_PER_CELL * (case.mesh.order == 2)) * moving + 50
     # Jumps are linear at either order; each interface has about the same share of the area.
     areas = case.geometry.interface_area / max(1, len(case.geometry.interface_sides))
-    each = dict.fromkeys(case.interfaces, areas / (AREA_PER_NODE * case.mesh.size**2))
+    # Of a mesh file neither areas nor sizes are known.
+    nodes_each = areas / (AREA_PER_NODE * case.mesh.size**2) if areas else 0.0
+    each = dict.fromkeys(case.interfaces, nodes_each)
     return _size(case, count, nodes, corners, each)
 
 

@@ -196,6 +196,8 @@ STIFFNESS = {
 HIP_FORCES = (20.0, 5e4)
 # Largest usual friction coefficient: porous metal in bone has 1.5.
 MOST_FRICTION = 5.0
+# Largest usual height of a stem's shoulder above the neck cut [mm].
+MOST_PROUD = 15.0
 
 
 def warnings(case: Case) -> list[str]:
@@ -254,6 +256,8 @@ def warnings(case: Case) -> list[str]:
         )
         messages.append(f"{text} rises faster than the density, and results depend on the mesh")
     messages += _without_effect(case)
+    messages += _open_conductances(case)
+    messages += _proud(case)
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
         messages += _far_off(f"heat.{name}", condition, limits)
@@ -274,6 +278,30 @@ def _without_effect(case: Case) -> Iterable[str]:
         if friction > MOST_FRICTION:
             text = f"is {friction:g}; of implants it is 0 to 1.5. Is it in per cent?"
             yield f"interfaces.{name}.friction_coefficient {text}"
+
+
+def _open_conductances(case: Case) -> Iterable[str]:
+    """A note on interfaces that can open, where heat flows as if they were closed."""
+    if not (case.conducts and solid(case)):
+        return
+    names = [
+        name
+        for name, law in case.interfaces.items()
+        if law.kind != "bonded"
+        and name not in case.faces
+        and not isinstance(law.conductance, PressureConductance)
+    ]
+    if names:
+        text = "conductance stays as it is where the interface opens; kind: pressure changes it"
+        yield f"interfaces.{', '.join(names)}: {text} there"
+
+
+def _proud(case: Case) -> Iterable[str]:
+    """A note on a stem that stands far out of the bone."""
+    out = case.geometry.proud
+    if out > MOST_PROUD and case.of_tissue("bone"):  # not in a pot of a test bench
+        text = f"the shoulder of the stem is {out:.3g} mm above the neck cut; in hips it is at most"
+        yield f"geometry: {text} {MOST_PROUD:g} mm. Is stem_tip_z or stem_length wrong?"
 
 
 def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[str]:

@@ -17,6 +17,7 @@ from app.arrays import Floats
 from app.case.case import Case
 from app.case.quantities import largest
 from app.errors import InputError
+from app.heat.nodes import OUTSIDE, outside_text
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
 from app.scene.scene import build_scene
@@ -30,7 +31,7 @@ from app.soundness.mesh_parts import (
     law_between,
 )
 from app.system.layout import point_text
-from meshes.data import boundary_areas, interface_facets
+from meshes.data import boundary_areas, interface_facets, shares
 from meshes.pieces import Parts, lying, parts
 
 if TYPE_CHECKING:
@@ -67,7 +68,8 @@ def judge(case: Case, found: Parts) -> list[str]:
         InputError: It cannot be solved: with all the reasons.
     """
     notes = [*found.data.notes.get("told", ()), *_cracks(case, found), *_size(case, found)]
-    if errors := [*_on_axis(case, found), *_sides_apart(case, found), *_followers(case, found)]:
+    errors = [*_on_axis(case, found), *_sides_apart(case, found), *_followers(case, found)]
+    if errors := [*errors, *_outside(case, found)]:
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
     if all(isinstance(region, Conductor) for region in case.regions.values()):
         return notes
@@ -217,6 +219,17 @@ def _sides_apart(case: Case, found: Parts) -> list[str]:
             if not on or not {*on} <= {*side}:
                 text = f"{face} is a surface of {' and '.join(on) or 'no region'}; expected one of "
                 errors.append(f"interfaces.{name}.between: {text}{'/'.join(side)} alone")
+    return errors
+
+
+def _outside(case: Case, found: Parts) -> list[str]:
+    """Probes that are not in their regions."""
+    data, errors = found.data, []
+    for name, probe in case.output.probes.items():
+        wanted = data.regions[probe.region] if probe.region else data.cell_tags
+        corners = data.points[data.cells[data.cell_tags == wanted][:, :4]]
+        if shares(corners, np.array(probe.at)).min(axis=1).max() < -OUTSIDE:
+            errors.append(outside_text(name, (probe.at, probe.region)))
     return errors
 
 

@@ -22,6 +22,11 @@ FAILED = "FAILED"
 # Initial caches of users of an image.
 SEED = Path("/var/cache/mantle")
 
+CASE_PICTURE = "case.png"
+# Files written at the end, and all of a run directory but the case.
+ENDS = ("DONE", "summary.json", "provenance.json", "final.vtkhdf", CASE_PICTURE, "report.html")
+RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
+
 
 def cache_home() -> Path:
     """Parent folder of all caches."""
@@ -106,13 +111,28 @@ def prepare_run(folder: Path, force: bool) -> None:
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be made or read: {error.strerror}") from error
     if holds_something and not force:
-        again = "--restart auto to go on from its checkpoint, " if saved(folder) else ""
+        # Of variations some may be finished, and one was interrupted.
+        left = saved(folder) or [*folder.glob("*/checkpoint-*.state"), *folder.glob("*/DONE")]
+        again = "--restart auto to go on from its checkpoint, " if left else ""
         raise InputError(
             f"-o {folder}: is not empty; choose another folder, {again}or --force to replace the "
             "results"
         )
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"-o {folder}: is not writable")
+    raise_if_taken(folder)
+
+
+def raise_if_taken(folder: Path) -> None:
+    """Refuse folders where a run directory has files.
+
+    Raises:
+        InputError: There are some; names each.
+    """
+    taken = [folder / name for name in ("case.yaml", *RESULTS) if (folder / name).is_dir()]
+    if taken:
+        text = "is a folder where results of a run are a file; move it, or choose another -o"
+        raise InputError([f"{path}: {text}" for path in taken])
 
 
 @contextmanager

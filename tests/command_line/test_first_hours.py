@@ -9,12 +9,14 @@ import pytest
 
 import mantle
 from app.case import keys
+from app.case.geometries import Femur, MeshOptions
+from app.cli import main
 from app.command_line.commands import dispatch
-from app.errors import InputError
+from app.errors import GeometryError, InputError
 from app.laws.creep import Creep
 from app.schema.section import Section
 from app.soundness import preview
-from meshes.femur_surfaces import _rounded_up
+from meshes.femur_surfaces import FemurSurfaces, _rounded_up
 from tests.support import CONFIGS, ROOT
 
 
@@ -103,7 +105,22 @@ def test_creep_with_an_exponent_of_the_stress_requires_stresses() -> None:
 
 
 def test_a_stem_that_cuts_by_a_hair_is_never_said_to_cut_by_zero() -> None:
-    assert [_rounded_up(x) for x in (0.001, 0.04, 0.1, 0.31)] == [0.1, 0.1, 0.1, 0.4]
+    assert [_rounded_up(x) for x in (0.001, 0.041, 0.1, 0.31)] == [0.01, 0.05, 0.1, 0.4]
+
+
+@pytest.mark.parametrize(
+    ("half_width", "words"),
+    [
+        (9.75, "leaves 0.9[0-9] mm for cement, of 1 mm at least, .*; 0.0[1-9] mm more are needed"),
+        (11.0, "leaves 0.3 mm for cement, of 1 mm at least, .*; 0.7 mm more are needed"),
+        (11.7255, r"cuts 0.0[4-6] mm into the cortex .*\(stem_tip_z\); 1.1 mm more are needed"),
+    ],
+)
+def test_a_stem_without_room_says_by_how_much(half_width: float, words: str) -> None:
+    """At the last the cells between stem and cortex would have no volume."""
+    geometry = Femur.model_validate({"stem_half_width": f"{half_width} mm"})
+    with pytest.raises(GeometryError, match=words):
+        FemurSurfaces(geometry, MeshOptions.model_validate({"size": "6 mm"}))
 
 
 def test_notes_on_input_without_effect() -> None:
@@ -116,3 +133,98 @@ def test_notes_on_input_without_effect() -> None:
     notes = preview.warnings(mantle.load(CONFIGS / "stance.yaml", **changes).config)
     assert any(n.startswith("loads.hip: acts on distal_cut, which supports.shaft") for n in notes)
     assert any(n.startswith("interfaces.cement_bone.friction_coefficient is 6.5") for n in notes)
+
+
+@pytest.mark.parametrize(
+    ("up", "cut", "height"),
+    [(0.0, 5.0, None), (10.0, 5.0, None), (25.0, 5.0, 29.7), (0.0, -7, 16.7)],
+)
+def test_a_stem_far_out_of_the_bone_is_noted(up: float, cut: float, height: float | None) -> None:
+    """The shipped shoulder is at 29 mm, the cut 24.747 tan 38 deg above its medial end."""
+    case = mantle.load(
+        CONFIGS / "stance.yaml",
+        **{"geometry.stem_tip_z": f"{-118 + up} mm", "geometry.resection_height": f"{cut} mm"},
+    ).config
+    notes = [n for n in preview.warnings(case) if "neck cut" in n]
+    text = f"geometry: the shoulder of the stem is {height} mm above the neck cut; in hips it is"
+    assert len(notes) == (height is not None) and all(n.startswith(text) for n in notes)
+
+
+def test_a_conductance_that_stays_when_contact_opens_is_noted() -> None:
+    """One that falls is not, nor one of a bond, nor one where nothing moves."""
+
+    def noted(name: str, **changes: object) -> list[str]:
+        notes = preview.warnings(mantle.load(CONFIGS / name, **changes).config)
+        return [n.split(": ")[0] for n in notes if "where the interface opens" in n]
+
+    assert noted("thermal_100C.yaml") == ["interfaces.stem_cement, cement_bone"]
+    assert noted("stance.yaml") == []
+    falls = {"kind": "pressure", "open": "10 W/(m^2 K)", "per_pressure": "100 W/(m^2 K MPa)"}
+    found = noted("thermal_100C.yaml", interfaces__stem_cement__conductance=falls)
+    assert found == ["interfaces.cement_bone"]
+    bond = {"kind": "bonded", "conductance": "300 W/(m^2 K)"}
+    assert noted("thermal_100C.yaml", interfaces__cement_bone=bond) == ["interfaces.stem_cement"]
+    assert noted("thermal_rings.yaml") == []
+
+
+@pytest.mark.parametrize(
+    ("probe", "where"),
+    [
+        ({"at": "[4 mm, 4 mm, 41 mm]"}, "[4.0, 4.0, 41.0] mm is not in the model"),
+        ({"at": "[2 mm, 2 mm, 9 mm]", "region": "cement"}, "is not in region 'cement'"),
+        ({"at": "[-2 mm, 2 mm, 9 mm]"}, "is not in the model"),
+        ({"at": "[2 mm, 2 mm, 9 mm]", "region": "stem"}, ""),
+        ({"at": "[5 mm, 5 mm, 20 mm]", "region": "cement"}, ""),
+    ],
+)
+@pytest.mark.parametrize("order", [1, 2])
+def test_check_finds_a_probe_outside_its_region(
+    probe: dict[str, str], where: str, order: int
+) -> None:
+    """Without being asked for the mesh; the radius of the stem is 7 mm."""
+    changes = {"mesh.size": "4 mm", "mesh.order": order, "output.probes": {"tip": probe}}
+    case = mantle.load(CONFIGS / "cylinders.yaml", **changes)
+    if not where:
+        assert "unknowns" in mantle.check(case).size
+        return
+    with pytest.raises(InputError) as caught:
+        mantle.check(case)
+    assert "output.probes.tip: " in str(caught.value) and where in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["case.yaml", "fields.vtkhdf", "history.csv", "summary.json"])
+def test_a_folder_in_the_way_of_a_result_is_named(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is solved, also for variations."""
+    way = tmp_path / name
+    way.mkdir()
+    case = str(CONFIGS / "blocks.yaml")
+    assert main(["run", case, "-o", str(tmp_path), "--force"]) == 2
+    assert f"{way}: is a folder where results of a run are a file" in capsys.readouterr().err
+    way.rmdir()
+    (tmp_path / "a" / name).mkdir(parents=True)
+    varied = "variations={a: {title: one}, b: {title: two}}"
+    assert main(["run", case, "-o", str(tmp_path), "--force", "--set", varied]) == 2
+    assert f"{tmp_path / 'a' / name}: is a folder" in capsys.readouterr().err
+
+
+def test_a_read_only_folder_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path) != tmp_path)
+    assert main(["run", str(CONFIGS / "blocks.yaml"), "-o", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.strip() == f"-o {tmp_path}: is not writable"
+
+
+@pytest.mark.parametrize("left", ["checkpoint-3.state", "a/checkpoint-3.state", "a/DONE"])
+def test_a_killed_run_names_how_to_go_on(
+    left: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where it was one of variations; each minute a checkpoint is written by default."""
+    (tmp_path / left).parent.mkdir(exist_ok=True)
+    (tmp_path / left).touch()
+    case = CONFIGS / "blocks.yaml"
+    assert main(["run", str(case), "-o", str(tmp_path)]) == 2
+    assert "--restart auto to go on from its checkpoint" in capsys.readouterr().err
+    assert mantle.load(case).config.output.checkpoint.minutes == 1.0

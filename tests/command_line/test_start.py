@@ -106,8 +106,8 @@ def test_init_lists_what_a_mesh_has(tmp_path: Path) -> None:
     for line in (
         "  path: bone.msh # relative to this file",
         "  # its boundaries: foot, top_end",
-        "  shaft: {material: cortical_bone, tissue: bone}",
-        "  marrow: {material: cortical_bone, tissue: bone}",
+        "  shaft: {material: cortical_bone}",
+        "  marrow: {material: cortical_bone}",
         "  hold: {kind: fixed, boundary: foot}",
     ):
         assert line in text.splitlines()

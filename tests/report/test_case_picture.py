@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ def test_labels_do_not_collide(name: str, tmp_path: Path, monkeypatch: pytest.Mo
     width, height = made[0].bbox.size
     for box in boxes:
         assert box.x0 >= 0 and box.x1 <= width and box.y0 >= 0 and box.y1 <= height
+    boxes += [legend.get_window_extent() for legend in made[0].legends]
     assert not [(a, b) for a, b in combinations(boxes, 2) if a.overlaps(b)]
     if name == "stance.yaml":
         assert {"hip\n1,800 N", "psoas\n107 N", "shaft\nfixed"} <= words
@@ -50,3 +52,27 @@ def test_labels_do_not_collide(name: str, tmp_path: Path, monkeypatch: pytest.Mo
         assert places[:, 2] == pytest.approx(15) and each == pytest.approx(
             np.tile([0, 0, -200], (len(each), 1))
         )
+
+
+def test_a_long_title_and_legend_have_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A title of three lines is inside the picture; a legend of four lines covers no axis."""
+    made: list[Any] = []
+    new = figures.new
+    monkeypatch.setattr(figures, "new", lambda *size: made.append(new(*size)) or made[-1])
+    case = load(
+        support.CONFIGS / "blocks.yaml", ["mesh.size=4mm", f"title={'many words of a title ' * 20}"]
+    ).config
+    data = build(case.geometry, case.mesh, folders.cache("meshes"))
+    more = {f"part_{k}": 100 + k for k in range(9)}
+    case_picture.draw(case, replace(data, regions=data.regions | more), tmp_path / "case.png")
+    (figure,) = made
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == 16
+    title = figure.texts[0]
+    assert title.get_text().count("\n") == 3 and title.get_window_extent().x0 >= 0
+    boxes = [Text.get_window_extent(t) for t in figure.texts if t.get_text()]
+    boxes += [Text.get_window_extent(t) for ax in figure.axes for t in ax.texts if t.get_text()]
+    boxes += [legend.get_window_extent()]
+    _, height = figure.bbox.size
+    assert all(box.y0 >= 0 and box.y1 <= height for box in boxes)
+    assert not [(a, b) for a, b in combinations(boxes, 2) if a.overlaps(b)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 from mpi4py import MPI
@@ -10,10 +11,11 @@ from mpi4py import MPI
 import pytest
 
 import meshes
-from app.case.case import load
+from app.case.case import dump, load, plain
 from app.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.report.sweep_results import SweptCase
+from app.results.error_estimate import companions
 from app.results.hip import StemMotion
 from app.results.thermal_record import ThermalRecord
 from app.system.timing import Timing
@@ -65,6 +67,48 @@ def test_a_file_has_to_say_it(tmp_path: Path) -> None:
         f"{path}:6:53: regions.nail.tissue: 'implnt' is not one of bone, cement, implant, other; "
         "did you mean 'implant'?",
     ]
+
+
+def test_a_file_needs_neither_size_nor_tissue_of_materials(tmp_path: Path) -> None:
+    """What a region is stands in the library; what a region itself says comes before."""
+    stack = support.case(STACK)
+    meshes.write_msh(meshes.build(stack.geometry, stack.mesh), tmp_path / "a.msh")
+    text = STACK[STACK.index("regions:") :].replace(", tissue: bone}", ", tissue: other}")
+    for name, material in (("bone_cement", "PMMA"), ("nail", "CoCrMo")):
+        text = re.sub(rf"{name}: {{.*}}", f"{name}: {{material: {material}}}", text)
+    path = tmp_path / "case.yaml"
+    sides = "{one: [cortex, bone_cement], two: [bone_cement, nail]}"
+    file = f"{{kind: file, path: a.msh, interfaces: {sides}}}"
+    path.write_text(f"geometry: {file}\noutput: {{error: true}}\n{text}")
+    case = load(path).config
+    assert {n: r.tissue for n, r in case.regions.items()} == {
+        "cortex": "other",
+        "bone_cement": "cement",
+        "nail": "implant",
+    }
+    assert load(path, ["regions.cortex.material=cancellous_bone"]).config.of_tissue("other")
+    changed = ["regions.nail.material=cortical_bone", "regions.cortex.tissue=null"]
+    changed += ["regions.cortex.material=cancellous_bone"]
+    assert load(path, changed).config.of_tissue("bone") == ("cortex", "nail")
+    friction = "interfaces.one={kind: contact, friction_coefficient: 0.3}"
+    (companion,) = companions(load(path, [friction]).config)
+    assert str(companion).startswith("mesh of the file")
+    path.write_text(dump(case))
+    assert load(path).config == case and "size" not in plain(case)["mesh"]
+    assert len(meshes.build(case.geometry, case.mesh).cells) > 100
+
+
+@pytest.mark.parametrize("mesh", ["", "mesh: {}", "mesh: {order: 1}"])
+@pytest.mark.parametrize("name", ["blocks.yaml", "sliding_block.yaml"])
+def test_what_is_meshed_needs_a_size(name: str, mesh: str, tmp_path: Path) -> None:
+    """Of a script of gmsh, too."""
+    text = re.sub(r"^mesh:.*\n(  .*\n)*", f"{mesh}\n", (CONFIGS / name).read_text(), flags=re.M)
+    path = tmp_path / "case.yaml"
+    path.write_text(text.replace("sliding_block.geo", str(CONFIGS / "sliding_block.geo")))
+    with pytest.raises(InputError) as caught:
+        load(path)
+    (message,) = caught.value.messages
+    assert message.endswith("mesh: 'size' is missing; expected: edge length at the interfaces")
 
 
 def test_the_implant_moves_against_the_bone() -> None:

@@ -78,7 +78,8 @@ def test_facets_are_those_between_the_bodies(order: int) -> None:
     x = run.points[triangles]
     assert x[:, :, 2] == pytest.approx(0.0)
     area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
-    assert area == pytest.approx([2.0])
+    # A facet with six nodes is four triangles.
+    assert area == pytest.approx([2.0] if order == 1 else [0.5] * 4)
 
 
 def test_a_flat_interface_is_drawn_in_its_own_plane() -> None:
@@ -109,12 +110,17 @@ def test_a_picture_has_the_rows_that_there_are(
         ("nothing", "viridis", [None] * 2),
     ]
     path = tmp_path / "map.png"
-    names = (f"friction_coefficient={f}_cement_thickness=4mm" for f in (0.2, 0.4))
+    more = "_youngs_modulus=110GPa_order=2_size=4mm"
+    names = (f"friction_coefficient={f}_cement_thickness=4mm{more}" for f in (0.2, 0.4))
     columns = [(name, run, sheet) for name in names]
     assert pictures.draw(path, columns, rows) == ["height (mm)"]
     first, second = (axes.title.get_window_extent() for axes in drawn[0].axes[:2])
     assert first.x1 < second.x0
+    assert first.height > 2.5 * 10 * drawn[0].dpi / 72  # three lines
+    assert max(first.y1, second.y1) <= drawn[0].bbox.height
     assert path.read_bytes().startswith(b"\x89PNG")
+    assert path.with_suffix(".pdf").read_bytes().startswith(b"%PDF")
+    assert "<svg" in path.with_suffix(".svg").read_text()
     assert pictures.draw(tmp_path / "none.png", [("one", run, sheet)], rows[1:]) == []
     assert not (tmp_path / "none.png").exists()
 
@@ -131,3 +137,29 @@ def test_points_and_bars_keep_off_the_frame() -> None:
     assert drawn["up"][0] == (0.0, "0") and drawn["columns"] == 2
     for _, middle, least, most in drawn["lines"][0][2]:
         assert 0 < least < middle < most <= 1 and middle == pytest.approx((least + most) / 2)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_linear_field_is_shaded_without_streaks(way: int) -> None:
+    """On thin triangles whose diagonals all go one way, and not beside them."""
+    u, v = (g.ravel() for g in np.meshgrid(np.arange(9.0) * 40.0, np.arange(61.0)))
+    a = np.arange(len(u)).reshape(61, 9)
+    low, high = (a[:-1, :-1].ravel(), a[:-1, 1:].ravel()), (a[1:, :-1].ravel(), a[1:, 1:].ravel())
+    kept = low[0] % 9 < 6  # the rest of the plane is empty
+    lower, upper = (low[0], low[1], high[1]), (low[0], high[1], high[0])
+    triangles = np.concatenate([np.stack(t, axis=1)[kept] for t in (lower, upper)])[:, ::way]
+    plane = np.stack([u, v], axis=1)[triangles]
+    figure = figures.new(4.0, 3.0)
+    axes = figure.subplots()
+    axes.set(xlim=(0.0, 320.0), ylim=(0.0, 60.0), facecolor="w")
+    axes.set_axis_off()
+    figures.shaded(axes, plane, u[triangles], "gray", (0.0, 480.0))
+    figure.canvas.draw()
+    box = axes.get_window_extent()
+    pixels = np.asarray(figure.canvas.buffer_rgba())[:, :, 0].astype(float)
+    shown = pixels[::-1][int(box.y0) + 3 : int(box.y1) - 3, int(box.x0) : int(box.x1)]
+    end = int(0.75 * shown.shape[1])
+    assert np.ptp(shown[:, : end - 2], axis=0).max() <= 1.0  # the same at all heights
+    expected = 255.0 * (np.arange(shown.shape[1]) + 0.5) / shown.shape[1] * 320.0 / 480.0
+    assert np.abs(shown[:, : end - 2] - expected[: end - 2]).max() < 2.5
+    assert (shown[:, end + 2 :] == 255.0).all()
