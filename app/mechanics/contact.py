@@ -469,7 +469,7 @@ class ContactInterfaces:
         F_0, P(F_0 + r d) + P' (F - F_0) stands for the force, F that of equilibrium.
         """
         e = self.coupling.equilibrium(u, q, f_q).copy()
-        jump, known = q.array.reshape(-1, 3).copy(), self.linear_about
+        jump, known = self.with_prescribed(q.array.reshape(-1, 3)), self.linear_about
         if known is None:
             return TrialState(self, e, jump, self.evaluate(e, jump))
         law = self.evaluate(-self.own.weight[:, None] * known, jump)
@@ -496,7 +496,11 @@ class ContactInterfaces:
         state = self.state
         if self.large is not None:
             state = replace(state, jump=self.reference)
-        return self.law.evaluate(self.multiplier(e), q, self.gap, state)
+        return self.law.evaluate(self.multiplier(e), self.with_prescribed(q), self.gap, state)
+
+    def with_prescribed(self, q: Floats) -> Floats:
+        """Jumps (n, 3) with their prescribed components: what a solver leaves there is no slip."""
+        return self.own.project_free(q) + self.prescribed
 
     def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
         """Residual e + W P at own points (n, 3) [N]; prescribed jumps where supports hold."""

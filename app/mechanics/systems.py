@@ -131,14 +131,14 @@ class ContactSystem(BondedSystem):
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put prescribed displacements and jumps into a state."""
         super().impose(x)
-        free = self.contact.own.project_free(x[1].array_r.reshape(-1, 3))
-        x[1].array[:] = (free + self.contact.prescribed).ravel()
+        x[1].array[:] = self.contact.with_prescribed(x[1].array_r.reshape(-1, 3)).ravel()
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Equilibrium of the bodies, and of the contact points with their law."""
         self._problem.residual_u(x[0], x[1], f[0])
         trial = self.trial = self._problem.trial(*x)
-        f[1].array[:] = self.contact.residual(trial.equilibrium, trial.jump, trial.law).ravel()
+        q = x[1].array_r.reshape(-1, 3)
+        f[1].array[:] = self.contact.residual(trial.equilibrium, q, trial.law).ravel()
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
