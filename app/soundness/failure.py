@@ -207,7 +207,7 @@ def explain(
     trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
     pulled = loose_bodies.pulled_off(problem, contact)
-    free = pulled if scales or contact.large else []
+    free = pulled if scales or contact.large else loose_bodies.pushed_freely(problem, trial)
     # Iterates lose contact that the loads would close: that is no free body.
     if not free and (pulled or not problem.load_size or contact.apart()):
         free = loose_bodies.free_bodies(problem, trial)
