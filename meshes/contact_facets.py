@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,11 +16,19 @@ from numpy.typing import NDArray
 
 from app.arrays import Bools, Floats, Ints
 from meshes.data import connected, tangents
+from meshes.smooth_normals import slid_along, smooth_normals, unit_sums
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
 FACE_ANGLE = np.deg2rad(30.0)
+# Straight facets at up to this angle are one face where their nodes lie on one quadric: a coarse
+# mesh of a cylinder or cone with nine facets around.
+COARSE_ANGLE = np.deg2rad(44.0)
+# Doubt about a normal, below which nodes lie on the surface that is fitted [rad].
+EXACT = 1e-4
+# Middles of edges this close to the chord, in parts of it, are on it.
+STRAIGHT = 1e-9
 MAX_FACES = 3
 # Faces are independent while the Gram determinant of their normals stays above this.
 INDEPENDENT = 0.05
@@ -58,6 +67,16 @@ class InterfaceFacets:
     def x(self) -> Floats:
         """Coordinates of the vertices (f, 3, 3) [mm]."""
         return self.nodes[:, :3]
+
+    @cached_property
+    def straight(self) -> Bools:
+        """Mask of the facets of interfaces whose facets are all straight (f,)."""
+        if self.nodes.shape[1] == 3:
+            return np.ones(len(self.area), dtype=bool)
+        start, end = self.nodes[:, [1, 2, 0]], self.nodes[:, [2, 0, 1]]
+        off = np.linalg.norm(self.nodes[:, 3:] - (start + end) / 2, axis=2)
+        bent = (off > STRAIGHT * np.linalg.norm(end - start, axis=2)).any(axis=1)
+        return ~np.isin(self.interface, self.interface[bent])
 
 
 def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
@@ -178,21 +197,26 @@ def faces_around(
     ``point`` is the contact point of each facet corner, -1 where not enforced (3 f,).
 
     Returns:
-        Normals (n, 3, 3) and number of faces (n,), total area (n,) [mm2], and the doubt about the
-        normals (n,) [rad]: the angle between their means by area and by number of facets.
+        Normals (n, 3, 3) and number of faces (n,), total area (n,) [mm2], and the largest doubt
+        about a normal (n,) [rad].
     """
     label = _smooth_groups(facets)
+    of_corner, doubt_of_corner = _normals_of_surface(facets, label)
     used = point >= 0
     pairs = np.stack([point[used], label[used]], axis=1)
-    groups, group = np.unique(pairs, axis=0, return_inverse=True)
-    corner_area, corner_normal = facets.area.ravel()[used], facets.normal.reshape(-1, 3)[used]
+    groups, first, group = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    corner_area, corner_normal = facets.area.ravel()[used], of_corner[used]
     area, normal = np.zeros(len(groups)), np.zeros((len(groups), 3))
     np.add.at(area, group, corner_area)
     np.add.at(normal, group, corner_area[:, None] * corner_normal)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    by_number = np.zeros((len(groups), 3))
-    np.add.at(by_number, group, corner_normal)
-    by_number /= np.linalg.norm(by_number, axis=1, keepdims=True)
+    # A body slides on all of an interface at once.
+    corner = np.flatnonzero(used)[first]
+    sides = np.column_stack([facets.interface, facets.bodies])[corner // 3]
+    x, off = facets.x.reshape(-1, 3)[corner], doubt_of_corner[corner]
+    for side in np.unique(sides[facets.straight[corner // 3]], axis=0):
+        here = (sides == side).all(axis=1)
+        normal[here] = slid_along(x[here], normal[here], off[here], area[here])
     normals, faces, weight = np.zeros((n, 3, 3)), np.ones(n, dtype=np.int64), np.zeros(n)
     owner = groups[:, 0]
     normals[owner, 0] = normal
@@ -202,8 +226,28 @@ def faces_around(
         p, faces[p] = owner[rows[0]], len(ns)
         normals[p, : len(ns)] = ns
     doubt = np.zeros(n)
-    np.maximum.at(doubt, owner, np.linalg.norm(normal - by_number, axis=1))
+    np.maximum.at(doubt, point[used], doubt_of_corner[used])
     return normals, faces, weight, doubt
+
+
+def _normals_of_surface(facets: InterfaceFacets, label: Ints) -> tuple[Floats, Floats]:
+    """Normals at facet corners (3 f, 3), and the doubt about them (3 f,) [rad].
+
+    Straight facets have those of the smooth surface that they stand for. Curved ones have the mean
+    of their normals, its doubt the angle between the means by area and by number.
+    """
+    _, first, node = np.unique(label, return_index=True, return_inverse=True)
+    corners, x = node.reshape(-1, 3), facets.x.reshape(-1, 3)[first]
+    normal = unit_sums(facets.normal, facets.area, corners, len(x))
+    by_number = unit_sums(facets.normal, np.ones_like(facets.area), corners, len(x))
+    doubt = np.linalg.norm(normal - by_number, axis=1)
+    if facets.straight.any():
+        rows = np.flatnonzero(facets.straight)
+        here, at = np.unique(corners[rows], return_inverse=True)
+        parts = x[here], at.reshape(-1, 3), facets.normal[rows], facets.area[rows]
+        found = smooth_normals(*parts)
+        normal[here], doubt[here] = found.normal, found.doubt
+    return normal[node.ravel()], doubt[node.ravel()]
 
 
 def _smooth_groups(facets: InterfaceFacets) -> Ints:
@@ -220,11 +264,19 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
     # Normals in the middle of the edge, from those at its ends.
     ends = facets.normal[np.arange(f)[:, None, None], local].sum(axis=2).reshape(-1, 3)
     ends /= np.linalg.norm(ends, axis=1, keepdims=True)
-    smooth = np.einsum("ei,ei->e", ends[a], ends[b]) > np.cos(FACE_ANGLE)
-    a, b = a[smooth], b[smooth]
+    cosine = np.einsum("ei,ei->e", ends[a], ends[b])
     # Corner numbers of the two ends of the edge in either facet (vertices are sorted: ends agree).
     one, two = 3 * (a // 3)[:, None] + local[a % 3], 3 * (b // 3)[:, None] + local[b % 3]
-    return connected(3 * f, one.ravel(), two.ravel())
+
+    def joined_by(smooth: Bools) -> Ints:
+        return connected(3 * f, one[smooth].ravel(), two[smooth].ravel())
+
+    smooth = cosine > np.cos(FACE_ANGLE)
+    coarse = ~smooth & (cosine > np.cos(COARSE_ANGLE)) & facets.straight[a // 3]
+    if coarse.any():
+        _, doubt = _normals_of_surface(facets, joined_by(smooth | coarse))
+        smooth |= coarse & (doubt[one] < EXACT).all(axis=1)
+    return joined_by(smooth)
 
 
 def _distinct(normals: Floats, areas: Floats) -> Floats:

@@ -5,7 +5,9 @@ displacement of the slave side minus that of the master side), the normals of it
 meet at less than 30 degrees are one face; a vertex on an edge has two faces, on a corner three) and
 its area: for each facet around it the integral of its linear shape function, a third of the
 facet where it is flat. On curved cells normals are those of the curved facets, so that a smooth
-surface is one face however coarse the mesh.
+surface is one face however coarse the mesh. Straight facets have the normals of the smooth surface
+that is fitted to their vertices (`meshes.smooth_normals`): the force of a point is that of the
+facets around it, whatever the direction in which its law acts.
 
 Rules where things meet, for each displacement component of a vertex:
 
@@ -144,7 +146,7 @@ class ContactPoints:
         faces: Number of faces, 1 to 3, or 0 where supports hold every component (n,).
         normals: Unit normals of the faces, zero beyond ``faces`` (n, 3, 3).
         weight: Area of the point, with its part of dependent corners (n,) [mm2].
-        doubt: Angle by which two means of the facets' normals differ (n,) [rad].
+        doubt: Standard error of the direction of its normals (n,) [rad].
         given: Supports (master, slave) that fix each component of the jump, -1 where it is free
             (n, 3, 2).
         axes: Axes of these components, as columns (n, 3, 3).

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from petsc4py import PETSc
+
 import numpy as np
 
 from app.arrays import Bools, Floats, Ints
@@ -134,6 +136,18 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
     displacement = matrix_sum([constraints.rows(of_nodes), of_others])
     displacement.zeroRows(problem.stiffness.rows, diag=0.0)
     return CoarseSpace(displacement, of_jumps)
+
+
+def displacement_by(problem: Problem, motions: Floats) -> PETSc.Vec:
+    """Displacement by rigid motions (6 bodies,) as of `ContactInterfaces`, without jumps."""
+    contact = problem.contact
+    assert contact is not None
+    x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
+    nodal, R = np.zeros(x.shape), contact.rigid_motions(x)
+    for body, motion in enumerate(motions.reshape(-1, 6)):
+        moves = motion.any()  # the same on every rank
+        nodal += np.where(_components(problem, contact, body), R @ motion, 0.0) if moves else 0.0
+    return problem.stiffness.constraints.contract(nodal)
 
 
 def _stiffest(problem: Problem) -> int:

@@ -42,7 +42,7 @@ from app.mechanics.held_bodies import held_motions
 from app.mechanics.jump_coupling import JumpCoupling
 from app.mechanics.sliding import ACCURACY, Sliding
 from app.mechanics.stiffness import Stiffness
-from app.numerics.rigid_motions import relative_resistance, rigid_modes
+from app.numerics.rigid_motions import relative_resistance, rigid_modes, without
 from app.numerics.sparse import owners
 from app.scene.bodies import contact_facets
 from app.scene.frames import held_at
@@ -60,6 +60,8 @@ BEYOND, FACING = 1.25, 0.1
 # such a motion, of unit size, from which a body takes part in it.
 FREE = 1e-10
 MOVES = 1e-3
+# Part of the largest resistance up to which a motion opens and closes nothing: slopes, squared.
+UNRESISTED = 1e-14
 
 
 @dataclass(frozen=True)
@@ -196,6 +198,8 @@ class ContactInterfaces:
     linear_about: Floats | None = None
     springs: float = 0.0
     committed_at: Floats | None = None
+    # Resistance of the supports in force to rigid motions, by body.
+    _held: dict[int, Floats] | None = None
 
     def __init__(
         self,
@@ -280,6 +284,7 @@ class ContactInterfaces:
 
     def update_stiffness(self) -> None:
         """Reassemble the coupling for changed stiffness or supports."""
+        self._held = None
         self._by_supports = self._jumps_by_supports()
         self.coupling.update(self._stiffness.constraints)
         self.law.update_stiffness(self.coupling.local_stiffness())
@@ -381,23 +386,77 @@ class ContactInterfaces:
 
         Friction holds a touched point, a bond too; without friction its faces do.
         """
-        x = self.points.x
-        centre, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
-        sticks = self.law.frictional | ~self.law.slides
-        faces = np.einsum("pki,pkj->pij", self.own.normals, self.own.normals)
-        B = np.where(sticks[:, None, None], np.eye(3), faces)
-        B *= (touched * self.own.weight)[:, None, None]
-        R = rigid_modes((self.own.x - centre) / size)
-        resistance = self.comm.allreduce(relative_resistance(R, B, self.own.bodies, self._bodies))
-        total = float(self.points.weight.sum())
-        held = held_motions(self._mechanics, self._stiffness, centre, size)
-        for body, part in held.items():
-            own = slice(6 * body, 6 * body + 6)
-            resistance[own, own] += total * part
-        sizes, motions = np.linalg.eigh(resistance)
-        free = motions[:, sizes <= FREE * max(sizes[-1], total)]
+        free = self._unresisted(touched & self._sticks, touched & ~self._sticks, FREE)
         moves = np.linalg.norm(free.reshape(self._bodies, -1), axis=1) > MOVES
         return {int(body) for body in np.flatnonzero(moves)}
+
+    def free_motions(self, status: Ints) -> Floats:
+        """Rigid motions that nothing resists in a state (6 bodies, k); collective.
+
+        Bodies slide in them along all their faces, touching or not, and no touching point with
+        friction slides: forces and gaps stay as they are. A frictionless stem turns so about its
+        axis. `relative_motion` has their components. None are looked for where points slide far or
+        have mean jumps.
+
+        Args:
+            status: States of own points (n,).
+        """
+        if self.large is not None or self.points.surface.jumps is not None:
+            return np.zeros((6 * self._bodies, 0))
+        touch = (status != OPEN) | self.law.tied
+        return self._unresisted(touch & self._sticks, ~(touch & self._sticks), UNRESISTED)
+
+    def loose_motions(self, status: Ints) -> Floats:
+        """Rigid motions that nothing touching resists, but those of `free_motions` (6 bodies, k).
+
+        Collective.
+        """
+        if self.large is not None or self.points.surface.jumps is not None:
+            return np.zeros((6 * self._bodies, 0))
+        touch = (status != OPEN) | self.law.tied
+        loose = self._unresisted(touch & self._sticks, touch & ~self._sticks, FREE)
+        return without(loose, self.free_motions(status))
+
+    @property
+    def _sticks(self) -> Bools:
+        """Points that hold their whole jump where they touch, by friction or a bond (n,)."""
+        return self.law.frictional | ~self.law.slides | self.law.tied
+
+    def _unresisted(self, stick: Bools, slide: Bools, part: float) -> Floats:
+        """Rigid motions resisted by less than a part of the largest (6 bodies, k); collective.
+
+        Supports resist, some points resist their jump (n,), some their opening (n,).
+        """
+        faces = np.einsum("pki,pkj->pij", self.own.normals, self.own.normals)
+        B = stick[:, None, None] * np.eye(3) + slide[:, None, None] * faces
+        B *= self.own.weight[:, None, None]
+        R = self.rigid_motions(self.own.x)
+        resistance = self.comm.allreduce(relative_resistance(R, B, self.own.bodies, self._bodies))
+        total = float(self.points.weight.sum())
+        if self._held is None:
+            self._held = held_motions(self._mechanics, self._stiffness, *self._frame)
+        for body, held in self._held.items():
+            own = slice(6 * body, 6 * body + 6)
+            resistance[own, own] += total * held
+        sizes, motions = np.linalg.eigh(resistance)
+        return np.asarray(motions[:, sizes <= part * max(sizes[-1], total)])
+
+    @property
+    def _frame(self) -> tuple[Floats, float]:
+        """Origin of rigid motions [mm], and the length that their rotations are divided by."""
+        x = self.points.x
+        return np.asarray(x.mean(axis=0)), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
+
+    def rigid_motions(self, x: Floats) -> Floats:
+        """Rigid motions of a body at points x (n, 3) [mm] -> (n, 3, 6)."""
+        origin, size = self._frame
+        return rigid_modes((x - origin) / size)
+
+    def relative_motion(self, motions: Floats) -> Floats:
+        """Jumps of own points by rigid motions of all bodies (6 bodies, k) -> (n, 3, k)."""
+        of_bodies = motions.reshape(self._bodies, 6, -1)
+        master, slave = self.own.bodies.T
+        return self.rigid_motions(self.own.x) @ (of_bodies[slave] - of_bodies[master])
 
     def apart(self) -> bool:
         """Return True if no point touches in the committed state; collective."""
@@ -472,7 +531,7 @@ class ContactInterfaces:
         F_0, P(F_0 + r d) + P' (F - F_0) stands for the force, F that of equilibrium.
         """
         e = self.coupling.equilibrium(u, q, f_q).copy()
-        jump, known = q.array.reshape(-1, 3).copy(), self.linear_about
+        jump, known = self.with_prescribed(q.array.reshape(-1, 3)), self.linear_about
         if known is None:
             return TrialState(self, e, jump, self.evaluate(e, jump))
         law = self.evaluate(-self.own.weight[:, None] * known, jump)
@@ -499,7 +558,11 @@ class ContactInterfaces:
         state = self.state
         if self.large is not None:
             state = replace(state, jump=self.reference)
-        return self.law.evaluate(self.multiplier(e), q, self.gap, state)
+        return self.law.evaluate(self.multiplier(e), self.with_prescribed(q), self.gap, state)
+
+    def with_prescribed(self, q: Floats) -> Floats:
+        """Jumps (n, 3) with their prescribed components: what a solver leaves there is no slip."""
+        return self.own.project_free(q) + self.prescribed
 
     def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
         """Residual e + W P at own points (n, 3) [N]; prescribed jumps where supports hold."""

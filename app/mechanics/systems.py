@@ -13,8 +13,9 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.mechanics.coarse_space import free_directions, sliding_motions
+from app.mechanics.coarse_space import displacement_by, free_directions, sliding_motions
 from app.mechanics.contact import ContactInterfaces, TrialState
+from app.mechanics.contact_law import PointForces
 from app.mechanics.problem import Problem
 from app.numerics.choice import SolverChoice
 from app.numerics.deflation import CoarseSpace
@@ -29,6 +30,14 @@ log = logging.getLogger("mantle")
 
 # Estimated time over that of a Krylov method from which no factors are analysed.
 HOPELESS = 1.3
+# Stiffness of weak springs between bodies that nothing holds, as a part of the diagonal of D.
+SPRINGS = 1e-2
+# Part of the jumps of a step by motions that nothing resists, up to which they are rounding.
+STILL = 1e-12
+# Work of forces in motions of unit size, over their size, up to which they are in balance.
+UNBALANCED = 1e-8
+# Multiple of the doubt about normals up to which shear is likely to come from them.
+LIKELY = 3.0
 
 
 def mechanical(
@@ -131,21 +140,52 @@ class ContactSystem(BondedSystem):
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put prescribed displacements and jumps into a state."""
         super().impose(x)
-        free = self.contact.own.project_free(x[1].array_r.reshape(-1, 3))
-        x[1].array[:] = (free + self.contact.prescribed).ravel()
+        x[1].array[:] = self.contact.with_prescribed(x[1].array_r.reshape(-1, 3)).ravel()
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Equilibrium of the bodies, and of the contact points with their law."""
         self._problem.residual_u(x[0], x[1], f[0])
         trial = self.trial = self._problem.trial(*x)
-        f[1].array[:] = self.contact.residual(trial.equilibrium, trial.jump, trial.law).ravel()
+        q = x[1].array_r.reshape(-1, 3)
+        f[1].array[:] = self._contact_residual(trial.equilibrium, q, trial.law)
+
+    def _contact_residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
+        """Residual of contact (3 n,) [N]; its points bear loads in free motions that are in doubt.
+
+        The axis of a surface is in doubt as its normals are, and so is the moment of the loads
+        about it, which nothing else would bear.
+        """
+        contact, problem = self.contact, self._problem
+        r, doubt = contact.residual(e, q, law), contact.points.doubt[contact.own.rows]
+        if not contact.points.doubt.any():
+            return r.ravel()
+        motions = contact.free_motions(law.status)
+        if not motions.shape[1]:
+            return r.ravel()
+        moved, w = contact.relative_motion(motions), contact.own.weight
+        local = (
+            np.einsum("p,pik,pil->kl", w, moved, moved),
+            np.einsum("p,pik,pik,p->", w, moved, moved, doubt**2),
+            np.einsum("pi,pi->", e, e),
+        )
+        gram, off, size = (self.comm.allreduce(v) for v in local)
+        work = self._work(motions, problem.f_q.reshape(-1, 3))
+        borne = w[:, None] * (moved @ np.linalg.lstsq(gram, work, rcond=None)[0])
+        part = self.comm.allreduce(np.einsum("pi,pi->", borne, borne))
+        likely = LIKELY**2 * off / np.trace(gram) * size
+        return (r + borne if part <= likely else r).ravel()
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
         contact = self.contact
         self.parts()
         self.trial = self._problem.trial(*x)
-        times, added = self.factors = contact.row_factors(self.trial.law)
+        times, added = contact.row_factors(self.trial.law)
+        self._status = self.trial.law.status
+        if self._moves_loosely():
+            springs = SPRINGS * contact.coupling.D.getDiagonal().array_r.reshape(-1, 3)
+            added = added + springs[:, :, None] * np.eye(3)
+        self.factors = times, added
         fill(self.times, times)
         fill(self._added, added)
         for product, A in ((self._A_qu, contact.coupling.Ct), (self._A_qq, contact.coupling.D)):
@@ -155,6 +195,25 @@ class ContactSystem(BondedSystem):
             else:
                 self.times.matMult(A, result=product)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+
+    def _moves_loosely(self) -> bool:
+        """Return True if forces push bodies where nothing touches them; collective."""
+        contact, law = self.contact, self.trial.law
+        motions = contact.loose_motions(law.status)
+        if not motions.shape[1]:
+            return False
+        forces = self._problem.f_q.reshape(-1, 3) - contact.own.weight[:, None] * law.force
+        work = self._work(motions, forces)
+        return bool(np.abs(work).max() > UNBALANCED * self._problem.interface_scale(forces))
+
+    def _work(self, motions: Floats, forces: Floats) -> Floats:
+        """Work of the loads, and of forces (n, 3) on jumps [N], in motions (6 bodies, k) -> (k,).
+
+        Collective.
+        """
+        moved = self.contact.relative_motion(motions)
+        loads = [displacement_by(self._problem, m).dot(self._problem.f) for m in motions.T]
+        return np.asarray(self.comm.allreduce(np.einsum("pik,pi->k", moved, forces)) + loads)
 
     def exact(self, linear: str) -> Condensed | None:
         """Condensed onto the jumps, if that is asked for or takes less time; collective."""
@@ -213,8 +272,36 @@ class ContactSystem(BondedSystem):
         """Residual of the law at equilibrium e and jumps q, and size of the forces [N]."""
         contact, e, q = self.contact, e.reshape(-1, 3), q.reshape(-1, 3)
         law = contact.evaluate(e, q)
-        self.factors = contact.row_factors(law)
-        return contact.residual(e, q, law).ravel(), self._problem.interface_scale(e)
+        self.factors, self._status = contact.row_factors(law), law.status
+        return self._contact_residual(e, q, law), self._problem.interface_scale(e)
+
+    def free_jumps(self) -> Floats:
+        """Jumps of rigid motions that nothing resists at the last state (n, 3, k); collective."""
+        return self.contact.relative_motion(self.contact.free_motions(self._status))
+
+    def settle(self, x: list[PETSc.Vec]) -> bool:
+        """Take rigid motions that nothing resists out of the last step of a state; collective.
+
+        Jumps since the last converged state keep no part, by area, in such motions. Returns
+        whether that changes the state.
+        """
+        contact, problem = self.contact, self._problem
+        motions = contact.free_motions(self.trial.law.status)
+        if not motions.shape[1]:
+            return False
+        moved, w = contact.relative_motion(motions), contact.own.weight
+        since = x[1].array_r.reshape(-1, 3) - contact.reference
+        gram = np.einsum("p,pik,pil->kl", w, moved, moved)
+        work = np.einsum("p,pik,pi->k", w, moved, since)
+        size = np.einsum("p,pi,pi->", w, since, since)
+        gram, work, size = (self.comm.allreduce(v) for v in (gram, work, size))
+        amounts = np.linalg.lstsq(gram, work, rcond=None)[0]
+        if work @ amounts <= STILL**2 * size:
+            return False
+        x[1].array[:] -= (moved @ amounts).ravel()
+        x[0].axpy(-1.0, displacement_by(problem, motions @ amounts))
+        self.impose(x)
+        return True
 
     def runs_away(self, x: list[PETSc.Vec]) -> bool:
         """Return True if bodies have moved past each other by the size of the model; collective.

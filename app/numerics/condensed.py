@@ -18,6 +18,10 @@ of a belt that contact alone holds. The step is then that of bodies joined by we
 .. math:: (T S + B + \varepsilon \, diag(S)) dq = r_q,
 
 which moves what is free along its unbalanced force until contact stops it.
+
+Rigid motions that nothing resists, columns of Z, are no such state: a frictionless stem may turn
+about its axis. With springs along these alone, T S + B + s Z Z^T, balanced forces move nothing
+there, and the step is exact.
 Unknowns that points follow are last too, before the jumps: new pairs change S, but no factors
 (`numerics.untied`). One rank factors and solves for all.
 """
@@ -64,6 +68,9 @@ class Condensable(Protocol):
     """
 
     factors: tuple[Floats, Floats]
+
+    def free_jumps(self) -> Floats:
+        """Jumps of rigid motions that nothing resists at the last state (n, 3, k); collective."""
 
     @property
     def version(self) -> int:
@@ -181,8 +188,12 @@ class Condensed:
         """Set up for the current Jacobian; collective."""
         self._renew()
         rows = [self._gathered(v) for v in self._contact.factors]
+        unresisted = self._contact.free_jumps()
+        number = unresisted.shape[2]
+        unresisted = self._gathered(unresisted)
         if self._comm.rank == 0:
             self._set_rows(*(v.reshape(-1, 3, 3) for v in rows))
+            self._unresisted = np.linalg.qr(unresisted.reshape(self._jumps, number))[0]
             self._factor(self._single, self._B)
 
     def _gathered(self, own: Floats) -> Floats:
@@ -215,6 +226,9 @@ class Condensed:
         moved = np.ascontiguousarray((free.astype(S.dtype) @ S).T)
         G = (free @ self._T).astype(S.dtype) @ moved
         G += (free @ B @ free.T).toarray().astype(S.dtype)
+        if self._unresisted.shape[1]:
+            Z = (free @ self._unresisted).astype(S.dtype)
+            G += S.dtype.type(SPRINGS * np.abs(self._S.diagonal()).mean()) * (Z @ Z.T)
         getrf, self._getrs = get_lapack_funcs(("getrf", "getrs"), (G,))
         self._lu, self._pivots, _ = getrf(G.T, overwrite_a=True)  # in Fortran's order
 

@@ -199,6 +199,7 @@ class Solver:
         )
         snes.setJacobian(lambda _, x, J, P: self.linear.update(self.blocks(x)), self.linear.matrix)
         snes.setMonitor(self._monitor)
+        snes.setUpdate(self._update)
         snes.setConvergenceTest(self._test)
         try:
             with options_set(system.prefix, self.options):
@@ -336,6 +337,11 @@ class Solver:
             self.snes.setFromOptions()
 
     # Callbacks
+
+    def _update(self, snes: PETSc.SNES, iteration: int) -> None:
+        # What is free moves anywhere in a singular step; far away rounding would hide the rest.
+        if iteration:
+            self.system.settle(self.blocks(snes.getSolution()))
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
         # Every rank sees the same signal, so that none is left waiting for the others.

@@ -50,6 +50,8 @@ def solve(solver: Solver) -> NewtonResult:
     if contact and solver.converged and augmentation < SMALL * contact.usual_augmentation():
         augmentation, spent = _refine(solver, contact)
         runs.append(spent)
+    if solver.converged and solver.system.settle(solver.blocks()):
+        runs.append(solver.run())
     solver.use_search(solver.usual_search)
     if solver.converged:
         solver.linear.sweep_interfaces()

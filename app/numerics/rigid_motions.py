@@ -14,6 +14,8 @@ DIRECTIONS = [f"{motion} {axis}" for motion in ("move along", "turn about") for 
 # Part (squared) of a named motion among the free ones from which it is free, and part outside those
 # already named from which it is named too.
 WITHIN, NEW = 0.9, 0.2
+# Part of a motion of unit size outside others up to which it is one of them.
+OTHER = 1e-3
 # Cosine of the angle to an axis up to which a direction is along it.
 ALIGNED = 0.9999
 # Number of bodies up to which all subsets are searched.
@@ -57,6 +59,13 @@ def relative_resistance(R: Floats, B: Floats, bodies: Ints, count: int) -> Float
         here = (bodies == (a, b)).all(axis=1)
         add_relative(A, int(a), int(b), resistance[here].sum(axis=0))
     return A
+
+
+def without(motions: Floats, others: Floats) -> Floats:
+    """Motions (m, k) that are not among others (m, l); all are orthonormal columns."""
+    left = motions - others @ (others.T @ motions)
+    parts, sizes, _ = np.linalg.svd(left, full_matrices=False)
+    return np.asarray(parts[:, sizes > OTHER])
 
 
 def describe(

@@ -126,6 +126,13 @@ class System(Protocol):
         """Return True if a state is far outside small displacements; collective."""
         return False
 
+    def settle(self, x: list[PETSc.Vec]) -> bool:
+        """Take motions that nothing resists out of a converged state; whether it changes.
+
+        Collective.
+        """
+        return False
+
     def exact(self, linear: str) -> Condensed | None:
         """The inverse of the Jacobian, where it is to be used."""
         return None

@@ -4,7 +4,7 @@ All functions are collective and return the same plain values on every rank. Per
 weighted by area or volume; maxima are reported beside them because peaks at edges grow with
 refinement. Those of a hip leave out rim and tip, which have their own; sums are of the whole.
 
-The law holds at the points, along the mean normals of the facets around them. Between them the
+The law holds at the points, along the normals of the surface there. Between them the
 surfaces move apart by the displacements of both bodies, along the normals of the facets themselves:
 bodies may overlap there.
 """

@@ -209,7 +209,9 @@ def explain(
     taken = sum(float(np.sum(t.law.told["spent"])) for t in (trial, first))
     breaks = bool(contact.law.history and problem.comm.allreduce(taken, MPI.SUM) > 0)
     pulled = [] if breaks else loose_bodies.pulled_off(problem, contact)
-    free = pulled if scales or contact.large else []
+    free = pulled
+    if not scales and not contact.large:
+        free = [] if breaks else loose_bodies.pushed_freely(problem, trial)
     # Iterates lose contact that the loads would close: that is no free body. Nor is one whose bond
     # breaks in this step.
     if not free and not breaks and (pulled or not problem.load_size or contact.apart()):

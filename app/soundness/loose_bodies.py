@@ -1,9 +1,9 @@
 """Floating bodies: rigid motions that neither supports nor contact hold.
 
 Before solving they are found from the parts of a mesh, afterwards from the contact points of a
-state. Facets may hide them: a smooth stem turns in its cement without resistance, but its mesh is a
-prism, whose normals at nodes are off by a fraction of the angle between facets: contact resists the
-turn, with a stiffness and rotations that mean nothing.
+state. Facets may hide them: a smooth stem turns in its cement without resistance, but the means of
+the normals of curved or rough facets are off by a fraction of the angle between them: contact
+resists the turn, with a stiffness and rotations that mean nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from app.arrays import Bools, Floats
 from app.case.case import Case
 from app.errors import Reason
 from app.laws.values import gap_at
-from app.numerics.rigid_motions import DIRECTIONS, add_relative, describe, rigid_modes
+from app.numerics.rigid_motions import DIRECTIONS, add_relative, describe, rigid_modes, without
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, holds, law_between
 from app.system.layout import point_text
 from forms.contact import OPEN
@@ -51,6 +51,8 @@ LEVER = 10.0
 SPRING = 0.02
 # Resistance of supports over that of a contact point.
 STIFF = 1e8
+# Part of the loads along a free motion up to which they are in balance.
+BALANCED = 1e-9
 # Part of a load from which springs that leave it do not bear its direction.
 UNBORNE = 0.1
 # Part of all loads, squared, that may be left.
@@ -227,11 +229,12 @@ class BodiesOnMesh:
 # At the contact points of a state
 
 
-def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
+def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> list[str]:
     """Free rigid motions of bodies, resisted by no support and no closed contact; collective.
 
     The resistance of the contacts is the generalized Jacobian at each point, projected onto the
     relative rigid motions of the two bodies; its null space beyond the supports is what is free.
+    With ``moved``, motions are left out in which bodies slide without resistance, but are at rest.
     """
     contact, names = trial.contact, problem.bodies.names
     x = contact.points.x
@@ -249,9 +252,26 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * part
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free = vectors[:, values <= FREE * max(values[-1], total)]
+    if moved:
+        free = without(free, contact.free_motions(trial.law.status))
     near = [(contact.points.bodies == b).any(axis=1) for b in range(len(names))]
     centres = np.array([x[here].mean(axis=0) if here.any() else centre for here in near])
     return describe(free, [f"'{name}'" for name in names], centres, centre, size)
+
+
+def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
+    """Bodies that loads push, however little, where nothing resists their sliding; collective."""
+    contact = trial.contact
+    motions = contact.free_motions(trial.law.status)
+    x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
+    loads = problem.forces.on_bodies(problem.load_time, contact.rigid_motions(x)).ravel()
+    work = loads @ motions
+    if np.linalg.norm(work) <= BALANCED * np.linalg.norm(loads):
+        return []
+    names = [f"'{name}'" for name in problem.bodies.names]
+    centres = np.tile(contact.points.x.mean(axis=0), (len(names), 1))
+    found = describe((motions @ work)[:, None], names, centres, *_frame(contact))
+    return [f"{text}, and the loads pull there" for text in found]
 
 
 def _assembled(problem: Problem, contact: ContactInterfaces, resistance: Floats) -> Floats:
@@ -354,7 +374,7 @@ def runaway(problem: Problem, trial: TrialState) -> Runaway | None:
         )
         text = f"the sides of interface '{term.name}' {how}"
         if largest > LOOSE * forces / (term.modulus * size):
-            free = free_bodies(problem, trial) or pulled_off(problem, contact)
+            free = free_bodies(problem, trial, moved=True) or pulled_off(problem, contact)
             if free or term.between:
                 return Runaway("; ".join([*free, text]), Reason.LOOSE_BODY)
         if largest > NOT_SMALL * size + LEVER * given:
@@ -383,27 +403,34 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
         of_bodies[np.arange(len(own)), :, side] += sign * R
     jumps = of_bodies.reshape(len(own), 3, 6 * n)
     openings = own.normals @ jumps
-    rest: Floats = F
-    springs = held.reshape(6 * n, 6 * n)
-    for _ in range(MOST):  # Newton's method: the springs that are pressed
-        pressed = openings[openings @ rest < 0]
-        springs = held.reshape(6 * n, 6 * n) + comm.allreduce(pressed.T @ pressed)
-        rest = np.asarray(np.linalg.solve(np.eye(6 * n) + springs / SPRING**2, F))
-    forces = np.maximum(0.0, -(openings @ rest)).sum(axis=1) / SPRING**2
-    # A large load that springs bear must not hide a small one that nothing bears.
+    # A ball is not wedged by the rim of its cup, which it clears.
+    of = np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
+    friction = of[own.interface]
     # Motions are as large as they move the mean point: a narrow interface resists rolling.
     every = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
     metric = every / max(comm.allreduce(len(own)), 1) + held.reshape(6 * n, 6 * n) / STIFF
     metric += 1e-9 * np.eye(6 * n)
     scale = np.linalg.inv(np.linalg.cholesky(metric)).T
-    sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
-    free = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
-    rest = free @ (free.T @ F)
-    # A ball is not wedged by the rim of its cup, which it clears.
-    of = np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
-    friction = of[own.interface]
-    holds = comm.allreduce(float(friction * forces @ np.linalg.norm(jumps @ rest, axis=1)))
-    if rest @ F <= max(NOTHING * (F @ F), holds):
+    # What slides without friction may hide behind bodies that friction holds: these stick then.
+    mixed = min(of) == 0 < max(of)
+    for stick in [np.zeros(len(own), dtype=bool), friction > 0][: 1 + mixed]:
+        rest: Floats = F
+        springs = held.reshape(6 * n, 6 * n)
+        for _ in range(MOST):  # Newton's method: the springs that are pressed
+            closing = openings @ rest < 0
+            pressed = [openings[closing], jumps[closing.any(axis=1) & stick].reshape(-1, 6 * n)]
+            rows = np.concatenate(pressed)
+            springs = held.reshape(6 * n, 6 * n) + comm.allreduce(rows.T @ rows)
+            rest = np.asarray(np.linalg.solve(np.eye(6 * n) + springs / SPRING**2, F))
+        forces = np.maximum(0.0, -(openings @ rest)).sum(axis=1) / SPRING**2
+        # A large load that springs bear must not hide a small one that nothing bears.
+        sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
+        free = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
+        rest = free @ (free.T @ F)
+        holds = comm.allreduce(float(friction * forces @ np.linalg.norm(jumps @ rest, axis=1)))
+        if rest @ F > max(NOTHING * (F @ F), holds):
+            break
+    else:
         return []
     names = [f"'{name}'" for name in problem.bodies.names]
     found = describe(rest[:, None], names, np.tile(centre, (n, 1)), centre, size)

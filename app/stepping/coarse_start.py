@@ -107,7 +107,7 @@ class CoarseModelStart:
         problem, solver = self._problem, self._solver
         u, q = solver.u_and_q()
         assert q is not None
-        q.array[:] = (self._contact.own.project_free(jump) + self._contact.prescribed).ravel()
+        q.array[:] = self._contact.with_prescribed(jump).ravel()
         problem.impose(u)
         r, du = u.duplicate(), u.duplicate()
         problem.residual_u(u, q, r)

@@ -123,7 +123,8 @@ def test_a_penalty_is_found_with_any_augmentation() -> None:
     stages = "stages=[{name: on, adaptive: false}, {name: off, adaptive: false}]"
     found = []
     for factor in (1.0, 0.1):
-        problem, solver = support.assemble(support.case(STEM, path, stages, *laws))
+        tight = "solver.tolerance=1e-12"
+        problem, solver = support.assemble(support.case(STEM, path, stages, tight, *laws))
         j = problem.contact
         solver.augmentation = factor
         states = []

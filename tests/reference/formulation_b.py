@@ -38,6 +38,7 @@ from ufl.algorithms import expand_derivatives
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
+from app.case.geometries import Cylinders
 from app.laws.interface_laws import Coulomb
 from app.laws.loads import BodyForce, Force, Pressure
 from app.laws.materials import Isotropic
@@ -160,6 +161,8 @@ class Interface:
         x = submesh.geometry.x[submesh.geometry.dofmap]
         edge = np.linalg.norm(x - x[:, [1, 2, 0]], axis=2).mean()
         self.normal, self.area = _nodal_normal(tagged, part, self.entities)
+        if isinstance(case.geometry, Cylinders):
+            _put_normals_of_cones(self.normal, case.geometry.taper)
         self.free, self.old = fem.Function(space), fem.Function(space)
         self.free.x.array[:] = 1
         self.gap = fem.Function(fem.functionspace(submesh, ("Lagrange", 1)))
@@ -277,6 +280,15 @@ def _nodal_normal(
     normal = fem.Function(space)
     normal.x.array[:] = (b / np.linalg.norm(b, axis=1, keepdims=True)).ravel()
     return normal, assemble(m[0]("+") * dS)[:, 0]
+
+
+def _put_normals_of_cones(normal: fem.Function, taper: float) -> None:
+    """Replace mean normals by those of cones about the z axis, narrower at z = 0, by formula."""
+    n = normal.x.array.reshape(-1, 3)
+    x = normal.function_space.tabulate_dof_coordinates()
+    radial = x[:, :2] / np.linalg.norm(x[:, :2], axis=1, keepdims=True)
+    exact = np.column_stack([np.cos(taper) * radial, np.full(len(x), -np.sin(taper))])
+    n[:] = exact * np.sign(np.sum(exact * n, axis=1, keepdims=True))
 
 
 # Supports

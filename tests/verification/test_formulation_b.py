@@ -95,7 +95,7 @@ interfaces:
   stem_cement: {{kind: contact, friction_coefficient: 0.3, gap: -0.004 mm, gap_history: [1, 1]}}
   cement_bone: {{kind: contact, friction_coefficient: 0.6}}
 loads:
-  push: {{kind: force, boundary: stem_top, force: [400 N, 0 N, -1500 N], history: [0, 1]}}
+  push: {{kind: force, boundary: stem_top, force: [1600 N, 0 N, -1500 N], history: [0, 1]}}
 stages: [{{name: fit}}, {{name: load}}]
 """
 

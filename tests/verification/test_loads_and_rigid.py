@@ -95,7 +95,9 @@ def test_rigid_region_is_the_limit_of_a_stiff_one() -> None:
     """Gap, slip and pressure approach those of a rigid stem in proportion to 1/E."""
 
     def fields(stem: str) -> list[np.ndarray]:
-        last = support.solve(CYLINDERS, f"regions.stem={stem}").last
+        tilting = "loads.hip.force=[900 N, -480 N, -900 N]"  # some points open
+        last = support.solve(CYLINDERS, f"regions.stem={stem}", tilting).last
+        assert last.gap.max() > 1e-3
         return [last.gap, last.slip, last.pressure]
 
     rigid = fields("{rigid: true}")

@@ -1,0 +1,202 @@
+r"""Normals of the smooth surface that a surface of straight facets stands for.
+
+The mean normal of the facets around a node is off by some hundredths, along any axis too: bodies
+that slide along a cylinder or a cone then climb their facets. Here a node has the normal of a
+surface through it, fitted to the nodes near it. With a, b the coordinates of a near node along two
+tangents and h that along the mean normal, all from the node itself,
+
+.. math:: h = c_1 a + c_2 b + c_3 a^2 + c_4 \sqrt2 a b + c_5 b^2 + c_6 a h + c_7 b h + c_8 h^2
+
+is every quadric: plane, sphere, cylinder and cone are met to rounding. Three models compete: none
+(the mean normal stays), the paraboloid with the first five terms, the quadric. The one whose slopes
+:math:`(c_1, c_2)` have the least standard error is taken, so that a rough surface keeps its means.
+That error is the doubt about the normal.
+
+Where facets around a node lie in one plane, their normal stays as it is. A fit that turns it by
+more than the normals nearby differ is not taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from app.arrays import Bools, Floats, Ints
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
+# Rings of facets around a node, and nodes in them, at least, to which a surface is fitted.
+RINGS = 2
+NODES_NEAR = 10
+# Rings that are added to reach this number, at most.
+MORE_RINGS = 3
+# Coefficients of the models: plane, paraboloid, quadric.
+MODELS = (2, 5, 8)
+# Observations that must remain beyond the coefficients.
+SPARE = 2
+# A richer model must have less than this part of the standard error of a poorer one.
+BETTER = 0.25
+# Normals that differ by less are equal [rad].
+FLAT = 1e-6
+# Slopes up to so many times the doubt about normals are likely errors, but not above an angle.
+LIKELY, SLOPE = 3.0, 0.01
+# Slopes below this are rounding, to be reached in so many steps.
+ROUNDING, STEPS = 1e-12, 20
+# Singular values below this part of the largest are zero.
+SINGULAR = 1e-10
+
+
+@dataclass(frozen=True)
+class SmoothNormals:
+    """Normals of a smooth surface at n nodes.
+
+    Attributes:
+        normal: Unit normals (n, 3).
+        doubt: Standard error of their direction (n,) [rad].
+    """
+
+    normal: Floats
+    doubt: Floats
+
+
+def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> SmoothNormals:
+    """Normals at nodes of smooth surfaces that consist of straight facets.
+
+    Args:
+        x: Nodes (n, 3) [mm]. A node on an edge is one node for each of its smooth faces.
+        corners: Nodes of the facets (f, 3).
+        normals: Unit normals of the facets at their corners (f, 3, 3).
+        areas: Weights of the corners in the mean (f, 3).
+    """
+    mean = unit_sums(normals, areas, corners, len(x))
+    # How far the normals around a node differ from its mean, and those around its neighbours.
+    spread = np.zeros(len(x))
+    np.maximum.at(spread, corners, _angle(normals, mean[corners]))
+    joined = _joined(corners, len(x))
+    wide, (one, other) = spread.copy(), joined.nonzero()
+    np.maximum.at(wide, one, _angle(mean[one], mean[other]) + spread[other])
+    inside = np.diff(joined.indptr) - 1 == np.bincount(corners.ravel(), minlength=len(x))
+    flat = (spread < FLAT) & (inside | (wide < FLAT))
+    found, doubt = mean.copy(), np.where(flat, 0.0, spread)
+    some = np.flatnonzero(~flat)
+    if len(some):
+        found[some], doubt[some] = _fitted(x, mean, wide, doubt, some, _near(joined, some))
+    return SmoothNormals(found, doubt)
+
+
+def unit_sums(vectors: Floats, weights: Floats, corners: Ints, n: int) -> Floats:
+    """Directions (n, 3) of the weighted sums of vectors (f, 3, 3) at nodes (f, 3)."""
+    sums = np.zeros((n, 3))
+    np.add.at(sums, corners, weights[:, :, None] * vectors)
+    return sums / np.linalg.norm(sums, axis=1, keepdims=True)
+
+
+def _angle(a: Floats, b: Floats) -> Floats:
+    """Angles between unit vectors (..., 3), exact where small [rad]."""
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
+
+
+def _joined(corners: Ints, n: int) -> csr_matrix:
+    """Nodes that share a facet, each with itself, as a pattern (n, n)."""
+    from scipy.sparse import csr_matrix
+
+    rows, columns = np.repeat(corners, 3, axis=1).ravel(), np.tile(corners, (1, 3)).ravel()
+    pattern = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+    pattern.data[:] = 1.0
+    return pattern
+
+
+def _near(joined: csr_matrix, some: Ints) -> Ints:
+    """Near nodes of some nodes (m, k), each row filled with the node itself."""
+    near = joined[some]
+    for ring in range(1, RINGS + MORE_RINGS):
+        few = np.ones(len(some)) if ring < RINGS else np.diff(near.indptr) <= NODES_NEAR
+        if not few.any():
+            break
+        near = near + near.multiply(few[:, None]).tocsr() @ joined
+        near.data[:] = 1.0
+    near = near.tocsr()
+    near.sort_indices()
+    count = np.diff(near.indptr)
+    row = np.repeat(np.arange(len(some)), count)
+    filled = np.tile(some[:, None], (1, int(count.max())))
+    filled[row, np.arange(near.nnz) - near.indptr[row]] = near.indices
+    return filled
+
+
+def _fitted(
+    x: Floats, mean: Floats, wide: Floats, doubt: Floats, some: Ints, near: Ints
+) -> tuple[Floats, Floats]:
+    """Normals (m, 3) of some nodes by the best model, and their standard errors (m,)."""
+    n, tangents = mean[some], np.linalg.svd(mean[some, None])[2][:, 1:]
+    away = x[near] - x[some, None]
+    distance = np.linalg.norm(away, axis=2)
+    size = distance.max(axis=1, keepdims=True)
+    away, distance = away / size[:, :, None], distance / size
+    others: Bools = distance > 0
+    # Near nodes count more: what a model leaves out grows with the square of the distance.
+    weight = np.where(others, 1 / np.where(others, distance, 1.0) ** 2, 0.0)
+    a, b = np.einsum("nki,nji->jnk", away, tangents)
+    h = np.einsum("nki,ni->nk", away, n)
+    terms = a, b, a * a, np.sqrt(2) * a * b, b * b, a * h, b * h, h * h
+    columns, height = np.stack(terms, axis=2) * weight[:, :, None], h * weight
+    normal, error = n.copy(), np.full(len(some), np.inf)
+    for coefficients in MODELS:
+        model = columns[:, :, :coefficients]
+        inverse = np.linalg.pinv(model, rcond=SINGULAR)
+        fit = np.einsum("nck,nk->nc", inverse, height)
+        missed = height - np.einsum("nkc,nc->nk", model, fit)
+        spare = others.sum(axis=1) - coefficients
+        variance = (missed**2).sum(axis=1) / np.maximum(spare, 1)
+        of_slope = np.sqrt(variance * (inverse[:, :2] ** 2).sum(axis=(1, 2)))
+        turned = n
+        if coefficients > MODELS[0]:
+            turned = n - np.einsum("nj,nji->ni", fit[:, :2], tangents)
+            turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+        better = (spare >= SPARE) & (of_slope < BETTER * error)
+        better &= _angle(turned, n) <= wide[some]
+        normal[better], error[better] = turned[better], of_slope[better]
+    return normal, np.where(np.isfinite(error), error, doubt[some])
+
+
+def slid_along(x: Floats, normals: Floats, doubt: Floats, weight: Floats) -> Floats:
+    """Normals of a surface that a rigid motion slides along itself, made orthogonal to that motion.
+
+    Normals that are off by a little hold a body of revolution against its turn, the harder to
+    compute the less they are off. A motion slides if the normals are sloped against it, in the mean
+    and at random, by no more than they are in doubt.
+
+    Args:
+        x: Points (n, 3) [mm].
+        normals: Unit normals there (n, 3).
+        doubt: Standard errors of the normals (n,) [rad].
+        weight: Areas of the points (n,) [mm2].
+    """
+    share, count = weight / weight.sum(), len(x)
+    likely = min(LIKELY * float(np.sqrt(share @ doubt**2)), SLOPE)
+    if likely < ROUNDING or count < NODES_NEAR:
+        return normals
+    away = (x - share @ x) / (float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0)
+    turns = -np.cross(away[:, :, None], np.eye(3), axis=1)
+    motions = np.concatenate([np.tile(np.eye(3), (count, 1, 1)), turns], axis=2)
+    size = np.einsum("p,pik,pil->kl", share, motions, motions)
+    scale = np.linalg.inv(np.linalg.cholesky(size + ROUNDING * np.eye(6))).T
+    found, number = normals, 0
+    for step in range(STEPS):
+        slopes = np.einsum("pi,pik->pk", found, motions) @ scale
+        mean = np.sqrt(count) * (share @ slopes)
+        sizes, vectors = np.linalg.svd(np.vstack([np.sqrt(share)[:, None] * slopes, mean]))[1:]
+        if not step:
+            number = int((sizes <= likely).sum())
+        if not number or sizes[-number] <= ROUNDING:
+            return found
+        # Two motions at most are independent at a point of a surface.
+        ways, far, _ = np.linalg.svd(motions @ scale @ vectors[-number:].T, full_matrices=False)
+        ways, far = ways[:, :, :2], far[:, :2]
+        ways = np.where((far > FLAT * far.max())[:, None], ways, 0.0)
+        found = found - np.einsum("pik,pjk,pj->pi", ways, ways, found)
+        found /= np.linalg.norm(found, axis=1, keepdims=True)
+    return normals
