@@ -187,8 +187,6 @@ class ContactInterfaces:
         reference: Jumps at which nothing has slid since the last committed step (n, 3) [mm].
         prescribed: Jumps prescribed by supports at the current time (n, 3) [mm].
         linear_about: Forces (n, 3) [MPa] about which the laws are linearized; None: about none.
-        springs: Stiffness of springs between the sides over the augmentation, in the Jacobian
-            alone.
 
     Raises:
         InputError: An interface has no facets on this mesh.
@@ -196,7 +194,6 @@ class ContactInterfaces:
 
     saved = ("state", "committed_at")
     linear_about: Floats | None = None
-    springs: float = 0.0
     committed_at: Floats | None = None
     # Resistance of the supports in force to rigid motions, by body.
     _held: dict[int, Floats] | None = None
@@ -578,4 +575,4 @@ class ContactInterfaces:
         P = free @ law.by_multiplier @ self.law.multiplier_share @ free
         by_jump = free @ law.by_jump @ free
         scale = (self.law.stiffness * weight)[:, None, None]
-        return free - P, weight[:, None, None] * by_jump + scale * (held + self.springs * free)
+        return free - P, weight[:, None, None] * by_jump + scale * held

@@ -14,8 +14,6 @@ from app.numerics.system import Contact
 
 log = logging.getLogger("mantle")
 
-# Stiffness of weak springs over the augmentation.
-SPRINGS = 1e-2
 # Factors of the augmentation tried in turn, and whether Newton continues from the current state or
 # from the start: mostly the augmentation is too large. None: the line search is switched.
 AUGMENTATIONS = ((0.1, True), (0.01, True), None, (100.0, False), (0.1, False), (0.01, False), None)
@@ -101,11 +99,10 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
     Interfaces that have to close before a body is held are tied and released: a body free by a
     clearance, or that touches along an edge only, comes into contact. All interfaces are opened,
     then closed where the bodies overlap: in plain Newton the border of a zone that opens moves by
-    one row of facets in each iteration. Weak springs make a Jacobian regular in which nothing
-    holds a body yet; the residual does not have them. The contact block is factorized, as SOR may
-    yield poor directions. The augmentation is scaled: a large one makes contact points change state
-    back and forth, and Newton continues from the current state with a smaller one. The line search
-    is switched on or off: at a kink of the contact law it may cut steps to nothing where full steps
+    one row of facets in each iteration. The contact block is factorized, as SOR may yield poor
+    directions. The augmentation is scaled: a large one makes contact points change state back and
+    forth, and Newton continues from the current state with a smaller one. The line search is
+    switched on or off: at a kink of the contact law it may cut steps to nothing where full steps
     converge. Last, an augmentation set by the case, which may be off by powers of ten, is replaced
     by the default.
     """
@@ -115,13 +112,6 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
         yield from _switched(solver, start, contact.tie, tied, "releasing the tied interfaces")
         overlap = "closing interfaces where the open bodies overlap"
         yield from _switched(solver, start, contact.release, "opening all interfaces", overlap)
-        if not solver.converged:
-            start.copy(solver.x)
-            contact.springs = SPRINGS
-            try:
-                yield "weak springs between the bodies in the Jacobian"
-            finally:
-                contact.springs = 0.0
     if not solver.converged and solver.linear.factor_interfaces():
         start.copy(solver.x)
         yield "factorizing the contact block"

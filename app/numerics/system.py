@@ -51,12 +51,9 @@ class Contact(Protocol):
 
     Attributes:
         linear_about: Forces of own points (n, 3) [MPa] about which laws are linearized, if any.
-        springs: Stiffness of springs between the sides over the augmentation, in the Jacobian
-            alone.
     """
 
     linear_about: Floats | None
-    springs: float
 
     def scale_augmentation(self, factor: float) -> None:
         """Set the multiple of the case's augmentation."""
