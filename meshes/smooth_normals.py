@@ -75,6 +75,8 @@ def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> 
     # How far the normals around a node differ from its mean, and those around its neighbours.
     spread = np.zeros(len(x))
     np.maximum.at(spread, corners, _angle(normals, mean[corners]))
+    if (spread < FLAT).all():
+        return SmoothNormals(mean, np.zeros(len(x)))
     joined = _joined(corners, len(x))
     wide, (one, other) = spread.copy(), joined.nonzero()
     np.maximum.at(wide, one, _angle(mean[one], mean[other]) + spread[other])
@@ -101,7 +103,7 @@ def _angle(a: Floats, b: Floats) -> Floats:
 
 def _joined(corners: Ints, n: int) -> csr_matrix:
     """Nodes that share a facet, each with itself, as a pattern (n, n)."""
-    from scipy.sparse import csr_matrix
+    from scipy.sparse import csr_matrix  # imported late: plane interfaces need no scipy
 
     rows, columns = np.repeat(corners, 3, axis=1).ravel(), np.tile(corners, (1, 3)).ravel()
     pattern = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(n, n))
