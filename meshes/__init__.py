@@ -11,6 +11,7 @@ and no other mesher.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from importlib import import_module
@@ -40,6 +41,9 @@ __all__ = ["MeshData", "build", "write_msh"]
 
 # A mantle that fills the canal divides the cancellous bone; each piece is held by the cortex.
 DIVISIBLE = frozenset({"cancellous_bone"})
+# Factors on the size, and on the thickness of cement, that are tried where cells are poor.
+OTHERS = (1.05, 0.95, 1.1, 0.9, 1.2, 1.35, 1.6)
+MANTLE = (1.0, 8.0)  # mm of cement that a femur may have
 # The others are named as their geometry.
 MESHERS = {"intact_femur": "femur_intact", "patient": "femur", "file": "imported"}
 
@@ -69,11 +73,10 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
 def _make(geometry: Any, mesh: Any) -> MeshData:
     # Imported here: a block needs no femur, and no scipy.
     mesher = import_module(f"meshes.{MESHERS.get(geometry.kind, geometry.kind)}")
-    data = canonical(mesher.build(geometry, mesh))
-    remedy = "Try another mesh.size, or other lengths in the section geometry."
-    if geometry.kind == "file":
-        remedy = "Repair the mesh file." if not geometry.is_script else "Try another mesh.size."
-    quality = _quality.gate(data, remedy)
+    try:
+        data, quality = _checked(mesher, geometry, mesh)
+    except _quality.PoorCellsError as error:
+        raise GeometryError(f"{error}\n{_remedy(mesher, geometry, mesh)}") from None
     file = geometry.kind == "file"  # of a file the case knows which interfaces are meshed apart
     whole = () if file else set(data.regions) - DIVISIBLE
     _check_parts(data, whole, geometry.interface_sides if file else geometry.faces)
@@ -96,6 +99,38 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
         if zones:
             notes["mantle"]["cortex_min"] = mantle.least_cortex(data, m.tip)
     return replace(data, notes=notes, behind=None)  # others may change the cells
+
+
+def _checked(mesher: Any, geometry: Any, mesh: Any) -> tuple[MeshData, Any]:
+    """The mesh and the quality of its cells (m,), all of which are good enough."""
+    data = canonical(mesher.build(geometry, mesh))
+    return data, _quality.check(data.points, data.cells, data.cell_tags, data.regions)
+
+
+def _remedy(mesher: Any, geometry: Any, mesh: Any) -> str:
+    """What to change where cells are poor: to a size that meshes, or else a thickness of cement."""
+    if geometry.kind == "file":
+        return "Try another mesh.size." if geometry.is_script else "Repair the mesh file."
+
+    def near(length: float, least: float, most: float) -> list[float]:
+        others = (float(f"{factor * length:.2g}") for factor in OTHERS)
+        return [other for other in others if least <= other <= most]
+
+    sizes = near(mesh.size, 0.0, min(mesh.far, geometry.coarsest_size))
+    changes = [("mesh.size", x, geometry, mesh.model_copy(update={"size": x})) for x in sizes]
+    thickness = getattr(geometry, "cement_thickness", None)
+    if isinstance(thickness, float):
+        for x in near(thickness, *MANTLE):
+            other = geometry.model_copy(update={"cement_thickness": x})
+            changes.append(("geometry.cement_thickness", x, other, mesh))
+    for key, length, *changed in changes:
+        with contextlib.suppress(GeometryError):
+            _checked(mesher, *changed)
+            return f"Set {key}: {length:g} mm; all elements are good then."
+    tried = {key: [x for k, x, *_ in changes if k == key] for key, *_ in changes}
+    words = [f"{key} from {min(x):g} to {max(x):g} mm" for key, x in tried.items()]
+    keys = "geometry.insertion or geometry.resection" if geometry.kind == "patient" else "geometry"
+    return f"Change {keys}: with {' and '.join(words)} elements are inverted or nearly flat, too."
 
 
 def _check_parts(data: MeshData, whole: Collection[str], apart: Collection[str] = ()) -> None:

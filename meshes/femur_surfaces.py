@@ -170,6 +170,10 @@ class FemurSurfaces:
         )
         self.segments = tuple(segment for segment in segments if segment.steps)
 
+    def to_model(self, x: Floats) -> Floats:
+        """Points in the stem's axes (n, 3) in those of the model [mm]."""
+        return np.asarray(self._placed.to_model(x))
+
     def outline(self) -> Floats:
         """Section of the stem, a quarter of its way from cut to tip (around, 2) [mm]."""
         x = self._body.point(np.arange(self.around) / self.around, self._middle, 0.0)

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import count
+from itertools import count, product
 from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.arrays import Bools, Floats, Ints
 from app.errors import GeometryError
 from meshes.data import EDGES, MeshData, Tags, cell_faces, dot, edge_vectors, match_faces, tangents
 
 BAD = 0.01  # below: refused
 POOR = 0.1  # below: counted in the notes, and curved cells are straightened
 WORST_SHOWN = 5
+REACH = 0.25  # of a node's longest edge: the first step that it is moved by
+SMALLEST = 1e-3  # of that edge: the last
+GAIN = 1e-4  # SICN that a step has to gain: less may be rounding
 STEPS = 7  # halvings of a bend; what is still bad then is made straight
 ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be off
 
+# Directions to the faces, edges and corners of a cube (26, 3).
+_AROUND = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
+_AROUND /= np.sqrt((_AROUND**2).sum(axis=1, keepdims=True))
+
 _SAMPLES = np.vstack([np.eye(4), np.eye(4)[np.array(EDGES)].mean(axis=1), np.full((1, 4), 0.25)])
+
+
+class PoorCellsError(GeometryError):
+    """Cells are inverted or nearly flat; those of another size need not be."""
 
 
 def sicn(points: Floats, cells: Ints) -> Floats:
@@ -86,26 +97,27 @@ def places(
     return [lines.format(names[int(tags[cell])], *at) for cell, at in zip(some, x, strict=False)]
 
 
-def gate(data: MeshData, remedy: str) -> Floats:
-    """Refuse a mesh with inverted or nearly flat elements; ``remedy`` ends the message.
+def check(
+    points: Floats, cells: Ints, tags: Tags, regions: Mapping[str, int], why: str = ""
+) -> Floats:
+    """Refuse inverted and nearly flat cells; ``why`` follows their number in the message.
 
     Returns:
         SICN of each cell (m,).
 
     Raises:
-        GeometryError: Names the worst elements: region, centroid [mm] and SICN.
+        PoorCellsError: Names the worst cells: region, centroid [mm] and SICN.
     """
-    quality = sicn(data.points, data.cells)
+    quality = sicn(points, cells)
     bad = int((quality < BAD).sum())
     if not bad:
         return quality
     worst = np.argsort(quality, kind="stable")[:bad]
-    at = places(data.points, data.cells, data.cell_tags, data.regions, worst)
+    at = places(points, cells, tags, regions, worst)
     lines = [f"{place}: {quality[cell]:.4f}" for place, cell in zip(at, worst, strict=False)]
-    raise GeometryError(
+    raise PoorCellsError(
         f"{bad} of {len(quality)} elements are inverted or nearly flat"
-        f" (signed inverse condition number below {BAD}); the worst:\n"
-        + "\n".join([*lines, remedy])
+        f" (signed inverse condition number below {BAD}){why}; the worst:\n" + "\n".join(lines)
     )
 
 
@@ -151,3 +163,52 @@ def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:
         bend[moved] *= 0.5 if step < STEPS * (3 if spared else 1) else 0.0
         near = np.flatnonzero(moved[cells[:, 4:]].any(axis=1))
     return np.asarray(current)
+
+
+def relaxed(points: Floats, cells: Ints, free: Bools, digits: int) -> Floats:
+    """Move free nodes of poor straight cells until the cells are good, or get no better.
+
+    Sections of a stem where its shoulder goes over to the neck are not convex: nodes that are
+    means of the outline can lie outside of it. Each node in turn takes the best of 26 places
+    around it, by the worst of its cells; its step is halved where none is better (Freitag and
+    Ollivier-Gooch, Int. J. Numer. Meth. Eng. 40 (1997)).
+
+    Args:
+        points: Nodes (n, 3) [mm].
+        cells: Tetrahedra (m, 4), of which inverted ones have a negative volume.
+        free: Nodes that may be moved (n,).
+        digits: Decimals [mm] that places are rounded to.
+
+    Returns:
+        The nodes (n, 3).
+    """
+    x, quality = points.copy(), sicn(points, cells)
+    if not (free[cells].any(axis=1) & (quality < POOR)).any():
+        return x
+    order = np.argsort(cells.ravel(), kind="stable")
+    start = np.searchsorted(cells.ravel()[order], np.arange(len(x) + 1))
+    steps: dict[int, tuple[float, float]] = {}  # of each node: the next and the last one
+    while True:
+        worst: dict[int, float] = {}
+        for cell in np.flatnonzero(quality < POOR):
+            for node in cells[cell][free[cells[cell]]]:
+                worst[int(node)] = min(worst.get(int(node), 1.0), round(quality[cell], digits))
+        moving = [k for k in worst if k not in steps or steps[k][0] >= steps[k][1]]
+        if not moving:
+            return x
+        for node in sorted(moving, key=lambda k: (worst[k], k)):
+            near = order[start[node] : start[node + 1]] // 4
+            corners = x[cells[near]]
+            if node not in steps:
+                edge = float(np.sqrt(((corners - x[node]) ** 2).sum(axis=2)).max())
+                steps[node] = REACH * edge, SMALLEST * edge
+            step, last = steps[node]
+            places = np.round(x[node] + step * _AROUND, digits)
+            tried = np.where((cells[near] == node)[:, :, None], places[:, None, None], corners)
+            every = np.arange(tried.size // 3).reshape(-1, 4)
+            found = sicn(tried.reshape(-1, 3), every).reshape(len(places), len(near))
+            best = int(np.round(found.min(axis=1), digits).argmax())
+            if found[best].min() > quality[near].min() + GAIN:
+                x[node], quality[near] = places[best], found[best]
+            else:
+                steps[node] = 0.5 * step, last

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from app.arrays import Bools, Floats, Ints
-from app.errors import GeometryError
 from meshes import reference_body
 from meshes.data import EDGES, cell_volumes, faces_of, match_faces
 from meshes.femur_surfaces import VOID, FemurSurfaces
 from meshes.layers import DIGITS, Nodes
-from meshes.quality import sicn, untangle
+from meshes.quality import check, relaxed, sicn, untangle
 from meshes.reference_body import ReferenceBody
 
 FLOOR = 0.12  # of the mesh size: layers thinner than this have no thickness
@@ -91,7 +90,7 @@ def mesh(surfaces: FemurSurfaces, curved: bool) -> Swept:
     """Mesh the layers; cells are curved if asked.
 
     Raises:
-        GeometryError: Cells overlap: the surfaces are not nested.
+        PoorCellsError: Cells are inverted or nearly flat: the surfaces are not nested.
     """
     parts = surfaces.through, surfaces.segments
     body = reference_body.make(surfaces.outline(), *parts, surfaces.coarser)
@@ -99,8 +98,8 @@ def mesh(surfaces: FemurSurfaces, curved: bool) -> Swept:
     cells, parent = _mended(surfaces, body, nodes, number)
     region = body.region[parent]
     solid = np.array([name != VOID for name in body.names])[region]
-    made = _packed(surfaces, nodes, cells[solid], region[solid], body.names)
-    _check_volume(made)
+    made = _relaxed(_packed(surfaces, nodes, cells[solid], region[solid], body.names))
+    _check(made)
     return _curved(made) if curved else made
 
 
@@ -122,14 +121,11 @@ def _mended(
     quad[ring] = np.where(own == (pair + 1) % n, pair, own) * r + least[ring]
     turned = body.columns.copy()
     turned[ring, third] += np.where(place[ring, third] == least[ring], 1, -1)
-    at = np.tile(body.at, (len(nodes) // len(body.at), 1))
-    flat = np.asarray(np.column_stack([at, nodes.s]), dtype=np.float64)
 
     def split(columns: Ints) -> tuple[tuple[Ints, Ints], Floats]:
         cells, parent = made = _split(surfaces, replace(body, columns=columns), number)
         worst = np.ones(n * r + 1)
-        signs = np.sign(cell_volumes(flat, cells))  # turned the other way, they may be inverted
-        np.minimum.at(worst, quad[parent], signs * sicn(nodes.x, cells))
+        np.minimum.at(worst, quad[parent], sicn(nodes.x, cells))
         return made, worst
 
     made, worst = split(body.columns)
@@ -141,6 +137,8 @@ def _mended(
 
 def _split(surfaces: FemurSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:
     """Tetrahedra (m, 4) of distinct nodes, and their prisms (m,).
+
+    Those that are not inverted have positive volumes.
 
     Columns rank from lateral to medial, all of one line together, outwards: sections turn about an
     antero-posterior axis, and diagonals from lateral to medial are the short ones; where sections
@@ -154,7 +152,13 @@ def _split(surfaces: FemurSurfaces, body: ReferenceBody, number: Ints) -> tuple[
     back = np.isin(body.slab, surfaces.mirrored)[:, None]
     order = np.argsort(np.where(back, ranks[1][body.columns], ranks[0][body.columns]), axis=1)
     low = np.take_along_axis(body.columns, order, axis=1) + c * body.slab[:, None]
-    tets = number[np.hstack([low, low + c])[:, _PRISM].reshape(-1, 4)]
+    corners = np.hstack([low, low + c])[:, _PRISM].reshape(-1, 4)
+    levels = int(body.slab.max()) + 2
+    height = np.repeat(np.arange(levels, dtype=np.float64), c)
+    flat = np.column_stack([np.tile(body.at, (levels, 1)), height])
+    flipped = cell_volumes(flat, corners) < 0
+    corners[flipped] = corners[flipped][:, [1, 0, 2, 3]]
+    tets = number[corners]
     ordered = np.sort(tets, axis=1)
     kept = np.flatnonzero((ordered[:, 1:] != ordered[:, :-1]).all(axis=1))
     return tets[kept], kept // 3
@@ -256,23 +260,28 @@ def _packed(
     used, cells = np.unique(cells, return_inverse=True)
     cells = cells.reshape(-1, 4)
     nodes = Nodes(**{name: values[used] for name, values in vars(nodes).items()})
-    flipped = cell_volumes(nodes.x, cells) < 0
-    cells[flipped] = cells[flipped][:, [1, 0, 2, 3]]
     return Swept(surfaces, nodes, cells, region, names)
 
 
-def _check_volume(made: Swept) -> None:
-    """Raise GeometryError unless the cells fill what their exterior facets enclose, once."""
-    x = made.nodes.x
-    volume = float(np.abs(cell_volumes(x, made.cells)).sum())
-    corners = x[made.facets[0]]
-    flux = np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]
-    enclosed = float(flux.sum()) / 6
-    if abs(volume - enclosed) > 1e-9 * volume:
-        raise GeometryError(
-            f"geometry: layers cut through each other ({volume - enclosed:.3g} mm3 of"
-            f" {volume:.0f} mm3 would be there twice); change what was set last"
-        )
+def _relaxed(made: Swept) -> Swept:
+    """The mesh with poor cells mended by their nodes inside the innermost surface.
+
+    A node on a facet or between regions stays.
+    """
+    nodes, cells = made.nodes, made.cells
+    least, most = np.full(len(nodes), len(made.names)), np.full(len(nodes), -1)
+    np.minimum.at(least, cells, made.region[:, None])
+    np.maximum.at(most, cells, made.region[:, None])
+    free = (nodes.rho == 0) & (least == most)
+    free[made.facets[0]] = False
+    return replace(made, nodes=replace(nodes, x=relaxed(nodes.x, cells, free, DIGITS)))
+
+
+def _check(made: Swept) -> None:
+    """Raise PoorCellsError where straight cells are inverted or nearly flat."""
+    numbers = {name: k for k, name in enumerate(made.names)}
+    x = made.surfaces.to_model(made.nodes.x)
+    check(x, made.cells, made.region, numbers, ": layers cut through each other")
 
 
 def _curved(made: Swept) -> Swept:

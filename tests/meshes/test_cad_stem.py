@@ -121,6 +121,16 @@ def test_what_is_no_stem_is_refused(what: str, why: str, tmp_path: Path) -> None
     assert "geometry.stem.step: " in message and why in message
 
 
+@pytest.mark.parametrize("size", [4.0, 3.9])
+def test_sections_of_shoulder_and_neck_that_are_not_convex_mesh(
+    tmp_path: Path, size: float
+) -> None:
+    """Means of the outline lie outside of it there, and cells were inverted."""
+    known = load(case(cad_stems.write("anatomic", tmp_path), f"{{size: {size} mm}}")).config
+    data = meshes.build(known.geometry, known.mesh)
+    assert data.notes["quality"]["sicn_min_by_region"]["stem"] > 0.05
+
+
 @pytest.mark.slow
 def test_a_collar_is_refused(tmp_path: Path) -> None:
     file = cad_stems.write("exeter", tmp_path, collar=True)

@@ -6,12 +6,15 @@ import hashlib
 import math
 import os
 import re
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 import meshes
 from app.campaigns.work_precision import fitted_order
@@ -173,8 +176,57 @@ def test_the_gate_names_region_place_and_value(rod: MeshData) -> None:
     cell = rod.cells[np.flatnonzero(rod.cell_tags == rod.regions["cement"])[100]]
     points[cell[3]] = points[cell[:3]].mean(axis=0)
     with pytest.raises(GeometryError, match=r"cement at \(-?\d+\.\d\d, .*\) mm: -?0\.\d{4}"):
-        quality.gate(replace(rod, points=points), "Do this.")
-    quality.gate(rod, "")
+        quality.check(points, rod.cells, rod.cell_tags, rod.regions)
+    quality.check(rod.points, rod.cells, rod.cell_tags, rod.regions)
+
+
+def test_relaxed_moves_free_nodes_of_poor_cells_and_no_others() -> None:
+    """A node among the corners of a cube is put far outside of it, and comes back."""
+    corners = np.array(list(product((0.0, 1.0), repeat=3)))
+    faces = ConvexHull(corners).simplices
+    outward = np.cross(
+        corners[faces[:, 1]] - corners[faces[:, 0]], corners[faces[:, 2]] - corners[faces[:, 0]]
+    )
+    inward = (outward * (corners[faces].mean(axis=1) - 0.5)).sum(axis=1) > 0
+    faces[inward] = faces[inward][:, [1, 0, 2]]
+    cells = np.column_stack([faces, np.full(len(faces), 8)])
+    assert quality.sicn(np.vstack([corners, [[0.5, 0.5, 0.5]]]), cells).min() > 0.5
+    x = np.vstack([corners, [[1.7, 0.4, 0.6]]])
+    assert quality.sicn(x, cells).min() < -0.1
+    free = np.arange(9) == 8
+    moved = quality.relaxed(x, cells, free, 6)
+    assert quality.sicn(moved, cells).min() >= quality.POOR
+    assert (moved[:8] == corners).all() and ((moved[8] > 0) & (moved[8] < 1)).all()
+    assert (quality.relaxed(moved, cells, free, 6) == moved).all()
+    assert (quality.relaxed(x, cells, np.zeros(9, dtype=bool), 6) == x).all()
+
+
+@pytest.mark.parametrize(
+    ("works", "remedy"),
+    [
+        (lambda rod, mesh: mesh.size < 4.7, "Set mesh.size: 4.5 mm; all elements are good then."),
+        (
+            lambda rod, mesh: rod.cement_thickness > 5.0,
+            "Set geometry.cement_thickness: 5.4 mm; all elements are good then.",
+        ),
+        (
+            lambda rod, mesh: False,
+            "Change geometry: with mesh.size from 4.5 to 6 mm and geometry.cement_thickness"
+            " from 3.6 to 6.4 mm elements are inverted or nearly flat, too.",
+        ),
+    ],
+)
+def test_poor_cells_are_refused_with_a_length_that_meshes(
+    works: Callable[[Any, Any], bool], remedy: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One near the given one, within the far size; where none does, all that were tried."""
+
+    def checked(mesher: Any, geometry: Any, mesh: Any) -> None:
+        if not works(geometry, mesh):
+            raise quality.PoorCellsError("1 of 9 elements are inverted")
+
+    monkeypatch.setattr(meshes, "_checked", checked)
+    assert meshes._remedy(None, ROD, options(5.0, far_size="6 mm")) == remedy
 
 
 def test_cache_returns_the_same_and_survives_damage(tmp_path: Path, rod: MeshData) -> None:

@@ -405,8 +405,9 @@ def test_layers_that_cut_through_each_other_are_told() -> None:
     made = swept.mesh(_plain(), False)
     inner = np.flatnonzero((made.nodes.rho == 0) & (made.nodes.s == 40))
     made.nodes.x[inner[0]] += [40.0, 0.0, 0.0]
-    with pytest.raises(GeometryError, match="would be there twice"):
-        swept._check_volume(made)
+    place = r"layers cut through each other; the worst:\n  \w+ at \(.*\) mm: -0\."
+    with pytest.raises(quality.PoorCellsError, match=place):
+        swept._check(made)
 
 
 def _plain() -> Surfaces:
