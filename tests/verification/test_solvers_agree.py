@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -362,6 +362,16 @@ def _outcome(
     return 0, _numbers(results.summary)
 
 
+def _outcome_on_ranks(
+    case: Path, changes: Sequence[str], folder: Path
+) -> tuple[int, dict[tuple[str, str], tuple[float, str]]]:
+    """Exit code and numbers of a run on two ranks."""
+    words = ("-m", "mantle", "run", case, "-o", folder, *support.sets(*changes))
+    code = support.on_ranks(2, *words, code=None).returncode
+    there = (folder / "summary.json").is_file()
+    return code, _numbers(support.summary(folder)) if there else {}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("case", "changes"), _shipped())
 def test_solvers_agree_on_all_that_is_shipped(
@@ -376,6 +386,7 @@ def test_solvers_agree_on_all_that_is_shipped(
         )
         for solver in SOLVERS
     }
+    outcomes["two ranks"] = _outcome_on_ranks(CONFIGS / case, [*changes, *TIGHT], tmp_path / "two")
     code, expected = outcomes["direct"]
     largest: dict[str, float] = {}
     for value, unit in expected.values():
