@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,16 +16,16 @@ from app.errors import InputError
 from app.files import parts
 from meshes import dicom_series, nifti_file
 
-TILT = 0.01  # cosine of the angle between edges of voxels, at most
+TILT = 0.01  # largest cosine of the angle between edges of voxels
 
 
 @dataclass(frozen=True)
 class Image:
-    """An image: numbers of voxels (i, j, k), the matrix from (i, j, k, 1) to their middles [mm].
+    """An image: numbers of voxels, and their places.
 
     Attributes:
         values: Numbers (i, j, k).
-        affine: The matrix (4, 4).
+        affine: Matrix from (i, j, k, 1) to the middle of a voxel (4, 4) [mm].
         told: What was read, in words.
         notes: Doubts about it.
     """
@@ -44,7 +44,7 @@ class Image:
 
     @cached_property
     def _numbers(self) -> Any:
-        """Its values that are numbers (n,)."""
+        """Values of all voxels that are numbers (n,)."""
         return self.values[np.isfinite(self.values)]
 
     @cached_property
@@ -54,7 +54,7 @@ class Image:
 
     @cached_property
     def least(self) -> float:
-        """Number of its lowest voxel."""
+        """Lowest number of a voxel."""
         return float(self._numbers.min())
 
     @property
@@ -117,14 +117,12 @@ def _read(path: Path, _changed: int) -> Image:
     taken = f"{', '.join(told[:1])}: {lattice} voxels of {size} mm, {values.dtype}"
     image = Image(values, affine, (taken, *told[1:]), tuple(notes))
     if image.lost:
-        return Image(
-            values, affine, (*image.told, f"{image.lost:,} voxels are no numbers"), image.notes
-        )
+        return replace(image, told=(*image.told, f"{image.lost:,} voxels are no numbers"))
     return image
 
 
 def _reader(path: Path) -> Any:
-    """Reader of a path, by its kind."""
+    """Return the reader for a path, by its kind."""
     if path.is_dir():
         return dicom_series.read
     if path.suffix == ".npz":
@@ -136,10 +134,11 @@ def _reader(path: Path) -> Any:
 
 
 def missing(path: Path, error: ModuleNotFoundError) -> InputError:
-    """Error on a package that reading an image needs."""
+    """Return the error on a missing package that reading an image needs."""
     return InputError(f"{path}: needs {error.name}, of packages.txt: `mantle setup` installs it")
 
 
 def _npz(path: Path) -> tuple[Any, Any, list[str], list[str]]:
+    """Return the same as other readers for arrays of numpy."""
     with path.open("rb") as file, np.load(file) as arrays:
         return arrays["values"], arrays["affine"], ["arrays of numpy"], []

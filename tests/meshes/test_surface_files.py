@@ -285,7 +285,7 @@ def test_quads_on_one_side_of_an_edge_close_the_surface(tmp_path: Path) -> None:
         path = put(tmp_path, "bone.obj", obj_vertices(points) + obj_faces(faces))
         surface, frame = judged(path)
         assert not len(surface.rim)
-        assert "that one side alone divides" in " ".join(surface.told)
+        assert "edges that were divided on one side only" in " ".join(surface.told)
         assert frame.head == pytest.approx(HEAD, abs=0.1)
         assert frame.radius == pytest.approx(RADIUS, abs=0.1)
         assert frame.doubts(surface) == []
