@@ -19,7 +19,14 @@ from app.arrays import Bools, Floats
 from app.case.case import Case
 from app.errors import Reason
 from app.laws.values import gap_at
-from app.numerics.rigid_motions import DIRECTIONS, add_relative, describe, rigid_modes, without
+from app.numerics.rigid_motions import (
+    DIRECTIONS,
+    add_relative,
+    describe,
+    relative_resistance,
+    rigid_modes,
+    without,
+)
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, holds, law_between
 from app.system.layout import point_text
 from forms.contact import OPEN
@@ -234,18 +241,16 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
 
     The resistance of the contacts is the generalized Jacobian at each point, projected onto the
     relative rigid motions of the two bodies; its null space beyond the supports is what is free.
-    With ``moved``, motions are left out in which bodies slide without resistance, but are at rest.
+    With ``moved``, motions of `free_motions` are left out: nothing moves bodies along them.
     """
     contact, names = trial.contact, problem.bodies.names
     x = contact.points.x
-    centre, size = _frame(contact)
+    centre, size = contact.frame
     B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.resisted)
-    R = rigid_modes((contact.own.x - centre) / size)
-    A = _assembled(
-        problem, contact, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R)
-    )
+    R = contact.rigid_motions(contact.own.x)
+    A = _gathered(problem, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
     total = float(np.sum(contact.points.weight)) or 1.0
-    held = supported(problem, centre, size)
+    held = supported(problem)
     # A body with a given motion is free if nothing is in its way, see `pulled_off`.
     held |= {body: np.eye(6) for body in turning(problem)}
     for body, part in held.items():
@@ -270,18 +275,15 @@ def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
         return []
     names = [f"'{name}'" for name in problem.bodies.names]
     centres = np.tile(contact.points.x.mean(axis=0), (len(names), 1))
-    found = describe((motions @ work)[:, None], names, centres, *_frame(contact))
+    found = describe((motions @ work)[:, None], names, centres, *contact.frame)
     return [f"{text}, and the loads pull there" for text in found]
 
 
-def _assembled(problem: Problem, contact: ContactInterfaces, resistance: Floats) -> Floats:
+def _gathered(problem: Problem, resistance: Floats) -> Floats:
     """Resistance to the motions of all n bodies (6 n, 6 n), from that of own points (p, 6, 6)."""
-    n = len(problem.bodies.names)
-    A = np.zeros((6 * n, 6 * n))
-    for master, slave in np.unique(contact.points.bodies, axis=0):
-        here = (contact.own.bodies == (master, slave)).all(axis=1)
-        add_relative(A, master, slave, resistance[here].sum(axis=0))
-    return np.asarray(problem.comm.allreduce(A))
+    assert problem.contact is not None
+    bodies, n = problem.contact.own.bodies, len(problem.bodies.names)
+    return np.asarray(problem.comm.allreduce(relative_resistance(resistance, bodies, n)))
 
 
 def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
@@ -291,10 +293,9 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
     """
     normal = np.linalg.norm(contact.state.force - contact.state.friction, axis=1)
     shear = np.linalg.norm(contact.state.friction, axis=1)
-    centre, size = _frame(contact)
     fixed = {
         b
-        for b, part in supported(problem, centre, size).items()
+        for b, part in supported(problem).items()
         if np.linalg.eigvalsh(part[:3, :3])[0] > HELD and np.linalg.eigvalsh(part)[0] > FREE
     }
     found = []
@@ -313,12 +314,6 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
                 f"[{Reason.LOOSE_BODY}]"
             )
     return found
-
-
-def _frame(contact: ContactInterfaces) -> tuple[Floats, float]:
-    """Centre and size of all interfaces [mm], for rigid motions."""
-    x = contact.points.x
-    return np.asarray(x.mean(axis=0), dtype=float), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
 
 
 @dataclass(frozen=True)
@@ -355,7 +350,7 @@ def runaway(problem: Problem, trial: TrialState) -> Runaway | None:
     given = max(problem.comm.allgather(float(np.abs(problem.prescribed).max(initial=0.0))))
     if not (forces or given):
         return None
-    size = _frame(contact)[1]
+    size = contact.frame[1]
     # Closing a gap or making room for an interference is not running away.
     moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
     for i, term in enumerate(problem.scene.contacts):
@@ -392,13 +387,13 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     on a taper that is pulled.
     """
     own, n, comm = contact.own, len(problem.bodies.names), problem.comm
-    centre, size = _frame(contact)
+    centre, size = contact.frame
     x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
-    F = problem.forces.on_bodies(problem.time, rigid_modes((x - centre) / size)).ravel()
+    F = problem.forces.on_bodies(problem.time, contact.rigid_motions(x)).ravel()
     held = np.zeros((n, 6, n, 6))
-    for b, part in supported(problem, centre, size).items():
+    for b, part in supported(problem).items():
         held[b, :, b] += STIFF * part
-    of_bodies, R = np.zeros((len(own), 3, n, 6)), rigid_modes((own.x - centre) / size)
+    of_bodies, R = np.zeros((len(own), 3, n, 6)), contact.rigid_motions(own.x)
     for side, sign in zip(own.bodies.T, (-1, 1), strict=True):
         of_bodies[np.arange(len(own)), :, side] += sign * R
     jumps = of_bodies.reshape(len(own), 3, 6 * n)
@@ -450,10 +445,9 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     if not any(smooth):
         return ""
     contact = trial.contact
-    n, points = len(problem.bodies.names), contact.points
-    size = np.linalg.norm(np.ptp(points.x, axis=0)) or 1.0
-    R = rigid_modes((contact.own.x - points.x.mean(axis=0)) / size)
-    free = np.setdiff1d(np.arange(n), sorted(supported(problem, *_frame(contact))))
+    n = len(problem.bodies.names)
+    R = contact.rigid_motions(contact.own.x)
+    free = np.setdiff1d(np.arange(n), sorted(supported(problem)))
     rows = (6 * free[:, None] + np.arange(6)).ravel()
     resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.own.interface])
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
@@ -499,8 +493,8 @@ def _against_spread(
     spread = spread_of_normals(points.surface.x, points.surface.normals, points.triangles)
     spread = spread[contact.own.rows]
     A, N = (
-        _assembled(problem, contact, r[:, None, None] * (R.transpose(0, 2, 1) @ own @ R))
-        for own in (S, spread)
+        _gathered(problem, r[:, None, None] * (R.transpose(0, 2, 1) @ at_points @ R))
+        for at_points in (S, spread)
     )
     # Normals that are off at random agree in the mean, the more of them the better.
     touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.own.normals)
@@ -514,13 +508,14 @@ def _against_spread(
     return A, N
 
 
-def supported(problem: Problem, centre: Floats, size: float) -> dict[int, Floats]:
-    """Resistance of supports and foundations in force to rigid motions, by body (6, 6)."""
+def supported(problem: Problem) -> dict[int, Floats]:
+    """Resistance of active supports and foundations to rigid motions, by body (6, 6)."""
     from app.mechanics.held_bodies import held_motions  # brings dolfinx
 
-    return held_motions(problem.mechanics, problem.stiffness, centre, size)
+    assert problem.contact is not None
+    return held_motions(problem.mechanics, problem.stiffness, *problem.contact.frame)
 
 
 def turning(problem: Problem) -> list[int]:
-    """Bodies that turn as they are told, those of the motions."""
+    """Bodies with a prescribed motion."""
     return [problem.bodies.of_region[m.region] for m in problem.scene.motions]
