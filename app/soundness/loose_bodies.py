@@ -37,13 +37,15 @@ if TYPE_CHECKING:  # dolfinx, which checks of a case do without
     from app.mechanics.contact import ContactInterfaces, TrialState
     from app.mechanics.problem import Problem
 
-# A motion is free if its resistance is below this part of the largest. Contact without friction
-# barely resists a motion that it is sloped against by less than so many degrees in the mean, or
-# with changing sign by less than this part of the angle between its flat facets.
-FREE, SLOPE, FACETS = 1e-10, 3.0, 0.4
-# Supports hold a body fast if they hold more than this of each direction; a body slides when so
-# much of the area that holds it bears so much of the friction limit.
-HELD, SLIDES, ALL_OF_IT = 1e-3, 0.95, 1 - 1e-6
+# A motion is free if its resistance is below this part of the largest.
+FREE = 1e-10
+# Contact without friction barely resists a motion if its slope against the motion is below so many
+# degrees in the mean, or, with changing sign, below this part of the angle between flat facets.
+SLOPE, FACETS = 3.0, 0.4
+# Supports hold a body if they hold more than this part of each direction.
+HELD = 1e-3
+# A body slides if this part of its touching area bears this part of the friction limit.
+SLIDES, ALL_OF_IT = 0.95, 1 - 1e-6
 # Jumps of a free body run away beyond this part of the size of the interfaces.
 RUNAWAY = 0.05
 # And beyond this motion in units of load / (modulus of the softer side x size): 5 for a stem wedged
@@ -53,18 +55,18 @@ LOOSE = 200.0
 NOT_SMALL = 0.2
 # Motion of an interface over the largest prescribed displacement that a lever may cause.
 LEVER = 10.0
-# Root of the compliance of springs on which rigid bodies press, with which a taper of 1 degree and
-# 100 points bears 99 % of a push.
+# Root of the compliance of springs between rigid bodies: with it a taper of 1 degree and 100 points
+# bears 99 % of a push.
 SPRING = 0.02
 # Resistance of supports over that of a contact point.
 STIFF = 1e8
-# Part of the loads along a free motion up to which they are in balance.
+# Loads are in balance if less than this part of them is along free motions.
 BALANCED = 1e-9
-# Part of a load from which springs that leave it do not bear its direction.
+# Springs do not bear a direction if more than this part of a load along it is left.
 UNBORNE = 0.1
 # Part of all loads, squared, that may be left.
 NOTHING = 1e-4
-# Iterations for the springs that are pressed.
+# Most iterations to find the springs that are pressed.
 MOST = 20
 # Only facets hold a motion that contact resists by less than this part of what the spread of
 # normals gives at random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists),
@@ -265,7 +267,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
 
 
 def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
-    """Bodies that loads push, however little, where nothing resists their sliding; collective."""
+    """Bodies that loads push along a motion that nothing resists, however little; collective."""
     contact = trial.contact
     motions = contact.free_motions(trial.law.status)
     x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
@@ -321,8 +323,8 @@ class Runaway:
     """A converged state that must not be used: sides of an interface moved too far.
 
     Attributes:
-        text: How far, and what is free.
-        reason: Whether a body is loose, or displacements are only no longer small.
+        text: The distance, and the free motions.
+        reason: A loose body, or displacements that are no longer small.
     """
 
     text: str
@@ -379,12 +381,12 @@ def runaway(problem: Problem, trial: TrialState) -> Runaway | None:
 
 
 def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
-    """Bodies that the loads take off what they touch or may come to touch; collective.
+    """Bodies that the loads pull off what they touch or may come to touch; collective.
 
-    Rigid bodies press on springs at the contact points. What these do not bear of the loads is also
-    the motion that opens all it does not slide along (a cone and its polar, Moreau); springs keep
-    single facets from bearing it by wedging. Friction of the pressures may hold it: there are none
-    on a taper that is pulled.
+    Rigid bodies press on springs at the contact points. The part of the loads that these do not
+    bear is also a motion that opens or slides along all points (a cone and its polar, Moreau).
+    Springs keep single facets from bearing it by wedging. Friction of the pressures may hold it: a
+    taper that is pulled has no pressures.
     """
     own, n, comm = contact.own, len(problem.bodies.names), problem.comm
     centre, size = contact.frame
@@ -418,7 +420,7 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
             springs = held.reshape(6 * n, 6 * n) + comm.allreduce(rows.T @ rows)
             rest = np.asarray(np.linalg.solve(np.eye(6 * n) + springs / SPRING**2, F))
         forces = np.maximum(0.0, -(openings @ rest)).sum(axis=1) / SPRING**2
-        # A large load that springs bear must not hide a small one that nothing bears.
+        # A large load that springs bear must not hide a small load that nothing bears.
         sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
         free = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
         rest = free @ (free.T @ F)
