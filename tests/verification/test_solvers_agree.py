@@ -18,7 +18,6 @@ from app.verification.check import CONFIGS, CheckRun, within
 from app.verification.engine import SUITES
 from tests import support
 
-SOLVERS = ("condensed", "direct", "multigrid")
 # Difference of a number between solvers over the largest number of its unit.
 SAME = 1e-6
 
@@ -109,7 +108,7 @@ Physical Surface("both_z") = {1, 2};
 TENSION = 20 * 0.2 * 1  # N
 
 
-@pytest.fixture(params=SOLVERS)
+@pytest.fixture(params=support.SOLVERS)
 def linear(request: pytest.FixtureRequest) -> str:
     """Override that asks for one of the solvers."""
     return f"solver.linear={request.param}"
@@ -372,7 +371,7 @@ def test_solvers_agree_on_all_that_is_shipped(
         solver: _outcome(
             load(CONFIGS / case, [*changes, f"solver.linear={solver}"]), tmp_path / solver
         )
-        for solver in SOLVERS
+        for solver in support.SOLVERS
     }
     code, expected = outcomes["direct"]
     largest: dict[str, float] = {}
