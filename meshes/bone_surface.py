@@ -1,4 +1,4 @@
-"""A bone's surface as triangles from a file: checked, turned outwards; sections and rays of it.
+"""Surface of a bone as triangles from a file, checked and turned outwards; its sections and rays.
 
 A surface may be open at an end of its long axis, where a scan ends.
 """
@@ -18,8 +18,8 @@ from meshes.welding import Welded
 
 UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
 EXTENT = (100.0, 600.0)  # mm that a femur, or a proximal part of one, is long
-MOST = 400_000  # triangles beyond which surfaces are thinned
-THIN = 0.7  # mm: edge of the boxes whose corners are one then
+MOST = 400_000  # number of triangles above which surfaces are thinned
+THIN = 0.7  # mm: edge of the boxes whose corners then become one
 RIM = 25.0  # mm: an open end is within this distance of the bone's
 FARTHEST = 1e9  # units: numbers beyond it are damaged
 
@@ -51,9 +51,9 @@ class BoneSurface:
 
 
 def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneSurface:
-    """Read a surface; without a unit it is the one that makes a femur of it, and a note says so.
+    """Read the surface of a bone from a file, or from a label of an image.
 
-    With a label it is that of the label in an image.
+    Without a unit, the one that yields the length of a femur is used, and a note says so.
 
     Raises:
         InputError: The image cannot be read.

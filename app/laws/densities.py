@@ -186,7 +186,7 @@ class ImageModulus(Section):
         return self.at(geometry.skin, geometry.in_image)
 
     def doubts(self, geometry: Any) -> list[str]:
-        """Notes on CT numbers that are rarely those of a scan: shifted by 1024, no numbers."""
+        """Notes on implausible CT numbers: shifted by 1024, or no numbers."""
         import numpy as np
 
         image, name = self.image, self.density.name
