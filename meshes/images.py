@@ -26,13 +26,13 @@ class Image:
     Attributes:
         values: Numbers (i, j, k).
         affine: Matrix from (i, j, k, 1) to the middle of a voxel (4, 4) [mm].
-        told: What was read, in words.
+        summary: Format, lattice and type of what was read, then what was left out, in words.
         notes: Doubts about it.
     """
 
     values: Any
     affine: Floats
-    told: tuple[str, ...] = ()
+    summary: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @cached_property
@@ -91,7 +91,7 @@ def read(path: Path) -> Image:
 @lru_cache(maxsize=2)
 def _read(path: Path, _changed: int) -> Image:
     try:
-        values, affine, told, notes = _reader(path)(path)
+        values, affine, (kind, *left_out), notes = _reader(path)(path)
         values, affine = np.squeeze(values), np.asarray(affine, dtype=float).reshape(4, 4)
     except InputError:
         raise
@@ -114,10 +114,10 @@ def _read(path: Path, _changed: int) -> Image:
     if not np.isfinite(values).any():
         raise InputError(f"{path}: has no voxel that is a number")
     lattice, size = (" x ".join(f"{n:.4g}" for n in row) for row in (values.shape, edges))
-    taken = f"{', '.join(told[:1])}: {lattice} voxels of {size} mm, {values.dtype}"
-    image = Image(values, affine, (taken, *told[1:]), tuple(notes))
+    taken = f"{kind}: {lattice} voxels of {size} mm, {values.dtype}"
+    image = Image(values, affine, (taken, *left_out), tuple(notes))
     if image.lost:
-        return replace(image, told=(*image.told, f"{image.lost:,} voxels are no numbers"))
+        return replace(image, summary=(*image.summary, f"{image.lost:,} voxels are no numbers"))
     return image
 
 

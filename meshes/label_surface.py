@@ -31,7 +31,7 @@ def read(path: Path, label: int) -> tuple[Floats, list[str]]:
     """
     image = images.read(path)
     values, rounded = whole(path, image.values)
-    notes = [*image.told, *rounded]
+    notes = [*image.summary, *rounded]
     try:
         from skimage import measure
     except ModuleNotFoundError as error:

@@ -171,7 +171,7 @@ class ImageModulus(Section):
         )
         found = ", ".join(f"{rho:.2f} {of}" for of, rho in self.densities(dense).items())
         told = {
-            "image": "; ".join(self.image.told),
+            "image": "; ".join(self.image.summary),
             f"E at {at} g/cm3 ({kind} density)": f"{moduli} MPa",
             "densest voxels": f"CT number {dense:g}, {found}, E {self.largest / 1e3:.1f} GPa",
         }

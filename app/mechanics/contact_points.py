@@ -190,7 +190,7 @@ def refuse_loose_regions(
         if not (held >= 0).any():
             continue
         component = int(np.argmax(held >= 0))
-        # Where a vertex has its own axes, components are not along x, y, z.
+        # At a vertex with local axes components are not along x, y, z.
         oblique = int(holds.vertex[r]) in axes
         along = "" if oblique else f"along {'xyz'[component]} "
         at = np.flatnonzero(facets.vertices.ravel() == holds.vertex[r])[0]
