@@ -11,8 +11,8 @@ import numpy as np
 from app.arrays import Floats
 
 PIXELS = 500  # of a shaded surface, along both axes
-DIGITS = 6  # to which places of equal corners agree [mm or degrees]
-# Of every picture: for pages, to be edited, and for papers.
+DIGITS = 6  # decimals to which the places of equal corners agree [mm or degrees]
+# Formats of every picture: for pages, for editing, and for papers.
 SUFFIXES = (".png", ".svg", ".pdf")
 PAD = 0.1  # around a figure [inch], so that no letter of a title is cut
 
@@ -33,7 +33,7 @@ def new(width: float, height: float) -> Any:
 
 
 def save(figure: Any, path: Path, dpi: int, suffixes: Sequence[str] = SUFFIXES) -> list[Path]:
-    """Write a figure in each format beside a path; return the files."""
+    """Write a figure in each format, in place of the suffix of a path; return the files."""
     files = [path.with_suffix(suffix) for suffix in suffixes]
     for file in files:
         figure.savefig(file, dpi=dpi)
@@ -56,7 +56,7 @@ def shaded(axes: Any, x: Floats, values: Floats, colours: str, limits: tuple[flo
     corners = np.where(doubled[:, None, None] < 0, x[:, ::-1], x)[solid]
     places = np.round(x[solid].reshape(-1, 2), DIGITS)
     places, first = np.unique(places, axis=0, return_index=True)
-    # A unit of the plane is the mean extent of an edge, along both axes.
+    # Unit of length along each axis: the mean extent of an edge.
     unit = np.abs(corners - np.roll(corners, 1, axis=1)).mean(axis=(0, 1))
     between = LinearNDInterpolator(places / unit, values[solid].ravel()[first])
     low, high = places.min(axis=0), places.max(axis=0)

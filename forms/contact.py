@@ -59,8 +59,8 @@ from ufl.variable import Variable
 # A face counts as open when the gap it keeps exceeds minus this fraction of |S|/r, so that the sign
 # of a rounding error does not decide.
 ROUNDING = 1e-9
-# A point at the limit of friction has the status of one that sticks while its trial force exceeds
-# the limit by less than this part: where loads rest, rounding does not decide.
+# A point has the status of stick until its trial force exceeds the limit of friction by this part,
+# so that rounding does not decide while loads are constant.
 AT_REST = 1e-6
 
 OPEN, STICK, SLIP = 0, 1, 2

@@ -34,10 +34,10 @@ STEP = 1.5  # mm between sections that are searched for the lesser trochanter
 REACH = 0.7  # mm: decay of the weights of an outermost place
 BESIDE = (-4.5, -1.5, 1.5, 4.5)  # mm: sections of the neck beside the least one, averaged
 SECTORS = 12  # of the head, one left out at a time
-# What is usual, for notes.
-USUAL_RADII = (18.0, 30.0)  # mm: of heads
-USUAL_NECKS = (110.0, 140.0)  # deg: neck-shaft angles
-USUAL_LENGTHS = (15.0, 25.0)  # radii of the head: of femurs with condyles
+# Usual values; others have a note.
+USUAL_RADII = (18.0, 30.0)  # radius of the head [mm]
+USUAL_NECKS = (110.0, 140.0)  # neck-shaft angle [deg]
+USUAL_LENGTHS = (15.0, 25.0)  # length of a femur with condyles in radii of its head
 SURE = 1.65  # standard deviations that hold 90 %
 # In radii of the head:
 SHAFT = (0.8, 2.7)  # below the lesser trochanter, where the shaft's axis is
@@ -110,7 +110,7 @@ class Frame:
         }
 
     def doubts(self, surface: BoneSurface) -> list[str]:
-        """Notes on what is rare in a femur: its size, its shape, an open proximal end.
+        """Notes on a rare size or shape of the femur, and on an open proximal end.
 
         Args:
             surface: Its surface, whose `rim` is in the axes of the file.

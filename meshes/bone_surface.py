@@ -1,4 +1,4 @@
-"""A bone's surface as triangles from a file: checked, turned outwards; sections and rays of it.
+"""Surface of a bone as triangles from a file, checked and turned outwards; its sections and rays.
 
 A surface may be open at an end of its long axis, where a scan ends.
 """
@@ -18,8 +18,8 @@ from meshes.welding import Welded
 
 UNITS = {"mm": 1.0, "m": 1000.0, "cm": 10.0, "inch": 25.4}
 EXTENT = (100.0, 600.0)  # mm that a femur, or a proximal part of one, is long
-MOST = 400_000  # triangles beyond which surfaces are thinned
-THIN = 0.7  # mm: edge of the boxes whose corners are one then
+MOST = 400_000  # number of triangles above which surfaces are thinned
+THIN = 0.7  # mm: edge of the boxes whose corners then become one
 RIM = 25.0  # mm: an open end is within this distance of the bone's
 FARTHEST = 1e9  # units: numbers beyond it are damaged
 
@@ -31,13 +31,13 @@ class BoneSurface:
     Attributes:
         points: Corners (n, 3) [mm].
         triangles: Their rows (m, 3).
-        told: What was read and repaired, in words.
+        notes: What was read and repaired, in words.
         rim: Middles of its open edges (k, 3), in the axes of the file [mm].
     """
 
     points: Floats
     triangles: Ints
-    told: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     rim: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
@@ -51,18 +51,18 @@ class BoneSurface:
 
 
 def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneSurface:
-    """Read a surface; without a unit it is the one that makes a femur of it, and a note says so.
+    """Read the surface of a bone from a file, or from a label of an image.
 
-    With a label it is that of the label in an image.
+    Without a unit, the one that yields the length of a femur is used, and a note says so.
 
     Raises:
         InputError: The image cannot be read.
         GeometryError: The file is damaged, or its triangles are not the surface of one body.
     """
     if label is None:
-        corners, told = surface_files.read(path)
+        corners, notes = surface_files.read(path)
     else:
-        corners, told = label_surface.read(path, label)
+        corners, notes = label_surface.read(path, label)
     if not len(corners):
         raise GeometryError(f"{path}: has no triangles")
     lost = ~np.isfinite(corners).all(axis=(1, 2))
@@ -81,17 +81,17 @@ def read(path: Path, unit: str | None = None, label: int | None = None) -> BoneS
             f" {EXTENT[1]:g} mm; which unit is it in? Expected {' or '.join(fits or UNITS)}"
         )
     if unit is None:
-        told = [*told, f"unit: {fits[0]}, as the surface is {extent:.4g} long"]
+        notes = [*notes, f"unit: {fits[0]}, as the surface is {extent:.4g} long"]
     surface = welding.weld(corners * UNITS[unit or fits[0]])
     thinned = len(surface.triangles) > MOST
     if thinned:
         surface = welding.thin(surface, THIN)
     if len(surface.triangles) < 4:
         raise GeometryError(f"{path}: has {len(surface.triangles)} triangles with an area")
-    return _checked(path, surface, [*told, *surface.notes], thinned)
+    return _checked(path, surface, [*notes, *surface.notes], thinned)
 
 
-def _checked(path: Path, surface: Welded, told: list[str], thin: bool) -> BoneSurface:
+def _checked(path: Path, surface: Welded, notes: list[str], thin: bool) -> BoneSurface:
     """The surface turned outwards; refused if it is open on a side, or not of one body.
 
     Thinning leaves edges of four triangles and small bodies; open edges stay as they are.
@@ -129,7 +129,7 @@ def _checked(path: Path, surface: Welded, told: list[str], thin: bool) -> BoneSu
         where = f"{place(edges[aside])} ({int(aside.sum())} edges), not at an end"
         raise GeometryError(f"{path}: {what} at {where}; close it where it was made")
     if len(lone):
-        told.append(f"open at an end: {len(lone)} edges")
+        notes.append(f"open at an end: {len(lone)} edges")
     if not thin:
         # Two sheets, one of each triangle turned over: neighbours that disagree cross from one to
         # the other.
@@ -138,12 +138,12 @@ def _checked(path: Path, surface: Welded, told: list[str], thin: bool) -> BoneSu
         sheet = connected(2 * m, *near)
         flipped = sheet[:m] != sheet[0]
         if less := min(int(flipped.sum()), m - int(flipped.sum())):
-            told.append(f"{less} triangles turned over")
+            notes.append(f"{less} triangles turned over")
         triangles = np.where(flipped[:, None], triangles[:, ::-1], triangles)
     a, b, c = (x[triangles[:, k]] - x.mean(axis=0) for k in range(3))
     outward = float((np.cross(a, b) * c).sum()) > 0
     rim = edges.mean(axis=1)
-    return BoneSurface(x, triangles if outward else triangles[:, ::-1], tuple(told), rim)
+    return BoneSurface(x, triangles if outward else triangles[:, ::-1], tuple(notes), rim)
 
 
 def place(x: Floats) -> str:

@@ -64,7 +64,7 @@ def load(path: Path) -> MeshData | None:
         names["boundaries"] = {k: tuple(v) for k, v in names["boundaries"].items()}
         names["interfaces"] = {k: (tuple(a), tuple(b)) for k, (a, b) in names["interfaces"].items()}
         return MeshData(**arrays, **names)
-    except Exception:  # of a damaged archive there is no telling which
+    except Exception:  # damaged archives fail in any way
         return None
 
 

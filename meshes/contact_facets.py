@@ -1,7 +1,7 @@
 """Facets of contact interfaces, and the faces that they form around contact points.
 
-Facets are on every rank in the same order for any partition. A face is facets that meet smoothly,
-with one normal and one area.
+Facets are on every rank in the same order for any partition. A face is a set of facets that meet
+smoothly; it has one normal and one area.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from mpi4py import MPI
 
 FACE_ANGLE = np.deg2rad(30.0)
-# Straight facets at up to this angle are one face where their nodes lie on one quadric: a coarse
-# mesh of a cylinder or cone with nine facets around.
+# Straight facets that meet at up to this angle are one face if their nodes lie on one quadric, as
+# in a coarse mesh of a cylinder or cone with nine facets around.
 COARSE_ANGLE = np.deg2rad(44.0)
-# Doubt about a normal, below which nodes lie on the surface that is fitted [rad].
+# Nodes lie on the fitted surface if the doubt about its normal is below this [rad].
 EXACT = 1e-4
-# Middles of edges this close to the chord, in parts of it, are on it.
+# Edges are straight if their middles are this close to the chord, as a part of its length.
 STRAIGHT = 1e-9
 MAX_FACES = 3
 # Faces are independent while the Gram determinant of their normals stays above this.
@@ -156,14 +156,15 @@ def shape_functions(at: Floats, nodes: int) -> Floats:
 
 
 def bends(start: Floats, end: Floats, middle: Floats) -> Floats:
-    r"""What the middle of a curved edge takes of the difference of its ends (e, 3, 3).
+    r"""Part of the difference of its ends in the displacement of the middle of a curved edge.
 
-    It is off the chord by σ, along which linear displacements change too. With t the unit vector
-    from end a to end b and L their distance,
+    The middle is off the chord by σ, along which linear displacements change too. With t the unit
+    vector from end a to end b and L their distance,
 
     .. math:: u_m = (u_a + u_b) / 2 + (σ ⊗ t - t ⊗ σ) (u_b - u_a) / L
 
-    is exact for translations, for rotations and for a widening in the plane of the edge.
+    is exact for translations, for rotations and for a widening in the plane of the edge. Returned
+    are the factors (e, 3, 3) of the difference.
     """
     off, chord = middle - (start + end) / 2, end - start
     both = np.einsum("ei,ej->eij", off, chord)
@@ -233,8 +234,8 @@ def faces_around(
 def _normals_of_surface(facets: InterfaceFacets, label: Ints) -> tuple[Floats, Floats]:
     """Normals at facet corners (3 f, 3), and the doubt about them (3 f,) [rad].
 
-    Straight facets have those of the smooth surface that they stand for. Curved ones have the mean
-    of their normals, its doubt the angle between the means by area and by number.
+    Straight facets have the normals of the smooth surface that they approximate. Curved ones have
+    the mean of their normals; its doubt is the angle between the means by area and by number.
     """
     _, first, node = np.unique(label, return_index=True, return_inverse=True)
     corners, x = node.reshape(-1, 3), facets.x.reshape(-1, 3)[first]
@@ -282,7 +283,7 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
 def _distinct(normals: Floats, areas: Floats) -> Floats:
     """At most three independent faces: the largest kept, the others merged into the nearest.
 
-    They are in the order of their areas, equal ones in that of the mesh: no axis has a part in it.
+    They are in the order of their areas, equal ones in that of the mesh, whatever the axes are.
     """
     order: Ints = np.argsort(-np.round(areas, 9), kind="stable").astype(np.int64)
     ns: list[Floats] = []

@@ -6,25 +6,25 @@ meet at less than 30 degrees are one face; a vertex on an edge has two faces, on
 its area: for each facet around it the integral of its linear shape function, a third of the
 facet where it is flat. On curved cells normals are those of the curved facets, so that a smooth
 surface is one face however coarse the mesh. Straight facets have the normals of the smooth surface
-that is fitted to their vertices (`meshes.smooth_normals`): the force of a point is that of the
-facets around it, whatever the direction in which its law acts.
+that is fitted to their vertices (`meshes.smooth_normals`). The law acts along these normals; area
+and force are those of the facets around the point.
 
 Rules where things meet, for each displacement component of a vertex:
 
 * The displacement of one body, the base, is the continuous field u itself; every other body there
-  adds jumps to it. The base is a rigid body, then one that a support holds in this component,
-  otherwise the stiffer
-  one, of equals the master: a jump that moves the softer side meets about what it meets in truth.
-* A vertex with k bodies has k - 1 jumps. Where more interfaces meet, the jumps of some follow from
-  those of the others: these are dependent corners, without a point. `_forest` chooses them,
-  whatever the order of the case file.
+  adds jumps to it. The base is a rigid body, then a body that a support holds in this component,
+  otherwise the stiffest one; if they are equally stiff, it is the master. A jump that moves the
+  softer side has nearly the stiffness of the two bodies in contact.
+* A vertex with k bodies has k - 1 jumps. If more interfaces meet, the jumps of some follow from
+  those of the others: these are dependent corners, which are no points. `_forest` chooses them
+  independently of the order in the case file.
 * A dependent corner gives its area and its jump to points of the same interface next to it. The
-  unknown of such a point is the mean jump, by area, of the point and its part of the corner: its
+  unknown of such a point is the mean jump, by area, of the point and its part of the corner. Its
   law holds in the mean. A constant pressure is transmitted exactly, and areas sum to the area.
 * Where supports hold both sides of a jump, the jump is given by them and the interface carries no
   reported force in that component; the normals drop it.
-* The components are those along x, y, z, or along the axes of a vertex that has its own because a
-  support holds it along another direction. The jumps themselves are along x, y, z everywhere.
+* The components are along x, y, z. A vertex that a support holds along another direction has local
+  axes. The jumps themselves are along x, y, z everywhere.
 
 All facets of the contact interfaces are gathered on every rank and sorted by the vertex numbers of
 the mesh file, so that the result does not depend on the partition. They are few.
@@ -55,11 +55,11 @@ if TYPE_CHECKING:
 
 # Parts of a jump below this are rounding.
 ROUNDING = 1e-12
-# In place of a support: those of a rigid region, together.
+# Number in place of a support where the supports of a rigid region together prescribe the motion.
 RIGIDLY = np.iinfo(np.int64).max
 # A direction is tangential to a face below this cosine with its normal.
 TANGENTIAL = 1e-6
-# Cosines between normals are compared to so many decimals.
+# Decimals to which cosines between normals are compared.
 ALIKE = 1
 
 
@@ -78,8 +78,8 @@ class ContactSurface:
         weight: Area of the corner alone (m,) [mm2].
         triangles: For each interface, its facets as rows of corners (f_i, 3).
         facets: For each interface, the numbers of these facets (f_i,).
-        shares: Parts of the points in the values of the corners (m, n); None if all are points.
-        jumps: Jumps of the corners by those of the points (3 m, 3 n); None if they are the same.
+        shares: Weights of the points in the values of the corners (m, n); None if all are points.
+        jumps: Jumps of the corners by those of the points (3 m, 3 n); None if all are points.
     """
 
     interface: Ints
@@ -109,7 +109,7 @@ class ContactSurface:
         return np.asarray((self.jumps @ jumps.ravel()).reshape(-1, 3))
 
     def spread_status(self, status: Ints) -> Ints:
-        """States of the corners (m,), of dependent ones that of the largest share."""
+        """States of the corners (m,); a dependent corner has that of its largest share."""
         if self.shares is None:
             return status
         return status[np.asarray(self.shares.toarray().argmax(axis=1)).ravel()]
@@ -123,8 +123,8 @@ class Holds:
         vertex: Vertex numbers of the mesh file (h,).
         body: Body (h,).
         support: Index of the support of each component, -1 where it is free (h, 3); `RIGIDLY`
-            where the supports of a rigid region together give its motion.
-        rigid: Whether the node moves with a rigid region of the body (h,).
+            where the supports of a rigid region together prescribe the motion.
+        rigid: Mask of nodes that move with a rigid region of the body (h,).
     """
 
     vertex: Ints
@@ -152,7 +152,7 @@ class ContactPoints:
         axes: Axes of these components, as columns (n, 3, 3).
         along: Projectors on prescribed directions that are tangential to all faces: friction acts
             along them, too (n, 3, 3).
-        surface: All corners of the facets, with those that are no points.
+        surface: All corners of the facets, also the dependent ones.
     """
 
     interface: Ints
@@ -204,7 +204,7 @@ def contact_points(
 ) -> tuple[ContactPoints, Entries]:
     """Contact points of all interfaces, and the displacement of each body due to their jumps.
 
-    ``interfaces`` are their names; ``axes`` (3, 3) are those of vertices that have their own.
+    ``interfaces`` are their names; ``axes`` (3, 3) are the local axes of vertices that have them.
 
     Raises:
         InputError: An interface has no point that could carry its force.
@@ -289,18 +289,21 @@ def _forest(
     normals: Floats,
     names: Sequence[str],
 ) -> Bools:
-    """Mask of the corners that are points: at each vertex a forest of bodies.
+    """Mask of the corners that are points (m,): the edges of a forest of bodies at each vertex.
 
-    An interface that would have no point at all is first, then one whose jump supports prescribe:
-    by another way round, bodies between the two would be held as well. Then come those without
-    another corner to give their force to, those whose normals agree with those of the others (the
-    bars of a T before its stem), the larger, and the order of names.
+    At each vertex corners become points in this order:
+
+    1. corners of interfaces that would have no point at all;
+    2. corners whose jump supports prescribe: otherwise bodies between the two would be held, too;
+    3. corners without a point to which they could give their force;
+    4. corners whose normals agree with the others there: the bars of a T before its stem;
+    5. corners of the larger interface, then by name.
 
     Args:
         facets: All facets.
         every: Interface, vertex, master and slave of all corners (m, 4).
-        of: Corner of each corner of the facets (3 f,).
-        prescribed: Whether supports hold both sides of a corner along an axis (m,).
+        of: Row in ``every`` of each corner of the facets (3 f,).
+        prescribed: Mask of corners with both sides held along an axis (m,).
         normals: Unit normals of the corners (m, 3, 3).
         names: Names of the interfaces.
     """
@@ -351,8 +354,8 @@ def _handed_area(
 ) -> csr_array:
     """Areas that dependent corners give to points of their interface (m - n, n) [mm2].
 
-    They are the other corners of its facets, or the nearest of the same sides; points with a
-    component that supports prescribe, and not at the corner too, only if there are no others.
+    These points are the other corners of its facets, otherwise the nearest points of the same
+    sides. A point with a prescribed component that the corner does not have is the last choice.
 
     Raises:
         InputError: There is no such point.
@@ -401,30 +404,23 @@ def _handed_area(
 def _in_means(
     points: ContactPoints, entries: Entries, handed: csr_array
 ) -> tuple[ContactPoints, Entries]:
-    r"""Points and entries in terms of mean jumps.
+    """Return points and entries with mean jumps as unknowns.
 
-    With d the jumps of the points, A d those of the dependent corners and w their areas handed on,
-    the mean jumps are D = G d and d = G^-1 D: the columns of the entries are multiplied by G^-1.
-    A component that supports prescribe stays the jump of the point.
+    The mean jumps D of the points are those of their jumps d and of the jumps A d of the dependent
+    corners, by area: D = G d. The entries for D are those for d times G^-1. A component that
+    supports prescribe stays the jump of the point.
     """
     # Imported here: interfaces that do not meet need no scipy.
-    from scipy.sparse import csc_array, csr_array, eye_array, vstack
+    from scipy.sparse import bsr_array, csc_array, csr_array, diags_array, eye_array, vstack
     from scipy.sparse.linalg import inv
 
     n, surface = len(points.vertex), points.surface
     weight = points.weight + handed.sum(axis=0)
     A = _dependent_jumps(surface, n)
-    own = csr_array((points.weight / weight, (np.arange(n), np.arange(n))), shape=(n, n))
-    mean = own + csr_array(handed.multiply(1 / weight[None])).T @ A
-    held = projectors(points.axes, points.held)
-    i, j = np.arange(3 * n).reshape(-1, 3), np.eye(3)
-    free = csr_array(
-        (
-            (j - held).ravel(),
-            (np.repeat(i, 3), np.repeat(i[:, None, :], 3, axis=1).ravel()),
-        ),
-        shape=(3 * n, 3 * n),
-    )
+    of_point = diags_array(points.weight / weight, format="csr")
+    mean = csr_array(of_point + csr_array(handed.multiply(1 / weight[None])).T @ A)
+    blocks = np.eye(3) - projectors(points.axes, points.held)
+    free = bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsr()
     one = eye_array(3 * n, format="csr")
     G = one + free @ (_three(mean) - one)
     affected = np.flatnonzero(np.diff(G.indptr) != 1)
@@ -447,9 +443,7 @@ def _in_means(
         on = np.abs(B.data) > ROUNDING
         parts.append((np.full(on.sum(), b), at[B.row[on]], B.col[on].astype(np.int64), B.data[on]))
     body, row, column, value = (np.concatenate(part) for part in zip(*parts, strict=True))
-    total = csr_array(
-        (1 / surface.weight[n:], (np.arange(handed.shape[0]), np.arange(handed.shape[0])))
-    )
+    total = diags_array(1 / surface.weight[n:], format="csr")
     every = vstack([eye_array(n, format="csr"), total @ handed], format="csr")
     jumps = _three(csr_array(vstack([eye_array(n, format="csr"), A], format="csr"))) @ inverse
     surface = replace(surface, shares=csr_array(every), jumps=csr_array(jumps))
@@ -457,7 +451,7 @@ def _in_means(
 
 
 def _three(scalar: csr_array) -> csr_array:
-    """The same factors for each of three components."""
+    """Return factors (m, n) for each of three components (3 m, 3 n)."""
     # Imported here: interfaces that do not meet need no scipy.
     from scipy.sparse import csr_array, eye_array, kron
 
@@ -465,7 +459,7 @@ def _three(scalar: csr_array) -> csr_array:
 
 
 def _dependent_jumps(surface: ContactSurface, n: int) -> csr_array:
-    """Signs of the jumps of the n points in those of the dependent corners (m - n, n)."""
+    """Signs of the jumps of the n points in the jumps of the dependent corners (m - n, n)."""
     # Imported here: interfaces that do not meet need no scipy.
     from scipy.sparse import csr_array
 
@@ -490,7 +484,7 @@ def _dependent_jumps(surface: ContactSurface, n: int) -> csr_array:
 
 
 def _supports_of(vertex: Ints, sides: Ints, holds: Holds) -> Ints:
-    """Support that holds each side of points along each axis, -1 where none does (n, 2, 3)."""
+    """Return the support that holds each side of points along each axis, or -1 (n, 2, 3)."""
     holding = zip(map(int, holds.vertex), map(int, holds.body), strict=True)
     table, free = dict(zip(holding, holds.support, strict=True)), np.full(3, -1)
     of_sides = zip(map(int, np.repeat(vertex, 2)), map(int, sides.ravel()), strict=True)
@@ -540,10 +534,9 @@ def _tree(
 ) -> None:
     """Fill ``given`` and ``signs`` at a vertex with several interfaces, in one component.
 
-    Walks the forest of bodies from a rigid body, else from a constrained one (the lowest), else
-    from the stiffest.
-    Between two constrained bodies every jump on the way is prescribed; a free body goes with the
-    one it was reached from.
+    Walk the forest of bodies from a rigid body, else from a constrained one (the lowest), else from
+    the stiffest one. Between two constrained bodies every jump on the way is prescribed. A free
+    body moves with the body from which it is reached.
     """
     of, holding = sides[rows], support[rows]
     at = holding >= 0
@@ -571,13 +564,20 @@ def _tree(
 def _at_edges(
     facets: InterfaceFacets, points: ContactPoints, body: Ints, point: Ints, blocks: Floats
 ) -> tuple[Ints, Ints, Ints, Floats]:
-    """Moves of edge nodes: the jump is linear along an edge, its middle takes half of both ends.
+    """Return the moves of edge nodes. The jump is linear: the middle has half of that of each end.
 
-    That of a curved edge takes its `bends`, too: without, the opening of a cylinder is lost between
-    its nodes at second order.
+    The middle of a curved edge has its `bends`, too. Without them a second-order cylinder would not
+    open between its nodes.
 
-    Takes body, point and (3, 3) block of each move of a vertex; returns body, dof of the edge,
-    point and block of each move of an edge node.
+    Args:
+        facets: All facets.
+        points: All points.
+        body: Body of each move of a vertex.
+        point: Its point.
+        blocks: Its blocks (3, 3).
+
+    Returns:
+        Body, dof of the edge, point and block (3, 3) of each move of an edge node.
     """
     # Every (edge, body) of the interfaces once, with both ends; vertices are sorted, so that an
     # edge runs the same way in every facet.

@@ -174,7 +174,7 @@ def tangents(x: Floats, at: Floats, edges: Sequence[tuple[int, int]]) -> Floats:
 
 
 def shares(corners: Floats, point: Floats) -> Floats:
-    """Barycentric coordinates (m, 4) of a point in straight cells with corners (m, 4, 3)."""
+    """Return the barycentric coordinates (m, 4) of a point in straight cells (m, 4, 3)."""
     edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
     others = np.linalg.solve(edges, (point - corners[:, 0])[:, :, None])[:, :, 0]
     return np.column_stack([1.0 - others.sum(axis=1), others])

@@ -1,8 +1,8 @@
 """Images in folders of DICOM slices, or in one file of many frames, as a hospital exports them.
 
-Slices of one series are taken; a frame of a file is a slice like others. Folders hold other files,
-too: a directory of the medium, reports, localizers, secondary captures; they are left out by name.
-What could be meant is refused.
+An image has the slices of one series; a frame of a file is a slice. Other files in the folder are
+left out and listed: the directory of the medium, reports, localizers, secondary captures. A folder
+is refused if several images could be meant.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from app.arrays import Floats
 from app.errors import InputError
 from app.files import parts
 
-UNEVEN = 0.1  # of the step between slices: how far one may be from its place, at most
-SAME_PLACE = 0.01  # mm: slices that are nearer stand twice
-TURNED = 2e-3  # by which cosines of a slice's axes may differ from those of the rest
+UNEVEN = 0.1  # largest distance of a slice from its even place, as a part of the step
+SAME_PLACE = 0.01  # mm: slices that are nearer are at one place
+TURNED = 2e-3  # largest difference of the cosines of a slice's axes from those of the others
 # First bytes of a file without preamble: a group of its first element, little-endian.
 FIRST_GROUPS = (b"\x02\x00", b"\x08\x00")
 PREAMBLE = 128  # bytes before the letters DICM
-NAMED = 3  # files that a message names, at most
+NAMED = 3  # most files that a message names
 PLACED = ("ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing")
-# Functional groups of a frame that have what other slices have themselves.
+# Functional groups of a frame, with the tags that single slices have themselves.
 GROUPS = {
     "PlanePositionSequence": ("ImagePositionPatient",),
     "PlaneOrientationSequence": ("ImageOrientationPatient",),
@@ -43,21 +43,21 @@ COMMON = (
 
 
 def read(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
-    """Return numbers, their affine to mm, what was taken and left out, and doubts.
+    """Return numbers, their affine to mm, notes on what was read and left out, and doubts.
 
-    Its axes, to left and posterior, are turned to right and anterior.
+    Axes to the left and posterior become axes to the right and anterior.
 
     Raises:
         InputError: There are no slices of one series, in one plane, at even steps.
-        Exception: A slice is damaged, in any way that pydicom meets it.
+        Exception: A slice is damaged; pydicom raises errors of any kind.
     """
-    headers, told = _headers(path) if path.is_dir() else (_of_file(path), [])
-    slices = _of_one_series(path, headers, told)
+    headers, notes = _headers(path) if path.is_dir() else (_of_file(path), [])
+    slices = _of_one_series(path, headers, notes)
     _check_equal(path, slices)
     across, down = np.split(np.mean([s.ImageOrientationPatient for s in slices], axis=0), 2)
     normal = np.cross(across, down)
     slices.sort(key=lambda s: float(normal @ np.array(s.ImagePositionPatient, float)))
-    slices, numbers = _without_copies(path, slices, told)
+    slices, numbers = _without_copies(path, slices, notes)
     at = np.array([s.ImagePositionPatient for s in slices], dtype=float)
     if len(slices) < 2:
         raise InputError(f"{path}: has one slice only, {_name(slices[0])}")
@@ -75,7 +75,7 @@ def read(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
     modality = str(slices[0].get("Modality", "") or "no modality")
     what = "slices" if _frame(slices[0]) is None else "frames"
     series = f"{len(slices)} DICOM {what} of {_described(slices[0])} ({modality})"
-    return np.stack(numbers).T, affine, [series, *told], []
+    return np.stack(numbers).T, affine, [series, *notes], []
 
 
 def is_dicom(start: bytes) -> bool:
@@ -84,7 +84,7 @@ def is_dicom(start: bytes) -> bool:
 
 
 def _headers(path: Path) -> tuple[list[Any], list[str]]:
-    """Headers of all DICOM files of a folder, and notes on its other files."""
+    """Return the headers of all DICOM files of a folder, and notes on its other files."""
     headers = []
     others = []
     for file in parts(path):
@@ -100,14 +100,14 @@ def _headers(path: Path) -> tuple[list[Any], list[str]]:
     if not headers:
         text = f"has no slices: none of its {len(others)} files is DICOM"
         raise InputError(f"{path}: {text}{'; its folders have none' if below else ''}")
-    told = [f"its folder {text} is not read" for text in full]
+    notes = [f"its folder {text} is not read" for text in full]
     if others:
-        told.append(f"{len(others)} other files left out: {_names(others)}")
-    return headers, told
+        notes.append(f"{len(others)} other files left out: {_names(others)}")
+    return headers, notes
 
 
 def _of_file(path: Path) -> list[Any]:
-    """Header of a file of many frames."""
+    """Return the header of a file of many frames, as the only one."""
     header = _header(path)
     if int(header.get("NumberOfFrames") or 1) < 2:
         raise InputError(f"{path}: is one file of DICOM: give the folder of its series")
@@ -115,7 +115,7 @@ def _of_file(path: Path) -> list[Any]:
 
 
 def _frames(header: Any) -> list[Any]:
-    """Frames of a file, each with the tags of a slice; the file alone if it is one slice."""
+    """Return the frames of a file, each with the tags of a slice; a file of one slice itself."""
     import pydicom
 
     count = int(header.get("NumberOfFrames") or 1)
@@ -149,7 +149,7 @@ def _is_slice(file: Path) -> bool:
 
 
 def _header(file: Path) -> Any:
-    """A file's data up to its pixels; None if it is no DICOM."""
+    """Return the data of a file before its pixels; None if it is no DICOM."""
     import pydicom
 
     with file.open("rb") as opened:
@@ -168,13 +168,17 @@ def _header(file: Path) -> Any:
         raise InputError(f"{file}: is no slice that can be read: {error}") from None
 
 
-def _of_one_series(path: Path, headers: Sequence[Any], told: list[str]) -> list[Any]:
-    """Slices of the one series of a folder; other contents are left out and added to ``told``."""
+def _of_one_series(path: Path, headers: Sequence[Any], notes: list[str]) -> list[Any]:
+    """Return the slices of the only series of a folder; add notes on what is left out.
+
+    Raises:
+        InputError: There are several series or none, or slices without a position.
+    """
 
     def drop(headers: Sequence[Any], what: str, of: Callable[[Any], bool]) -> list[Any]:
         dropped = [_name(h) for h in headers if of(h)]
         if dropped:
-            told.append(f"{len(dropped)} {what} left out: {_names(dropped)}")
+            notes.append(f"{len(dropped)} {what} left out: {_names(dropped)}")
         return [h for h in headers if not of(h)]
 
     slices = drop(headers, "files without an image", lambda h: "Rows" not in h)
@@ -188,7 +192,7 @@ def _of_one_series(path: Path, headers: Sequence[Any], told: list[str]) -> list[
     slices = drop(slices, "images without position", lambda s: not _is_placed(s))
     slices = drop(slices, "localizers", lambda s: "LOCALIZER" in (s.get("ImageType") or ()))
     if not slices:
-        raise InputError(f"{path}: has no slices; {'; '.join(told)}")
+        raise InputError(f"{path}: has no slices; {'; '.join(notes)}")
     series: dict[str, list[Any]] = {}
     for one in slices:
         key = f"{one.get('SeriesInstanceUID', '')} {one.get('StackID', '')}"
@@ -207,7 +211,7 @@ def _of_one_series(path: Path, headers: Sequence[Any], told: list[str]) -> list[
 
 
 def _check_equal(path: Path, slices: Sequence[Any]) -> None:
-    """Raise InputError, with the file, where slices have other sizes or planes than most."""
+    """Raise InputError with the file of a slice of another size or plane than most."""
 
     def differ(what: str, values: Sequence[tuple[Any, ...]]) -> None:
         (most, _), *others = Counter(values).most_common()
@@ -230,9 +234,13 @@ def _check_equal(path: Path, slices: Sequence[Any]) -> None:
 
 
 def _without_copies(
-    path: Path, slices: Sequence[Any], told: list[str]
+    path: Path, slices: Sequence[Any], notes: list[str]
 ) -> tuple[list[Any], list[Any]]:
-    """Slices in their order, each once, and their CT numbers."""
+    """Return the slices in their order without copies, and their CT numbers; add a note.
+
+    Raises:
+        InputError: Two slices at one place have different numbers.
+    """
     kept: list[Any] = []
     numbers: list[Any] = []
     copies = []
@@ -256,12 +264,12 @@ def _without_copies(
             text = f"{_name(kept[-1])} and {_name(one)} are at one place and differ"
             raise InputError(f"{path}: {text}: two series, phases or energies? Keep one")
     if copies:
-        told.append(f"{len(copies)} slices that stand twice taken once: {_names(copies)}")
+        notes.append(f"{len(copies)} slices that stand twice taken once: {_names(copies)}")
     return kept, numbers
 
 
 def _pixels(header: Any) -> Any:
-    """Stored pixels of the file of a slice (frames, rows, columns)."""
+    """Return the stored pixels of the file of a slice (frames, rows, columns)."""
     import pydicom
 
     try:
@@ -274,7 +282,7 @@ def _pixels(header: Any) -> Any:
 
 
 def _numbers(header: Any, pixels: Any) -> Any:
-    """CT numbers (rows, columns) of a slice, by its slope and intercept."""
+    """Return the CT numbers (rows, columns) of a slice, by its slope and intercept."""
     slope, intercept = header.get("RescaleSlope"), header.get("RescaleIntercept")
     slope = np.float32(1 if slope is None else slope)
     stored = pixels[_frame(header) or 0]
@@ -282,31 +290,34 @@ def _numbers(header: Any, pixels: Any) -> Any:
 
 
 def _is_placed(header: Any) -> bool:
+    """Return True if a slice has a position in the patient."""
     return all(header.get(key) is not None for key in PLACED)
 
 
 def _name(header: Any) -> str:
+    """Name of the file of a slice, with the number of a frame."""
     frame = _frame(header)
     return Path(header.filename).name + ("" if frame is None else f" (frame {frame + 1})")
 
 
 def _frame(header: Any) -> int | None:
-    """Position of a frame in its file; None of a slice that is a file."""
+    """Return the position of a frame in its file, from 0; None for a file of one slice."""
     return getattr(header, "frame", None)
 
 
 def _names(names: Iterable[str]) -> str:
-    """The first names of several."""
+    """Return the first names of several, and the number of the others."""
     names = list(names)
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + more
 
 
 def _described(header: Any) -> str:
-    """A series by its description, in quotes."""
+    """Description of the series of a slice, in quotes."""
     words = str(header.get("SeriesDescription") or header.get("SeriesInstanceUID") or "?")
     return f"'{words}'"
 
 
 def _by(values: Iterable[Any]) -> str:
+    """Return numbers as text: ``512 x 512``."""
     return " x ".join(f"{value:g}" for value in values)

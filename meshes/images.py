@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,23 +16,23 @@ from app.errors import InputError
 from app.files import parts
 from meshes import dicom_series, nifti_file
 
-TILT = 0.01  # cosine of the angle between edges of voxels, at most
+TILT = 0.01  # largest cosine of the angle between edges of voxels
 
 
 @dataclass(frozen=True)
 class Image:
-    """An image: numbers of voxels (i, j, k), the matrix from (i, j, k, 1) to their middles [mm].
+    """An image: numbers of voxels, and their places.
 
     Attributes:
         values: Numbers (i, j, k).
-        affine: The matrix (4, 4).
-        told: What was read, in words.
+        affine: Matrix from (i, j, k, 1) to the middle of a voxel (4, 4) [mm].
+        summary: Format, lattice and type of what was read, then what was left out, in words.
         notes: Doubts about it.
     """
 
     values: Any
     affine: Floats
-    told: tuple[str, ...] = ()
+    summary: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @cached_property
@@ -44,7 +44,7 @@ class Image:
 
     @cached_property
     def _numbers(self) -> Any:
-        """Its values that are numbers (n,)."""
+        """Values of all voxels that are numbers (n,)."""
         return self.values[np.isfinite(self.values)]
 
     @cached_property
@@ -54,7 +54,7 @@ class Image:
 
     @cached_property
     def least(self) -> float:
-        """Number of its lowest voxel."""
+        """Lowest number of a voxel."""
         return float(self._numbers.min())
 
     @property
@@ -91,7 +91,7 @@ def read(path: Path) -> Image:
 @lru_cache(maxsize=2)
 def _read(path: Path, _changed: int) -> Image:
     try:
-        values, affine, told, notes = _reader(path)(path)
+        values, affine, (kind, *left_out), notes = _reader(path)(path)
         values, affine = np.squeeze(values), np.asarray(affine, dtype=float).reshape(4, 4)
     except InputError:
         raise
@@ -114,17 +114,15 @@ def _read(path: Path, _changed: int) -> Image:
     if not np.isfinite(values).any():
         raise InputError(f"{path}: has no voxel that is a number")
     lattice, size = (" x ".join(f"{n:.4g}" for n in row) for row in (values.shape, edges))
-    taken = f"{', '.join(told[:1])}: {lattice} voxels of {size} mm, {values.dtype}"
-    image = Image(values, affine, (taken, *told[1:]), tuple(notes))
+    taken = f"{kind}: {lattice} voxels of {size} mm, {values.dtype}"
+    image = Image(values, affine, (taken, *left_out), tuple(notes))
     if image.lost:
-        return Image(
-            values, affine, (*image.told, f"{image.lost:,} voxels are no numbers"), image.notes
-        )
+        return replace(image, summary=(*image.summary, f"{image.lost:,} voxels are no numbers"))
     return image
 
 
 def _reader(path: Path) -> Any:
-    """Reader of a path, by its kind."""
+    """Return the reader for a path, by its kind."""
     if path.is_dir():
         return dicom_series.read
     if path.suffix == ".npz":
@@ -136,10 +134,11 @@ def _reader(path: Path) -> Any:
 
 
 def missing(path: Path, error: ModuleNotFoundError) -> InputError:
-    """Error on a package that reading an image needs."""
+    """Return the error on a missing package that reading an image needs."""
     return InputError(f"{path}: needs {error.name}, of packages.txt: `mantle setup` installs it")
 
 
 def _npz(path: Path) -> tuple[Any, Any, list[str], list[str]]:
+    """Return the same as other readers for arrays of numpy."""
     with path.open("rb") as file, np.load(file) as arrays:
         return arrays["values"], arrays["affine"], ["arrays of numpy"], []

@@ -125,9 +125,10 @@ def _read(geometry: Any, mesh: Any) -> dict[str, Any]:
 
 
 def _of_others(path: Path, geometry: Any) -> dict[str, Any]:
-    """The same of another program's file: facets of sets of nodes, nodes that coincide as one.
+    """Return the same as `gmsh_child.read` for a file of another program.
 
-    Those of regions on either side of ``apart`` of the geometry stay two.
+    Boundaries of sets of nodes have the facets whose nodes are all in the set. Coincident nodes are
+    merged, except between the regions on the two sides of ``apart`` of the geometry.
     """
     found = mesh_files.read(path, geometry.pick)
     points, cells = found.points, found.cells

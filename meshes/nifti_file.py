@@ -1,4 +1,4 @@
-"""Images in NIfTI files: numbers and places of voxels, and a check of the header by itself."""
+"""Images in NIfTI files: numbers and places of voxels, and checks for a consistent header."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 from app.arrays import Floats
 from app.errors import InputError
 
-SIZE_OFF = 0.01  # of a voxel's edge: by how much sform and pixdim may differ
-APART = 0.5  # voxels by which places by sform and by qform may differ
-# Spaces that sform and qform place voxels in, by their codes.
+SIZE_OFF = 0.01  # largest relative difference of the edges of voxels by sform and by pixdim
+APART = 0.5  # voxels: largest distance of places by sform from those by qform
+# Spaces in which sform and qform place voxels, by their codes.
 SPACES = {1: "scanner", 2: "aligned", 3: "Talairach", 4: "MNI"}
-TEMPLATES = (3, 4)  # spaces that patients are stretched to
+TEMPLATES = (3, 4)  # spaces to which images of patients are scaled
 
 
 def read(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
-    """Return numbers, their affine to mm, what was taken of the header, and doubts about it.
+    """Return numbers, their affine to mm, notes on what was read of the header, and doubts.
 
     Raises:
         InputError: The header has no axes, other units than mm, or axes that contradict each other.
-        Exception: It is damaged, in any way that nibabel meets it.
+        Exception: It is damaged; nibabel raises errors of any kind.
     """
     import nibabel
 
@@ -64,7 +64,11 @@ def read(path: Path) -> tuple[Any, Floats, list[str], list[str]]:
 
 
 def _against_qform(path: Path, shape: tuple[int, ...], sform: Floats, qform: Floats) -> list[str]:
-    """Doubts about sform where qform places voxels elsewhere; mirror images are refused."""
+    """Return a doubt if qform places voxels elsewhere than sform.
+
+    Raises:
+        InputError: One is the mirror image of the other.
+    """
     if np.linalg.det(sform[:3, :3]) * np.linalg.det(qform[:3, :3]) < 0:
         raise InputError(
             f"{path}: its sform is the mirror image of its qform: which is right? Left and right"
@@ -79,4 +83,5 @@ def _against_qform(path: Path, shape: tuple[int, ...], sform: Floats, qform: Flo
 
 
 def _by(edges: Floats) -> str:
+    """Return lengths as text: ``1 x 1 x 2.5``."""
     return " x ".join(f"{edge:.4g}" for edge in edges)

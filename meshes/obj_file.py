@@ -1,4 +1,4 @@
-"""Faces of OBJ files (Wavefront); normals, texture and colours do not matter."""
+"""Faces of OBJ files (Wavefront). Normals, texture and colours are not read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from app.errors import GeometryError
 from meshes.polygons import corners_of
 from meshes.text_files import decoded
 
-# Statements that say nothing of a shape of flat faces.
+# Statements that do not change the shape of flat faces.
 OTHER = frozenset(
     "vn vt vp g o s mg usemtl mtllib usemap maplib lod bevel c_interp d_interp shadow_obj"
     " trace_obj".split()
@@ -60,12 +60,12 @@ def read(path: Path) -> tuple[Floats, list[str]]:
 
 
 def _from_end(index: int, vertices: int) -> int:
-    """Number of a vertex that is counted back from those so far; -1 if there is none."""
+    """Return the number of a vertex that is counted back from the last one; -1 if there is none."""
     return vertices + index if 0 < -index <= vertices else -1
 
 
 def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Numbers and words of lines that are not empty; one may go on after a backslash."""
+    """Return the number and words of each line with words; a backslash continues a line."""
     before = ""
     for number, line in enumerate(text.split("\n"), 1):
         line = before + line.partition("#")[0]

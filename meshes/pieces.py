@@ -210,14 +210,20 @@ def _facing(data: MeshData, sides: tuple[str, str], piece: Ints) -> list[Touch]:
 
 
 def _bend(facets: Ints, normals: Floats) -> float:
-    """Mean angle between facets that share an edge, but for edges of the surface [rad]."""
-    edges = np.sort(facets[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(edges.T)
-    same = np.all(edges[order][1:] == edges[order][:-1], axis=1)
-    one, two = (normals[order[k][same] // 3] for k in (np.s_[:-1], np.s_[1:]))
-    angles = np.arccos(np.clip(np.einsum("ei,ei->e", one, two), -1.0, 1.0))
+    """Mean angle between neighbouring facets, except at sharp edges of the surface [rad]."""
+    _, _, angles = _neighbours(facets, normals)
     smooth = angles[angles < SMOOTH]
     return float(smooth.mean()) if len(smooth) else 0.0
+
+
+def _neighbours(facets: Ints, normals: Floats) -> tuple[Ints, Ints, Floats]:
+    """Pairs of facets that share an edge (e,) and (e,), and the angles between them (e,) [rad]."""
+    edges = np.sort(facets[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T)
+    same = np.flatnonzero((edges[order][1:] == edges[order][:-1]).all(axis=1))
+    one, two = order[same] // 3, order[same + 1] // 3
+    cosines = np.einsum("ei,ei->e", normals[one], normals[two])
+    return one, two, np.arccos(np.clip(cosines, -1.0, 1.0))
 
 
 def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[int, int]]:
@@ -283,11 +289,11 @@ def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str
 def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
     """Faces of two bodies that lie on each other and share no node.
 
-    A facet lies on another body if its middle is inside of one of the body's facets, which looks
-    the other way, and is as near to it as straight facets of a smooth surface may be.
+    A facet lies on another body if its middle is within a facet of that body with the opposite
+    direction, as near to it as straight facets of one smooth surface are.
 
     Returns:
-        By the pair of regions the area [mm^2] and a place on it (3,) [mm].
+        Area [mm2] and a point on it (3,) [mm], by the pair of regions.
     """
     names = {tag: name for name, tag in data.regions.items()}
     facets, cells = exterior_facets(data.cells)
@@ -340,12 +346,8 @@ def lying(data: MeshData) -> dict[tuple[str, str], tuple[float, Floats]]:
 
 
 def _rise(x: Floats, facets: Ints, normals: Floats) -> Floats:
-    """Distance of each facet from the smooth surface through its nodes, at most (k,) [mm]."""
-    edges = np.sort(facets[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(edges.T)
-    same = np.flatnonzero((edges[order][1:] == edges[order][:-1]).all(axis=1))
-    one, two = order[same] // 3, order[same + 1] // 3
-    angle = np.arccos(np.clip(np.einsum("ei,ei->e", normals[one], normals[two]), -1.0, 1.0))
+    """Largest distance of each facet from the smooth surface through its nodes (k,) [mm]."""
+    one, two, angle = _neighbours(facets, normals)
     angle[(angle > SMOOTH) | (angle < 1e-6)] = 0.0
     bend = np.zeros(len(facets))
     np.maximum.at(bend, one, angle)
@@ -357,7 +359,7 @@ def _rise(x: Floats, facets: Ints, normals: Floats) -> Floats:
 def _lies_on(
     middles: Floats, normals: Floats, within: Floats, x: Floats, other: Floats, rise: Floats
 ) -> Ints:
-    """Facet on which each middle lies, -1 if on none (k,)."""
+    """Return the facet on which each middle lies, -1 if on none (k,)."""
     from scipy.spatial import cKDTree
 
     centres = x.mean(axis=1)

@@ -1,7 +1,7 @@
-"""Faces of PLY files, text or binary: elements and properties as their header lists them.
+"""Faces of PLY files, text or binary, with the elements and properties that the header lists.
 
-Of the element ``vertex`` x, y, z are read, of ``face`` the list ``vertex_indices`` or
-``vertex_index``. All else is passed over by its declared size.
+The element ``vertex`` has x, y, z; ``face`` has the list ``vertex_indices`` or ``vertex_index``.
+Other elements and properties are skipped by their declared size.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from app.arrays import Floats
 from app.errors import GeometryError
 from meshes.polygons import corners_of
 
-# Types of numbers by their names in a header, as numpy's letters.
+# Letters of numpy for the names of types in a header.
 TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
@@ -58,14 +58,14 @@ class Element:
 
 
 class _Damaged(Exception):
-    """Header or data that cannot be right, in words."""
+    """Header or data are damaged; the message says how."""
 
 
 def read(path: Path) -> tuple[Floats, list[str]]:
     """Return corners of triangles (m, 3, 3) in the file's unit, and notes on what was read.
 
     Raises:
-        GeometryError: It is cut short or damaged, or has no faces.
+        GeometryError: The file is cut short or damaged, or has no faces.
     """
     data = path.read_bytes()
     try:
@@ -99,24 +99,26 @@ def read(path: Path) -> tuple[Floats, list[str]]:
 
 
 def _header(data: bytes) -> tuple[str, list[Element], int]:
-    """Byte order (empty for text), elements, and the byte at which their rows begin."""
+    """Return the byte order (empty for text), the elements, and the byte at which rows begin."""
     end = END.search(data[:1_000_000])
     if not data.lstrip(b"\xef\xbb\xbf").startswith(b"ply") or not end:
         raise _Damaged("is no PLY file, or is cut short: it has no header up to `end_header`")
     order, elements = None, []
+
+    def known(*types: str) -> bool:
+        return TYPES.keys() >= {*types}
+
     for line in re.split(r"[\r\n]+", data[: end.start()].decode("latin-1")):
         match line.split():
             case ["format", name, *_] if name in ORDERS:
                 order = ORDERS[name]
             case ["element", name, count] if count.isdecimal() and len(count) < 16:
                 elements.append(Element(name, int(count), ()))
-            case ["property", "list", count, kind, name] if elements and {count, kind} <= set(
-                TYPES
-            ):
+            case ["property", "list", count, kind, name] if elements and known(count, kind):
                 if TYPES[count][0] == "f":
                     raise _Damaged(f"header: `{line.strip()[:60]}`: a list is counted in integers")
                 _add(elements, Property(name, TYPES[kind], TYPES[count]))
-            case ["property", kind, name] if elements and kind in TYPES:
+            case ["property", kind, name] if elements and known(kind):
                 _add(elements, Property(name, TYPES[kind]))
             case [word, *_] if word in ("format", "element", "property"):
                 raise _Damaged(f"header: `{line.strip()[:60]}` cannot be read")
@@ -128,10 +130,10 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
     return order, elements, end.end()
 
 
-def _add(elements: list[Element], of_rows: Property) -> None:
+def _add(elements: list[Element], new: Property) -> None:
     """Append a property to the last element."""
     last = elements[-1]
-    elements[-1] = Element(last.name, last.rows, (*last.properties, of_rows))
+    elements[-1] = Element(last.name, last.rows, (*last.properties, new))
 
 
 Columns = dict[str, Any]
@@ -139,12 +141,13 @@ Reader = Callable[[Element | None], Columns]
 
 
 def _short(element: Element, rows: int) -> _Damaged:
+    """Return the error on an element with fewer rows than its header says."""
     text = f"element {element.name} has {element.rows:,} rows in the header"
     return _Damaged(f"is cut short or damaged: {text}, and {rows:,} are there")
 
 
 def _text(data: bytes, start: int) -> Reader:
-    """Return the reader of the next element of a text file; of None at its end."""
+    """Return the reader of the next element of a text file; with None it expects the end."""
     words, at = data[start:].decode("latin-1").split(), 0
 
     def lists(element: Element) -> Columns:
@@ -174,13 +177,13 @@ def _text(data: bytes, start: int) -> Reader:
         there = (len(words) - at) // width if width else element.rows
         if there < element.rows:
             raise _short(element, there)
-        own = words[at : at + width * element.rows]
-        at += len(own)
+        here = words[at : at + width * element.rows]
+        at += len(here)
         columns: Columns = {}
         for k, p in enumerate(element.properties):
-            if p.name in "xyz":
+            if p.name in ("x", "y", "z"):
                 try:
-                    columns[p.name] = [float(word) for word in own[k::width]]
+                    columns[p.name] = [float(word) for word in here[k::width]]
                 except ValueError as error:
                     raise _Damaged(f"element {element.name}: {error}") from None
         return columns
@@ -197,11 +200,11 @@ def _text(data: bytes, start: int) -> Reader:
 
 
 def _binary(data: bytes, start: int, order: str) -> Reader:
-    """Return the reader of the next element of a binary file; of None at its end."""
+    """Return the reader of the next element of a binary file; with None it expects the end."""
     at = start
 
     def fixed(element: Element, sizes: tuple[int, ...]) -> Columns | None:
-        """Columns if all rows have lists of these lengths, else None."""
+        """Return the columns if all rows have lists of these lengths, else None."""
         nonlocal at
         fields: list[tuple[Any, ...]] = []
         for k, (p, size) in enumerate(zip(element.properties, sizes, strict=True)):
@@ -223,7 +226,7 @@ def _binary(data: bytes, start: int, order: str) -> Reader:
         return {p.name: rows[f"value {k}"] for k, p in enumerate(element.properties)}
 
     def values(kind: str, count: int, place: int) -> Any:
-        """Numbers at a byte; IndexError beyond the end."""
+        """Return the numbers at a byte; raise IndexError beyond the end."""
         step = int(kind[1:])
         if count < 0 or place + count * step > len(data):
             raise IndexError
@@ -239,16 +242,16 @@ def _binary(data: bytes, start: int, order: str) -> Reader:
                     if p.count_type:
                         count = int(values(p.count_type, 1, at)[0])
                         at += int(p.count_type[1:])
-                    own = values(p.type, count, at)
-                    at += own.nbytes
+                    numbers = values(p.type, count, at)
+                    at += numbers.nbytes
                     if p.name in CORNERS:
-                        columns[p.name].append(own.tolist())
+                        columns[p.name].append(numbers.tolist())
             except IndexError:
                 raise _short(element, row) from None
         return columns
 
     def first_sizes(element: Element) -> Iterator[int]:
-        """Lengths of the lists of the first row."""
+        """Return the lengths of the lists of the first row, 1 for numbers."""
         place = at
         for p in element.properties:
             count = 1

@@ -1,4 +1,4 @@
-"""Triangles of the polygons that surface files have as faces."""
+"""Division of polygons, the faces of surface files, into triangles."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def corners_of(
         place: Name of a face by its number, for messages.
 
     Raises:
-        GeometryError: A face has fewer than three corners, or one that is no vertex of the file or
-            no number.
+        GeometryError: A face has fewer than three corners, or a corner that is no vertex of the
+            file or has coordinates that are no numbers.
     """
     sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
     if not len(sizes):
@@ -34,7 +34,7 @@ def corners_of(
     small = sizes < 3
     if small.any():
         k = int(small.argmax())
-        raise GeometryError(f"{path}: {place(k)} has {sizes[k]} corners; expected three at least")
+        raise GeometryError(f"{path}: {place(k)} has {sizes[k]} corners; expected at least three")
     flat = np.fromiter((i for polygon in polygons for i in polygon), np.int64, sizes.sum())
     outside = (flat < 0) | (flat >= len(points))
     if outside.any():
@@ -48,7 +48,8 @@ def corners_of(
         text = f"{int(lost.sum()):,} of its vertices are no numbers, the first is number {number:,}"
         raise GeometryError(f"{path}: {text}")
     notes = []
-    if more := int((sizes > 3).sum()):
+    more = int((sizes > 3).sum())
+    if more:
         notes.append(f"{more:,} faces of more than three corners divided")
     unused = len(points) - len(used)
     if unused:
@@ -57,7 +58,7 @@ def corners_of(
 
 
 def divided(points: Floats, polygons: Sequence[Polygon]) -> Ints:
-    """Triangles (m, 3) of polygons by their corners, those of one size after another."""
+    """Return the triangles (m, 3) of polygons, in the order of their numbers of corners."""
     sizes = np.array([len(polygon) for polygon in polygons])
     parts: list[Ints] = []
     for size in np.unique(sizes):
@@ -67,7 +68,11 @@ def divided(points: Floats, polygons: Sequence[Polygon]) -> Ints:
 
 
 def _fans(points: Floats, rows: Ints) -> Ints:
-    """Triangles (m, 3) of polygons of one size (n, k): fans where one has no corner turned over."""
+    """Return the triangles (m, 3) of polygons of one size (n, k).
+
+    A polygon is a fan from one corner if no triangle of the fan is turned over, otherwise `_ears`
+    divides it.
+    """
     with np.errstate(all="ignore"):  # of corners that are too far for a bone
         x = points[rows]
         out = x[:, 1:] - x[:, :1]
@@ -86,14 +91,14 @@ def _fans(points: Floats, rows: Ints) -> Ints:
         first = np.repeat(fans[:, :1], rows.shape[1] - 2, axis=1)
         made = np.stack([first, fans[:, 1:-1], fans[:, 2:]], axis=2).reshape(-1, 3)
         clipped = [
-            row[_ears(corners, out)]
-            for row, corners, out in zip(rows[~convex], x[~convex], normal[~convex], strict=True)
+            row[_ears(corners, up)]
+            for row, corners, up in zip(rows[~convex], x[~convex], normal[~convex], strict=True)
         ]
     return np.concatenate([made, *clipped])
 
 
 def _ears(x: Floats, normal: Floats) -> Ints:
-    """Triangles (k - 2, 3) of a polygon with corners (k, 3), by cutting off its ears."""
+    """Return the triangles (k - 2, 3) of a polygon with corners (k, 3), by ear clipping."""
     drop = int(np.abs(normal).argmax())
     xy = np.delete(x, drop, axis=1) * ([1, -1] if drop == 1 else [1, 1])
     if normal[drop] < 0:
@@ -105,7 +110,7 @@ def _ears(x: Floats, normal: Floats) -> Ints:
 
     left, found = list(range(len(x))), []
     while len(left) > 3:
-        best = 0  # of a polygon that crosses itself any corner
+        best = 0  # a polygon that crosses itself may have no ear: any corner is cut off
         for k in range(len(left)):
             a, b, c = (xy[left[(k + step) % len(left)]] for step in (-1, 0, 1))
             if twice_area(a, b, c) <= 0:

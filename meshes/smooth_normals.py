@@ -1,19 +1,19 @@
-r"""Normals of the smooth surface that a surface of straight facets stands for.
+r"""Normals of the smooth surface that straight facets approximate.
 
-The mean normal of the facets around a node is off by some hundredths, along any axis too: bodies
-that slide along a cylinder or a cone then climb their facets. Here a node has the normal of a
-surface through it, fitted to the nodes near it. With a, b the coordinates of a near node along two
-tangents and h that along the mean normal, all from the node itself,
+The mean normal of the facets around a node is off by some hundredths, also along the axis of a
+cylinder or a cone: bodies that slide along this axis then climb their facets. Here a node has the
+normal of a surface through it that is fitted to the nodes near it. With a, b the coordinates of a
+near node along two tangents and h that along the mean normal, relative to the node,
 
 .. math:: h = c_1 a + c_2 b + c_3 a^2 + c_4 \sqrt2 a b + c_5 b^2 + c_6 a h + c_7 b h + c_8 h^2
 
-is every quadric: plane, sphere, cylinder and cone are met to rounding. Three models compete: none
-(the mean normal stays), the paraboloid with the first five terms, the quadric. The one whose slopes
-:math:`(c_1, c_2)` have the least standard error is taken, so that a rough surface keeps its means.
-That error is the doubt about the normal.
+describes any quadric, so normals of planes, spheres, cylinders and cones are exact to rounding.
+There are three models: the mean normal, the paraboloid with the first five terms, and the quadric.
+The model whose slopes :math:`(c_1, c_2)` have the smallest standard error is used, so that a rough
+surface keeps its mean normals. This error is the doubt about the normal.
 
-Where facets around a node lie in one plane, their normal stays as it is. A fit that turns it by
-more than the normals nearby differ is not taken.
+If the facets around a node lie in one plane, their normal is kept. A fit is rejected if it rotates
+the normal by more than the normals nearby differ.
 """
 
 from __future__ import annotations
@@ -28,23 +28,28 @@ from app.arrays import Bools, Floats, Ints
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-# Rings of facets around a node, and nodes in them, at least, to which a surface is fitted.
+# Rings of facets around a node to whose nodes a surface is fitted.
 RINGS = 2
+# Least number of these nodes.
 NODES_NEAR = 10
-# Rings that are added to reach this number, at most.
+# Most rings that are added to reach this number.
 MORE_RINGS = 3
-# Coefficients of the models: plane, paraboloid, quadric.
+# Number of coefficients of the models: plane, paraboloid, quadric.
 MODELS = (2, 5, 8)
-# Observations that must remain beyond the coefficients.
+# Least number of nodes beyond the number of coefficients.
 SPARE = 2
-# A richer model must have less than this part of the standard error of a poorer one.
+# A model with more coefficients needs less than this part of the standard error of another one.
 BETTER = 0.25
 # Normals that differ by less are equal [rad].
 FLAT = 1e-6
-# Slopes up to so many times the doubt about normals are likely errors, but not above an angle.
-LIKELY, SLOPE = 3.0, 0.01
-# Slopes below this are rounding, to be reached in so many steps.
-ROUNDING, STEPS = 1e-12, 20
+# A slope is a likely error up to this multiple of the doubt about normals.
+LIKELY = 3.0
+# A larger slope is no error [rad].
+SLOPE = 0.01
+# Slopes below this are rounding [rad].
+ROUNDING = 1e-12
+# Most steps to reach it.
+STEPS = 20
 # Singular values below this part of the largest are zero.
 SINGULAR = 1e-10
 
@@ -63,7 +68,7 @@ class SmoothNormals:
 
 
 def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> SmoothNormals:
-    """Normals at nodes of smooth surfaces that consist of straight facets.
+    """Return the normals of smooth surfaces at the nodes of straight facets.
 
     Args:
         x: Nodes (n, 3) [mm]. A node on an edge is one node for each of its smooth faces.
@@ -72,7 +77,7 @@ def smooth_normals(x: Floats, corners: Ints, normals: Floats, areas: Floats) -> 
         areas: Weights of the corners in the mean (f, 3).
     """
     mean = unit_sums(normals, areas, corners, len(x))
-    # How far the normals around a node differ from its mean, and those around its neighbours.
+    # Largest angle between the mean at a node and normals: around the node, around its neighbours.
     spread = np.zeros(len(x))
     np.maximum.at(spread, corners, _angle(normals, mean[corners]))
     if (spread < FLAT).all():
@@ -97,12 +102,12 @@ def unit_sums(vectors: Floats, weights: Floats, corners: Ints, n: int) -> Floats
 
 
 def _angle(a: Floats, b: Floats) -> Floats:
-    """Angles between unit vectors (..., 3), exact where small [rad]."""
+    """Return the angles between unit vectors (..., 3), exact if they are small [rad]."""
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))
 
 
 def _joined(corners: Ints, n: int) -> csr_matrix:
-    """Nodes that share a facet, each with itself, as a pattern (n, n)."""
+    """Return the pattern of nodes that share a facet, with the diagonal (n, n)."""
     from scipy.sparse import csr_matrix  # imported late: plane interfaces need no scipy
 
     rows, columns = np.repeat(corners, 3, axis=1).ravel(), np.tile(corners, (1, 3)).ravel()
@@ -112,7 +117,7 @@ def _joined(corners: Ints, n: int) -> csr_matrix:
 
 
 def _near(joined: csr_matrix, some: Ints) -> Ints:
-    """Near nodes of some nodes (m, k), each row filled with the node itself."""
+    """Return the nodes near some nodes (m, k). The node itself fills the rest of a row."""
     near = joined[some]
     for ring in range(1, RINGS + MORE_RINGS):
         few = np.ones(len(some)) if ring < RINGS else np.diff(near.indptr) <= NODES_NEAR
@@ -132,14 +137,14 @@ def _near(joined: csr_matrix, some: Ints) -> Ints:
 def _fitted(
     x: Floats, mean: Floats, wide: Floats, doubt: Floats, some: Ints, near: Ints
 ) -> tuple[Floats, Floats]:
-    """Normals (m, 3) of some nodes by the best model, and their standard errors (m,)."""
+    """Return the normals (m, 3) of some nodes by the best model, and their standard errors (m,)."""
     n, tangents = mean[some], np.linalg.svd(mean[some, None])[2][:, 1:]
     away = x[near] - x[some, None]
     distance = np.linalg.norm(away, axis=2)
     size = distance.max(axis=1, keepdims=True)
     away, distance = away / size[:, :, None], distance / size
     others: Bools = distance > 0
-    # Near nodes count more: what a model leaves out grows with the square of the distance.
+    # Near nodes have more weight: the error of a model grows with the square of the distance.
     weight = np.where(others, 1 / np.where(others, distance, 1.0) ** 2, 0.0)
     a, b = np.einsum("nki,nji->jnk", away, tangents)
     h = np.einsum("nki,ni->nk", away, n)
@@ -165,17 +170,20 @@ def _fitted(
 
 
 def slid_along(x: Floats, normals: Floats, doubt: Floats, weight: Floats) -> Floats:
-    """Normals of a surface that a rigid motion slides along itself, made orthogonal to that motion.
+    """Make normals orthogonal to the rigid motions that slide a surface along itself.
 
-    Normals that are off by a little hold a body of revolution against its turn, the harder to
-    compute the less they are off. A motion slides if the normals are sloped against it, in the mean
-    and at random, by no more than they are in doubt.
+    Normals that are slightly off resist the rotation of a body of revolution: the smaller their
+    error, the more ill-conditioned the system. A motion slides the surface along itself if the
+    slopes of the normals against it, in the mean and at random, are within the doubt about them.
 
     Args:
         x: Points (n, 3) [mm].
         normals: Unit normals there (n, 3).
         doubt: Standard errors of the normals (n,) [rad].
         weight: Areas of the points (n,) [mm2].
+
+    Returns:
+        Unit normals (n, 3), which are those given if no motion slides.
     """
     share, count = weight / weight.sum(), len(x)
     likely = min(LIKELY * float(np.sqrt(share @ doubt**2)), SLOPE)

@@ -17,10 +17,10 @@ from meshes.text_files import decoded, is_text, line_of
 
 HEADER = 84  # bytes before the triangles of a binary file
 FACET_SIZE = 50  # bytes of each of them
-UNKNOWN = (0, 2**32 - 1)  # counts of programs that write before they know
+UNKNOWN = (0, 2**32 - 1)  # counts in headers that were written before the triangles
 FACET_TYPE = np.dtype([("normal and corners", "<f4", (4, 3)), ("attribute", "<u2")])
 
-# Words of a text file: capitals do not matter, a name goes to the end of its line.
+# Words of a text file. They are case-insensitive; the name of a solid ends with its line.
 VERTEX = r"\s+vertex\s+(\S+)\s+(\S+)\s+(\S+)"
 NORMAL = r"(?:\s+normal(?:\s+(?!outer\s)\S+){0,3})?"
 FACET = re.compile(
@@ -36,7 +36,7 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     """Return corners of triangles (m, 3, 3) in the file's unit, and notes on what was read.
 
     Raises:
-        GeometryError: It is cut short, or its numbers or words are damaged.
+        GeometryError: The file is cut short, or its numbers or words are damaged.
     """
     data = path.read_bytes()
     if len(data) != size_of(data) and is_text(data):
@@ -47,7 +47,7 @@ def read(path: Path) -> tuple[Floats, list[str]]:
 
 
 def size_of(data: bytes) -> int | None:
-    """Bytes of a binary file by its header; None if it has no triangles."""
+    """Return the size of a binary file by its header [bytes]; None if it has no triangles."""
     if len(data) < HEADER or not _count(data):
         return None
     return HEADER + FACET_SIZE * _count(data)
@@ -59,7 +59,7 @@ def _count(data: bytes) -> int:
 
 
 def _binary(path: Path, data: bytes) -> tuple[Floats, list[str]]:
-    """Triangles of a binary file, their number against its length."""
+    """Read the triangles of a binary file; their number has to agree with its length."""
     if len(data) < HEADER:
         raise GeometryError(f"{path}: is no STL file, of {len(data):,} bytes")
     count, notes = _count(data), []
@@ -89,7 +89,7 @@ def _binary(path: Path, data: bytes) -> tuple[Floats, list[str]]:
 
 
 def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
-    """Triangles of a text file, all of its facets read and all of its solids ended."""
+    """Read the triangles of a text file; all facets have to be read, and all solids to end."""
     text = text.rstrip("\0\x1a \t\n")
     corners: list[tuple[str, ...]] = []
     at, solids = 0, 0
@@ -140,7 +140,7 @@ def _text(path: Path, text: str, notes: list[str]) -> tuple[Floats, list[str]]:
 
 
 def _unread(path: Path, text: str, at: int, expected: str) -> GeometryError:
-    """Error on text that is not what stands there in an STL file."""
+    """Return the error on text that an STL file does not have there."""
     rest = text[at:].lstrip()
     words = " ".join(rest.split()[:6])[:60]
     where = line_of(text, len(text) - len(rest))

@@ -10,7 +10,7 @@ from meshes import obj_file, ply_file, stl_file
 from meshes.text_files import decoded, is_text
 
 READERS = {".stl": stl_file.read, ".ply": ply_file.read, ".obj": obj_file.read}
-# Contents that are no surface, by their first bytes.
+# Files of other formats, by their first bytes.
 OTHERS = {
     b"version https://git-lfs": "is a pointer of Git LFS, not the file: `git lfs pull` brings it",
     b"PK\x03\x04": "is a ZIP archive: unpack it",
@@ -32,7 +32,7 @@ def read(path: Path) -> tuple[Floats, list[str]]:
     """Return corners of triangles (m, 3, 3) in the file's unit, and notes on what was read.
 
     Raises:
-        GeometryError: It is of another format, cut short or damaged.
+        GeometryError: The file has another format, or is cut short or damaged.
     """
     suffix = path.suffix.lower()
     expected = ", ".join(READERS)
@@ -47,17 +47,13 @@ def read(path: Path) -> tuple[Floats, list[str]]:
             raise GeometryError(f"{path}: {words}; expected one of {expected}")
     kind = _format_of(start, path.stat().st_size)
     if kind and kind != suffix:
-        name = kind[1:].upper()
-        raise GeometryError(f"{path}: is {_article(name)} {name} file by its content: rename it")
+        name = {".stl": "an STL", ".obj": "an OBJ", ".ply": "a PLY"}[kind]
+        raise GeometryError(f"{path}: is {name} file by its content: rename it")
     return READERS[suffix](path)
 
 
-def _article(name: str) -> str:
-    return "an" if name in ("STL", "OBJ") else "a"
-
-
 def _format_of(start: bytes, size: int) -> str | None:
-    """Suffix of the format that a content has, by its first bytes and its size; or None."""
+    """Return the suffix of the format of a file by its first bytes and size, None if unknown."""
     if size == stl_file.size_of(start):
         return ".stl"
     if not is_text(start) and not start.startswith(b"ply"):

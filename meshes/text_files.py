@@ -10,15 +10,15 @@ ENCODINGS = {
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
-# A vertex of an STL or OBJ file whose numbers have a comma, or a point, between digits.
+# Vertices of STL or OBJ files with a comma, or with a point, between digits.
 COMMA = re.compile(r"^\s*v(?:ertex)?\s[^\n]*\d,\d", re.IGNORECASE | re.MULTILINE)
 POINT = re.compile(r"^\s*v(?:ertex)?\s[^\n]*\d\.\d", re.IGNORECASE | re.MULTILINE)
 
 
 def decoded(data: bytes) -> tuple[str, list[str]]:
-    """Return a file's text, its lines ended by a line feed alone, and notes on it.
+    """Return the text of a file with line feeds only, and notes on it.
 
-    Names may be in any encoding. Decimal commas become points where no vertex has a point.
+    Names may be in any encoding. Decimal commas become points if no vertex has a point.
     """
     mark = next((mark for mark in ENCODINGS if data.startswith(mark)), None)
     text = data.decode(ENCODINGS[mark] if mark else "latin-1", errors="replace")
@@ -29,10 +29,10 @@ def decoded(data: bytes) -> tuple[str, list[str]]:
 
 
 def is_text(data: bytes) -> bool:
-    """Return True if a file begins as text does."""
+    """Return True if the first bytes of a file are text."""
     return data.startswith(tuple(ENCODINGS)) or b"\0" not in data[:2000]
 
 
 def line_of(text: str, position: int) -> int:
-    """Number of the line that holds a position, from 1."""
+    """Return the number of the line at a position, from 1."""
     return text.count("\n", 0, position) + 1

@@ -1,7 +1,7 @@
-"""Loose triangles joined to a surface, without a change of its shape.
+"""Joining of loose triangles to a surface, without a change of its shape.
 
-Corners that are one up to rounding are made one; facets that stand several times are kept once;
-an edge that only one of its sides divides is divided on both.
+Corners that agree up to rounding become one. Repeated facets are kept once. An edge that is divided
+on one side only is divided on both.
 """
 
 from __future__ import annotations
@@ -15,13 +15,16 @@ from app.arrays import Bools, Floats, Ints
 from meshes.data import connected
 from meshes.polygons import divided
 
-WELD = 1e-4  # mm: nearer corners are one
-ROUNDING = 4 * float(np.finfo(np.float32).eps)  # of the farthest coordinate: the same
-SHORT = 1.0  # percent of edges that are shorter than what is taken for a short one
-PART = 0.1  # of a short edge: nearer corners of open edges are one, too
-FARTHEST = 0.05  # mm: the same at most
-ON_EDGE = 0.01  # mm: a corner that is so near to an open edge divides it
-ON_EDGE_PART = 0.02  # of the edge: the same at most
+# Nearer corners are one [mm], and the same as a part of the largest coordinate.
+WELD = 1e-4
+ROUNDING = 4 * float(np.finfo(np.float32).eps)
+SHORT = 1.0  # percentile of the lengths of edges that counts as a short edge
+# Nearer corners of open edges are one, too: as a part of a short edge, and at most [mm].
+PART = 0.1
+FARTHEST = 0.05
+# A nearer corner divides an open edge [mm], and at most as a part of the edge.
+ON_EDGE = 0.01
+ON_EDGE_PART = 0.02
 
 
 @dataclass
@@ -40,7 +43,7 @@ class Welded:
 
 
 def weld(corners: Floats) -> Welded:
-    """Join triangles with corners (m, 3, 3) [mm] to a surface."""
+    """Return the surface of triangles with corners (m, 3, 3) [mm]."""
     flat = corners.reshape(-1, 3)
     points, of = np.unique(flat, axis=0, return_inverse=True)
     size = max(WELD, ROUNDING * float(np.abs(flat).max(initial=0.0)))
@@ -53,13 +56,13 @@ def weld(corners: Floats) -> Welded:
 
 
 def thin(surface: Welded, size: float) -> Welded:
-    """Make corners within the boxes of a size [mm] one."""
+    """Return a surface on which all corners in a box of a size [mm] are one."""
     low = surface.points.min(axis=0)
     box = np.round((surface.points - low) / size).astype(np.int64)
     _, of = np.unique(box, axis=0, return_inverse=True)
     points, triangles = _means(surface.points, of.ravel()), of.ravel()[surface.triangles]
     triangles = triangles[_has_three(triangles)]
-    # Two on the same corners are a fold without thickness: both go.
+    # Two triangles with the same corners are a fold without thickness: both are left out.
     _, first, times = np.unique(
         np.sort(triangles, axis=1), axis=0, return_index=True, return_counts=True
     )
@@ -70,39 +73,42 @@ def thin(surface: Welded, size: float) -> Welded:
 
 
 def open_edges(triangles: Ints) -> Ints:
-    """Corners (k, 2) of edges that belong to one triangle, in its direction."""
+    """Return the corners (k, 2) of edges that belong to one triangle, in its direction."""
     ends, key = _edges(triangles)
     _, of, times = np.unique(key, return_inverse=True, return_counts=True)
     return np.asarray(ends[times[of.ravel()] == 1])
 
 
 def apart(surface: Welded) -> float:
-    """Median distance [mm] of a corner of an open edge from the next one."""
+    """Return the median distance of corners of open edges from the nearest such corner [mm]."""
     rim = surface.points[np.unique(open_edges(surface.triangles))]
     return float(np.median(cKDTree(rim).query(rim, 2)[0][:, 1]))
 
 
 def _edges(triangles: Ints) -> tuple[Ints, Ints]:
-    """Ends (3m, 2) of the edges of triangles (m, 3), and a number of each without direction."""
+    """Return the ends (3 m, 2) of the edges of triangles (m, 3), and a number of each (3 m,).
+
+    The number does not depend on the direction of an edge.
+    """
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     low, high = np.sort(ends, axis=1).T
     return ends, low * (triangles.max(initial=0) + 1) + high
 
 
 def _clusters(points: Floats, size: float) -> Ints:
-    """Number of the group (n,) of each point, of groups whose points are nearer than a size."""
+    """Return the number of the group of each point (n,). Points nearer than a size share one."""
     one, other = cKDTree(points).query_pairs(size, output_type="ndarray").T
     return connected(len(points), one, other)
 
 
 def _means(points: Floats, of: Ints) -> Floats:
-    """Middles of groups of points."""
+    """Return the mean points (k, 3) of groups of points."""
     count = np.bincount(of)
     return np.stack([np.bincount(of, points[:, i]) / count for i in range(3)], axis=1)
 
 
 def _has_three(triangles: Ints) -> Bools:
-    """Mark triangles of three different corners."""
+    """Return the mask of triangles with three different corners (m,)."""
     ordered = np.sort(triangles, axis=1)
     return np.asarray((ordered[:, 1:] != ordered[:, :-1]).all(axis=1))
 
@@ -114,7 +120,7 @@ def _used(surface: Welded) -> Welded:
 
 
 def _without_repeats(surface: Welded) -> Welded:
-    """Drop triangles without area, copies of facets, and folds without thickness."""
+    """Drop triangles with equal corners, copies of facets, and folds without thickness."""
     real = _has_three(surface.triangles)
     notes = list(surface.notes)
     if not real.all():
@@ -125,15 +131,16 @@ def _without_repeats(surface: Welded) -> Welded:
     fold = _folds(triangles[first], times % 2 == 0)
     if fold.any():
         notes.append(f"{int(times[fold].sum()):,} triangles of folds without thickness left out")
-    if doubled := int((times - 1)[~fold].sum()):
+    doubled = int((times - 1)[~fold].sum())
+    if doubled:
         notes.append(f"{doubled:,} doubled facets left out")
     return _used(Welded(surface.points, triangles[np.sort(first[~fold])], notes))
 
 
 def _folds(facets: Ints, doubled: Bools) -> Bools:
-    """Mark doubled facets (m,) that are two sheets which touch, and not copies of a facet.
+    """Return the mask of doubled facets (m,) that are two touching sheets, and no copies.
 
-    At the edge of a patch of copies there is one other facet; where a fold begins there are two.
+    At the edge of a patch of copies there is one other facet. Where a fold begins there are two.
     """
     copies = np.flatnonzero(doubled)
     _, key = _edges(facets)
@@ -141,13 +148,13 @@ def _folds(facets: Ints, doubled: Bools) -> Bools:
     edge = edge.reshape(-1, 3)
     number = edge.max(initial=-1) + 1
     others = np.bincount(edge[~doubled].ravel(), minlength=number)
-    own = np.bincount(edge[doubled].ravel(), minlength=number)
+    same = np.bincount(edge[doubled].ravel(), minlength=number)
     row = np.repeat(np.arange(len(copies)), 3)
     at = edge[copies].ravel()
     order = np.argsort(at, kind="stable")
     shared = np.diff(at[order]) == 0
     patch = connected(len(copies), row[order][:-1][shared], row[order][1:][shared])
-    votes = np.where(others[at] % 2 == 1, 1, np.where(others[at] > 0, -1, 0)) * (own[at] == 1)
+    votes = np.where(others[at] % 2 == 1, 1, np.where(others[at] > 0, -1, 0)) * (same[at] == 1)
     fold = np.zeros(len(facets), dtype=bool)
     if len(copies):
         fold[copies] = np.bincount(patch[row], votes)[patch] < 0
@@ -155,7 +162,7 @@ def _folds(facets: Ints, doubled: Bools) -> Bools:
 
 
 def _welded_wider(surface: Welded, size: float) -> Welded:
-    """Join corners of open edges that are nearer than a small part of a short edge."""
+    """Join corners of open edges that are nearer to each other than a part of a short edge."""
     ends, _ = _edges(surface.triangles)
     lengths = np.linalg.norm(np.subtract(*surface.points[ends].transpose(1, 0, 2)), axis=1)
     wider = min(PART * float(np.percentile(lengths, SHORT)), FARTHEST) if len(lengths) else 0.0
@@ -206,5 +213,5 @@ def _divided_edges(surface: Welded) -> Welded:
             whole[t] = False
             rows.append([i for side in sides for i in (side[0], *between.get(side, ()))])
     triangles = np.concatenate([surface.triangles[whole], divided(x, rows)])
-    note = f"{len(between):,} edges that one side alone divides are divided on both"
+    note = f"{len(between):,} edges that were divided on one side only are divided on both"
     return _without_repeats(Welded(x, triangles, [*surface.notes, note]))

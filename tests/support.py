@@ -48,6 +48,9 @@ TIMEOUT = 300.0  # of a program on ranks [s]
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = ROOT / "configs"
 
+# Values of `solver.linear` whose results have to agree.
+SOLVERS = ("condensed", "direct", "multigrid")
+
 # Numbers of ranks to run a program on.
 RANKS = [1, *(pytest.param(n, marks=pytest.mark.parallel) for n in (2, 3))]
 # Materials and contact of a stem in its cement and bone.

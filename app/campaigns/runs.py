@@ -205,13 +205,13 @@ def result_of(job: Job, run: BatchRun, *, over: bool = True) -> Result:
 
 
 def _killed(run: BatchRun) -> str:
-    """Message on a run that the system killed, with the memory that it needs and there is."""
+    """Message on a run that the system killed, with the needed and the available memory."""
     have = memory.available()
     need = cost.gigabytes(run.case, have)
     text = "killed, probably out of memory: "
     if need:
-        text += f"each run at once needs about {need:.1f} GB of "
-    text += f"{have / 1e9:.1f} GB"
+        text += f"each run needs about {need:.1f} GB, "
+    text += f"{have / 1e9:.1f} GB are available"
     at_once = max(1, int(have / 1e9 / need)) if need else 1
     fewer = f"--cores {at_once * run.job.ranks} runs at most {at_once} at once"
     return f"{text}; {fewer}, and the same command continues"

@@ -72,7 +72,8 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
         case.data = _over(case, below, upper, ())
         case.places |= file.places
-        if place := file.places.get(("loads", "history")):
+        place = file.places.get(("loads", "history"))
+        if place:
             _place_history(case, place, file.places)
     if len(case.complaints) > found:
         case.raise_all([])  # what they leave incomplete has other errors
@@ -236,7 +237,7 @@ def _measured(case: CaseFile, loads: dict[str, Any], keys: Mapping[str, Any]) ->
 
 
 def _with_history(case: CaseFile, loads: dict[str, Any], history: list[Any]) -> dict[str, Any]:
-    """The loads of a base or a library, each with the same history."""
+    """Return the loads of a base or a library, all with the same history."""
     if not loads:
         text = "there are no loads of a library or a base here; set the history of each load"
         case.complaints.append(Fault(("loads", "history"), text))
@@ -247,7 +248,7 @@ def _with_history(case: CaseFile, loads: dict[str, Any], history: list[Any]) -> 
 
 
 def _place_history(case: CaseFile, place: Any, given: Mapping[Path, Any]) -> None:
-    """Give the histories of all loads the place of the one that they share."""
+    """Give the history of each load the place in the file of the common one."""
     for name in case.data.get("loads") or {}:
         path = ("loads", name, "history")
         if path not in given:
@@ -286,7 +287,8 @@ def _named_entry(
     if kind == "finishes":
         return (known if known.get("kind") == entry["kind"] else {}) | entry, rest
     case.tissues.pop(str(path[1]), None)
-    if isinstance(tissue := entry.pop("tissue", None), str):
+    tissue = entry.pop("tissue", None)
+    if isinstance(tissue, str):
         case.tissues[str(path[1])] = tissue
     return _material(known, entry, rest), rest
 

@@ -298,8 +298,8 @@ class Patient(Shape):
         placed = self.placement
         found = dict(placed.frame.told)
         for name, surface in (("surface", placed.bone), ("surface of the canal", placed.canal)):
-            if surface and surface.told:
-                found[name] = ", ".join(surface.told)
+            if surface and surface.notes:
+                found[name] = ", ".join(surface.notes)
         if (lost := placed.trochanter_lost) > 0.5:
             found["left out"] = f"the greater trochanter's tip, {lost:.0f} mm above the cut"
         if isinstance(self.stem, StemFile):

@@ -158,7 +158,7 @@ def _locate(tagged: TaggedMesh, probed: str, probe: Probe) -> tuple[int, str, Fl
 
 
 def outside_text(name: str, probe: Probe) -> str:
-    """The message on a probe that is not in its region."""
+    """Return the message on a probe that is not in its region."""
     at, region = probe
     where = f"region '{region}'" if region else "the model"
     return f"output.probes.{name}: {list(at)} mm is not in {where}; allowed: a point inside"

@@ -171,7 +171,7 @@ class ImageModulus(Section):
         )
         found = ", ".join(f"{rho:.2f} {of}" for of, rho in self.densities(dense).items())
         told = {
-            "image": "; ".join(self.image.told),
+            "image": "; ".join(self.image.summary),
             f"E at {at} g/cm3 ({kind} density)": f"{moduli} MPa",
             "densest voxels": f"CT number {dense:g}, {found}, E {self.largest / 1e3:.1f} GPa",
         }
@@ -186,7 +186,7 @@ class ImageModulus(Section):
         return self.at(geometry.skin, geometry.in_image)
 
     def doubts(self, geometry: Any) -> list[str]:
-        """Notes on CT numbers that are rarely those of a scan: shifted by 1024, no numbers."""
+        """Notes on implausible CT numbers: shifted by 1024, or no numbers."""
         import numpy as np
 
         image, name = self.image, self.density.name

@@ -48,10 +48,10 @@ IMAGE_DEGREE = 4
 
 
 class SurfaceMeasure:
-    """Measures of boundaries by body; made collectively.
+    """Measures of boundaries by body; collective.
 
     Attributes:
-        facets: Own facets, as cells and local numbers, by number of the subdomain.
+        facets: Number of each subdomain, with its rank-local facets as cells and local numbers.
     """
 
     def __init__(self, tagged: TaggedMesh, bodies: Bodies, boundaries: Collection[str]) -> None:
@@ -66,18 +66,18 @@ class SurfaceMeasure:
         self._measure = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=self.facets)
 
     def has(self, boundaries: Collection[str]) -> bool:
-        """Whether there are boundaries and all are measured."""
+        """Return True if there are boundaries and all of them are measured."""
         return bool(boundaries) and {b for b, _ in self._number}.issuperset(boundaries)
 
     def on(self, boundary: str, body: int) -> ufl.Measure | None:
-        """Measure of the facets of a boundary that belong to a body, if any."""
+        """Return the measure of the facets of a boundary that belong to a body, None if none do."""
         number = self._number.get((boundary, body))
         return None if number is None else self._measure(number)
 
     def facets_on(self, body: int) -> Domains:
-        """The facets, without those of other bodies."""
-        mine = {number for (_, b), number in self._number.items() if b == body}
-        return [(k, f if k in mine else f[:0]) for k, f in self.facets]
+        """Return all subdomains, those of other bodies without facets."""
+        of_body = {number for (_, b), number in self._number.items() if b == body}
+        return [(k, f if k in of_body else f[:0]) for k, f in self.facets]
 
 
 class OnBody:

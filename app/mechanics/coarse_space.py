@@ -139,14 +139,17 @@ def sliding_motions(problem: Problem) -> CoarseSpace:
 
 
 def displacement_by(problem: Problem, motions: Floats) -> PETSc.Vec:
-    """Displacement by rigid motions (6 bodies,) as of `ContactInterfaces`, without jumps."""
+    """Displacement by rigid motions of all bodies (6 bodies,), without jumps; collective.
+
+    The motions have the components of `ContactInterfaces.rigid_motions`.
+    """
     contact = problem.contact
     assert contact is not None
     x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
     nodal, R = np.zeros(x.shape), contact.rigid_motions(x)
     for body, motion in enumerate(motions.reshape(-1, 6)):
-        moves = motion.any()  # the same on every rank
-        nodal += np.where(_components(problem, contact, body), R @ motion, 0.0) if moves else 0.0
+        if motion.any():  # equal on all ranks
+            nodal += np.where(_components(problem, contact, body), R @ motion, 0.0)
     return problem.stiffness.constraints.contract(nodal)
 
 

@@ -274,20 +274,21 @@ class Constraints:
         return found
 
     def given(self, nodes: Ints, axes: Floats) -> Bools:
-        """Return True for components of own nodes along axes (n, 3, 3) that supports give (n, 3).
+        """Mask of the components of own nodes that supports prescribe (n, 3); collective.
 
-        Collective.
+        Args:
+            nodes: Own nodes (n,).
+            axes: Axes of the components, as columns (n, 3, 3).
         """
         if not self._P:
             return self.constrained.reshape(-1, 3)[nodes]
-        from scipy.sparse import csr_array  # few cases have rigid regions or local axes
+        from scipy.sparse import bsr_array, csr_array  # few cases have rigid regions or local axes
 
         start, columns, values = self.at(nodes).getValuesCSR()
         shape = 3 * len(nodes), int(columns.max(initial=0)) + 1
         rows = csr_array((values, columns, start), shape=shape)
-        row, column = np.arange(3 * len(nodes)).reshape(-1, 3), np.arange(3)
-        places = np.repeat(row, 3), (row[:, None, :] + 0 * column[:, None]).ravel()
-        turn = csr_array((axes.swapaxes(1, 2).ravel(), places), shape=(shape[0], shape[0]))
+        blocks = axes.swapaxes(1, 2), np.arange(len(nodes)), np.arange(len(nodes) + 1)
+        turn = bsr_array(blocks, shape=(shape[0], shape[0])).tocsr()
         sizes = abs(turn @ rows).max(axis=1).toarray()
         return np.asarray(sizes.reshape(-1, 3) < _HELD)
 

@@ -56,11 +56,11 @@ CLOSED = 1e-6
 # A body is brought this much further than where it touches, along a way that its points face so
 # much: some points are then in contact, as in the answer.
 BEYOND, FACING = 1.25, 0.1
-# Part of the largest resistance below which nothing holds a rigid motion of bodies, and part of
-# such a motion, of unit size, from which a body takes part in it.
+# A rigid motion of bodies is free if its resistance is below this part of the largest one.
 FREE = 1e-10
+# A body takes part in a free motion of unit size if this part of the motion, or more, is its part.
 MOVES = 1e-3
-# Part of the largest resistance up to which a motion opens and closes nothing: slopes, squared.
+# A motion changes no gap if its resistance, a slope squared, is below this part of the largest one.
 UNRESISTED = 1e-14
 
 
@@ -195,7 +195,7 @@ class ContactInterfaces:
     saved = ("state", "committed_at")
     linear_about: Floats | None = None
     committed_at: Floats | None = None
-    # Resistance of the supports in force to rigid motions, by body.
+    # Resistance of the active supports to rigid motions, by body.
     _held: dict[int, Floats] | None = None
 
     def __init__(
@@ -347,12 +347,14 @@ class ContactInterfaces:
         return found
 
     def tie(self, on: bool) -> bool:
-        """Tie interfaces whose bodies need them to close, or none; collective if it does.
+        """Tie interfaces that have to close before a body is held, or release all; collective.
 
-        These were open everywhere so far, or are open in part and join a body that neither supports
-        nor the points that touch hold. The sides of a tied interface touch and stick, so that a
-        body that nothing else holds is brought to the one it is pushed against. Returns whether
-        there are such interfaces.
+        Such an interface was open everywhere so far. Or it is open in part and joins a body that
+        neither supports nor its touching points hold. The sides of a tied interface touch and
+        stick: they bring the body to the one against which it is pushed.
+
+        Returns:
+            True if interfaces are tied.
         """
         tied = self.law.tied = np.zeros(len(self.own), dtype=bool)
         if not on:
@@ -364,12 +366,12 @@ class ContactInterfaces:
         floating: set[int] | None = None
         for i in range(len(self._contacts)):
             here = self.own.interface == i
-            every, some = (
+            touching, open_ = (
                 bool(self.comm.allreduce(int(t[here].sum()), MPI.SUM)) for t in (touched, ~touched)
             )
-            if not some and every:
+            if touching and not open_:
                 continue
-            if every:
+            if touching:
                 if floating is None:
                     floating = self._floating(touched)
                 bodies = {int(b) for b in np.unique(self.points.bodies[self.points.interface == i])}
@@ -379,9 +381,9 @@ class ContactInterfaces:
         return bool(self.comm.allreduce(bool(tied.any()), MPI.LOR))
 
     def _floating(self, touched: Bools) -> set[int]:
-        """Bodies with a rigid motion that neither supports nor touched points hold; collective.
+        """Bodies with a rigid motion that neither supports nor touching points hold; collective.
 
-        Friction holds a touched point, a bond too; without friction its faces do.
+        Friction and bonds hold a touching point in all directions, otherwise its faces hold it.
         """
         free = self._unresisted(touched & self._sticks, touched & ~self._sticks, FREE)
         moves = np.linalg.norm(free.reshape(self._bodies, -1), axis=1) > MOVES
@@ -390,10 +392,10 @@ class ContactInterfaces:
     def free_motions(self, status: Ints) -> Floats:
         """Rigid motions that nothing resists in a state (6 bodies, k); collective.
 
-        Bodies slide in them along all their faces, touching or not, and no touching point with
-        friction slides: forces and gaps stay as they are. A frictionless stem turns so about its
-        axis. `relative_motion` has their components. None are looked for where points slide far or
-        have mean jumps.
+        In such a motion bodies slide along all their faces, touching or not, and no touching point
+        with friction slides: forces and gaps do not change. An example is the rotation of a
+        frictionless stem about its axis. Motions have the components of `relative_motion`. There
+        are none with finite sliding or mean jumps.
 
         Args:
             status: States of own points (n,).
@@ -404,9 +406,9 @@ class ContactInterfaces:
         return self._unresisted(touch & self._sticks, ~(touch & self._sticks), UNRESISTED)
 
     def loose_motions(self, status: Ints) -> Floats:
-        """Rigid motions that nothing touching resists, but those of `free_motions` (6 bodies, k).
+        """Rigid motions that only open points resist (6 bodies, k); collective.
 
-        Collective.
+        The motions of `free_motions`, which no point resists, are not among them.
         """
         if self.large is not None or self.points.surface.jumps is not None:
             return np.zeros((6 * self._bodies, 0))
@@ -416,37 +418,42 @@ class ContactInterfaces:
 
     @property
     def _sticks(self) -> Bools:
-        """Points that hold their whole jump where they touch, by friction or a bond (n,)."""
+        """Mask of points that resist any jump if they touch, by friction or a bond (n,)."""
         return self.law.frictional | ~self.law.slides | self.law.tied
 
     def _unresisted(self, stick: Bools, slide: Bools, part: float) -> Floats:
         """Rigid motions resisted by less than a part of the largest (6 bodies, k); collective.
 
-        Supports resist, some points resist their jump (n,), some their opening (n,).
+        Args:
+            stick: Mask of own points that resist their jump (n,).
+            slide: Mask of own points that resist their opening (n,).
+            part: Part of the largest resistance.
         """
         faces = np.einsum("pki,pkj->pij", self.own.normals, self.own.normals)
         B = stick[:, None, None] * np.eye(3) + slide[:, None, None] * faces
         B *= self.own.weight[:, None, None]
         R = self.rigid_motions(self.own.x)
-        resistance = self.comm.allreduce(relative_resistance(R, B, self.own.bodies, self._bodies))
+        at_points = R.transpose(0, 2, 1) @ B @ R
+        local = relative_resistance(at_points, self.own.bodies, self._bodies)
+        resistance = self.comm.allreduce(local)
         total = float(self.points.weight.sum())
         if self._held is None:
-            self._held = held_motions(self._mechanics, self._stiffness, *self._frame)
+            self._held = held_motions(self._mechanics, self._stiffness, *self.frame)
         for body, held in self._held.items():
-            own = slice(6 * body, 6 * body + 6)
-            resistance[own, own] += total * held
+            of_body = slice(6 * body, 6 * body + 6)
+            resistance[of_body, of_body] += total * held
         sizes, motions = np.linalg.eigh(resistance)
         return np.asarray(motions[:, sizes <= part * max(sizes[-1], total)])
 
     @property
-    def _frame(self) -> tuple[Floats, float]:
-        """Origin of rigid motions [mm], and the length that their rotations are divided by."""
+    def frame(self) -> tuple[Floats, float]:
+        """Origin of rigid motions (3,) [mm], and the length by which rotations are divided [mm]."""
         x = self.points.x
         return np.asarray(x.mean(axis=0)), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
 
     def rigid_motions(self, x: Floats) -> Floats:
         """Rigid motions of a body at points x (n, 3) [mm] -> (n, 3, 6)."""
-        origin, size = self._frame
+        origin, size = self.frame
         return rigid_modes((x - origin) / size)
 
     def relative_motion(self, motions: Floats) -> Floats:
@@ -464,9 +471,12 @@ class ContactInterfaces:
         return not self.comm.allreduce(bool(touches.any()), MPI.LOR)
 
     def release(self, on: bool) -> bool:
-        """Let all interfaces of contact be open, or not; return True if there are any; collective.
+        """Open all interfaces that can open, or end that; collective.
 
         Layers and bonds keep their forces.
+
+        Returns:
+            True if interfaces are opened.
         """
         self.law.released = self.law.slides & self.law.can_open & on
         return bool(self.comm.allreduce(bool(self.law.released.any()), MPI.LOR))
@@ -558,7 +568,7 @@ class ContactInterfaces:
         return self.law.evaluate(self.multiplier(e), self.with_prescribed(q), self.gap, state)
 
     def with_prescribed(self, q: Floats) -> Floats:
-        """Jumps (n, 3) with their prescribed components: what a solver leaves there is no slip."""
+        """Return jumps (n, 3) with prescribed components in place of the solver's [mm]."""
         return self.own.project_free(q) + self.prescribed
 
     def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:

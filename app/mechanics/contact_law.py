@@ -33,11 +33,11 @@ TOLD: dict[str, tuple[int, ...]] = {
     **{"slip": (3,), "stored": (), "dissipated": (), "spent": ()},
     **{"spent_by_jump": (3,), "share": (), "share_by_jump": (3,)},
 }
-# A prescribed slip, or an error of its force, below this part of its size is none.
+# A prescribed slip, or an error of its force, below this part of its size counts as zero.
 AT_REST = 1e-13
-# Start of the search for that force, in sizes of the trial force.
+# Start of the local Newton iterations for that force, as a multiple of the trial force.
 FAR = 1e3
-# Most iterations of it.
+# Most local Newton iterations.
 LOCAL = 50
 # The modules that define a law, beside its own: a change of their text makes it another law.
 SOURCES = (cohesion, contact, interface_laws, pointwise, sys.modules[__name__])
@@ -286,10 +286,10 @@ class PointLaw:
     ) -> dict[str, Floats]:
         r"""Evaluate a law, with its force along prescribed tangential jumps.
 
-        Equilibrium does not give that force F_h, for supports bear what is left of it. It is that
-        of the law, :math:`F_h = H P(F + F_h)` with H the projector on these directions. Newton's
-        method from far along the slip goes to it from the side of slip. A point that is held at
-        rest there keeps its last friction.
+        Equilibrium does not give this force F_h, because supports bear the rest. The law gives it,
+        :math:`F_h = H P(F + F_h)` with H the projector on these directions. Newton's method starts
+        far along the slip, so that it approaches F_h from the states of slip. A point that is held
+        at rest keeps its last friction.
 
         Args:
             rows: Own points of the law (n,).

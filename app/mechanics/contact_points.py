@@ -31,7 +31,7 @@ class OwnPoints:
         normals: Unit normals of the faces, zero beyond ``faces`` (n, 3, 3).
         weight: Area (n,) [mm2].
         projector: Projectors on the part of the jump that supports prescribe (n, 3, 3).
-        along: Projectors on the part of it that is tangential to all faces (n, 3, 3).
+        along: Projectors on the prescribed part that is tangential to all faces (n, 3, 3).
     """
 
     rows: Ints
@@ -60,11 +60,11 @@ class OwnPoints:
         return vectors - np.einsum("pij,pj->pi", self.projector, vectors)
 
     def tangential_held(self, vectors: Floats) -> Floats:
-        """Prescribed components of vectors (n, 3) along which friction acts."""
+        """Return the prescribed tangential components of vectors (n, 3): friction acts there."""
         return np.asarray(np.einsum("pij,pj->pi", self.along, vectors))
 
     def acting(self, vectors: Floats) -> Floats:
-        """Remove prescribed components in which the law has no say from vectors (n, 3)."""
+        """Remove prescribed components in which the law does not act from vectors (n, 3)."""
         return self.project_free(vectors) + self.tangential_held(vectors)
 
     def tangential(self, vectors: Floats, faces: Bools) -> Floats:
@@ -146,10 +146,10 @@ def with_rigid_regions(
     holds: Holds,
     axes: Mapping[int, Floats],
 ) -> Holds:
-    """Supports at vertices of interfaces, with those of the rigid regions there; collective.
+    """Return supports at vertices of interfaces, with those of rigid regions; collective.
 
-    A rigid region is held at a vertex where its supports give its motion, wherever they are, under
-    all constraints.
+    A rigid region is held at a vertex if its supports, wherever they are, prescribe the motion of
+    the vertex under all constraints.
     """
     scene, bodies, space = mechanics.scene, mechanics.bodies, mechanics.space
     tags, low = cell_tags(mechanics.tagged), space.dofmap.index_map.local_range[0]
@@ -179,10 +179,10 @@ def with_rigid_regions(
 def refuse_loose_regions(
     scene: Scene, bodies: Bodies, holds: Holds, facets: InterfaceFacets, axes: Mapping[int, Floats]
 ) -> None:
-    """Refuse supports that hold an elastic side where none gives the motion of the rigid one.
+    """Refuse supports that hold an elastic side where none prescribes the motion of the rigid one.
 
     Raises:
-        InputError: There is such a support: the first one, with its place.
+        InputError: There is such a support; the message has the first one and its place.
     """
     for r in np.flatnonzero(holds.rigid):
         there = (holds.vertex == holds.vertex[r]) & ~holds.rigid
@@ -190,7 +190,7 @@ def refuse_loose_regions(
         if not (held >= 0).any():
             continue
         component = int(np.argmax(held >= 0))
-        # Where a vertex has its own axes, components are not along x, y, z.
+        # At a vertex with local axes components are not along x, y, z.
         oblique = int(holds.vertex[r]) in axes
         along = "" if oblique else f"along {'xyz'[component]} "
         at = np.flatnonzero(facets.vertices.ravel() == holds.vertex[r])[0]
@@ -207,7 +207,7 @@ def refuse_supports(scene: Scene, points: ContactPoints) -> None:
     """Refuse supports that prescribe jumps in some stages only.
 
     Raises:
-        InputError: A support that is let go of holds a body where another one holds its neighbour.
+        InputError: A support of some stages holds a body where another one holds its neighbour.
     """
     for s, support in enumerate(scene.supports):
         if support.stages is not None and (points.given == s).any():

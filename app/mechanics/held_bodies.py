@@ -1,4 +1,4 @@
-"""Rigid motions of bodies that supports, foundations and given motions resist."""
+"""Resistance of supports, foundations and given motions to rigid motions of bodies."""
 
 from __future__ import annotations
 
@@ -22,9 +22,15 @@ def held_motions(
 ) -> dict[int, Floats]:
     """Resistance of active supports to rigid motions, by body (6, 6) [-]; collective.
 
-    It is the mean over the nodes of a boundary of the held part of each motion, squared: however
-    soft a spring is, it counts as a support does. Rotations are about ``centre`` and times
-    ``size``. A body with a given motion resists rotation, and translation if that is held.
+    It is the square of the held part of each motion, in the mean over the nodes of a boundary. A
+    spring counts as a support, however soft it is. A body with a given motion resists rotation, and
+    translation if that is held.
+
+    Args:
+        mechanics: Supports, foundations and bodies.
+        stiffness: Its stage decides which supports are active.
+        centre: Point about which bodies rotate (3,) [mm].
+        size: Length by which rotations are divided [mm].
     """
     scene, bodies, space = mechanics.scene, mechanics.bodies, mechanics.space
     frames, comm, x = stiffness.frames, mechanics.mesh.comm, space.tabulate_dof_coordinates()
@@ -55,7 +61,10 @@ def held_motions(
 
 
 def _with_axes(with_axes: Ints, index_map: object, nodes: Ints) -> tuple[Ints, Ints]:
-    """Rows of local nodes that have local axes, and their places among sorted global ones."""
+    """Rows of the local nodes that have local axes, and their indices in ``with_axes``.
+
+    ``with_axes`` are global numbers, rising.
+    """
     every = index_map.local_to_global(nodes.astype(np.int32))  # type: ignore[attr-defined]
     rows = np.flatnonzero(np.isin(every, with_axes))
     return rows, np.searchsorted(with_axes, every[rows])

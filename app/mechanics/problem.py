@@ -49,7 +49,7 @@ class Problem:
         f_q: Forces on the jumps [N].
         prescribed: Values of constrained unknowns (n,).
         load_size: Norm of the nodal forces of loads and free strains [N].
-        size: Diagonal of the box around the model [mm].
+        size: Diagonal of the bounding box of the model [mm].
 
     Args:
         augmentation_factor: Default augmentation over modulus and mesh size.

@@ -32,11 +32,11 @@ log = logging.getLogger("mantle")
 HOPELESS = 1.3
 # Stiffness of weak springs between bodies that nothing holds, as a part of the diagonal of D.
 SPRINGS = 1e-2
-# Part of the jumps of a step by motions that nothing resists, up to which they are rounding.
+# Motions that nothing resists are rounding below this part of the jumps of a step.
 STILL = 1e-12
-# Work of forces in motions of unit size, over their size, up to which they are in balance.
+# Forces are in balance if their work in motions of unit size is below this part of their size.
 UNBALANCED = 1e-8
-# Multiple of the doubt about normals up to which shear is likely to come from them.
+# Shear is likely to come from the doubt about normals up to this multiple of it.
 LIKELY = 3.0
 
 
@@ -150,10 +150,10 @@ class ContactSystem(BondedSystem):
         f[1].array[:] = self._contact_residual(trial.equilibrium, q, trial.law)
 
     def _contact_residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
-        """Residual of contact (3 n,) [N]; its points bear loads in free motions that are in doubt.
+        """Residual of contact (3 n,) [N], without small loads along free motions; collective.
 
-        The axis of a surface is in doubt as its normals are, and so is the moment of the loads
-        about it, which nothing else would bear.
+        If normals are in doubt, so is the axis of their surface, and the moment of the loads about
+        it. Nothing resists this moment. The contact points bear it if it is within the doubt.
         """
         contact, problem = self.contact, self._problem
         r, doubt = contact.residual(e, q, law), contact.points.doubt[contact.own.rows]
@@ -207,9 +207,9 @@ class ContactSystem(BondedSystem):
         return bool(np.abs(work).max() > UNBALANCED * self._problem.interface_scale(forces))
 
     def _work(self, motions: Floats, forces: Floats) -> Floats:
-        """Work of the loads, and of forces (n, 3) on jumps [N], in motions (6 bodies, k) -> (k,).
+        """Work of the loads, and of forces on jumps (n, 3) [N], in motions (k,); collective.
 
-        Collective.
+        The motions are those of all bodies (6 bodies, k).
         """
         moved = self.contact.relative_motion(motions)
         loads = [displacement_by(self._problem, m).dot(self._problem.f) for m in motions.T]
@@ -280,10 +280,12 @@ class ContactSystem(BondedSystem):
         return self.contact.relative_motion(self.contact.free_motions(self._status))
 
     def settle(self, x: list[PETSc.Vec]) -> bool:
-        """Take rigid motions that nothing resists out of the last step of a state; collective.
+        """Remove rigid motions that nothing resists from the last step of a state; collective.
 
-        Jumps since the last converged state keep no part, by area, in such motions. Returns
-        whether that changes the state.
+        The jumps since the last converged state are then orthogonal to such motions, by area.
+
+        Returns:
+            True if the state changes.
         """
         contact, problem = self.contact, self._problem
         motions = contact.free_motions(self.trial.law.status)
@@ -306,7 +308,7 @@ class ContactSystem(BondedSystem):
     def runs_away(self, x: list[PETSc.Vec]) -> bool:
         """Return True if bodies have moved past each other by the size of the model; collective.
 
-        Rounding of K u grows with u: far away any forces would count as balanced.
+        The rounding error of K u grows with u: far away any forces would seem balanced.
         """
         prescribed = float(np.abs(self._problem.prescribed).max(initial=0.0))
         jumps = float(np.abs(x[1].array_r).max(initial=0.0))

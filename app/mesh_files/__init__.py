@@ -1,8 +1,9 @@
 """Meshes of other programs: Abaqus and CalculiX ``.inp``, FEBio ``.feb``, MED, VTU and XDMF.
 
-Regions are sets of cells by their names; boundaries are surfaces, sets of triangles, and sets of
-nodes that contain whole facets. VTU and XDMF name nothing: an array of integers NAME makes
-NAME_1, NAME_2, or a and b if it is called a-b, as meshio writes sets. Notes say what is not read.
+Regions are sets of cells by their names. Boundaries are surfaces, sets of triangles, and sets of
+nodes that contain whole facets. VTU and XDMF have no names: the values of an array NAME make the
+regions NAME_1, NAME_2. An array that is called a-b, as meshio writes sets, makes a and b. Notes
+list what is not read.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 
 from app.mesh_files import abaqus, med, named, regions, vtu, xdmf
 from app.mesh_files.content import (
+    NO_REGION,
     ONLY,
     CellGrid,
     Found,
@@ -25,6 +27,7 @@ from app.mesh_files.content import (
     case_names,
     extend,
     left_out,
+    numbers_in,
     rows_of,
     word,
 )
@@ -38,13 +41,13 @@ def read(path: Path, pick: Pick = EVERYTHING) -> Found:
     """Return the content of a file; its sets of cells are the regions.
 
     Raises:
-        ValueError: The file is damaged or of no use; what is wrong, in words.
+        ValueError: The file is damaged or has no mesh that can be used.
     """
     return _read(path, pick, named.stamps(path))
 
 
 def check(path: Path, pick: Pick) -> None:
-    """Raise ValueError if a file of this kind has no such parts."""
+    """Raise ValueError if parts are picked that files of this kind do not have."""
     for key, suffixes in PICKED.items():
         if getattr(pick, key) and path.suffix not in suffixes:
             raise ValueError(f"`{key}` is for {', '.join(suffixes)} alone")
@@ -64,40 +67,37 @@ def _read(path: Path, pick: Pick, _stamps: tuple[tuple[str, int], ...]) -> Found
         clean = case_names([*found.triangles, *found.nodes])
         found.triangles = {clean[name]: block for name, block in found.triangles.items()}
         found.nodes = {clean[name]: rows for name, rows in found.nodes.items()}
-    except Exception as error:  # of a damaged file there is no telling which
+    except Exception as error:  # damaged files let readers fail in any way
         cause = f"damaged, or no {path.suffix} file ({type(error).__name__} {error})"
         raise ValueError(str(error) if type(error) is ValueError else cause) from error
     return found
 
 
 def _divide(found: Found) -> None:
-    """Keep the sets of cells that are regions: not those that smaller and later ones fill."""
+    """Drop sets of cells that smaller or later sets fill: they are no regions."""
     free, left = np.ones(len(found.cells), dtype=bool), []
     for name, rows in sorted(reversed(found.sets.items()), key=lambda item: len(item[1])):
         if not free[rows].any():
             left.append(name)
         elif not free[rows].all():
             raise ValueError(
-                f"its set {name} shares some cells with smaller ones: keep those sets alone that "
-                "are regions, or name them by *SOLID SECTION in an .inp file"
+                f"its set {name} shares some cells with smaller ones: keep only the sets that are "
+                "regions, or name them by *SOLID SECTION in an .inp file"
             )
         free[rows] = False
     found.notes += left_out("sets without cells of their own are no regions", left)
     if free.all():
-        raise ValueError("names no region: it has no set of tetrahedra with a name")
+        raise ValueError(NO_REGION)
     found.sets = {name: rows for name, rows in found.sets.items() if name not in left}
 
 
-# ------------------------------------------------------------------------------------- the others
-
-
 def _inp(path: Path, _pick: Pick) -> Found:
-    """Abaqus and CalculiX."""
+    """Read a file of Abaqus or CalculiX."""
     return abaqus.read(path)
 
 
 def _feb(path: Path, _pick: Pick) -> Found:
-    """FEBio 2.5 to 4: blocks of elements, surfaces, sets of nodes."""
+    """Read a file of FEBio 2.5 to 4: blocks of elements, surfaces, sets of nodes."""
     found, root = Found(), ET.parse(path).getroot()
     mesh = [part for grid in root if grid.tag in ("Mesh", "Geometry") for part in grid]
     items = [node for part in mesh if part.tag == "Nodes" for node in part]
@@ -119,8 +119,7 @@ def _feb(path: Path, _pick: Pick) -> Found:
             extend(found.triangles, [name], rows_of(number, table, "node"))
         elif part.tag == "NodeSet":
             words = (part.text or "").replace(",", " ").split() + [n.attrib["id"] for n in part]
-            ranges = ([*map(int, word.split(":"))] for word in words)
-            parts = [np.arange(r[0], (r[1:2] or r)[0] + 1, (r[2:] or [1])[0]) for r in ranges]
+            parts = [numbers_in(*map(int, word.split(":"))) for word in words]
             extend(found.nodes, [name], rows_of(number, np.concatenate(parts), "node"))
         elif part.tag != "Nodes":
             other.append(f"{part.tag} {name}")
@@ -129,7 +128,7 @@ def _feb(path: Path, _pick: Pick) -> Found:
 
 
 def _table(name: str, lines: list[str], width: int, kind: type) -> Any:
-    """Numbers of lines, apart by commas or blanks (n, width)."""
+    """Numbers of lines, separated by commas or blanks (n, width)."""
     try:
         numbers: Any = np.array(" ".join(lines).replace(",", " ").split(), dtype=kind)
     except ValueError as error:
@@ -141,7 +140,7 @@ def _table(name: str, lines: list[str], width: int, kind: type) -> Any:
 
 
 def _arrays(read: Callable[[Path], CellGrid]) -> Callable[[Path, Pick], Found]:
-    """Reader of files whose regions are values of arrays of cells."""
+    """Return a reader of files whose regions are values of arrays of cells."""
 
     def reader(path: Path, pick: Pick) -> Found:
         found = Found()
@@ -151,7 +150,7 @@ def _arrays(read: Callable[[Path], CellGrid]) -> Callable[[Path, Pick], Found]:
     return reader
 
 
-# Kinds of files in which parts can be picked.
+# Suffixes of files in which each kind of part can be picked.
 PICKED = {"array": (".vtu", ".pvtu", ".xdmf", ".xmf"), "meshes": (".med",)}
 READERS: dict[str, Callable[[Path, Pick], Found]] = {
     ".inp": _inp,

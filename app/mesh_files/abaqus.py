@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.mesh_files.content import ONLY, Found, left_out, rows_of
+from app.mesh_files.content import ONLY, Found, left_out, numbers_in, rows_of
 
-# Elements: tetrahedra, triangles, and others that have a volume.
+# Types of elements: tetrahedra, triangles, and other volumes.
 SOLID = re.compile(r"D?C3D(4|10)[A-Z]*")
 FLAT = re.compile(r"(?:CPS|CPE|S|STRI|M3D|SFM3D|R3D|DS)(3|6|65)[A-Z]*")
 OTHER = re.compile(r"\w*C3D\w*")
 # Corners of the faces of a tetrahedron.
 SIDES = {"S1": (0, 1, 2), "S2": (0, 3, 1), "S3": (1, 3, 2), "S4": (2, 3, 0)}
-# Keywords that make or move nodes and cells, or take them from elsewhere.
+# Keywords that make or move nodes and cells, or take them from another file.
 MOVING = {"INCLUDE", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "IMPORT"}
 MOVING |= {"IMPERFECTION", "ADJUST", "SYMMETRICMODELGENERATION"}
 READ = {"NODE", "ELEMENT", "ELSET", "NSET", "SURFACE", "SOLIDSECTION", "HEADING", "PREPRINT"}
@@ -30,19 +30,32 @@ READ |= {"PART", "INSTANCE", "ASSEMBLY", "ENDPART", "ENDINSTANCE", "ENDASSEMBLY"
 READ |= {"SYSTEM"}
 # Options without a value, which may stand alone in the second line of a keyword.
 FLAGS = {"GENERATE", "INTERNAL", "UNSORTED", "NOPRINT"}
+# Options that name or place something. Another option with a similar name is a misspelt one.
+KNOWN = {"ELSET", "NSET", "TYPE", "NAME", "SYSTEM", "COMBINE", "GENERATE", "INSTANCE", "PART"}
+KNOWN |= {"MATERIAL", "ORIENTATION", "INTERNAL", "UNSORTED", "LIBRARY", "CONTROLS", "COMPOSITE"}
+# Least similarity of such names, as `difflib` measures it.
+SIMILAR = 0.75
 # Exponents as Fortran writes them.
 EXPONENT = re.compile(r"(?<=[\d.])(?:[dD]|(?=[+-]))(?=[+-]?\d)")
-# Sine of the angle between the axes of a system, at least.
+# Least sine of the angle between the two directions that a coordinate system is made of.
 ON_A_LINE = 1e-9
+# Most numbers of a range.
+LONGEST_RANGE = 10**9
 
-Key = tuple[str, str]  # instance or part, "" for the assembly; name in capitals
+# A set: its instance or part, "" for the assembly; its name in capitals.
+Key = tuple[str, str]
 
 
 @dataclass(frozen=True)
 class Keyword:
-    """A keyword without blanks, its options by name, its lines of data with their numbers.
+    """A keyword with its options and data.
 
-    ``scope`` is the part or instance in which it stands, "" outside of all.
+    Attributes:
+        at: Its place in the file, for messages.
+        key: The keyword in capitals, without blanks.
+        options: Its options by name.
+        lines: Its lines of data with their numbers.
+        scope: The part or instance that contains it, "" if none does.
     """
 
     at: str
@@ -52,10 +65,10 @@ class Keyword:
     scope: str
 
     def option(self, name: str) -> str:
-        """Value of an option that must be there.
+        """Return the value of a required option.
 
         Raises:
-            ValueError: It is not.
+            ValueError: It is missing.
         """
         if self.options.get(name):
             return self.options[name]
@@ -63,7 +76,7 @@ class Keyword:
         raise ValueError(f"{self.at}: has no option {name}=; its options: {there}")
 
     def fields(self, line: str) -> list[str]:
-        """Fields of a line, apart by commas, or by blanks if it has no comma."""
+        """Return the fields of a line, separated by commas, or by blanks if it has no comma."""
         if "," not in line:
             return line.split() if '"' not in line else [line.strip().strip('"')]
         if '"' in line:
@@ -72,7 +85,7 @@ class Keyword:
         return [word.strip() for word in line.split(",")]
 
     def number(self, at: int, text: str, kind: Callable[[str], Any]) -> Any:
-        """A number of a line, 0 if the field is empty."""
+        """Return the number in a field of a line, 0 if the field is empty."""
         try:
             return kind(EXPONENT.sub("e", text) if kind is float else text) if text else kind("0")
         except ValueError:
@@ -80,7 +93,7 @@ class Keyword:
             raise ValueError(f"{self.at}: line {at}: {text!r} is no {what}") from None
 
     def coordinates(self) -> tuple[Floats, int]:
-        """Number and coordinates of each node (n, 4), and how many coordinates are empty."""
+        """Return the number and coordinates of each node (n, 4), and the count of empty fields."""
         rows, empty = [], 0
         for at, line in self.lines:
             words = [*self.fields(line), "", "", ""][:4]
@@ -91,7 +104,7 @@ class Keyword:
         return np.array(rows, dtype=float).reshape(-1, 4), empty
 
     def table(self, width: int) -> Ints:
-        """Whole numbers of records that may go over several lines (n, width)."""
+        """Return the whole numbers of records, each on one line or several (n, width)."""
         rows: list[list[int]] = []
         record: list[int] = []
         at = 0
@@ -112,7 +125,7 @@ class Keyword:
 
 
 def text_of(path: Path) -> str:
-    """Text of a file in UTF-8, UTF-16 with a mark of its order, or a Western encoding."""
+    """Return the text of a file in UTF-8, UTF-16 with a byte-order mark, or Latin-1."""
     raw = path.read_bytes()
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return raw.decode("utf-16")
@@ -122,36 +135,29 @@ def text_of(path: Path) -> str:
         return raw.decode("latin-1")
 
 
-# Options that name or place something: one that is spelled almost like them is a slip of the pen.
-KNOWN = {"ELSET", "NSET", "TYPE", "NAME", "SYSTEM", "COMBINE", "GENERATE", "INSTANCE", "PART"}
-KNOWN |= {"MATERIAL", "ORIENTATION", "INTERNAL", "UNSORTED", "LIBRARY", "CONTROLS", "COMPOSITE"}
-# Share of letters in their places.
-ALIKE = 0.75
-
-
 def _options(at: str, words: list[str]) -> dict[str, str]:
     pairs = (word.partition("=") for word in words if word.strip())
     named = {a.strip().upper(): b.strip().strip('"').strip() for a, _, b in pairs}
     if "INPUT" in named or "OFFSET" in named:
         raise ValueError(f"{at}: takes numbers from elsewhere; save the mesh as one file")
     for name in named.keys() - KNOWN:
-        close = difflib.get_close_matches(name, KNOWN - named.keys(), 1, ALIKE)
+        close = difflib.get_close_matches(name, KNOWN - named.keys(), 1, SIMILAR)
         if close:
             raise ValueError(f"{at}: has no option {name}; did you mean {close[0]}?")
     return named
 
 
-def _goes_on(line: str) -> bool:
-    """Return True if a line after a keyword's comma has more of its options."""
+def _has_options(line: str) -> bool:
+    """Return True if a line that follows a keyword has more of its options."""
     first = line.split(",")[0]
     return "=" in first or first.strip().upper() in FLAGS
 
 
 def blocks(path: Path) -> Iterator[Keyword]:
-    """Keywords of a file in their order.
+    """Return the keywords of a file in their order.
 
     Raises:
-        ValueError: It is no such file, or something in it makes or moves nodes.
+        ValueError: It is no such file, or a keyword makes or moves nodes.
     """
     rows = enumerate(text_of(path).splitlines(), 1)
     lines = [(n, text.strip()) for n, text in rows if text.strip() and text.strip()[:2] != "**"]
@@ -162,7 +168,7 @@ def blocks(path: Path) -> Iterator[Keyword]:
     for head, end in zip(heads, [*heads[1:], len(lines)], strict=True):
         number, text = lines[head]
         first = head + 1
-        while text.endswith(",") and first < end and _goes_on(lines[first][1]):
+        while text.endswith(",") and first < end and _has_options(lines[first][1]):
             text += lines[first][1]
             first += 1
         (words,) = (
@@ -185,10 +191,10 @@ def blocks(path: Path) -> Iterator[Keyword]:
 
 
 def _cartesian(block: Keyword, given: Floats) -> Floats:
-    """Cartesian coordinates (n, 3) of nodes in the system of their block.
+    """Return Cartesian coordinates (n, 3) of nodes in the system of their keyword.
 
-    R is Cartesian. C has the radius, the angle about z from x and z. S has the radius, the same
-    angle and that from the xy-plane to z. Angles are in degrees.
+    R is Cartesian. C is cylindrical: radius, angle about z from x, z. S is spherical: radius, the
+    same angle, angle from the xy-plane to z. Angles are in degrees.
     """
     system = block.options.get("SYSTEM", "R").upper()
     if system[:1] == "R":
@@ -206,17 +212,17 @@ def _cartesian(block: Keyword, given: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Axes:
-    """Axes of ``*SYSTEM``, in which the nodes after it are given: origin (3,), axes in rows."""
+    """Axes of ``*SYSTEM``, in which the next nodes are given: origin (3,), axes in rows (3, 3)."""
 
     origin: Floats
     axes: Floats
 
     @classmethod
     def of(cls, block: Keyword) -> _Axes:
-        """The axes of a block: origin and a point on x, then one in the xy-plane.
+        """Return the axes of a keyword by its points: origin, one on x, one in the xy-plane.
 
-        Without the last the plane's normal is the global z, and x is projected. Without both the
-        axes are the global ones. A block without lines ends an earlier one.
+        Without the third point z is the global z, and x is projected on its normal plane. Without
+        the second one the axes are the global ones. A keyword without lines ends an earlier one.
         """
         if len(block.lines) > 2:
             raise ValueError(f"{block.at}: has more than two lines")
@@ -238,17 +244,17 @@ class _Axes:
             other = np.array([-first[1], first[0], 0.0])
         third = np.cross(first, other)
         if not np.linalg.norm(third) > ON_A_LINE * np.linalg.norm(first) * np.linalg.norm(other):
-            raise ValueError(f"{block.at}: its points are on one line")
+            raise ValueError(f"{block.at}: its points are on a straight line")
         axes = np.stack([first, np.cross(third, first), third])
         return cls(origin, axes / np.linalg.norm(axes, axis=1, keepdims=True))
 
-    def global_places(self, x: Floats) -> Floats:
-        """Global coordinates of places (n, 3) in these axes."""
+    def to_global(self, x: Floats) -> Floats:
+        """Return the global coordinates of points (n, 3) in these axes."""
         return self.origin + x @ self.axes
 
 
 class _Sets:
-    """Sets by kind and name, resolved in any order."""
+    """Sets by kind and name. A set may name sets that follow it in the file."""
 
     def __init__(self, instances: set[str]) -> None:
         self.instances = instances
@@ -260,7 +266,7 @@ class _Sets:
         self.open: set[tuple[str, Key]] = set()
 
     def key(self, name: str, scope: str) -> Key:
-        """Scope and name of a set; what stands before a dot is a scope if it is an instance."""
+        """Return scope and name of a set. The text before a dot is a scope if it is an instance."""
         before, dot, after = name.partition(".")
         while dot and before.upper() not in self.instances:
             more, dot, after = after.partition(".")
@@ -270,12 +276,17 @@ class _Sets:
         return scope, name.upper()
 
     def add(self, kind: str, name: str, scope: str, part: Callable[[], np.ndarray]) -> None:
+        """Add a function that returns members of a set."""
         key = self.key(name, scope)
         self.spelled.setdefault(key, name if key[0] == scope else name[len(key[0]) + 1 :])
         self.made[kind].setdefault(key, []).append(part)
 
     def get(self, kind: str, name: str, scope: str, at: str) -> np.ndarray:
-        """Members of a set that a block names."""
+        """Return the members of a set that a keyword names.
+
+        Raises:
+            ValueError: There is no such set.
+        """
         key = self.key(name, scope)
         if key not in self.made[kind]:
             others = [k for k in self.made[kind] if k[1] == key[1]]
@@ -285,7 +296,11 @@ class _Sets:
         return self.members(kind, key)
 
     def members(self, kind: str, key: Key) -> np.ndarray:
-        """Members of a set."""
+        """Return the members of a set.
+
+        Raises:
+            ValueError: It contains itself.
+        """
         what = (kind, key)
         if what in self.open:
             raise ValueError(f"the set {self.spelled[key]} contains itself")
@@ -301,8 +316,8 @@ class _Sets:
 def read(path: Path) -> Found:
     """Read nodes, tetrahedra, triangles, sets and surfaces.
 
-    Capitals do not matter; the first spelling of a name is kept. Of names in several instances
-    each begins with that of its instance. Parts without an instance are left out.
+    Names are case-insensitive; the first spelling is kept. If several instances have a set of the
+    same name, the name of the instance is put before it. Parts without an instance are left out.
     """
     found, everything = Found(), [*blocks(path)]
     instance = {b.option("NAME").upper(): b for b in everything if b.key == "INSTANCE"}
@@ -334,12 +349,12 @@ def read(path: Path) -> Found:
             continue
         rows, blank = b.coordinates()
         x = _cartesian(b, rows[:, 1:])
-        points.append(axes[b.scope].global_places(x) if b.scope in axes else x)
+        points.append(axes[b.scope].to_global(x) if b.scope in axes else x)
         numbered.append(rows[:, 0].astype(np.int64))
         empty += blank
         if "NSET" in b.options:
-            own = numbered[-1]
-            sets.add("NSET", b.option("NSET"), scope(b), lambda n=own: n)  # type: ignore[misc]
+            here = numbered[-1]
+            sets.add("NSET", b.option("NSET"), scope(b), lambda n=here: n)  # type: ignore[misc]
     found.points, node = np.concatenate(points), np.concatenate(numbered)
     if empty:
         found.notes.append(f"geometry: {empty} coordinates of nodes are empty, and are taken as 0")
@@ -350,6 +365,7 @@ def read(path: Path) -> Found:
 def _elements(
     found: Found, used: list[Keyword], sets: _Sets, node: Ints, scope: Callable[[Keyword], str]
 ) -> None:
+    """Add cells, triangles and the sets that contain them."""
     numbers: list[np.ndarray] = [np.zeros(0, dtype=np.int64)]
     flat: list[np.ndarray] = [np.zeros((0, 4), dtype=np.int64)]
     unread: list[str] = []
@@ -363,32 +379,35 @@ def _elements(
         if not known:
             unread.append(kind)
             first = [b.fields(line)[0] for _, line in b.lines]
-            own = np.array([int(w) for w in first if w.isdigit()], dtype=np.int64)
+            here = np.array([int(w) for w in first if w.isdigit()], dtype=np.int64)
         else:
             rows = b.table(int(known[1].replace("65", "6")) + 1)
-            own = rows[:, 0]
+            here = rows[:, 0]
             if SOLID.fullmatch(kind):
                 found.add(rows_of(node, rows[:, 1:], "node"))
-                numbers.append(own)
+                numbers.append(here)
             else:
                 flat.append(rows[:, :4])
         if "ELSET" in b.options:
-            sets.add("ELSET", b.option("ELSET"), scope(b), lambda n=own: n)  # type: ignore[misc]
+            sets.add("ELSET", b.option("ELSET"), scope(b), lambda n=here: n)  # type: ignore[misc]
     found.notes += left_out("elements that are not read", unread)
     element, shells = np.concatenate(numbers), np.concatenate(flat)
     cells = found.cells if found.blocks else np.zeros((0, 4), dtype=np.int64)
 
     def listed(kind: str, b: Keyword, other: str = "") -> np.ndarray:
-        """Members of a set: from, to, step; or each, and those of sets that are named."""
+        """Return the members of a set: of GENERATE ranges, or listed numbers and named sets.
+
+        ``other`` is a set of elements whose nodes are members too.
+        """
         out: list[np.ndarray] = [np.zeros(0, dtype=np.int64)]
         if "GENERATE" in b.options:
             for at, line in b.lines:
-                r = [b.number(at, w, int) for w in b.fields(line.rstrip(", "))]
-                if not 1 <= len(r) <= 3 or (r[2:] or [1])[0] < 1:
+                limits = [b.number(at, w, int) for w in b.fields(line.rstrip(", "))]
+                if not 1 <= len(limits) <= 3 or (len(limits) == 3 and limits[2] < 1):
                     raise ValueError(f"{b.at}: line {at}: is no range: from, to, step")
-                if (r[1:2] or r)[0] - r[0] > 10**9:
+                if len(limits) > 1 and limits[1] - limits[0] > LONGEST_RANGE:
                     raise ValueError(f"{b.at}: line {at}: the range is too long")
-                out.append(np.arange(r[0], (r[1:2] or r)[0] + 1, (r[2:] or [1])[0]))
+                out.append(numbers_in(*limits))
             return np.concatenate(out)
         single: list[int] = []
         for _, line in b.lines:
@@ -404,7 +423,7 @@ def _elements(
         return np.concatenate([*out, np.array(single, dtype=np.int64)])
 
     def faces(b: Keyword) -> np.ndarray:
-        """Corners of the facets of a surface (n, 3), as rows of nodes."""
+        """Return the corners of the facets of a surface (n, 3), as rows of nodes."""
         out: list[np.ndarray] = [np.zeros((0, 3), dtype=np.int64)]
         combine = b.options.get("COMBINE", "").upper()
         if combine:
@@ -419,7 +438,7 @@ def _elements(
                 members = np.array([int(alone)])
             else:
                 members = sets.get("ELSET", name, scope(b), b.at)
-            own = rows_of(node, shells[np.isin(shells[:, 0], members), 1:], "node")
+            triangles = rows_of(node, shells[np.isin(shells[:, 0], members), 1:], "node")
             solid = np.isin(element, members)
             if side in SIDES:
                 rows = rows_of(element, members[np.isin(members, element)], "element")
@@ -431,9 +450,9 @@ def _elements(
                 if solid.any():
                     text = f"{side} is no face of a tetrahedron; expected S1 to S4, or none"
                     raise ValueError(f"{b.at}: line {at}: {text}")
-                out.append(own)
+                out.append(triangles)
             elif not side:
-                out += [own, *(cells[solid][:, f] for f in SIDES.values())]
+                out += [triangles, *(cells[solid][:, f] for f in SIDES.values())]
             else:
                 raise ValueError(f"{b.at}: line {at}: {side} is no face of a tetrahedron")
         return np.concatenate(out)
@@ -458,7 +477,7 @@ def _elements(
 
 
 def _combined(how: str, each: list[np.ndarray], at: str) -> np.ndarray:
-    """Union, intersection or difference of surfaces (n, 3)."""
+    """Return the union, intersection or difference of surfaces (n, 3)."""
     if how not in ("UNION", "INTERSECTION", "DIFFERENCE") or not each:
         raise ValueError(
             f"{at}: COMBINE={how} is not read; expected UNION, INTERSECTION, DIFFERENCE"
@@ -481,9 +500,10 @@ def _named(
     element: Ints,
     shells: Ints,
 ) -> None:
-    """Regions and boundaries by the names of sets, with that of the instance where it is needed."""
+    """Add regions and boundaries by the names of their sets."""
 
     def titles(*kinds: str) -> dict[Key, str]:
+        """Return names in the case, with the instance where several have a set of that name."""
         keys = dict.fromkeys(k for kind in kinds for k in sets.made[kind])
         often = [name for _, name in keys]
         twice = {k for k in keys if often.count(k[1]) > 1 and k[0]}

@@ -10,16 +10,20 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 
-# These programs number the middles of edges alike, and that of 13 before that of 23, unlike gmsh.
+# Order of the nodes of a cell for gmsh. Unlike gmsh, these programs have the middle of the edge 13
+# before that of the edge 23.
 ORDER = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
 # The cells of MED are inside out, too.
 ORDER_MED = [0, 2, 1, 3, 6, 5, 4, 7, 8, 9]
+# Ends of messages.
 ONLY = "only straight tetrahedra, or only quadratic ones, can be used"
+NO_REGION = "names no region: it has no set of tetrahedra with a name"
+NOT_READ = "geometry: cells that are no tetrahedra or triangles are not read"
 
 
 @dataclass(frozen=True)
 class Pick:
-    """Parts of a file that make the model: an array of cells, meshes; empty: the only ones."""
+    """Parts of a file that make the model: an array of cells, meshes. Empty if it has only one."""
 
     array: str = ""
     meshes: tuple[str, ...] = ()
@@ -27,7 +31,13 @@ class Pick:
 
 @dataclass
 class CellBlock:
-    """Simplices of one dimension, nodes as rows of the grid's (n, k), with their data (n, ...)."""
+    """Simplices of one dimension.
+
+    Attributes:
+        dim: 2 for triangles, 3 for tetrahedra.
+        data: Their nodes, as rows of the nodes of the grid (n, k).
+        arrays: Their values by name (n, ...).
+    """
 
     dim: int
     data: Ints
@@ -61,7 +71,7 @@ class Found:
     def cells(self) -> Ints:
         """All cells."""
         if not self.blocks:
-            raise ValueError("names no region: it has no set of tetrahedra with a name")
+            raise ValueError(NO_REGION)
         if len({block.shape[1] for block in self.blocks}) > 1:
             raise ValueError(f"has straight and quadratic cells; {ONLY}")
         return np.concatenate(self.blocks).astype(np.int64)
@@ -73,20 +83,20 @@ class Found:
 
 
 def left_out(what: str, names: Iterable[str]) -> list[str]:
-    """A line about what is left out, if anything is."""
+    """Return a note with the first names of what is left out; none without a name."""
     names = list(dict.fromkeys(names))
     more = f" and {len(names) - 10} more" if names[10:] else ""
     return [f"geometry: {what}: {', '.join(names[:10])}{more}"] if names else []
 
 
 def word(name: str) -> str:
-    """Name that a case can have."""
+    """Return a name with the characters that a case allows."""
     clean = re.sub(r"[^A-Za-z0-9_-]", "_", name)
     return clean if re.match("[A-Za-z_]", clean) else f"_{clean}"
 
 
 def case_names(names: Iterable[str]) -> dict[str, str]:
-    """Names that a case can have, by the names in the file.
+    """Return the names in a case by the names in the file.
 
     Raises:
         ValueError: Two different names would be the same.
@@ -105,13 +115,17 @@ def case_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def rows_of(numbers: Ints, wanted: Ints, what: str) -> Ints:
-    """Rows of the nodes or cells that have some numbers, in the shape of those."""
-    by = np.argsort(numbers, kind="stable")
-    again = np.flatnonzero(np.diff(numbers[by]) == 0)
+    """Return the rows of the nodes or cells with the wanted numbers, in the shape of these.
+
+    Raises:
+        ValueError: A number is there twice, or a wanted one is not there.
+    """
+    order = np.argsort(numbers, kind="stable")
+    again = np.flatnonzero(np.diff(numbers[order]) == 0)
     if len(again):
-        text = f"{what} {numbers[by][again[0]]} is there twice"
+        text = f"{what} {numbers[order][again[0]]} is there twice"
         raise ValueError(f"{text}; save a model of parts as one, without parts and instances")
-    at = by[np.searchsorted(numbers, wanted, sorter=by).clip(max=len(by) - 1)]
+    at = order[np.searchsorted(numbers, wanted, sorter=order).clip(max=len(order) - 1)]
     wrong = numbers[at] != wanted
     if wrong.any():
         raise ValueError(f"{what} {wanted[wrong][0]} is used, but is not in the file")
@@ -119,6 +133,11 @@ def rows_of(numbers: Ints, wanted: Ints, what: str) -> Ints:
 
 
 def extend(sets: dict[str, Ints], names: Iterable[str], part: Ints) -> None:
-    """Add members to sets, which are made where they are not there."""
+    """Add members to sets; make sets that are not there."""
     for name in names:
         sets[name] = np.concatenate([sets.get(name, part[:0]), part])
+
+
+def numbers_in(first: int, last: int | None = None, step: int = 1) -> Ints:
+    """Return the numbers of a range; without a last number, the first one."""
+    return np.arange(first, (first if last is None else last) + 1, step)

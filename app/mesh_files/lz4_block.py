@@ -1,16 +1,16 @@
-"""Decompression of one block of LZ4, as VTK and ParaView write it; no library has to be there."""
+"""Decompression of one LZ4 block, as VTK and ParaView write it, without a library."""
 
 from __future__ import annotations
 
-# A length of this in a token goes on in the next bytes; one below MORE ends it.
+# A length of LONG in a token continues in the next bytes; the first byte below MORE ends it.
 LONG = 15
 MORE = 255
-# Bytes of the shortest copy.
+# Length of the shortest copy [bytes].
 SHORTEST = 4
 
 
 def decompress(block: bytes) -> bytes:
-    """Bytes of a block: literals, each followed by a copy of earlier bytes.
+    """Return the bytes of a block: literals, each followed by a copy of earlier bytes.
 
     Raises:
         ValueError: The block is damaged.
@@ -41,7 +41,7 @@ def decompress(block: bytes) -> bytes:
 
 
 def _length(block: bytes, at: int, start: int) -> tuple[int, int]:
-    """A length that begins in a token, and the place after its bytes."""
+    """Return a length that begins in a token, and the position after its bytes."""
     if start < LONG:
         return start, at
     while block[at] == MORE:

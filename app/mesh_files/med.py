@@ -1,4 +1,4 @@
-"""Reader of ``.med`` files of Salome: groups of volumes, faces and nodes, of one or more meshes."""
+"""Reader of ``.med`` files of Salome: groups of volumes, faces and nodes of one mesh or several."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ TETRAHEDRA = ("tetra", "tetra10")
 
 
 def read(path: Path, pick: Pick) -> Found:
-    """Read the only mesh of tetrahedra, or the meshes that are picked.
+    """Read the only mesh of tetrahedra, or the picked meshes.
 
-    Groups of one name in several meshes have the mesh before their name.
+    If several meshes have a group of the same name, the name of the mesh is put before it.
 
     Raises:
-        ValueError: There are several meshes and none is picked, or one is not there.
+        ValueError: There are several meshes and none is picked, or a picked one is not there.
     """
     meshes = _meshes(path)
     solid = {
@@ -49,7 +49,7 @@ def read(path: Path, pick: Pick) -> Found:
 
 
 def _meshes(path: Path) -> dict[str, Any]:
-    """Meshes by name, each as meshio reads a file that has it alone."""
+    """Return the meshes by name. meshio reads each from a file that has no other mesh."""
     import h5py
     import meshio
 
@@ -62,15 +62,15 @@ def _meshes(path: Path) -> dict[str, Any]:
                     group = copy.create_group(part)
                     if name in file.get(part, ()):
                         file.copy(file[part][name], group, name)
-                copy.visititems(_with_families)
+                copy.visititems(_add_families)
             meshes[name] = meshio.med.read(alone)
     if not meshes:
         raise ValueError("has no mesh")
     return meshes
 
 
-def _with_families(_name: str, group: Any) -> None:
-    """Put nodes and cells whose families are left out into the family 0, which has no group."""
+def _add_families(_name: str, group: Any) -> None:
+    """Put nodes and cells without families into the family 0, which has no group."""
     for content in ("COO", "NOD"):
         if content in getattr(group, "keys", tuple)() and "FAM" not in group:
             group["FAM"] = np.zeros(group[content].attrs["NBR"], dtype=np.int64)
@@ -83,7 +83,14 @@ def _groups(mesh: Any) -> set[str]:
 
 
 def _add(found: Found, mesh: Any, shift: int, titles: dict[str, str]) -> None:
-    """Add cells and groups of a mesh, whose first node has a number."""
+    """Add cells and groups of a mesh.
+
+    Args:
+        found: The content to which they are added.
+        mesh: The mesh.
+        shift: Number of its first node among the nodes of all meshes.
+        titles: Names of its groups in the case.
+    """
     families = mesh.cell_data["cell_tags"]
     for k, block in enumerate(mesh.cells):
         if block.dim == 3 and block.type not in TETRAHEDRA:

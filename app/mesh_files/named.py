@@ -1,4 +1,4 @@
-"""Files that a mesh file names: parts of a script, arrays of XDMF, pieces of a parallel VTU."""
+"""Files to which a mesh file refers: parts of a script, arrays of XDMF, pieces of a ``.pvtu``."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from html import unescape
 from pathlib import Path
 
 QUOTED = re.compile(r"""\"([^"\n]*)"|'([^'\n]*)'""")
-# Text between tags that may be a file's name, or has one before a colon. Numbers are longer.
+# Text between tags that is a file's name, or has one before a colon. Arrays of numbers are longer.
 ARRAYS = re.compile(r">()([^<>:]{1,1024})[:<]")
 SOURCES = re.compile(r"""\bSource\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 NAMES = {".geo": QUOTED, ".xdmf": ARRAYS, ".xmf": ARRAYS, ".pvtu": SOURCES}
 
 
 def names(path: Path) -> list[str]:
-    """A file, and the files in its folder and below that it names, recursively."""
+    """Return the names of a file and of all files in its folder or below to which it refers."""
     folder, found = path.parent.resolve(), [path.name]
     for name in found:  # it grows
         if Path(name).suffix not in NAMES:
@@ -32,12 +32,12 @@ def names(path: Path) -> list[str]:
 
 
 def stamps(path: Path) -> tuple[tuple[str, int], ...]:
-    """A file and those that it names, with the times at which they were modified last [ns]."""
+    """Return `names` with the times of their last changes [ns]."""
     return tuple((name, (path.parent / name).stat().st_mtime_ns) for name in names(path))
 
 
 @lru_cache(maxsize=8)
 def _words(path: Path, _modified: int) -> tuple[str, ...]:
-    """Words of a file that may be names of files."""
+    """Return the words of a file that may be names of files."""
     matches = NAMES[path.suffix].finditer(path.read_text("utf-8", "replace"))
     return tuple(unescape((m[1] or m[2] or ".").strip()) for m in matches)

@@ -1,4 +1,4 @@
-"""Regions and boundaries by arrays of cells, as VTU and XDMF have them."""
+"""Regions and boundaries by the arrays of cells of VTU and XDMF files."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from app.arrays import Ints
 from app.mesh_files.content import CellBlock, CellGrid, Found, extend, left_out
 
-MOST = 255  # values of an array; one of more does not tell regions apart
-# Names of arrays that are regions, and of those that number cells, their kinds or processes.
+MOST = 255  # different values of an array of regions, at most
+# Names of arrays of regions, and of arrays that number cells, their kinds or processes.
 REGIONS = re.compile(
     "material|region|label|part(?!ition)|tissue|domain|physical|segment|tags?$|^mat(_?id)?$",
     re.IGNORECASE,
@@ -28,9 +28,9 @@ Names = tuple[str, ...]
 def fill(found: Found, grid: CellGrid, array: str = "") -> None:
     """Put cells into regions, and triangles into boundaries, by the values of their arrays.
 
-    Blocks whose arrays have the same names take the same array, the given one if there is one. A
-    grid may have the cells of another one once more, with an array, as DOLFINx writes tags: these
-    cells are taken once. Triangles of other grids are in boundaries by all of their arrays.
+    Blocks whose arrays have the same names use the same array, the given one if there is one. A
+    grid may repeat the cells of another one with an array, as DOLFINx writes tags: these cells are
+    taken once. Triangles of other grids make boundaries by all of their arrays.
 
     Raises:
         ValueError: No array has whole numbers of regions, or several arrays disagree.
@@ -68,7 +68,7 @@ def fill(found: Found, grid: CellGrid, array: str = "") -> None:
 
 
 def _keys(solids: Sequence[CellBlock], cells: Sequence[Ints], array: str) -> dict[Names, str]:
-    """The array that makes regions, "" for none, by the names of arrays of blocks."""
+    """Return the array that makes regions, "" for none, by the names of arrays of blocks."""
     joined = _joined(solids)
     if array:
         return _given(array, joined)
@@ -78,7 +78,7 @@ def _keys(solids: Sequence[CellBlock], cells: Sequence[Ints], array: str) -> dic
 
 
 def _given(array: str, joined: Mapping[Names, Mapping[str, np.ndarray]]) -> dict[Names, str]:
-    """The array that the case gives, by the names of arrays of each kind of block."""
+    """Return the array that the case gives, "" where it is missing, by the names of arrays."""
     if not any(array in names for names in joined):
         there = ", ".join(dict.fromkeys(name for names in joined for name in names)) or "none"
         raise ValueError(f"has no array {array} of its cells; its arrays: {there}")
@@ -97,7 +97,7 @@ def _put(
 
 
 def _joined(blocks: Sequence[CellBlock]) -> dict[Names, dict[str, np.ndarray]]:
-    """Arrays of blocks one after another, by the names of all arrays of a block."""
+    """Concatenate the arrays of blocks with the same names of arrays; return them by these."""
     together: dict[Names, list[CellBlock]] = {}
     for block in blocks:
         together.setdefault(tuple(block.arrays), []).append(block)
@@ -108,9 +108,9 @@ def _joined(blocks: Sequence[CellBlock]) -> dict[Names, dict[str, np.ndarray]]:
 
 
 def _cells(points: np.ndarray, blocks: Sequence[CellBlock]) -> list[Ints]:
-    """Numbers of the cells of each block; cells with corners at the same places have one.
+    """Return numbers of the cells of each block, equal for cells with the same corners.
 
-    Of blocks whose arrays have the same names no cell is compared with others.
+    If all blocks have arrays of the same names, cells are not compared.
     """
     ends = np.cumsum([len(block.data) for block in blocks])
     if len({tuple(block.arrays) for block in blocks}) < 2:
@@ -124,7 +124,7 @@ def _cells(points: np.ndarray, blocks: Sequence[CellBlock]) -> list[Ints]:
 def _overruled(
     blocks: Sequence[CellBlock], cells: Sequence[Ints], keys: Mapping[Names, str]
 ) -> set[str]:
-    """Arrays that divide the same cells as another one, which goes before them."""
+    """Return the arrays that divide the same cells as another array that `choice` prefers."""
     kept: dict[str, tuple[Ints, np.ndarray]] = {}
     dropped: set[str] = set()
     for key in dict.fromkeys(key for key in keys.values() if key):
@@ -142,7 +142,7 @@ def _overruled(
 
 
 def _whole(arrays: Mapping[str, np.ndarray]) -> dict[str, Ints]:
-    """Arrays of few whole numbers, of integers or floats."""
+    """Return the arrays of integers or floats that have few different whole numbers."""
     whole = {}
     for name, values in arrays.items():
         finite = values.ndim == 1 and values.dtype.kind in "iuf" and bool(np.isfinite(values).all())
@@ -153,19 +153,19 @@ def _whole(arrays: Mapping[str, np.ndarray]) -> dict[str, Ints]:
 
 
 def _fit(arrays: Mapping[str, np.ndarray]) -> list[str]:
-    """Arrays that divide cells: of few whole numbers, not of kinds and numbers of cells."""
+    """Return the names of arrays of few whole numbers that are no numbers or kinds of cells."""
     return [name for name in _whole(arrays) if not BOOKKEEPING.search(name)]
 
 
 def choice(arrays: Mapping[str, np.ndarray]) -> str:
-    """Name of the array of cells that makes regions, "" if there are no arrays.
+    """Return the name of the array that makes regions, "" if there are no arrays.
 
-    It has few whole numbers, of integers or floats. Arrays whose names say that they are regions
-    go before others, and arrays that differ between cells before constant ones. Numbers and kinds
+    Only arrays of few whole numbers are candidates. Arrays with the name of regions are preferred
+    to others, and arrays that differ between cells to constant ones. Arrays of numbers and kinds
     of cells and processes are no regions.
 
     Raises:
-        ValueError: No array has whole numbers, or several divide the cells, each in another manner.
+        ValueError: No array has whole numbers, or several divide the cells differently.
     """
     whole = _whole(arrays)
     fit = _fit(arrays)
@@ -180,8 +180,8 @@ def choice(arrays: Mapping[str, np.ndarray]) -> str:
     pool = integers or pool
     if len(pool) > 1 and any(_divides(whole[n]) != _divides(whole[pool[0]]) for n in pool):
         raise ValueError(
-            f"its arrays {', '.join(pool)} divide the cells, each in another manner: set "
-            "`geometry.array` to the one that makes the regions"
+            f"its arrays {', '.join(pool)} divide the cells differently: set `geometry.array` to "
+            "the one that makes the regions"
         )
     if pool or not arrays:
         return pool[0] if pool else ""
@@ -192,7 +192,7 @@ def choice(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def _title(key: str, blocks: Sequence[CellBlock]) -> Callable[[float], list[str]]:
-    """Names of sets by the values of an array: KEY_1, or a and b if it is called a-b."""
+    """Return the function that names the sets of a value: KEY_1, or a and b if it is called a-b."""
     names = key.split("-")
     largest = max(np.fmax.reduce(b.arrays[key], initial=0) for b in blocks if key in b.arrays)
     if largest >= len(names):
@@ -201,6 +201,6 @@ def _title(key: str, blocks: Sequence[CellBlock]) -> Callable[[float], list[str]
 
 
 def _divides(values: Ints) -> list[int]:
-    """The first cell of the part of each cell: the same for arrays that divide cells alike."""
+    """Return the first cell with the value of each cell: equal for arrays that divide alike."""
     _, first, inverse = np.unique(values, return_index=True, return_inverse=True)
     return list(map(int, first[inverse]))

@@ -1,4 +1,4 @@
-"""Reader of ``.vtu`` and ``.pvtu`` files of VTK and ParaView, of all encodings and pieces."""
+"""Reader of ``.vtu`` and ``.pvtu`` files of VTK and ParaView, with all encodings and pieces."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from app.mesh_files import lz4_block
-from app.mesh_files.content import CellBlock, CellGrid
+from app.mesh_files.content import NOT_READ, ONLY, CellBlock, CellGrid
 
 TYPES = {f"{'U' * u}Int{8 * n}": f"{'ui'[not u]}{n}" for u in (0, 1) for n in (1, 2, 4, 8)}
 TYPES |= {"Float32": "f4", "Float64": "f8"}
@@ -29,12 +29,12 @@ DECOMPRESS: dict[str, Callable[[bytes], bytes]] = {
 TRIANGLES = {5: (3,), 22: (6,), 69: (3, 6)}
 TETRAHEDRA = {10: (4,), 24: (10,), 71: (4, 10)}
 SOLIDS = {*range(10, 17), 24, 25, 26, 27, 29, 32, 33, 42, *range(71, 75), *range(78, 82)}
-# Bit of ``vtkGhostType``: the cell is a copy of one of another piece.
+# Bit of ``vtkGhostType`` for a cell that is a copy of another piece's cell.
 DUPLICATE = 1
 
 
 class _Source:
-    """The XML tree of a file, and its appended bytes, which may be no XML."""
+    """XML tree of a file, and its appended bytes, which XML parsers may not accept."""
 
     def __init__(self, path: Path) -> None:
         raw = path.read_bytes()
@@ -64,7 +64,7 @@ class _Source:
             )
 
     def array(self, item: ET.Element) -> np.ndarray:
-        """Values of a ``DataArray`` (n,) or (n, components)."""
+        """Return the values of a ``DataArray`` (n,) or (n, components)."""
         name, kind = item.get("Name", "(unnamed)"), item.get("type", "")
         if kind not in TYPES:
             raise ValueError(f"its array {name} is of type {kind or 'nothing'}, which is not read")
@@ -92,7 +92,7 @@ class _Source:
         size = self.header.itemsize
 
         def take(at: int, count: int) -> bytes:
-            """Bytes of one part, which is padded alone in base64; `at` is in its characters."""
+            """Return bytes from a position; base64 characters count, and are padded by part."""
             if raw:
                 part = text[at : at + count]
             else:
@@ -128,7 +128,7 @@ class _Source:
 
     @staticmethod
     def _padded(text: bytes, size: int) -> bool:
-        """Return True if a header alone is padded, as some programs write it."""
+        """Return True if base64 padding follows the header: it is encoded apart from the data."""
         return text[: 4 * -(-size // 3)].endswith(b"=")
 
 
@@ -144,7 +144,7 @@ class _Piece:
 
 
 def read(path: Path) -> CellGrid:
-    """All pieces of a file as one grid.
+    """Return all pieces of a file as one grid.
 
     Raises:
         ValueError: The file is damaged or of no use.
@@ -153,7 +153,7 @@ def read(path: Path) -> CellGrid:
 
 
 def read_parallel(path: Path) -> CellGrid:
-    """All pieces of the files that a ``.pvtu`` file names, as one grid.
+    """Return all pieces of the files that a ``.pvtu`` file names, as one grid.
 
     Raises:
         ValueError: A file is not there, outside of the folder, damaged or of no use.
@@ -175,13 +175,13 @@ def read_parallel(path: Path) -> CellGrid:
     for name in names:
         try:
             pieces += _pieces(folder / name)
-        except Exception as error:  # of a damaged file there is no telling which
+        except Exception as error:  # damaged files let readers fail in any way
             raise ValueError(f"its piece {name}: {error}") from error
     return _joined(pieces)
 
 
 def _pieces(path: Path) -> list[_Piece]:
-    """Pieces of a file that have cells."""
+    """Return the pieces of a file that have cells."""
     source = _Source(path)
     grid = source.root.find("UnstructuredGrid")
     if grid is None:
@@ -191,7 +191,8 @@ def _pieces(path: Path) -> list[_Piece]:
 
 
 def _piece(source: _Source, piece: ET.Element) -> _Piece:
-    x = source.array(_only(piece, "Points/DataArray"))
+    """Read a piece; cells that are copies of other pieces' cells are left out."""
+    x = source.array(_required(piece, "Points/DataArray"))
     if x.ndim != 2 or x.shape[1] != 3 or len(x) != int(piece.get("NumberOfPoints", -1)):
         raise ValueError("its points are no rows of three, or not as many as announced")
     arrays = {a.get("Name", ""): source.array(a) for a in piece.findall("CellData/DataArray")}
@@ -218,7 +219,7 @@ def _piece(source: _Source, piece: ET.Element) -> _Piece:
 
 
 def _joined(pieces: Sequence[_Piece]) -> CellGrid:
-    """Nodes and cells of pieces as one grid; nodes at the same place stay several."""
+    """Return nodes and cells of pieces as one grid. Nodes at the same place are not merged."""
     if not pieces:
         raise ValueError("has no cells")
     if any(piece.names != pieces[0].names for piece in pieces):
@@ -237,15 +238,16 @@ def _joined(pieces: Sequence[_Piece]) -> CellGrid:
     unread = sum((Counter(piece.unread) for piece in pieces), Counter())
     if unread:
         kinds = ", ".join(f"{n} of VTK type {kind}" for kind, n in sorted(unread.items()))
-        notes.append(f"geometry: cells that are no tetrahedra or triangles are not read: {kinds}")
+        notes.append(f"{NOT_READ}: {kinds}")
     return CellGrid(np.concatenate([piece.points for piece in pieces]), blocks, notes)
 
 
-def _only(piece: ET.Element, path: str) -> ET.Element:
-    found = piece.find(path)
-    if found is None:
+def _required(piece: ET.Element, path: str) -> ET.Element:
+    """Return the element at a path in a piece."""
+    element = piece.find(path)
+    if element is None:
         raise ValueError(f"has no {path}: it is damaged")
-    return found
+    return element
 
 
 def _blocks(
@@ -254,6 +256,7 @@ def _blocks(
     keep: np.ndarray,
     unread: dict[int, int],
 ) -> Iterator[CellBlock]:
+    """Return the triangles and tetrahedra to keep by kind; count other cells in ``unread``."""
     offsets = cells["offsets"].astype(np.int64)
     width = np.diff(offsets, prepend=0)
     if (width < 0).any() or (len(offsets) and offsets[-1] > len(cells["connectivity"])):
@@ -270,9 +273,6 @@ def _blocks(
                 dim = 3 if kind in TETRAHEDRA else 2
                 yield CellBlock(dim, data, {n: v[rows] for n, v in arrays.items()})
             elif kind in SOLIDS:
-                raise ValueError(
-                    f"has cells of VTK type {kind}; only straight tetrahedra, or only quadratic "
-                    "ones, can be used"
-                )
+                raise ValueError(f"has cells of VTK type {kind}; {ONLY}")
             else:
                 unread[kind] = unread.get(kind, 0) + len(rows)

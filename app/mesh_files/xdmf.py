@@ -1,4 +1,4 @@
-"""Reader of ``.xdmf`` files: all grids, their arrays in the file, in HDF5 or in binary files."""
+"""Reader of ``.xdmf`` files: all grids, with arrays in the file, in HDF5 or in binary files."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from app.arrays import Ints
-from app.mesh_files.content import ONLY, CellBlock, CellGrid
+from app.mesh_files.content import NOT_READ, ONLY, CellBlock, CellGrid
 
-# Kinds of cells, with the dimension and number of nodes of those that are read.
+# Dimension and number of nodes of the kinds of cells that are read.
 SIMPLICES = {
     "triangle": (2, 3),
     "triangle_6": (2, 6),
@@ -24,23 +24,23 @@ SIMPLICES = {
     "tet_10": (3, 10),
 }
 SOLIDS = re.compile("hex|wedge|pyramid|polyhedron|3d", re.IGNORECASE)
-# Cells of a mixed topology by their codes: name and number of nodes, 0 if a number follows.
+# Cells of a mixed topology by their codes: name and number of nodes, 0 if the file has the number.
 MIXED = {1: ("polyvertex", 0), 2: ("polyline", 0), 3: ("polygon", 0), 4: ("triangle", 3)}
 MIXED |= {5: ("quadrilateral", 4), 6: ("tetrahedron", 4), 7: ("pyramid", 5), 8: ("wedge", 6)}
 MIXED |= {9: ("hexahedron", 8), 34: ("edge_3", 3), 35: ("quadrilateral_9", 9)}
 MIXED |= {36: ("triangle_6", 6), 37: ("quadrilateral_8", 8), 38: ("tetrahedron_10", 10)}
 MIXED |= {39: ("pyramid_13", 13), 40: ("wedge_15", 15), 41: ("wedge_18", 18)}
 MIXED |= {48: ("hexahedron_20", 20), 49: ("hexahedron_24", 24), 50: ("hexahedron_27", 27)}
-RUN = 4096  # cells of one kind that are looked for at once
+RUN = 4096  # most cells of one kind that are read at once
 KINDS = {"float": "f", "int": "i", "uint": "u", "char": "i", "uchar": "u"}
 ORDERS = {"big": ">", "little": "<", "native": "="}
-# References within the file: by names, by positions, and to several parts of an element.
+# References within the file, by names or positions; the last part of one to several parts.
 POINTER = re.compile(r"(xpointer|element)\((.*)\)")
 EITHER = re.compile(r"\*\[(self::\w+(?:\s+or\s+self::\w+)*)\]$")
 
 
 def read(path: Path) -> CellGrid:
-    """All grids of a file as one; of a series over time the first step.
+    """Return all grids of a file as one, of a series over time those of the first step.
 
     Raises:
         ValueError: The file is damaged or of no use.
@@ -54,9 +54,9 @@ def read(path: Path) -> CellGrid:
         parts: dict[str, list[ET.Element]] = {}
         for part in file.parts(element):
             parts.setdefault(part.tag, []).append(part)
-        lacking = [tag for tag in ("Topology", "Geometry") if tag not in parts]
-        if lacking:
-            raise ValueError(f"its grid {name} has no {lacking[0]}")
+        missing = [tag for tag in ("Topology", "Geometry") if tag not in parts]
+        if missing:
+            raise ValueError(f"its grid {name} has no {missing[0]}")
         geometry = parts["Geometry"][0]
         place = "".join(geometry.itertext()).strip()
         if place not in nodes:
@@ -76,15 +76,14 @@ def read(path: Path) -> CellGrid:
         grid.notes.append(f"geometry: {text}")
     if unread:
         kinds = ", ".join(f"{n} {kind}" for kind, n in sorted(unread.items()))
-        text = "cells that are no tetrahedra or triangles are not read"
-        grid.notes.append(f"geometry: {text}: {kinds}")
+        grid.notes.append(f"{NOT_READ}: {kinds}")
     if nodes:
         grid.points = np.concatenate([x for _, x in nodes.values()])
     return grid
 
 
 def _item(part: ET.Element) -> ET.Element:
-    """The one array of a part."""
+    """Return the only array of a part."""
     items = part.findall("DataItem")
     if len(items) != 1:
         raise ValueError(f"its {part.tag} has {len(items)} arrays; expected one")
@@ -92,19 +91,22 @@ def _item(part: ET.Element) -> ET.Element:
 
 
 def _kind(part: ET.Element) -> str:
-    """Type of a part, by either name of the attribute."""
+    """Return the type of a part, which has one of two attributes."""
     return part.get(f"{part.tag}Type") or part.get("Type") or ""
 
 
 class _File:
-    """The tree of a file, and the arrays that its items hold or name."""
+    """XML tree of a file, with access to its arrays."""
 
     def __init__(self, path: Path) -> None:
         self.folder = path.parent
         self.root = ET.fromstring(path.read_bytes())
 
     def grids(self, notes: list[str]) -> Iterator[ET.Element]:
-        """Grids with cells, of all collections; of one over time the first step's, with a note."""
+        """Return the grids with cells of all collections, of a series over time the first step's.
+
+        A note is added if it has more steps.
+        """
         waiting = self.root.findall("Domain/Grid")
         while waiting:
             grid = waiting.pop(0)
@@ -121,7 +123,7 @@ class _File:
                 yield grid
 
     def parts(self, grid: ET.Element) -> Iterator[ET.Element]:
-        """Parts of a grid, and parts of others to which it refers."""
+        """Return the parts of a grid, and parts of other grids to which it refers."""
         for part in grid:
             reference = part.get("Reference")
             if part.tag.endswith("}include"):
@@ -135,7 +137,7 @@ class _File:
                 yield part
 
     def at(self, address: str, by_positions: bool = False) -> list[ET.Element]:
-        """Elements at an address in the file; it names parts or, by positions, counts them."""
+        """Return the elements at an address in the file, of names or of positions."""
         address = address.strip()
         try:
             if by_positions:
@@ -157,7 +159,7 @@ class _File:
         raise ValueError(f"refers to {address}, which is not in the file or cannot be read")
 
     def points(self, geometry: ET.Element) -> np.ndarray:
-        """Nodes (n, 3)."""
+        """Return nodes (n, 3)."""
         kind = _kind(geometry) or "XYZ"
         if kind != "XYZ":
             raise ValueError(f"its nodes are of type {kind}; expected XYZ")
@@ -167,7 +169,7 @@ class _File:
         return x.reshape(-1, 3).astype(float)
 
     def array(self, item: ET.Element) -> np.ndarray:
-        """Values of an item, in its dimensions; (n, 1) is (n,)."""
+        """Return the values of an item in its dimensions; (n, 1) becomes (n,)."""
         reference = item.get("Reference")
         if reference:
             item = self.at((item.text or "") if reference == "XML" else reference)[0]
@@ -187,7 +189,7 @@ class _File:
             order = ORDERS.get(item.get("Endian", "Native").lower(), "=")
             dtype = np.dtype(f"{order}{kind}{item.get('Precision', '4')}")
             count = int(np.prod([int(n) for n in item.get("Dimensions", "0").split()]))
-            values = np.fromfile(self._there(text), dtype, count, offset=int(item.get("Seek", 0)))
+            values = np.fromfile(self._file(text), dtype, count, offset=int(item.get("Seek", 0)))
             values = values.astype(dtype.newbyteorder("="))
         else:
             raise ValueError(f"{called} is of format {form}, which is not read")
@@ -197,8 +199,12 @@ class _File:
         values = values.reshape(shape)
         return values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
 
-    def _there(self, name: str) -> Path:
-        """A file that this one names, which is part of its content."""
+    def _file(self, name: str) -> Path:
+        """Return the path of a file to which this one refers.
+
+        Raises:
+            ValueError: It is missing, or not in the folder or below.
+        """
         folder = self.folder.resolve()
         if not (folder / name).resolve().is_relative_to(folder):
             raise ValueError(f"its file {name} is not in its folder or below")
@@ -207,12 +213,13 @@ class _File:
         return self.folder / name
 
     def _hdf(self, text: str, called: str) -> np.ndarray:
+        """Return an array of an HDF5 file by its address ``FILE:PATH``."""
         import h5py
 
         name, colon, inside = text.rpartition(":")
         if not colon:
             raise ValueError(f"{called} names no part of an HDF5 file: {text[:80]}")
-        with h5py.File(self._there(name), "r", locking=False) as file:
+        with h5py.File(self._file(name), "r", locking=False) as file:
             if inside not in file:
                 raise ValueError(f"{called}: {inside} is not in {name}")
             return np.asarray(file[inside])
@@ -220,7 +227,7 @@ class _File:
     def blocks(
         self, topology: ET.Element, arrays: dict[str, np.ndarray], unread: Counter[str]
     ) -> Iterator[CellBlock]:
-        """Cells of a topology with their arrays; cells of no use are counted."""
+        """Return triangles and tetrahedra with their arrays; count other cells in ``unread``."""
         kind = _kind(topology).lower()
         if SOLIDS.search(kind):
             raise ValueError(f"the cells are of type {_kind(topology)}; {ONLY}")
@@ -244,12 +251,12 @@ class _File:
             if name not in SIMPLICES:
                 unread[name] += len(rows)
             elif len(rows):
-                own = {array: values[rows] for array, values in arrays.items()}
-                yield CellBlock(SIMPLICES[name][0], nodes - base, own)
+                of_cells = {array: values[rows] for array, values in arrays.items()}
+                yield CellBlock(SIMPLICES[name][0], nodes - base, of_cells)
 
 
 def _mixed(data: Ints) -> dict[str, tuple[Ints, Ints]]:
-    """Cells of several kinds: of each its positions among all cells (n,), and nodes (n, k)."""
+    """Return the cells of each kind: their positions among all cells (n,), and nodes (n, k)."""
     starts: dict[str, list[tuple[Ints, Ints]]] = {}
     at = count = 0
     while at < len(data):

@@ -89,8 +89,8 @@ class Cholesky:
         flops, entries: Floating-point operations of the factorization, entries of L.
 
     Args:
-        A: The matrix. It has entries of all of its last unknowns in the first three of these, which
-            makes one block of them.
+        A: The matrix. Each of its last unknowns has entries in the columns of the first three of
+            these: they are one block.
         last: Number of unknowns, the last ones of A, that stay last.
     """
 

@@ -13,15 +13,15 @@ stem can slide and rotate without resistance.) S stays for all steps, stages and
 stiffness.
 
 T S + B is singular in a state that holds a body in some directions only, such as the first iterate
-of a belt that contact alone holds. The step is then that of bodies joined by weak springs,
+of a belt that only contact holds. The bodies are then joined by weak springs in this step,
 
 .. math:: (T S + B + \varepsilon \, diag(S)) dq = r_q,
 
-which moves what is free along its unbalanced force until contact stops it.
+so that unbalanced forces move the free bodies until contact stops them.
 
-Rigid motions that nothing resists, columns of Z, are no such state: a frictionless stem may turn
-about its axis. With springs along these alone, T S + B + s Z Z^T, balanced forces move nothing
-there, and the step is exact.
+Rigid motions that nothing resists, columns of Z, need other springs: a frictionless stem may turn
+about its axis. With springs along these motions only, T S + B + s Z Z^T, the step is exact, because
+balanced forces cause no such motion.
 Unknowns that points follow are last too, before the jumps: new pairs change S, but no factors
 (`numerics.untied`). One rank factors and solves for all.
 """
@@ -54,7 +54,7 @@ MOST, PARTS = 40, 2.0 ** -np.arange(8)
 ROUGH, SINGULAR, CHORD = 1e-2, 1e-4, 1e-2
 # Stiffness of the weak springs of a singular step, as a part of the diagonal of S.
 SPRINGS = 1e-2
-# Singular steps in a row, within which the residual has to be halved.
+# Number of singular steps in a row within which the residual has to be halved.
 SINGULAR_STEPS = 4
 # Part of the tolerance that out-of-balance forces of a start may have without being removed.
 LITTLE = 0.01
@@ -321,7 +321,7 @@ class Condensed:
         return u
 
     def _step(self, r: Floats) -> Floats:
-        """Solution of (T S + B) dq = r, with weak springs if that is singular; S dq is kept."""
+        """Solution of (T S + B) dq = r, with weak springs if it is singular; keeps S dq."""
         dq, self._sprung = self._by_factors(r), False
         if not self._solves(dq, r, ROUGH):
             self._factor(self._S, self._B)
@@ -335,7 +335,7 @@ class Condensed:
         return dq
 
     def _solves(self, dq: Floats, r: Floats, tolerance: float) -> bool:
-        """Return True if a step leaves a small part of its right-hand side; S dq is kept."""
+        """Return True if the residual of a step is a small part of r; keeps S dq."""
         left = np.linalg.norm(r - self._times(dq))
         return bool(left <= tolerance * np.linalg.norm(r))  # False if it is not finite
 
@@ -358,11 +358,11 @@ def available(comm: MPI.Comm) -> bool:
 
 
 def _joined(rows: csr_array) -> csr_array:
-    """The last rows of a matrix, with entries (zeros) of all of them in the first three.
+    """Add zero entries of the last unknowns in the columns of the first three of these.
 
-    CHOLMOD's postordering moves unknowns between those that are in several branches of its
-    elimination tree, such as jumps of columns that supports hold. With these entries the last
-    unknowns are one branch.
+    ``rows`` are the last rows of a matrix. CHOLMOD's postordering puts other unknowns between the
+    last ones if these are in several branches of its elimination tree, such as the jumps of columns
+    that supports hold. With these entries the last unknowns are one branch.
     """
     first = rows.shape[1] - rows.shape[0]
     i, j = np.indices((rows.shape[0], 3)).reshape(2, -1)

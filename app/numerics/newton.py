@@ -339,7 +339,7 @@ class Solver:
     # Callbacks
 
     def _update(self, snes: PETSc.SNES, iteration: int) -> None:
-        # What is free moves anywhere in a singular step; far away rounding would hide the rest.
+        # A singular step may move free bodies far away, where rounding errors hide other forces.
         if iteration:
             self.system.settle(self.blocks(snes.getSolution()))
 
@@ -353,7 +353,7 @@ class Solver:
     def _test(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
     ) -> PETSc.SNES.ConvergedReason:
-        """Converged if each part is below its tolerance or its rounding, and no body runs away."""
+        """Test whether each part is below its tolerance or its rounding, and no body runs away."""
         parts = self.measure(snes.getSolution(), snes.getFunction()[0])
         self.residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
         self.active.add(self.system.status)

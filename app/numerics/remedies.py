@@ -151,14 +151,14 @@ def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
 def _switched(
     solver: Solver, start: PETSc.Vec, switch: Callable[[bool], bool], first: str, then: str
 ) -> Iterator[str]:
-    """Solve from the start with interfaces switched, then from there as they are.
+    """Solve from the start with switched interfaces, then from this state with the usual ones.
 
     Args:
-        solver: The solver, whose state is the start again if a body has run away.
-        start: The state to start from.
-        switch: Ties or opens interfaces, or ends that; returns whether there are such.
-        first: The remedy with the interfaces switched, in words.
-        then: The remedy after that.
+        solver: The solver. If a body has run away, its state is the start again.
+        start: The state from which to start.
+        switch: Ties or opens interfaces, or ends that; returns True if there are any.
+        first: Name of the remedy with switched interfaces.
+        then: Name of the remedy after that.
     """
     if solver.converged or not switch(True):
         return

@@ -14,7 +14,7 @@ DIRECTIONS = [f"{motion} {axis}" for motion in ("move along", "turn about") for 
 # Part (squared) of a named motion among the free ones from which it is free, and part outside those
 # already named from which it is named too.
 WITHIN, NEW = 0.9, 0.2
-# Part of a motion of unit size outside others up to which it is one of them.
+# A motion of unit size is one of others if its part outside them is below this.
 OTHER = 1e-3
 # Cosine of the angle to an axis up to which a direction is along it.
 ALIGNED = 0.9999
@@ -44,16 +44,14 @@ def add_relative(matrix: Floats, a: int, b: int, resistance: Floats) -> None:
         matrix[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] += sign * resistance
 
 
-def relative_resistance(R: Floats, B: Floats, bodies: Ints, count: int) -> Floats:
+def relative_resistance(resistance: Floats, bodies: Ints, count: int) -> Floats:
     """Resistance of points to the motions of all bodies (6 count, 6 count).
 
     Args:
-        R: Rigid motions at the points (n, 3, 6).
-        B: Resistance of each point to its jump (n, 3, 3).
+        resistance: Resistance of each point to the relative motion of its bodies (n, 6, 6).
         bodies: Both bodies of each point (n, 2).
         count: Number of bodies.
     """
-    resistance = R.transpose(0, 2, 1) @ B @ R
     A = np.zeros((6 * count, 6 * count))
     for a, b in np.unique(bodies, axis=0):
         here = (bodies == (a, b)).all(axis=1)
@@ -62,7 +60,10 @@ def relative_resistance(R: Floats, B: Floats, bodies: Ints, count: int) -> Float
 
 
 def without(motions: Floats, others: Floats) -> Floats:
-    """Motions (m, k) that are not among others (m, l); all are orthonormal columns."""
+    """Return the motions (m, k) that are not in the span of others (m, l).
+
+    All are orthonormal columns.
+    """
     left = motions - others @ (others.T @ motions)
     parts, sizes, _ = np.linalg.svd(left, full_matrices=False)
     return np.asarray(parts[:, sizes > OTHER])

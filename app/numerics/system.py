@@ -68,10 +68,10 @@ class Contact(Protocol):
         """Default augmentation over the one in the case; collective."""
 
     def tie(self, on: bool) -> bool:
-        """Tie interfaces whose bodies need them to close; return whether there are any."""
+        """Tie interfaces that have to close before a body is held; return True if there are any."""
 
     def release(self, on: bool) -> bool:
-        """Let all interfaces that can open be open, or not; return True if there are any."""
+        """Open all interfaces that can open, or end that; return True if there are any."""
 
 
 class System(Protocol):
@@ -124,7 +124,7 @@ class System(Protocol):
         return False
 
     def settle(self, x: list[PETSc.Vec]) -> bool:
-        """Take motions that nothing resists out of a converged state; whether it changes.
+        """Remove rigid motions that nothing resists from the last step; True if the state changes.
 
         Collective.
         """

@@ -31,9 +31,9 @@ LOAD, SUPPORT, HEAT = "#b2182b", "#1b7837", "#d9660a"
 BETWEEN = tuple(COLOURS[k] for k in (0, 3, 7, 5)) * 9  # of the interfaces
 # Inches: the body at most, the room around it, arrows, labels and the gap before them.
 TALL, WIDE, SIDE, TOP, BOTTOM = 5.0, 3.4, 2.3, 2.2, 1.45
-LINE = 0.23  # of a title or a legend; two of each have room in TOP and BOTTOM
-LETTERS = 9.5  # of a title in an inch
-ENTRIES = 5  # of the legend in a line
+LINE = 0.23  # of a title or legend [inch]; TOP and BOTTOM have room for two lines of each
+LETTERS = 9.5  # letters of a title per inch
+ENTRIES = 5  # entries of the legend per line
 LONGEST, SHORTEST, LABEL, GAP = 0.95, 0.35, 0.3, 0.65
 SEVERAL = 5  # arrows of a pressure
 # Text, places (n, 3) [mm], and the force of each arrow (n, 3) [N].

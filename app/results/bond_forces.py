@@ -1,9 +1,9 @@
 """Tractions of bonded interfaces, by equilibrium of the sides: would the bond hold?
 
-What one side exerts on the other follows from the forces of its stress on their common nodes, less
-those of loads and elastic foundations there. They are of the points that contact would have, beside
-the contact interfaces of the scene, and equal those of contact that sticks. Loads on cells at the
-interface count as traction.
+The force of one side on the other is that of its stress on their common nodes, less the forces of
+loads and elastic foundations there. It acts at the points that contact in place of the bond would
+have, next to the contact interfaces of the scene, and equals the force of contact that sticks.
+Loads on cells at the interface count as traction.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ class _OnPiece(OnBody):
         self._surface = surface
 
     def ds(self, boundary: str) -> ufl.Measure | None:
-        """Measure of the facets of a boundary that belong to the piece, if any."""
+        """Return the measure of the facets of a boundary that belong to the piece, if any."""
         return self._surface.on(boundary, self._body)
 
     def spread(self, density: Field, regions: Any) -> list[tuple[Expr, ufl.Measure]]:
-        """Nothing: loads on cells count as traction."""
+        """Return nothing: loads on cells count as traction."""
         return []
 
 
@@ -74,11 +74,11 @@ class _Place:
         pieces: The pieces.
         rigid: Pieces that are rigid.
         nodes: Global blocked dofs of the entries, rising (m,).
-        cells: Of each region: which of its own cells have such nodes (c,), their nodes among those
-            above, m elsewhere (c, nodes), and gradients of the shape functions times volume at the
-            points of the stress (c, points, nodes, 3) [mm2].
+        cells: For each region, its rank-local cells with such nodes (c,), the indices of their
+            nodes in ``nodes``, m if they are not there (c, nodes), and gradients of the shape
+            functions times volume at the points of the stress (c, points, nodes, 3) [mm2].
         near: Measures of the boundaries that have such nodes, on the pieces.
-        springs: Forces of elastic foundations on these boundaries, by piece, of opposite sign.
+        springs: Forces of elastic foundations on these boundaries by piece, with opposite sign.
     """
 
     points: ContactPoints
@@ -100,9 +100,9 @@ class BondForces:
         self._at_full: dict[Load, Floats] = {}
 
     def indices(self) -> tuple[ContactSurface, dict[str, tuple[int, Floats]]] | None:
-        """Surface of all interfaces; by bond its number there and failure indices (m,); collective.
+        """Surface of all interfaces, and for each bond its number there and failure indices (m,).
 
-        None without a bond of known strength.
+        Collective; None without a bond of known strength.
         """
         known = [b for b in self._bonds if b.law.strength]
         if not known:
@@ -112,25 +112,33 @@ class BondForces:
         return self._place.points.surface, found
 
     def numbers(self, strong: bool = False) -> dict[str, dict[str, Any]]:
-        """Published numbers by interface, of those whose strength is known or all; collective."""
+        """Published numbers by interface; collective.
+
+        Args:
+            strong: Only interfaces of known strength.
+        """
         found = {}
         for b, s, loads, index in self._loaded(strong):
             x, of_parts = self._place.points.surface.x, dict[str, dict[str, Any]]()
             for part in (part for part, at in s.at.items() if at.any()):
-                of_parts[part] = own = failing(s, index, x, part)
+                numbers = failing(s, index, x, part)
                 if not b.law.strength:
-                    own = of_parts[part] = {"strength_fraction": own["strength_fraction"]}
+                    numbers = {"strength_fraction": numbers["strength_fraction"]}
                 for name, values in (("normal", -loads[0]), ("shear", loads[1])):
                     field = s.field(values, part)
-                    own |= {"area": field.whole, f"{name}_mean": field.mean()}
-                    own[f"{name}_max"] = float(values[s.at[part]].max())
+                    numbers |= {"area": field.whole, f"{name}_mean": field.mean()}
+                    numbers[f"{name}_max"] = float(values[s.at[part]].max())
+                of_parts[part] = numbers
             found[b.name] = of_parts.pop("", {}) | of_parts
         return found
 
     def _loaded(
         self, strong: bool
     ) -> Iterator[tuple[Interface, Surface, tuple[Floats, Floats], Floats]]:
-        """Bonds with facets in the mesh, of known strength or all: tractions and indices."""
+        """Bonds with facets in the mesh, their facets, tractions and failure indices.
+
+        If ``strong``, only bonds of known strength.
+        """
         wanted = [b for b in self._bonds if b.law.strength or not strong]
         loads = self._tractions() if wanted else None
         for b in wanted:
@@ -154,7 +162,7 @@ class BondForces:
         return normal_pressure(pressures, normals), np.linalg.norm(shear, axis=1)
 
     def _exerted(self) -> Floats:
-        """What the interfaces exert on the pieces at the nodes (pieces, m, 3) [N]; collective."""
+        """Forces of the interfaces on the pieces at the nodes (pieces, m, 3) [N]; collective."""
         place, p = self._place, self._problem
         nodal = np.zeros((len(place.pieces.names), len(place.nodes) + 1, 3))
         for region, (rows, nodes, slopes) in place.cells.items():
@@ -167,7 +175,7 @@ class BondForces:
                 exerted -= load.amplitude(p.load_time) * self._forces(load)
         for piece, form in place.springs:
             exerted[piece] += self._at_nodes(assembled_vector(form))
-        # The stress of a rigid piece is not known: it takes what the others do not.
+        # The stress of a rigid piece is not known: it bears the opposite of all other forces.
         exerted[place.rigid] = 0.0
         exerted[place.rigid] = -exerted.sum(axis=0)
         return np.asarray(exerted)
@@ -231,12 +239,13 @@ class BondForces:
         return SurfaceMeasure(p.tagged, pieces, [name for name in sorted(names) if near(name)])
 
     def _springs(self, near: SurfaceMeasure, body: Ints) -> list[tuple[int, fem.Form]]:
-        """``springs`` of the place; ``body`` is that of the mechanics of each piece."""
+        """Forces of elastic foundations by piece; ``body`` is the body of each piece."""
         p, found = self._problem, list[tuple[int, fem.Form]]()
         U, v = p.displacements(), ufl.TestFunction(p.space)
         for f, k in zip(p.scene.foundations, p.mechanics.springs, strict=True):
             for piece, b in enumerate(body):
-                if ds := near.on(f.boundary, piece):
+                ds = near.on(f.boundary, piece)
+                if ds is not None:
                     work = sum(k[i] * U[b][i] * v[i] for i in range(3)) * ds
                     found.append((piece, p.mechanics.form(work)))
         return found
@@ -265,6 +274,7 @@ class BondForces:
         return np.asarray(self._problem.comm.allreduce(values))
 
     def _cells(self, region: str, nodes: Ints) -> tuple[Ints, Ints, Floats]:
+        """Return the ``cells`` of a region, as `_Place` has them."""
         s, space = self._stresses, self._problem.space
         dofs = space.dofmap.list[s.cells[region]]
         of = space.dofmap.index_map.local_to_global(dofs.ravel()).reshape(dofs.shape)

@@ -12,8 +12,8 @@ to cement that sets, and tested on others (docs/verification.md). Orders of conv
 give a; they leave the truth outside too often, as contact begins and ends inside cells. A companion
 of another coarsening is taken as if errors fell with the order in `case.quantities`.
 
-A number that is zero says nothing about others and is in no median: it is rounding beside the
-largest one of its unit, or it is small beside that one and changes by more than itself.
+A number that is zero has no part in medians. It is zero if it is rounding compared with the largest
+number of its unit, or if it is small compared with that and changes by more than its size.
 
 Where friction makes the path matter, the error of n load steps is taken as C / n (the incremental
 minimisation is an implicit Euler method). The companion takes half the steps, which is cheaper; two
@@ -40,9 +40,9 @@ COARSER = (2.0, 3.0)
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
 # A peak is unsettled if it changes by more than this part from the next mesh to that of the run.
 UNSETTLED = 0.1
-# Below this part of the largest number of its unit a number is zero to rounding. Below the second
-# part it is zero if it changes from mesh to mesh by more than itself.
+# A number is rounding below this part of the largest number of its unit.
 ROUNDING = 1e-6
+# Below this part it is zero if it changes from mesh to mesh by more than its size.
 SMALL = 0.01
 # A mesh must be coarser than this to be compared.
 LEAST = 1.25
@@ -214,7 +214,7 @@ def estimate(
 
 
 def largest_of_units(summary: Numbers) -> dict[str, float]:
-    """Largest size of the numbers of a summary by their unit."""
+    """Return the largest absolute value of the numbers of a summary, by unit."""
     found: dict[str, float] = {}
     for section, _, numbers in numbers_of(summary, parts=True):
         for key, q in TABLE[section].items():
@@ -227,7 +227,10 @@ def largest_of_units(summary: Numbers) -> dict[str, float]:
 def is_zero(value: float, change: float, largest: float) -> bool:
     """Return True if a number is zero: rounding, or small and changing by its size or more.
 
-    ``change`` is that to a coarser mesh, or the error; ``largest`` the largest number of the unit.
+    Args:
+        value: The number.
+        change: Its change to a coarser mesh, or its error.
+        largest: Largest absolute value of the numbers of its unit.
     """
     size = abs(value)
     return size <= ROUNDING * largest or (size < SMALL * largest and change >= size)

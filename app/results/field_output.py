@@ -230,7 +230,8 @@ class MechanicalFields:
                         whole[np.flatnonzero(surface.interface == i)[: len(slave)]] = slave
                         both = _along(rows[i], whole) + _along(there, master)
                         point[f"{contact.name}_{key}"] = both
-        if bonds := self._bonds.indices():
+        bonds = self._bonds.indices()
+        if bonds:
             surface, indices = bonds
             rows = _contact_rows(surface, self.space, self.bodies, nodes)
             for name, (i, index) in indices.items():

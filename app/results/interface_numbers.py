@@ -31,7 +31,7 @@ from meshes.contact_points import ContactSurface
 
 Parts = Sequence["Surface"]
 MICROMOTION = 0.030  # mm: where biology reacts
-# Part of the largest pressure above which facets decide it.
+# Facets decide the largest pressure if they may cause more than this part of it.
 DECIDED = 0.2
 
 
@@ -53,9 +53,9 @@ class ContactSamples:
         interface: Interface of each point (n,).
         x: Position (n, 3) [mm].
         weight: Area (n,) [mm2].
-        penetration: Overlap of the faces of contact points, in the mean of those that they stand
-            for (p, 3) [mm].
-        of_points: Interface of each of these (p,).
+        penetration: Overlap of the faces of contact points, by mean jumps where interfaces meet
+            (p, 3) [mm].
+        of_points: Interface of each contact point (p,).
         gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
         opening: Opening of the point, the largest of its faces (n,) [mm].
         slip: Irreversible tangential motion, 0 where the point is open (n, 3) [mm].
@@ -94,7 +94,7 @@ class ContactSamples:
             return surface.spread(contact.whole(values))
 
         def total(values: Floats) -> Any:
-            """Shares of the corners in amounts at the points."""
+            """Amounts at the corners from amounts at the points, by area."""
             return whole(values / own.weight) * surface.weight
 
         self.interface, self.x, self.weight = surface.interface, surface.x, surface.weight
@@ -103,7 +103,7 @@ class ContactSamples:
         used = np.arange(3)[None, :] < surface.faces[:, None]
         self.gap = np.where(used, opening, 0.0)
         self.opening = np.max(opening, axis=1, where=used, initial=-np.inf)
-        # The law holds at the points, of which some stand for others.
+        # The law holds at the points, some of which have the mean jump of several corners.
         of_points = np.einsum("pi,pki->pk", trial.jump + contact.gap, own.normals)
         within = np.arange(3)[None, :] < own.faces[:, None]
         self.penetration = contact.whole(np.where(within, np.maximum(-of_points, 0.0), 0.0))
@@ -142,7 +142,7 @@ class ContactSamples:
             arm[far.rows] = far.paired.arm
             self.arm, self.friction = whole(arm), whole(history.friction)
         self._contact, self._jump, self.contacts = contact, trial.jump, contacts
-        # A normal that is off by an angle presses the surface by the slip times that angle.
+        # With a normal that is off by an angle, slip times this angle presses on the surface.
         pressed = np.linalg.norm(history.slip, axis=1) * points.doubt[own.rows]
         self.by_facets = contact.whole(contact.law.met * pressed)
         self.facet_sizes = contact.edge_lengths

@@ -113,11 +113,11 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence
 def pieces_of(
     tagged: TaggedMesh, interfaces: Sequence[Interface]
 ) -> tuple[Bodies, list[tuple[str, str]]]:
-    """Parts that all interfaces separate, bonds too, as bodies; collective.
+    """Parts that all interfaces, also bonds, separate, as bodies; collective.
 
     Returns:
-        The bodies, without names; pairs of regions that touch without an interface and are in two
-        bodies, as the sides of an interface would be in one otherwise.
+        The bodies, without names, and pairs of regions that touch without an interface but belong
+        to two bodies. Together they would join the two sides of an interface.
     """
     names = {tag: name for name, tag in tagged.regions.items()}
     separated = _separated(tagged, interfaces)
@@ -156,7 +156,7 @@ def _separated(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> set[froze
 
 
 def _joined(group: Mapping[int, int], a: int, b: int) -> dict[int, int]:
-    """Groups of tags, with those of two tags joined."""
+    """Return the group of each tag after the groups of two tags are joined."""
     return {t: group[a] if g == group[b] else g for t, g in group.items()}
 
 

@@ -58,11 +58,6 @@ class Frames:
         places = np.flatnonzero((self.node >= low) & (self.node < high))
         return self.node[places] - low, places
 
-    def held_by(self, s: int) -> Floats:
-        """Mean projector on the directions that a support constrains (3, 3)."""
-        here = self.acts[:, :, s].any(axis=1)
-        return np.asarray(projectors(self.axes[here], self.along[here, s]).mean(axis=0))
-
     def support(self, places: Ints, bodies: Ints | int, order: Sequence[int]) -> Ints:
         """Support that constrains each axis of bodies at nodes, -1 where none does (m, 3).
 

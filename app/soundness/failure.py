@@ -167,9 +167,9 @@ class Explanation:
         if self.breaks:
             advice = (
                 "`fracture_step` in the stage: a bond breaks, and the load may have passed its "
+                "peak, beyond which only a smaller load is in equilibrium; or prescribe the "
+                "displacement instead of the load"
             )
-            advice += "peak, beyond which only a smaller load is in equilibrium; or prescribe the "
-            advice += "displacement instead of the load"
         if self.friction:
             advice += "; other friction, or a support"
         if self.free:
@@ -208,15 +208,16 @@ def explain(
     contact = trial.contact
     taken = sum(float(np.sum(t.law.told["spent"])) for t in (trial, first))
     breaks = bool(contact.law.history and problem.comm.allreduce(taken, MPI.SUM) > 0)
-    pulled = [] if breaks else loose_bodies.pulled_off(problem, contact)
-    free = pulled
-    if not scales and not contact.large:
-        free = [] if breaks else loose_bodies.pushed_freely(problem, trial)
-    # Iterates lose contact that the loads would close: that is no free body. Nor is one whose bond
-    # breaks in this step.
-    if not free and not breaks and (pulled or not problem.load_size or contact.apart()):
-        free = loose_bodies.free_bodies(problem, trial)
-        free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
+    free: list[str] = []
+    # A body whose bond breaks in this step is not free.
+    if not breaks:
+        free = pulled = loose_bodies.pulled_off(problem, contact)
+        if not scales and not contact.large:
+            free = loose_bodies.pushed_freely(problem, trial)
+        # A body is not free if iterates lose contact that the loads would close.
+        if not free and (pulled or not problem.load_size or contact.apart()):
+            free = loose_bodies.free_bodies(problem, trial)
+            free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
     friction = [] if free else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
     places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]

@@ -19,7 +19,14 @@ from app.arrays import Bools, Floats
 from app.case.case import Case
 from app.errors import Reason
 from app.laws.values import gap_at
-from app.numerics.rigid_motions import DIRECTIONS, add_relative, describe, rigid_modes, without
+from app.numerics.rigid_motions import (
+    DIRECTIONS,
+    add_relative,
+    describe,
+    relative_resistance,
+    rigid_modes,
+    without,
+)
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, holds, law_between
 from app.system.layout import point_text
 from forms.contact import OPEN
@@ -30,13 +37,15 @@ if TYPE_CHECKING:  # dolfinx, which checks of a case do without
     from app.mechanics.contact import ContactInterfaces, TrialState
     from app.mechanics.problem import Problem
 
-# A motion is free if its resistance is below this part of the largest. Contact without friction
-# barely resists a motion that it is sloped against by less than so many degrees in the mean, or
-# with changing sign by less than this part of the angle between its flat facets.
-FREE, SLOPE, FACETS = 1e-10, 3.0, 0.4
-# Supports hold a body fast if they hold more than this of each direction; a body slides when so
-# much of the area that holds it bears so much of the friction limit.
-HELD, SLIDES, ALL_OF_IT = 1e-3, 0.95, 1 - 1e-6
+# A motion is free if its resistance is below this part of the largest.
+FREE = 1e-10
+# Contact without friction barely resists a motion if its slope against the motion is below so many
+# degrees in the mean, or, with changing sign, below this part of the angle between flat facets.
+SLOPE, FACETS = 3.0, 0.4
+# Supports hold a body if they hold more than this part of each direction.
+HELD = 1e-3
+# A body slides if this part of its touching area bears this part of the friction limit.
+SLIDES, ALL_OF_IT = 0.95, 1 - 1e-6
 # Jumps of a free body run away beyond this part of the size of the interfaces.
 RUNAWAY = 0.05
 # And beyond this motion in units of load / (modulus of the softer side x size): 5 for a stem wedged
@@ -46,18 +55,18 @@ LOOSE = 200.0
 NOT_SMALL = 0.2
 # Motion of an interface over the largest prescribed displacement that a lever may cause.
 LEVER = 10.0
-# Root of the compliance of springs on which rigid bodies press, with which a taper of 1 degree and
-# 100 points bears 99 % of a push.
+# Root of the compliance of springs between rigid bodies: with it a taper of 1 degree and 100 points
+# bears 99 % of a push.
 SPRING = 0.02
 # Resistance of supports over that of a contact point.
 STIFF = 1e8
-# Part of the loads along a free motion up to which they are in balance.
+# Loads are in balance if less than this part of them is along free motions.
 BALANCED = 1e-9
-# Part of a load from which springs that leave it do not bear its direction.
+# Springs do not bear a direction if more than this part of a load along it is left.
 UNBORNE = 0.1
 # Part of all loads, squared, that may be left.
 NOTHING = 1e-4
-# Iterations for the springs that are pressed.
+# Most iterations to find the springs that are pressed.
 MOST = 20
 # Only facets hold a motion that contact resists by less than this part of what the spread of
 # normals gives at random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists),
@@ -234,18 +243,16 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
 
     The resistance of the contacts is the generalized Jacobian at each point, projected onto the
     relative rigid motions of the two bodies; its null space beyond the supports is what is free.
-    With ``moved``, motions are left out in which bodies slide without resistance, but are at rest.
+    With ``moved``, motions of `free_motions` are left out: nothing moves bodies along them.
     """
     contact, names = trial.contact, problem.bodies.names
     x = contact.points.x
-    centre, size = _frame(contact)
+    centre, size = contact.frame
     B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.resisted)
-    R = rigid_modes((contact.own.x - centre) / size)
-    A = _assembled(
-        problem, contact, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R)
-    )
+    R = contact.rigid_motions(contact.own.x)
+    A = _gathered(problem, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
     total = float(np.sum(contact.points.weight)) or 1.0
-    held = supported(problem, centre, size)
+    held = supported(problem)
     # A body with a given motion is free if nothing is in its way, see `pulled_off`.
     held |= {body: np.eye(6) for body in turning(problem)}
     for body, part in held.items():
@@ -260,7 +267,7 @@ def free_bodies(problem: Problem, trial: TrialState, moved: bool = False) -> lis
 
 
 def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
-    """Bodies that loads push, however little, where nothing resists their sliding; collective."""
+    """Bodies that loads push along a motion that nothing resists, however little; collective."""
     contact = trial.contact
     motions = contact.free_motions(trial.law.status)
     x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
@@ -270,18 +277,15 @@ def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
         return []
     names = [f"'{name}'" for name in problem.bodies.names]
     centres = np.tile(contact.points.x.mean(axis=0), (len(names), 1))
-    found = describe((motions @ work)[:, None], names, centres, *_frame(contact))
+    found = describe((motions @ work)[:, None], names, centres, *contact.frame)
     return [f"{text}, and the loads pull there" for text in found]
 
 
-def _assembled(problem: Problem, contact: ContactInterfaces, resistance: Floats) -> Floats:
+def _gathered(problem: Problem, resistance: Floats) -> Floats:
     """Resistance to the motions of all n bodies (6 n, 6 n), from that of own points (p, 6, 6)."""
-    n = len(problem.bodies.names)
-    A = np.zeros((6 * n, 6 * n))
-    for master, slave in np.unique(contact.points.bodies, axis=0):
-        here = (contact.own.bodies == (master, slave)).all(axis=1)
-        add_relative(A, master, slave, resistance[here].sum(axis=0))
-    return np.asarray(problem.comm.allreduce(A))
+    assert problem.contact is not None
+    bodies, n = problem.contact.own.bodies, len(problem.bodies.names)
+    return np.asarray(problem.comm.allreduce(relative_resistance(resistance, bodies, n)))
 
 
 def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
@@ -291,10 +295,9 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
     """
     normal = np.linalg.norm(contact.state.force - contact.state.friction, axis=1)
     shear = np.linalg.norm(contact.state.friction, axis=1)
-    centre, size = _frame(contact)
     fixed = {
         b
-        for b, part in supported(problem, centre, size).items()
+        for b, part in supported(problem).items()
         if np.linalg.eigvalsh(part[:3, :3])[0] > HELD and np.linalg.eigvalsh(part)[0] > FREE
     }
     found = []
@@ -315,19 +318,13 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
     return found
 
 
-def _frame(contact: ContactInterfaces) -> tuple[Floats, float]:
-    """Centre and size of all interfaces [mm], for rigid motions."""
-    x = contact.points.x
-    return np.asarray(x.mean(axis=0), dtype=float), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
-
-
 @dataclass(frozen=True)
 class Runaway:
     """A converged state that must not be used: sides of an interface moved too far.
 
     Attributes:
-        text: How far, and what is free.
-        reason: Whether a body is loose, or displacements are only no longer small.
+        text: The distance, and the free motions.
+        reason: A loose body, or displacements that are no longer small.
     """
 
     text: str
@@ -355,7 +352,7 @@ def runaway(problem: Problem, trial: TrialState) -> Runaway | None:
     given = max(problem.comm.allgather(float(np.abs(problem.prescribed).max(initial=0.0))))
     if not (forces or given):
         return None
-    size = _frame(contact)[1]
+    size = contact.frame[1]
     # Closing a gap or making room for an interference is not running away.
     moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
     for i, term in enumerate(problem.scene.contacts):
@@ -384,21 +381,21 @@ def runaway(problem: Problem, trial: TrialState) -> Runaway | None:
 
 
 def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
-    """Bodies that the loads take off what they touch or may come to touch; collective.
+    """Bodies that the loads pull off what they touch or may come to touch; collective.
 
-    Rigid bodies press on springs at the contact points. What these do not bear of the loads is also
-    the motion that opens all it does not slide along (a cone and its polar, Moreau); springs keep
-    single facets from bearing it by wedging. Friction of the pressures may hold it: there are none
-    on a taper that is pulled.
+    Rigid bodies press on springs at the contact points. The part of the loads that these do not
+    bear is also a motion that opens or slides along all points (a cone and its polar, Moreau).
+    Springs keep single facets from bearing it by wedging. Friction of the pressures may hold it: a
+    taper that is pulled has no pressures.
     """
     own, n, comm = contact.own, len(problem.bodies.names), problem.comm
-    centre, size = _frame(contact)
+    centre, size = contact.frame
     x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
-    F = problem.forces.on_bodies(problem.time, rigid_modes((x - centre) / size)).ravel()
+    F = problem.forces.on_bodies(problem.time, contact.rigid_motions(x)).ravel()
     held = np.zeros((n, 6, n, 6))
-    for b, part in supported(problem, centre, size).items():
+    for b, part in supported(problem).items():
         held[b, :, b] += STIFF * part
-    of_bodies, R = np.zeros((len(own), 3, n, 6)), rigid_modes((own.x - centre) / size)
+    of_bodies, R = np.zeros((len(own), 3, n, 6)), contact.rigid_motions(own.x)
     for side, sign in zip(own.bodies.T, (-1, 1), strict=True):
         of_bodies[np.arange(len(own)), :, side] += sign * R
     jumps = of_bodies.reshape(len(own), 3, 6 * n)
@@ -423,7 +420,7 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
             springs = held.reshape(6 * n, 6 * n) + comm.allreduce(rows.T @ rows)
             rest = np.asarray(np.linalg.solve(np.eye(6 * n) + springs / SPRING**2, F))
         forces = np.maximum(0.0, -(openings @ rest)).sum(axis=1) / SPRING**2
-        # A large load that springs bear must not hide a small one that nothing bears.
+        # A large load that springs bear must not hide a small load that nothing bears.
         sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
         free = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
         rest = free @ (free.T @ F)
@@ -450,10 +447,9 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     if not any(smooth):
         return ""
     contact = trial.contact
-    n, points = len(problem.bodies.names), contact.points
-    size = np.linalg.norm(np.ptp(points.x, axis=0)) or 1.0
-    R = rigid_modes((contact.own.x - points.x.mean(axis=0)) / size)
-    free = np.setdiff1d(np.arange(n), sorted(supported(problem, *_frame(contact))))
+    n = len(problem.bodies.names)
+    R = contact.rigid_motions(contact.own.x)
+    free = np.setdiff1d(np.arange(n), sorted(supported(problem)))
     rows = (6 * free[:, None] + np.arange(6)).ravel()
     resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.own.interface])
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
@@ -499,8 +495,8 @@ def _against_spread(
     spread = spread_of_normals(points.surface.x, points.surface.normals, points.triangles)
     spread = spread[contact.own.rows]
     A, N = (
-        _assembled(problem, contact, r[:, None, None] * (R.transpose(0, 2, 1) @ own @ R))
-        for own in (S, spread)
+        _gathered(problem, r[:, None, None] * (R.transpose(0, 2, 1) @ at_points @ R))
+        for at_points in (S, spread)
     )
     # Normals that are off at random agree in the mean, the more of them the better.
     touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.own.normals)
@@ -514,13 +510,14 @@ def _against_spread(
     return A, N
 
 
-def supported(problem: Problem, centre: Floats, size: float) -> dict[int, Floats]:
-    """Resistance of supports and foundations in force to rigid motions, by body (6, 6)."""
+def supported(problem: Problem) -> dict[int, Floats]:
+    """Resistance of active supports and foundations to rigid motions, by body (6, 6)."""
     from app.mechanics.held_bodies import held_motions  # brings dolfinx
 
-    return held_motions(problem.mechanics, problem.stiffness, centre, size)
+    assert problem.contact is not None
+    return held_motions(problem.mechanics, problem.stiffness, *problem.contact.frame)
 
 
 def turning(problem: Problem) -> list[int]:
-    """Bodies that turn as they are told, those of the motions."""
+    """Bodies with a prescribed motion."""
     return [problem.bodies.of_region[m.region] for m in problem.scene.motions]

@@ -29,7 +29,7 @@ def groups_of(case: Case, found: Parts) -> list[list[int]]:
 
 
 def bodies_of(case: Case, found: Parts) -> list[list[int]]:
-    """Pieces of each body: no interface with unknown jumps separates them."""
+    """Return the pieces of each body; pieces that can move apart belong to different bodies."""
     laws = [(t.pieces, law_between(case, found, t.pieces)[1]) for t in found.touches]
     return _groups(found, [pieces for pieces, law in laws if law is None or not law.can_part])
 

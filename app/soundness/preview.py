@@ -194,7 +194,7 @@ STIFFNESS = {
 }
 # Forces on a hip from that of a finger to that of a fall [N].
 HIP_FORCES = (20.0, 5e4)
-# Largest usual friction coefficient: porous metal in bone has 1.5.
+# Friction coefficient above which a note asks for its unit: porous metal in bone has 1.5.
 MOST_FRICTION = 5.0
 # Largest usual height of a stem's shoulder above the neck cut [mm].
 MOST_PROUD = 15.0
@@ -276,7 +276,7 @@ def _without_effect(case: Case) -> Iterable[str]:
     for name, law in case.interfaces.items():
         friction = getattr(law, "friction_coefficient", 0.0)
         if friction > MOST_FRICTION:
-            text = f"is {friction:g}; of implants it is 0 to 1.5. Is it in per cent?"
+            text = f"is {friction:g}; for implants it is 0 to 1.5. Is it in per cent?"
             yield f"interfaces.{name}.friction_coefficient {text}"
 
 

@@ -69,7 +69,8 @@ def judge(case: Case, found: Parts) -> list[str]:
     """
     notes = [*found.data.notes.get("told", ()), *_cracks(case, found), *_size(case, found)]
     errors = [*_on_axis(case, found), *_sides_apart(case, found), *_followers(case, found)]
-    if errors := [*errors, *_outside(case, found)]:
+    errors += _outside(case, found)
+    if errors:
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
     if all(isinstance(region, Conductor) for region in case.regions.values()):
         return notes
@@ -82,7 +83,7 @@ def judge(case: Case, found: Parts) -> list[str]:
         # A crack is often why.
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
     notes += [*bodies.loosely_held(), *split, *_clamped(case, found), *apart]
-    notes += [*_met(case, found), *_far(case, found), *_too_stiff(case, found)]
+    notes += [*_meeting(case, found), *_far(case, found), *_too_stiff(case, found)]
     return [*notes, *_strained(case, found), *idle]
 
 
@@ -98,7 +99,7 @@ def _given(case: Case, name: str, x: Floats) -> Floats:
 def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
     """Errors and notes on nodes of a body where two supports prescribe different displacements.
 
-    Bodies that can part have nodes of their own where they touch.
+    Two bodies that can part may have different displacements where they touch.
     """
     errors: list[str] = []
     notes: list[str] = []
@@ -110,7 +111,7 @@ def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
 
 
 def _contradictions_in(case: Case, found: Parts, group: list[int]) -> tuple[list[str], list[str]]:
-    """Errors and notes of `_contradictions` for a body, a group of pieces."""
+    """Return the errors and notes of `_contradictions` for one body, a group of pieces."""
     holding = {}
     for name, support in case.supports.items():
         of_piece = found.boundaries.get(support.boundary, {})
@@ -294,8 +295,8 @@ def _clamped(case: Case, found: Parts) -> list[str]:
     return notes
 
 
-def _met(case: Case, found: Parts) -> list[str]:
-    """Vertices at which more interfaces meet than bodies can move apart."""
+def _meeting(case: Case, found: Parts) -> list[str]:
+    """A note on vertices with more interfaces than independent jumps: some jumps follow."""
     on = [name for name, law in case.interfaces.items() if law.can_part]
     groups = {frozenset(found.pieces[p].region for p in g) for g in bodies_of(case, found)}
     here = np.array([np.isin(np.arange(len(found.x)), found.on_interface(n)) for n in on])

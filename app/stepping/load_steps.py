@@ -322,16 +322,15 @@ class LoadStepper:
         part = 100 * (time - int(time)) or 100
         where = f"stage '{stage.name}' at {part:.3g} % of it"
         if trial is not None:
-            if facets := held_by_facets(problem, trial):
-                away: Runaway | None = Runaway(facets, Reason.LOOSE_BODY)
-            else:
-                away = runaway(problem, trial)
+            facets = held_by_facets(problem, trial)
+            away = Runaway(facets, Reason.LOOSE_BODY) if facets else runaway(problem, trial)
             if away:
                 raise ConvergenceError(
                     f"{where}: {away.text} [{away.reason}]\n  what to change: {away.advice}"
                 )
-        if trial is not None and (left := self._cover.left(trial)):
-            raise ConvergenceError(f"stage '{stage.name}' at {part:.3g} % of it: {left}")
+            left = self._cover.left(trial)
+            if left:
+                raise ConvergenceError(f"{where}: {left}")
         problem.update_displacements(u, q)
         problem.commit(trial)
         for p in self.predictors:

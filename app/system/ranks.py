@@ -182,8 +182,9 @@ def launch(ranks: int, command: Sequence[str]) -> int:
 def mpi_settings() -> Iterator[None]:
     """Set the environment variables of MPI and compilers for the block, then restore them.
 
-    MPI, which starts within the block, gets a folder that stays until this process ends, unless it
-    is up or has other ranks. Open MPI does not search a network if all ranks are on this node.
+    MPI starts within the block. It gets a folder that stays until this process ends, unless it has
+    been started or has other ranks. Open MPI does not search a network if all ranks are on this
+    node.
     """
     before = dict(os.environ)
     keep_quiet()

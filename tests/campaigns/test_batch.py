@@ -252,8 +252,8 @@ def test_a_run_killed_for_memory_names_what_it_needs_and_how_many_fit(
     run.file("status").write_text("100.0 130.0 137\n")
     result = result_of(job, run)
     assert result.exit_code == EnvironmentProblem.exit_code
-    have = f"{need:.1f} GB of {2.4 * need:.1f} GB"
-    assert f"killed, probably out of memory: each run at once needs about {have}" in result.message
+    memories = f"each run needs about {need:.1f} GB, {2.4 * need:.1f} GB are available"
+    assert f"killed, probably out of memory: {memories}" in result.message
     assert "--cores 6 runs at most 2 at once" in result.message
     # Another signal is reported as it is.
     run.file("status").write_text("100.0 130.0 139\n")

@@ -153,7 +153,7 @@ def test_the_unit_is_found_and_told(tmp_path: Path) -> None:
     path = bytes_of(tmp_path, lambda s: s, 1e-3)
     surface = bone_surface.read(path)
     assert np.ptp(surface.points[:, 2]) == pytest.approx(np.ptp(own().points[:, 2]), rel=1e-5)
-    read, unit = surface.told
+    read, unit = surface.notes
     assert read == "5,564 triangles of a binary STL file"
     assert unit == "unit: m, as the surface is 0.337 long"
     with pytest.raises(GeometryError, match=r"0\.337 mm long, and a femur 100 to 600 mm"):
@@ -167,7 +167,7 @@ def test_flipped_triangles_are_turned_and_told(tmp_path: Path) -> None:
         return BoneSurface(s.points, triangles)
 
     surface = bone_surface.read(bytes_of(tmp_path, flip))
-    assert "30 triangles turned over" in surface.told
+    assert "30 triangles turned over" in surface.notes
     a, b, c = surface.corners.transpose(1, 0, 2)
     x, y, z = own().corners.transpose(1, 0, 2)
     assert (np.cross(a, b) * c).sum() == pytest.approx((np.cross(x, y) * z).sum(), rel=1e-5)
@@ -188,7 +188,7 @@ def test_other_files_have_the_same_triangles(suffix: str, message: str, tmp_path
 
 def test_an_open_distal_end_is_told(tmp_path: Path) -> None:
     surface = bone_surface.read(bytes_of(tmp_path, lambda s: opened(s, -150.0)))
-    assert any(line.startswith("open at an end") for line in surface.told)
+    assert any(line.startswith("open at an end") for line in surface.notes)
 
 
 def test_many_triangles_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,4 +196,4 @@ def test_many_triangles_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(bone_surface, "THIN", 6.0)
     surface = bone_surface.read(bytes_of(tmp_path, lambda s: s))
     assert len(surface.triangles) < 0.7 * len(own().triangles)
-    assert "5,564 triangles: corners within 6.0 mm made one" in " ".join(surface.told)
+    assert "5,564 triangles: corners within 6.0 mm made one" in " ".join(surface.notes)

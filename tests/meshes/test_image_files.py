@@ -70,7 +70,7 @@ def test_nifti_axes_are_taken_and_said(
 ) -> None:
     image = images.read(nifti(tmp_path / f"ct.{suffix}", codes=codes))
     assert image.affine == pytest.approx(PLACES, abs=1e-5)
-    (line,) = image.told
+    (line,) = image.summary
     assert line == (
         f"NIfTI, axes by its {axes} (scanner): 12 x 10 x 8 voxels of 0.7 x 0.8 x 1.25 mm, int16"
     )
@@ -109,7 +109,7 @@ def test_voxels_that_are_no_numbers_are_counted_and_missed_only_where_needed(
     values[3, 3, 3] = np.inf
     image = images.read(nifti(tmp_path / "ct.nii.gz", values=values))
     lost = 2 * 10 * 8 + 1
-    assert image.told[1] == f"{lost} voxels are no numbers"
+    assert image.summary[1] == f"{lost} voxels are no numbers"
     assert image.dense == np.percentile(values[np.isfinite(values)], 99.9)
     inside = (PLACES @ [6.5, 2.5, 4.5, 1])[:3]
     assert np.isfinite(image.at(inside[None])).all()
@@ -292,7 +292,7 @@ def test_dicom_folders_of_hospitals_are_the_series(name: str, folder: Path) -> N
     image = images.read(folder)
     assert image.values == pytest.approx(NUMBERS)
     assert image.affine == pytest.approx(PLACES, abs=1e-3)
-    line, *more = image.told
+    line, *more = image.summary
     assert line.startswith("8 DICOM slices of ")
     assert "12 x 10 x 8 voxels of 0.7 x 0.8 x 1.25 mm" in line
     assert note in "; ".join(more) and bool(note) == bool(more)
@@ -406,9 +406,9 @@ def test_dicom_frames_of_a_file_are_its_slices(framed: Path) -> None:
     for image in images_of:
         assert image.values == pytest.approx(NUMBERS)
         assert image.affine == pytest.approx(PLACES, abs=1e-3)
-        assert image.told[0].startswith("8 DICOM frames of ")
-        assert "12 x 10 x 8 voxels of 0.7 x 0.8 x 1.25 mm" in image.told[0]
-    assert images_of[2].told[1] == "1 localizers left out: scout"
+        assert image.summary[0].startswith("8 DICOM frames of ")
+        assert "12 x 10 x 8 voxels of 0.7 x 0.8 x 1.25 mm" in image.summary[0]
+    assert images_of[2].summary[1] == "1 localizers left out: scout"
 
 
 def test_dicom_files_of_frames_of_one_series_are_joined(framed: Path, tmp_path: Path) -> None:

@@ -311,8 +311,11 @@ def test_inp_encodings(encoding: str, tmp_path: Path) -> None:
         (deck().replace("*NODE", "*NODE, INPUT=b.txt"), "takes numbers from elsewhere"),
         (deck().replace("*NODE", "*NODE, SYSTEM=P"), "SYSTEM=P is not read; expected R, C or S"),
         (f"*SYSTEM\n0, 0, 0, 1, x\n{deck()}", "*SYSTEM in line 1: line 2: 'x' is no number"),
-        (f"*SYSTEM\n0, 0, 0, 1, 0, 0\n2, 0, 0\n{deck()}", "line 1: its points are on one line"),
-        (f"*SYSTEM\n0, 0, 0, 0, 0, 1\n{deck()}", "line 1: its points are on one line"),
+        (
+            f"*SYSTEM\n0, 0, 0, 1, 0, 0\n2, 0, 0\n{deck()}",
+            "line 1: its points are on a straight line",
+        ),
+        (f"*SYSTEM\n0, 0, 0, 0, 0, 1\n{deck()}", "line 1: its points are on a straight line"),
         (f"*SYSTEM\n0, 0, 0, 1, 0, 0, 0, 1, 0\n{deck()}", "line 2: 9 numbers for 6"),
         (f"*SYSTEM\n0, 0, 0\n0, 1, 0\n1, 0, 0\n{deck()}", "line 1: has more than two lines"),
         (deck().replace("3.0", "3.x"), "line 3: '3.x' is no number"),
@@ -456,7 +459,7 @@ ODD = (np.arange(12) % 2).astype("i4")
 @pytest.mark.parametrize(
     ("arrays", "words"),
     [
-        ({"a": TAGS, "b": ODD}, "a, b divide the cells, each in another manner: set `geometry.arr"),
+        ({"a": TAGS, "b": ODD}, "a, b divide the cells differently: set `geometry.array`"),
         ({"GlobalCellIds": np.arange(12)}, r"none of its arrays of cells (GlobalCellIds) has"),
         ({"strain": np.linspace(0, 1, 12)}, r"none of its arrays of cells (strain) has"),
     ],
@@ -614,7 +617,7 @@ def test_xdmf_arrays_of_several_grids_on_the_same_cells(tmp_path: Path) -> None:
 
     whole(build(path, tagged("a", "material")), *MATERIALS)
     text = tagged("a", "b")
-    assert "its arrays a, b divide the cells, each in another manner" in refused(path, text)
+    assert "its arrays a, b divide the cells differently" in refused(path, text)
     data = build(path, text, array="b")
     whole(data, "b_3", "b_8")
     assert "arrays of cells that are not read: a" in said(data)

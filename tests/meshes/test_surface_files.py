@@ -285,7 +285,7 @@ def test_quads_on_one_side_of_an_edge_close_the_surface(tmp_path: Path) -> None:
         path = put(tmp_path, "bone.obj", obj_vertices(points) + obj_faces(faces))
         surface, frame = judged(path)
         assert not len(surface.rim)
-        assert "that one side alone divides" in " ".join(surface.told)
+        assert "edges that were divided on one side only" in " ".join(surface.notes)
         assert frame.head == pytest.approx(HEAD, abs=0.1)
         assert frame.radius == pytest.approx(RADIUS, abs=0.1)
         assert frame.doubts(surface) == []
@@ -299,7 +299,7 @@ def test_doubled_facets_are_kept_once(doubled: slice, turned: bool, tmp_path: Pa
     copies = corners[doubled, :: -1 if turned else 1]
     surface = bone_surface.read(stl(tmp_path, np.concatenate([corners, copies])))
     assert len(surface.triangles) == len(corners)
-    assert f"{len(copies):,} doubled facets left out" in surface.told
+    assert f"{len(copies):,} doubled facets left out" in surface.notes
     assert volume(surface.corners) == pytest.approx(volume(corners), rel=1e-5)
 
 
@@ -307,7 +307,7 @@ def test_doubled_facets_of_an_open_bone_are_kept_once(tmp_path: Path) -> None:
     corners = opened(own(), -150.0).corners
     surface = bone_surface.read(stl(tmp_path, np.concatenate([corners] * 3)))
     assert len(surface.triangles) == len(corners)
-    assert f"{2 * len(corners):,} doubled facets left out" in surface.told
+    assert f"{2 * len(corners):,} doubled facets left out" in surface.notes
 
 
 def test_a_fold_without_thickness_is_left_out(tmp_path: Path) -> None:
@@ -318,7 +318,7 @@ def test_a_fold_without_thickness_is_left_out(tmp_path: Path) -> None:
     fin = np.array([[a, b, tip], [b, a, tip]])
     surface = bone_surface.read(stl(tmp_path, np.concatenate([corners, fin])))
     assert len(surface.triangles) == len(corners)
-    assert "2 triangles of folds without thickness left out" in surface.told
+    assert "2 triangles of folds without thickness left out" in surface.notes
 
 
 @pytest.mark.parametrize("noise", [1e-5, 1e-4, 1e-3, 5e-3])
@@ -328,7 +328,7 @@ def test_corners_that_differ_in_the_last_digits_are_one(noise: float, tmp_path: 
     assert len(surface.triangles) == len(corners) and not len(surface.rim)
     assert len(surface.points) == len(own().points)
     assert volume(surface.corners) == pytest.approx(volume(corners), rel=1e-4)
-    assert noise < 1e-4 or "made one, moved by" in " ".join(surface.told)
+    assert noise < 1e-4 or "made one, moved by" in " ".join(surface.notes)
 
 
 def test_a_bone_far_from_the_origin_is_joined(tmp_path: Path) -> None:
@@ -428,7 +428,7 @@ def test_damaged_surfaces_are_read_or_refused_in_words(tmp_path: Path) -> None:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 found = bone_surface.read(path)
-                if sought < 6 and found.told:
+                if sought < 6 and found.notes:
                     sought += 1
                     bone_frame.find(found)
         except (GeometryError, InputError) as error:

@@ -204,5 +204,5 @@ def test_doubtful_ct_numbers_have_notes(
     found = E.doubts(surface)
     assert len(found) == len(notes)
     assert all(re.search(note, text) for note, text in zip(notes, found, strict=True))
-    (line,) = ["; ".join(E.image.told)]
+    (line,) = ["; ".join(E.image.summary)]
     assert (f"{lost} voxels are no numbers" in line) == bool(lost)

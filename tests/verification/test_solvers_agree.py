@@ -18,7 +18,6 @@ from app.verification.check import CONFIGS, CheckRun, within
 from app.verification.engine import SUITES
 from tests import support
 
-SOLVERS = ("condensed", "direct", "multigrid")
 # Difference of a number between solvers over the largest number of its unit.
 SAME = 1e-6
 # Slips of nanometres need more than the default tolerance to be the same.
@@ -111,7 +110,7 @@ Physical Surface("both_z") = {1, 2};
 TENSION = 20 * 0.2 * 1  # N
 
 
-@pytest.fixture(params=SOLVERS)
+@pytest.fixture(params=support.SOLVERS)
 def linear(request: pytest.FixtureRequest) -> str:
     """Override that asks for one of the solvers."""
     return f"solver.linear={request.param}"
@@ -384,7 +383,7 @@ def test_solvers_agree_on_all_that_is_shipped(
         solver: _outcome(
             load(CONFIGS / case, [*changes, *TIGHT, f"solver.linear={solver}"]), tmp_path / solver
         )
-        for solver in SOLVERS
+        for solver in support.SOLVERS
     }
     outcomes["two ranks"] = _outcome_on_ranks(CONFIGS / case, [*changes, *TIGHT], tmp_path / "two")
     code, expected = outcomes["direct"]

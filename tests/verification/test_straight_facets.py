@@ -162,7 +162,6 @@ def test_a_cone_that_is_turned_does_not_climb_its_facets() -> None:
 
 # What nothing holds, and no load moves
 
-SOLVERS = ("condensed", "direct", "multigrid")
 SMOOTH = "interfaces.stem_cement.friction_coefficient=0"
 
 
@@ -189,7 +188,7 @@ def test_a_frictionless_stem_does_not_turn(taper: float, digits: int) -> None:
     changes = (SMOOTH, f"geometry.taper={taper} deg", f"loads.hip.force={load}")
     tagged = rounded(support.case(support.STEM, *changes), digits)
     found = []
-    for linear in SOLVERS:
+    for linear in support.SOLVERS:
         solved = support.solve(
             support.STEM, *changes, f"solver.linear={linear}", tagged=tagged, balances=True
         )
@@ -210,7 +209,7 @@ def test_a_stem_closes_a_gap_on_straight_facets(friction: float) -> None:
     axial = "loads.hip.force=[0 N, 0 N, -900 N]"
     tight = support.solve(support.STEM, *changes, axial).last
     on = tight.interface == 0
-    for linear in SOLVERS:
+    for linear in support.SOLVERS:
         gap = "interfaces.stem_cement.gap=0.01 mm"
         solved = support.solve(
             support.STEM, *changes, axial, gap, f"solver.linear={linear}", balances=True
