@@ -31,6 +31,7 @@ TYPES = {
 }
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 CORNERS = ("vertex_indices", "vertex_index")
+AXES = ("x", "y", "z")
 END = re.compile(rb"(?:^|[\r\n])end_header[ \t]*(\r\n|\n|\r)")
 
 
@@ -163,12 +164,14 @@ def _text(data: bytes, start: int) -> Reader:
                     values = words[at : at + count]
                     if p.name in CORNERS:
                         columns[p.name].append([int(value) for value in values])
+                    elif p.name in AXES and not p.count_type:
+                        columns[p.name].append(float(values[0]))
                     at += count
                 except IndexError:
                     raise _short(element, row) from None
                 except ValueError:
                     text = f"row {row + 1:,} of element {element.name}"
-                    raise _Damaged(f"{text}: an entry is no whole number") from None
+                    raise _Damaged(f"{text}: a corner or count is no whole number") from None
         return columns
 
     def numbers(element: Element) -> Columns:
@@ -181,7 +184,7 @@ def _text(data: bytes, start: int) -> Reader:
         at += len(here)
         columns: Columns = {}
         for k, p in enumerate(element.properties):
-            if p.name in ("x", "y", "z"):
+            if p.name in AXES:
                 try:
                     columns[p.name] = [float(word) for word in here[k::width]]
                 except ValueError as error:
@@ -246,6 +249,8 @@ def _binary(data: bytes, start: int, order: str) -> Reader:
                     at += numbers.nbytes
                     if p.name in CORNERS:
                         columns[p.name].append(numbers.tolist())
+                    elif p.name in AXES and not p.count_type:
+                        columns[p.name].append(float(numbers[0]))
             except IndexError:
                 raise _short(element, row) from None
         return columns

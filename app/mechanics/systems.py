@@ -302,7 +302,7 @@ class ContactSystem(BondedSystem):
             return False
         x[1].array[:] -= (moved @ amounts).ravel()
         x[0].axpy(-1.0, displacement_by(problem, motions @ amounts))
-        self.impose(x)
+        ContactSystem.impose(self, x)  # a system with heat has more blocks
         return True
 
     def runs_away(self, x: list[PETSc.Vec]) -> bool:

@@ -98,8 +98,10 @@ class CoarseModelStart:
         coarse.run_path(stage, 1.0, set_load, begin, time)
         contact = problem.contact
         assert contact is not None
-        state = np.hstack([contact.state.jump, contact.state.force])
-        known = self._weights @ contact.points.surface.spread(contact.whole(state))
+        surface = contact.points.surface
+        jump = surface.true_jumps(contact.whole(contact.state.jump))
+        force = surface.spread(contact.whole(contact.state.force))
+        known = self._weights @ np.hstack([jump, force])
         self._known = [*self._known[-1:], (time, known)]
 
     def _start(self, jump: Floats, force: Floats) -> None:

@@ -139,6 +139,10 @@ class CoupledSystem(ContactSystem):
         """Return True if bodies have moved past each other by the size of the model; collective."""
         return super().runs_away(x[self._n :])
 
+    def settle(self, x: list[PETSc.Vec]) -> bool:
+        """Remove rigid motions that nothing resists from the last step of a state; collective."""
+        return super().settle(x[self._n :])
+
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Sizes of heat and forces, each with its own scale."""
         heat = self._heat.measure(x[: self._n], f[: self._n])[0]

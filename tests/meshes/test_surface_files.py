@@ -478,3 +478,40 @@ def test_patients_with_damaged_bones_are_placed_or_refused_in_words(tmp_path: Pa
             continue
         except BaseException as error:
             raise AssertionError(f"seed {seed}: {name}") from error
+
+
+def listed(binary: bool) -> bytes:
+    """A PLY file of the box whose vertices have a list of other numbers, longer at some."""
+    rows = [
+        ("vertex", len(BOX.points), ("float x", "list uchar int marks", "float y", "float z")),
+        ("face", len(TRIANGLES), CORNERS),
+    ]
+    numbers = [[k] * (k % 3) for k in range(len(BOX.points))]
+    points = zip(BOX.points.tolist(), numbers, strict=True)
+    if not binary:
+        body = "".join(f"{x} {len(n)} {' '.join(map(str, n))} {y} {z}\n" for (x, y, z), n in points)
+        body += "".join(f"3 {a} {b} {c}\n" for a, b, c in TRIANGLES)
+        return (ply_header("ascii", rows) + body).encode()
+    of_points = (struct.pack(f"<fB{len(n)}iff", x, len(n), *n, y, z) for (x, y, z), n in points)
+    faces = (struct.pack("<B3i", 3, *t) for t in TRIANGLES)
+    return ply_header("binary_little_endian", rows).encode() + b"".join([*of_points, *faces])
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_vertices_with_lists_keep_their_places(binary: bool, tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(listed(binary))
+    triangles, _ = surface_files.read(tmp_path / "a.ply")
+    np.testing.assert_allclose(triangles, BOX.points[TRIANGLES], rtol=1e-6)
+
+
+@pytest.mark.parametrize("header", [b"OFFSET surface", b"# vtk export", b"PK\x03\x04", b"<html"])
+def test_a_binary_stl_may_have_any_header(header: bytes, tmp_path: Path) -> None:
+    corners = BOX.points[TRIANGLES].astype("<f4")
+    body = b"".join(bytes(12) + t.tobytes() + bytes(2) for t in corners)
+    path = tmp_path / "a.stl"
+    path.write_bytes(header.ljust(80) + struct.pack("<I", len(corners)) + body)
+    triangles, _ = surface_files.read(path)
+    np.testing.assert_allclose(triangles, corners, rtol=1e-6)
+    path.write_bytes(header.ljust(80) + struct.pack("<I", len(corners)) + body[:-60])
+    with pytest.raises(GeometryError):
+        surface_files.read(path)

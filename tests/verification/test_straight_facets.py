@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -219,3 +220,44 @@ def test_a_stem_closes_a_gap_on_straight_facets(friction: float) -> None:
         assert s.pressure[on].max() == pytest.approx(tight.pressure[on].max(), rel=0.01)
         sunk = np.average((s.motion - tight.motion)[on, 2], weights=s.weight[on])
         assert abs(sunk) == pytest.approx(0.01 / np.sin(np.deg2rad(1.5)), rel=0.01)
+
+
+WARM = """
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
+           length: 20 mm, taper: 1.5 deg}
+mesh: {order: 1, size: 5 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3, thermal: {conductivity: 6 W/(m K),
+    density: 4400 kg/m^3, specific_heat: 500 J/(kg K), initial_temperature: 60 degC}}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3, thermal: {conductivity: 0.2 W/(m K),
+    density: 1200 kg/m^3, specific_heat: 1500 J/(kg K), initial_temperature: 37 degC}}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3, thermal: {conductivity: 0.4 W/(m K),
+    density: 1900 kg/m^3, specific_heat: 1300 J/(kg K), initial_temperature: 37 degC}}
+supports:
+  outer: {kind: fixed, boundary: bone_surface}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0,
+    conductance: {kind: pressure, open: 50 W/(m^2 K), per_pressure: 400 W/(m^2 K MPa)}}
+  cement_bone: {kind: bonded}
+heat:
+  wall: {kind: temperature, boundary: bone_surface, temperature: 37 degC}
+loads:
+  hip: {kind: force, boundary: stem_top, force: [300 N, 0 N, -900 N]}
+stages:
+  - {name: press, duration: 10 s, increments: 2, adaptive: false}
+time: {method: backward_euler, tolerance: 1 K}
+"""
+
+
+@pytest.mark.parametrize("linear", ["auto", "direct", "multigrid"])
+def test_a_frictionless_stem_that_conducts_by_pressure_does_not_turn(
+    linear: str, tmp_path: Path
+) -> None:
+    """Heat and contact are one system, of which the mechanics are those without heat."""
+    found = support.run(WARM, tmp_path, f"solver.linear={linear}").summary
+    text = re.sub(r",\s+(thermal|conductance): \{[^}]*\}", "", WARM.partition("time:")[0])
+    text = re.sub(r"heat:\n.*\n", "", text).replace("duration: 10 s, ", "")
+    cold = support.solve(text).interfaces["stem_cement"]
+    warm = found["interfaces"]["stem_cement"]
+    for key in ("pressure_max", "pressure_mean", "motion_max"):
+        assert warm[key] == pytest.approx(cold[key], rel=1e-6)
