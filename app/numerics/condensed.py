@@ -346,7 +346,9 @@ class Condensed:
     def _by_factors(self, r: Floats) -> Floats:
         dq = self._known.T @ ((self._known @ r) / self._along)
         if self._free.shape[0]:
-            left = (self._free @ (r - self._times(dq))).astype(self._lu.dtype)
+            # Beyond the range of single precision no step solves, and double precision takes over.
+            with np.errstate(over="ignore", invalid="ignore"):
+                left = (self._free @ (r - self._times(dq))).astype(self._lu.dtype)
             found, _ = self._getrs(self._lu, self._pivots, left, trans=1)
             dq += self._free.T @ found.astype(float)
         return np.asarray(dq)
