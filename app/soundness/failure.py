@@ -122,6 +122,8 @@ STATES = ("open", "stick", "slip")
 SHOWN = 3
 # Relative difference of residuals that scale.
 SAME = 1e-9
+# Residual over the forces below which a failed state far away is one in balance.
+BALANCED = 2e-2
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,8 @@ class Explanation:
     They are on free bodies; on bodies that friction barely holds, and friction beyond which
     solutions need not be unique; on the places of the largest residual and of oscillating points.
     If it ``scales``, the same happens under any part of the load. If it ``breaks``, a bond takes
-    damage in the step: its load may be beyond the peak.
+    damage in the step: its load may be beyond the peak. If bodies are in balance, but outside
+    small displacements, ``far`` says how far.
     """
 
     outcome: NewtonResult
@@ -140,6 +143,7 @@ class Explanation:
     places: Sequence[str] = ()
     scales: bool = False
     breaks: bool = False
+    far: str = ""
 
     @property
     def short(self) -> str:
@@ -147,6 +151,8 @@ class Explanation:
         outcome = self.outcome
         if self.free:
             return self.free[0]
+        if self.far:
+            return self.far
         if outcome.linear_failed:
             return "the linear solver failed"
         if sum(outcome.changes[-5:]) > 0:
@@ -158,7 +164,8 @@ class Explanation:
 
     def text(self, stage: str, reach: float, steps: Sequence[float]) -> str:
         """The message: a solve failed at a part of a stage, after halved steps (parts of it)."""
-        code = f" [{Reason.LOOSE_BODY}]" if self.free else ""
+        reason = Reason.LOOSE_BODY if self.free else Reason.LARGE_DISPLACEMENT
+        code = f" [{reason}]" if self.free or self.far else ""
         tail = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
         advice = "more increments, a finer mesh at the interface, or a smaller load"
         if self.scales:
@@ -172,6 +179,8 @@ class Explanation:
             )
         if self.friction:
             advice += "; other friction, or a support"
+        if self.far:
+            advice = "stiffer foundations, a support, or a smaller load"
         if self.free:
             advice = "hold the free body (a support, friction, an elastic foundation)"
         lines = [
@@ -218,10 +227,15 @@ def explain(
         if not free and (pulled or not problem.load_size or contact.apart()):
             free = loose_bodies.free_bodies(problem, trial)
             free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
-    friction = [] if free else loose_bodies.sliding(problem, contact)
+    far = ""
+    away = solver.system.runs_away(solver.blocks(solver.failed_state))
+    if not free and away and outcome.residuals[-1] < BALANCED:
+        found = loose_bodies.runaway(problem, trial)
+        far = found.text if found else ""
+    friction = [] if free or far else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
     places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
-    return Explanation(outcome, free, friction, places, scales, breaks)
+    return Explanation(outcome, free, friction, places, scales, breaks, far)
 
 
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:
