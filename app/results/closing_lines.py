@@ -258,7 +258,7 @@ def _by_facets(name: str, q: Mapping[str, Any]) -> Verdict:
     part = TABLE["interfaces"]["pressure_by_facets"].text(q)
     text = (
         f"pressure: the maximum on {name}, {most} MPa, depends on the facets of the mesh: slip "
-        f"over them makes up to {part} MPa; use second order with curved cells, or refine"
+        f"over them makes up to {part} MPa; less by curved cells of second order or smaller ones"
     )
     return Verdict(text, "doubtful")
 
