@@ -226,6 +226,7 @@ def contact_points(
     bodies = every[:, 2:]
     stiffness = np.zeros((len(every), 2))
     np.maximum.at(stiffness, corners.ravel(), facets.stiffness[facet])
+    _check_rigid(vertex[:n], bodies[:n], interface[:n], facets, holds, interfaces)
     given, signs = _jumps_at_vertices(vertex[:n], bodies[:n], stiffness[:n], holds)
     local_axes = np.tile(np.eye(3), (n, 1, 1))
     for p in np.flatnonzero(np.isin(vertex[:n], list(axes))):
@@ -521,6 +522,41 @@ def _jumps_at_vertices(
             base = sides[rows][rigid[rows]].tolist()
             _tree(rows, sides, side[:, :, c], stiffness, given[:, :, c], signs[:, :, c], base)
     return given.transpose(0, 2, 1), signs
+
+
+def _check_rigid(
+    vertex: Ints,
+    sides: Ints,
+    interface: Ints,
+    facets: InterfaceFacets,
+    holds: Holds,
+    names: Sequence[str],
+) -> None:
+    """Refuse vertices with two rigid bodies, of which only one can be the base.
+
+    Args:
+        vertex: Vertices of the points (n,).
+        sides: Bodies of the points (n, 2).
+        interface: Interfaces of the points (n,).
+        facets: All facets.
+        holds: Constrained components; which nodes move with rigid regions.
+        names: Names of the interfaces.
+
+    Raises:
+        InputError: There is such a vertex; names the interfaces and the place.
+    """
+    rigid = holds.rigid & (holds.support < 0).any(axis=1)
+    moves = set(zip(map(int, holds.vertex[rigid]), map(int, holds.body[rigid]), strict=True))
+    for rows in shared(vertex):
+        v = int(vertex[rows[0]])
+        if sum((v, int(body)) in moves for body in np.unique(sides[rows])) > 1:
+            x, y, z = facets.x[facets.vertices == v][0]
+            met = ", ".join(names[i] for i in np.unique(interface[rows]))
+            raise InputError(
+                f"interfaces {met}: two rigid regions that supports do not hold in all directions "
+                f"meet a third body at ({x:.4g}, {y:.4g}, {z:.4g}) mm; allowed: one rigid region "
+                "at a line where interfaces meet"
+            )
 
 
 def _tree(

@@ -132,7 +132,10 @@ def _of_others(path: Path, geometry: Any) -> dict[str, Any]:
     """
     found = mesh_files.read(path, geometry.pick)
     points, cells = found.points, found.cells
-    facets = exterior_facets(cells)[0][:, :3]
+    try:
+        facets = exterior_facets(cells)[0][:, :3]
+    except ValueError as error:
+        raise GeometryError(f"{path}: {error}; the mesh is not conforming") from error
     whole = {n: facets[np.isin(facets, rows).all(axis=1)] for n, rows in found.nodes.items()}
     empty = [n for n, block in whole.items() if not len(block) and n not in found.triangles]
     pairs = coincident(points)

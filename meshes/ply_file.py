@@ -118,6 +118,8 @@ def _header(data: bytes) -> tuple[str, list[Element], int]:
             case ["property", "list", count, kind, name] if elements and known(count, kind):
                 if TYPES[count][0] == "f":
                     raise _Damaged(f"header: `{line.strip()[:60]}`: a list is counted in integers")
+                if name in AXES:
+                    raise _Damaged(f"header: `{line.strip()[:60]}`: a coordinate is one number")
                 _add(elements, Property(name, TYPES[kind], TYPES[count]))
             case ["property", kind, name] if elements and known(kind):
                 _add(elements, Property(name, TYPES[kind]))

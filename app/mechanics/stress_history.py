@@ -213,6 +213,9 @@ class StressHistory:
         for b in self.bodies:
             self._before[b].x.array[:] = displacements[b].x.array
         self._old = dict(self._new)
+        if c := self.creep:
+            # The next step begins with the restored stress.
+            self.relax(np.zeros((len(c.rows), 6)), 0.0)
 
     def commit(self, displacements: Sequence[fem.Function]) -> None:
         """Commit stress and strain of a converged state.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import meshes
 from app.arrays import Floats
+from app.errors import InputError
 from app.results.bond_forces import BondForces
 from app.results.stresses import Stresses
 from app.scene.scene import build_scene
@@ -470,6 +471,16 @@ loads: {{press: {{kind: pressure, boundary: top, pressure: 1.7 MPa}}}}
     exact = 1.7 / 700 * x * [0.35, 0.35, -1] + [0, 0, 1.7 / 700 * 3]
     np.testing.assert_allclose(u, exact, atol=1e-12)
     assert solved.balances.max() < 1e-8
+
+
+def test_two_rigid_regions_at_a_line_are_refused_unless_held(tmp_path: Path) -> None:
+    """Opposite blocks of a cross: only one rigid region can be the base of the others there."""
+    text = scene(tmp_path, CROSS, contact(0.3), cells=(4, 2, 4))
+    text["regions"]["a"] = text["regions"]["d"] = {"rigid": True, "tissue": "other"}
+    with pytest.raises(InputError, match=r"two rigid regions .* meet a third body at \(2, "):
+        support.solve(support.case(text))
+    text["regions"]["d"] = dict(text["regions"]["b"])
+    assert support.solve(support.case(text)).last.pressure.max() > 0
 
 
 ON_RANKS = """

@@ -726,6 +726,16 @@ def test_xdmf_of_no_use_says_why(text: str, words: str, tmp_path: Path) -> None:
     assert words in refused(tmp_path / "a.xdmf", text)
 
 
+def test_xdmf_grids_that_overlap_are_refused(tmp_path: Path) -> None:
+    """The second grid has cells on the faces of those of the first, at new nodes."""
+    (a, b, c, d), n = CELLS[0], len(POINTS)
+    apart = np.vstack([POINTS, POINTS[d] + 0.1, POINTS[d] + 0.2])
+    cells, tags = np.vstack([CELLS, [[a, b, c, n], [a, b, c, n + 1]]]), np.append(TAGS, [1, 1])
+    text = xdmf(grid(geometry(apart), topology(cells), attribute(tags)))
+    with pytest.raises(GeometryError, match="a face belongs to more than two cells"):
+        build(tmp_path / "a.xdmf", text)
+
+
 def test_xdmf_with_numbers_in_the_file_is_hashed_in_linear_time(tmp_path: Path) -> None:
     numbers = " ".join(map(repr, np.random.default_rng(3).random(100_000).tolist()))
     path = tmp_path / "a.xdmf"

@@ -203,6 +203,11 @@ REFUSED: dict[str, tuple[str, str | bytes, str]] = {
     "two corners": ("a.obj", VERTICES + "f 1 2\n" + ALL, "line 9: the face has 2 corners"),
     "no numbers": ("a.obj", "v 1 x 2\n", "line 1: `v 1 x 2`: a vertex has three numbers"),
     "no faces": ("a.obj", VERTICES + "surf 1 2\n", "has no faces .*; it has lines of surf"),
+    "ply of lists": (
+        "a.ply",
+        ply_text(BOX).replace("property float x", "property list uchar float x"),
+        "`property list uchar float x`: a coordinate is one number",
+    ),
     "ply cut": ("a.ply", ply_text(BOX)[:-12], "element face has 12 rows in the header, and 10"),
     "ply cut, binary": ("a.ply", ply_binary(BOX)[:-20], "12 rows in the header, and 10 are there"),
     "ply cut in vertices": ("a.ply", ply_binary(BOX)[:-220], "element vertex has 8 rows"),
