@@ -288,7 +288,8 @@ class Solver:
             try:
                 self.snes.solve(None, self.x)
             except PETSc.Error as error:
-                # Exceptions raised in a callback come back wrapped.
+                # Exceptions raised in a callback come back wrapped, and leave the solution locked.
+                self.x = self.x.copy()
                 raise error.__cause__ or error from None
         if self.snes.getConvergedReason() == REASONS.DIVERGED_FNORM_NAN:
             # PETSc calls neither monitor nor test if the residual is not finite.

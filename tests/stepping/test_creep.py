@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from app.errors import StoppedError
 from app.mechanics.creep import CreepState, deviator, von_mises
+from app.numerics.newton import Solver
 from tests import restarted, support
 from tests.command_line.test_run import COARSE
 from tests.support import CONFIGS, TWO_BLOCKS
@@ -111,6 +114,25 @@ def test_a_run_goes_on_within_its_creep(tmp_path: Path) -> None:
     ]
     for k in (middle[0], *middle[1::2]):
         restarted.assert_same(restarted.on(path, tmp_path, checkpoints[k]), tmp_path / "whole")
+
+
+@pytest.mark.parametrize("iteration", [12, 19, 26])
+def test_a_stop_within_a_step_that_creeps_is_a_stop(
+    iteration: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signal ends Newton's method within a step of the second stage."""
+    count, monitor = 0, Solver._monitor
+
+    def stopping(self: Solver, snes: Any, number: int, norm: float) -> None:
+        nonlocal count
+        count += 1
+        if count == iteration:
+            raise StoppedError("stopped by a test")
+        monitor(self, snes, number, norm)
+
+    monkeypatch.setattr(Solver, "_monitor", stopping)
+    with pytest.raises(StoppedError, match="stopped by a test"):
+        support.run(STEM, tmp_path)
 
 
 def test_time_in_any_unit(tmp_path: Path) -> None:
