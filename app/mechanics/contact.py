@@ -478,7 +478,7 @@ class ContactInterfaces:
         Returns:
             True if interfaces are opened.
         """
-        self.law.released = self.law.slides & self.law.can_open & on
+        self.law.released = (self.law.slides | self.law.breaks) & self.law.can_open & on
         return bool(self.comm.allreduce(bool(self.law.released.any()), MPI.LOR))
 
     def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:

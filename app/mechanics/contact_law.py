@@ -94,7 +94,7 @@ class PointLaw:
         can_open, frictional: Whether the law of each point can open, has friction (n,).
         history: Shapes of the history variables of the laws, by name.
         tied: Points that stick whatever their law (n,).
-        released: Points that are open whatever their law (n,).
+        released: Points that are open whatever their law, but for the force of a bond (n,).
         met: Stiffness per area that the jump of each point meets (n,) [MPa/mm].
         default_stiffness: Default stiffness of the trial force (n,) [MPa/mm].
         stiffness: The one in force (n,) [MPa/mm].
@@ -136,6 +136,7 @@ class PointLaw:
         self.can_open = np.array([law.can_open for law in laws])[own.interface]
         self.frictional = np.array([law.friction > 0 for law in laws])[own.interface]
         self.slides = np.array([isinstance(law, Unilateral) for law in laws])[own.interface]
+        self.breaks = np.array([isinstance(law, Cohesive) for law in laws])[own.interface]
         if any(isinstance(law, Cohesive) for law in laws):
             self._bonds, self._friction = values["stiffness"], values["friction_coefficient"]
             # Components of a jump along the normals.
@@ -267,7 +268,7 @@ class PointLaw:
                 out.history[name][rows] = found[f"new {name}"]
             for name in TOLD.keys() & found.keys():
                 out.told[name][rows] = found[name]
-            if beside is not None:
+            if beside is not None and not self.released[rows].any():
                 if law.friction > 0:
                     known["μ"] = self._friction[rows] * out.told["share"][rows]
                 names = (*inputs, "μ") if law.friction > 0 else inputs
@@ -275,10 +276,12 @@ class PointLaw:
                 self._touch(rows, beside, some, state.friction[rows], out)
         if self.tied.any():
             self._tie(out, force, jump + gap, state.jump)
-        if self.released.any():
+        # Bonds keep their forces without the contact beside them.
+        open_ = self.released & self.slides
+        if open_.any():
             for values in (out.force, out.by_multiplier, out.by_jump, out.pressures):
-                values[self.released] = 0.0
-            out.status[self.released] = OPEN
+                values[open_] = 0.0
+            out.status[open_] = OPEN
         return out
 
     def _respond(

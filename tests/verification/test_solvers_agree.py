@@ -148,6 +148,20 @@ def test_solvers_open_two_arms(linear: str) -> None:
     assert sum(step.outcome.iterations for step in solved.steps) < 60
 
 
+@pytest.mark.parametrize("solver", ["condensed", "multigrid"])
+def test_solvers_open_two_arms_glued_at_their_ends(solver: str) -> None:
+    """Open over a length a: beams clamped by a bond that yields, 8 F (a + c h)^3 / (E b h^3).
+
+    c is 0.64 for an isotropic beam on its other half.
+    """
+    law = "{kind: cohesive, friction_coefficient: 0.3, stiffness: 1.0e+5 MPa/mm,"
+    law += " tensile_strength: 50 MPa, shear_strength: 50 MPa, tensile_energy: 1 N/mm,"
+    law += ' shear_energy: 1 N/mm, unbonded: "min(1, max(0, 1000 * (25 - x)))"}'
+    solved = support.solve(ARMS, f"interfaces.lower_upper={law}", f"solver.linear={solver}")
+    opening = 8 * 0.1 * (25 + 0.64 * 2) ** 3 / (20e3 * 1 * 2**3)
+    assert solved.interfaces["lower_upper"]["gap_max"] == pytest.approx(opening, rel=0.05)
+
+
 @pytest.mark.parametrize("friction", [0, 0.001, 0.25])
 def test_solvers_hold_a_belt(
     linear: str, friction: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
