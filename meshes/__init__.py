@@ -108,7 +108,7 @@ def _checked(mesher: Any, geometry: Any, mesh: Any) -> tuple[MeshData, Any]:
 
 
 def _remedy(mesher: Any, geometry: Any, mesh: Any) -> str:
-    """What to change where cells are poor: to a size that meshes, or else a thickness of cement."""
+    """Return the change that gives good cells: a size that meshes, else a thickness of cement."""
     if geometry.kind == "file":
         return "Try another mesh.size." if geometry.is_script else "Repair the mesh file."
 

@@ -146,10 +146,10 @@ def _of_others(path: Path, geometry: Any) -> dict[str, Any]:
         pairs = pairs[~(one & two[:, ::-1]).any(axis=1)]
     label = connected(len(points), *pairs.T)
     row = np.unique(label, return_index=True)[1][label]
-    told = found.notes + mesh_files.left_out("sets of nodes without a facet", empty)
+    notes = found.notes + mesh_files.left_out("sets of nodes without a facet", empty)
     doubled = int((row != np.arange(len(row))).sum())
     if doubled:
-        told.append(f"geometry: {doubled} nodes are merged with others at their places")
+        notes.append(f"geometry: {doubled} nodes are merged with others at their places")
     blocks, twice = dict[str, Any](), 0
     for name, rows in found.sets.items():
         block = row[cells[rows]]
@@ -157,8 +157,8 @@ def _of_others(path: Path, geometry: Any) -> dict[str, Any]:
         twice += len(block) - len(once)
         blocks[f"cells {name}"] = block[np.sort(once)]
     if twice:
-        told.append(f"geometry: {twice} cells stand twice in the file: one of each is kept")
-    arrays: dict[str, Any] = {"points": points, "everything": len(cells) - twice, "told": told}
+        notes.append(f"geometry: {twice} cells stand twice in the file: one of each is kept")
+    arrays: dict[str, Any] = {"points": points, "everything": len(cells) - twice, "told": notes}
     arrays |= blocks
     return arrays | {f"surfaces {n}": row[t] for n, t in (whole | found.triangles).items()}
 

@@ -32,7 +32,8 @@ MUSCLES: dict[str, Point3] = {
 FILLED = (0.0, 0.05, 0.4, 0.64, 0.7, 0.74, 0.8, 0.85, 0.9)
 FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
 # Mean widths of cancellous bone, and of cortical bone around a canal that is not widened (mm).
-CANCELLOUS_WIDTH, CORTICAL_WIDTH = 5.0, 6.2
+CANCELLOUS_WIDTH = 5.0
+CORTICAL_WIDTH = 6.2
 # Least fraction of the stem in the bone; range of the angle between neck and shaft (deg).
 INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
 HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most

@@ -153,9 +153,7 @@ class BodyForms:
         self.space = fem.functionspace(self.mesh, ("Lagrange", scene.order, (3,)))
         self.u = fem.Function(self.space, name="displacement")
         self._tags = cell_tags(tagged)
-        used = {f.boundary for f in scene.foundations}
-        used |= {boundary for load in scene.loads for boundary in load.boundaries}
-        self._surface = SurfaceMeasure(tagged, bodies, used)
+        self._surface = SurfaceMeasure(tagged, bodies, scene.loaded_boundaries)
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
         bone = [e for e in scene.elastic if e._remodelling]
         self.remodels = tuple(e.region for e in bone)

@@ -402,8 +402,8 @@ class ContactInterfaces:
         """
         if self.large is not None or self.points.surface.jumps is not None:
             return np.zeros((6 * self._bodies, 0))
-        touch = (status != OPEN) | self.law.tied
-        return self._unresisted(touch & self._sticks, ~(touch & self._sticks), UNRESISTED)
+        stick = self._touching(status) & self._sticks
+        return self._unresisted(stick, ~stick, UNRESISTED)
 
     def loose_motions(self, status: Ints) -> Floats:
         """Rigid motions that only open points resist (6 bodies, k); collective.
@@ -412,9 +412,13 @@ class ContactInterfaces:
         """
         if self.large is not None or self.points.surface.jumps is not None:
             return np.zeros((6 * self._bodies, 0))
-        touch = (status != OPEN) | self.law.tied
+        touch = self._touching(status)
         loose = self._unresisted(touch & self._sticks, touch & ~self._sticks, FREE)
         return without(loose, self.free_motions(status))
+
+    def _touching(self, status: Ints) -> Bools:
+        """Mask of points that touch in a state, or are tied (n,)."""
+        return (status != OPEN) | self.law.tied
 
     @property
     def _sticks(self) -> Bools:

@@ -234,9 +234,8 @@ class BondForces:
             dofs = facet_nodes(p.tagged, p.space, boundary_facets(p.tagged, boundary))[1]
             return bool(p.comm.allreduce(int(np.isin(dofs, nodes).any())))
 
-        names = {f.boundary for f in scene.foundations}
-        names |= {name for load in scene.loads for name in load.boundaries}
-        return SurfaceMeasure(p.tagged, pieces, [name for name in sorted(names) if near(name)])
+        names = [name for name in sorted(scene.loaded_boundaries) if near(name)]
+        return SurfaceMeasure(p.tagged, pieces, names)
 
     def _springs(self, near: SurfaceMeasure, body: Ints) -> list[tuple[int, fem.Form]]:
         """Forces of elastic foundations by piece; ``body`` is the body of each piece."""

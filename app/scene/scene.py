@@ -128,6 +128,12 @@ class Scene:
         """Whether a support is active in a stage."""
         return support.stages is None or self.stages[stage].name in support.stages
 
+    @property
+    def loaded_boundaries(self) -> set[str]:
+        """Boundaries on which loads or elastic foundations act."""
+        of_loads = {name for load in self.loads for name in load.boundaries}
+        return of_loads | {f.boundary for f in self.foundations}
+
     def load_time(self, time: float) -> float:
         """Time without cycles, at which the histories of loads have their value of a time.
 

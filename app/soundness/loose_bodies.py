@@ -41,11 +41,13 @@ if TYPE_CHECKING:  # dolfinx, which checks of a case do without
 FREE = 1e-10
 # Contact without friction barely resists a motion if its slope against the motion is below so many
 # degrees in the mean, or, with changing sign, below this part of the angle between flat facets.
-SLOPE, FACETS = 3.0, 0.4
+SLOPE = 3.0
+FACETS = 0.4
 # Supports hold a body if they hold more than this part of each direction.
 HELD = 1e-3
 # A body slides if this part of its touching area bears this part of the friction limit.
-SLIDES, ALL_OF_IT = 0.95, 1 - 1e-6
+SLIDES = 0.95
+ALL_OF_IT = 1 - 1e-6
 # Jumps of a free body run away beyond this part of the size of the interfaces.
 RUNAWAY = 0.05
 # And beyond this motion in units of load / (modulus of the softer side x size): 5 for a stem wedged

@@ -165,15 +165,15 @@ def test_data_that_no_material_has_are_asked_about(change: str) -> None:
 def test_check_accepts_every_shipped_case(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(path)]) == 0
     # Laws that rest on memory, conductances that stay, and nothing else.
-    told = capsys.readouterr().err.splitlines()
-    memory = [line for line in told if "from memory: check" in line]
+    notes = capsys.readouterr().err.splitlines()
+    memory = [line for line in notes if "from memory: check" in line]
     assert not memory or path.stem in {"creep_taper", "fatigue", "life"}
-    open_ = [line for line in told if "conductance stays as it is" in line]
+    open_ = [line for line in notes if "conductance stays as it is" in line]
     assert not open_ or path.stem in {"history", "life", "residual", "thermal_100C"}
     # One with probes is meshed.
-    stiff = [line for line in told if line.endswith("too stiff; use mesh.order: 2")]
+    stiff = [line for line in notes if line.endswith("too stiff; use mesh.order: 2")]
     assert not stiff or path.stem == "thermal_100C"
-    assert told == [*memory, *open_, *stiff]
+    assert notes == [*memory, *open_, *stiff]
 
 
 def test_check_notes_that_nothing_acts(capsys: pytest.CaptureFixture[str]) -> None:

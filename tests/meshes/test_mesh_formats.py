@@ -472,7 +472,7 @@ def test_arrays_that_disagree_or_name_no_regions_are_named(
 
 @pytest.mark.parametrize("suffix", ["vtu", "xdmf"])
 def test_the_array_of_regions_can_be_given(suffix: str, tmp_path: Path) -> None:
-    """Whether it is one of several, or has a name that would not be taken."""
+    """It may be one of several, or have a name that is not that of regions."""
     path = tmp_path / f"a.{suffix}"
     arrays = {"material": ODD, "global_part": TAGS, "strain": np.linspace(0, 1, 12)}
     path.write_bytes(vtu(one_piece(**arrays)))

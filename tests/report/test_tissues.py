@@ -70,7 +70,7 @@ def test_a_file_has_to_say_it(tmp_path: Path) -> None:
 
 
 def test_a_file_needs_neither_size_nor_tissue_of_materials(tmp_path: Path) -> None:
-    """What a region is stands in the library; what a region itself says comes before."""
+    """The library has the tissue of a material; the tissue of the region comes before it."""
     stack = support.case(STACK)
     meshes.write_msh(meshes.build(stack.geometry, stack.mesh), tmp_path / "a.msh")
     text = STACK[STACK.index("regions:") :].replace(", tissue: bone}", ", tissue: other}")
