@@ -209,6 +209,7 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
     }
     if wanted:
         return main
+    main["pressure_mean_max"], _ = surface.field(s.tractions[i]["pressure"].mean, "").maximum()
     by_facets = float(s.by_facets[s.of_points == i].max(initial=0.0))
     if by_facets > DECIDED * main["pressure_max"]:
         main["pressure_by_facets"] = by_facets
