@@ -245,8 +245,10 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> d
     for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
         mean, value = tractions.get(name, (values, values))
         field = surface.field(value, part)
-        found[f"{name}_max"], found[f"{name}_max_at"] = field.maximum()
+        most, place = field.maximum()
         found |= {
+            f"{name}_max": max(most, 0.0),
+            f"{name}_max_at": place,
             f"{name}_p95": partial(field.percentile, 0.95),
             f"{name}_p99": partial(field.percentile, 0.99),
             f"{name}_mean": surface.field(mean, part).mean,

@@ -40,11 +40,11 @@ class SurfaceField:
         return integral / self.whole if self.whole > 0 else 0.0
 
     def maximum(self) -> tuple[float, list[float]]:
-        """Largest value and its place (3,) [mm]; 0 without triangles or where none is positive."""
+        """Largest value and its place (3,) [mm]; 0 and no place without triangles."""
         if not len(self._area):
             return 0.0, []
         k = int(np.argmax(self._corners))
-        return max(float(self._corners.ravel()[k]), 0.0), self._x.reshape(-1, 3)[k].tolist()
+        return float(self._corners.ravel()[k]), self._x.reshape(-1, 3)[k].tolist()
 
     def area_above(self, level: float) -> float:
         """Area where the field exceeds a level [mm2]."""
