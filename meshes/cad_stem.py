@@ -17,10 +17,11 @@ from scipy.spatial import cKDTree
 from app.arrays import Floats
 from app.errors import GeometryError
 from meshes.bone_surface import met, section
-from meshes.femur_stem import CORNERS, unit
+from meshes.femur_stem import unit
 from meshes.mantle import distance
 from meshes.placement import Placement
 
+CORNERS = 0.35  # of a quarter's length: what its corner counts more
 ROUND = 720  # rays around
 THETA = 2 * np.pi * np.arange(ROUND) / ROUND
 HIDDEN = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
@@ -131,6 +132,10 @@ class CadStem:
         """Half-width, half-depth and corner radius of a square of the same length around [mm]."""
         half = around(self._kept(z, 0.0)[0]) / 8
         return half, half, 0.0
+
+    def divided(self, z: float, around: int) -> CadStem:
+        """Itself."""
+        return self
 
     def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
         """Points of outlines as `femur_stem.Body.point`; below the tip they are those above."""

@@ -61,11 +61,13 @@ class Intact(FemurSurfaces):
         # From the head's centre back to where a ring is clear of the cut.
         self._back = max(self._meet, above - (CLEAR + dip) / rise)
         blend = above - self._meet
-        self.neck = self.cut + max(2, round(blend / self.mesh.size))
+        self.neck = self.cut + max(2, round(blend / self.mesh.step_along))
         self.mirrored = range(self.cut, self.neck)
         # The last section of the ball; beyond it the shell is closed by a lid.
         wide = WIDE * 2 * math.pi * self._radius / self.around
-        self.ball = self.neck + max(STEPS, round(ARC * self._radius / max(self.mesh.size, wide)))
+        self.ball = self.neck + max(
+            STEPS, round(ARC * self._radius / max(self.mesh.step_along, wide))
+        )
         bone = ("cancellous_bone", "cancellous_bone", "cancellous_bone", "cortical_bone")
         self.segments = (Segment(self.ball, bone), Segment(1, ("cortical_bone",) * 3))
 

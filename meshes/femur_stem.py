@@ -19,7 +19,9 @@ import numpy as np
 from app.arrays import Floats
 from app.errors import GeometryError
 
-CORNERS = 0.35  # of a quarter's length: what its corner counts more
+ARC = 1.6  # lines on a corner's arc over those on a flat of its length: it bends
+FULL = 3.0  # lines on a piece of a quarter over those by its length, at most
+LEAST_WHOLE = 12  # lines around from which each piece has whole lines
 RIM, ZONE = math.sqrt(0.75), 0.5  # cosine and sine of 30 degrees: where a rounded tip gets a bowl
 SHALLOW = 0.3  # depth of the bowl over that of the ellipsoid
 BLEND = (0.38, 0.8)  # of the neck's length: where it is round, at least and at most
@@ -46,6 +48,14 @@ def thickness(given: Any, low: float, top: float) -> Callable[..., Any]:
     return at
 
 
+def allotted(lengths: Floats, lines: int) -> Floats:
+    """Numbers of lines (k,) on pieces of lengths (k,), one at least: the longest edge is least."""
+    whole = np.ones(len(lengths))
+    while whole.sum() < lines:
+        whole[np.argmax(lengths / whole)] += 1
+    return whole
+
+
 @dataclass(frozen=True)
 class Body:
     """A tapered rounded rectangle: value + slope * z for half-width, half-depth and corner.
@@ -54,16 +64,46 @@ class Body:
         half: Values at z = 0 of half-width (x), half-depth (y) and corner radius [mm].
         slope: Their slopes [-].
         lean: Slope of the planes of `point` along y over that along x.
+        shares: Parts of a quarter's lines on its half side, its corner and its half front.
     """
 
     half: tuple[float, float, float]
     slope: tuple[float, float, float]
     lean: float = 0.0
+    shares: tuple[float, float, float] = (0.25, 0.5, 0.25)
 
     def section(self, z: Any) -> tuple[Any, Any, Any]:
         """Half-width, half-depth and corner radius at z [mm]."""
         a, b, r = (v + s * z for v, s in zip(self.half, self.slope, strict=True))
         return a, b, r
+
+    def _weights(self, z: Any) -> Floats:
+        """Lengths of half a side, a corner, which counts more, and half a front, (3, ...) [mm]."""
+        a, b, r = self.section(np.asarray(z))
+        return np.stack([b - r, ARC * 0.5 * np.pi * r, a - r])
+
+    def divided(self, z: float, around: int) -> Body:
+        """The same with shares of its section at z [mm] for a number of lines around.
+
+        Of multiples of 4 each piece has whole lines, so that lines are where arcs end.
+        """
+        weights = self._weights(z)
+        if around % 4 == 0 and around >= LEAST_WHOLE:
+            weights = allotted(weights, around // 4)
+        side, corner, front = map(float, weights / weights.sum())
+        return replace(self, shares=(side, corner, front))
+
+    def _shares(self, z: Any) -> Floats:
+        """Shares at levels z (3, ...).
+
+        They are the same everywhere, so that lines do not leave the ends of arcs, but for pieces
+        that have become too short for their lines, as the flats of a round end.
+        """
+        weights = self._weights(z)
+        most = FULL * weights / weights.sum(axis=0)
+        own = np.minimum(np.reshape(self.shares, (3,) + (1,) * (weights.ndim - 1)), most)
+        room = most - own
+        return np.asarray(own + (1.0 - own.sum(axis=0)) * room / room.sum(axis=0))
 
     def radius(self, theta: Floats, z: Floats) -> Floats:
         """Distance from the z axis to the section's outline in the direction theta [mm]."""
@@ -81,8 +121,6 @@ class Body:
     def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
         """Points of the outline in the planes z = zeta - slope (x + lean y) (n, 3) [mm].
 
-        Corners take more of the turn than their length: they bend most.
-
         Args:
             phi: Angle in turns from +x towards +y (n,); whole quarters are on the axes.
             zeta: Height of the planes at the z axis [mm], shape (n,) or ().
@@ -91,13 +129,10 @@ class Body:
         quarter = np.floor(4 * phi).astype(int) % 4
         part = 4 * phi - np.floor(4 * phi)
         part = np.where(quarter % 2 == 1, 1 - part, part)
-        a, b, r = self.section(zeta)
-        side, corner, front = b - r, 0.5 * np.pi * r, a - r
-        more = CORNERS * (side + corner + front)
-        at = part * (side + corner + front + more)
-        beside = np.clip(at / side, 0.0, 1.0)
-        angle = 0.5 * np.pi * np.clip((at - side) / (corner + more), 0.0, 1.0)
-        across = np.clip((at - side - corner - more) / front, 0.0, 1.0)
+        side, corner, front = self._shares(zeta)
+        beside = np.clip(part / side, 0.0, 1.0)
+        angle = 0.5 * np.pi * np.clip((part - side) / corner, 0.0, 1.0)
+        across = np.clip((part - side - corner) / front, 0.0, 1.0)
         # x = X a + U r and y = Y b + V r of the section where the plane meets the point.
         c, s = np.cos(angle), np.sin(angle)
         (a0, b0, r0), (a1, b1, r1) = self.half, self.slope

@@ -139,7 +139,7 @@ class FemurSurfaces:
             above = np.interp(above, [0.0, near, above[-1]], [0.0, depth, above[-1]])
         void, start = implant.tip_void, len(below) - 1
         floor, rim = self._tip.rim - void, self._tip.rim
-        lengths = (2 if cad else 1) * (floor - plug), void, height  # an end of CAD may be narrow
+        lengths = 2 * (floor - plug), void, height  # the end may be narrow
         counts = [mesh.steps(length) if length else 0 for length in lengths]
         levels = pairwise((plug, floor, rim))
         inside = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(levels, counts, strict=False)]
@@ -150,7 +150,8 @@ class FemurSurfaces:
         self._floor, self.tip = start + counts[0], start + counts[0] + counts[1]
         self.mantle = (start, len(self._zeta) - 1)
         self._middle = 0.25 * implant.stem_tip_z + 0.75 * self._top
-        self.around = mesh.lines_around(self._body.section(self._middle), thickness)
+        self.around = mesh.lines_around(self._body.section(self._middle))
+        self._body = self._body.divided(self._middle, self.around)
         self.through, self.cement = mesh.cells_through(thickness), mesh.along_cement(thickness)
 
     @property
@@ -241,7 +242,7 @@ class FemurSurfaces:
             # The mantle's outer side goes on below the plug from where it is at its end.
             first = self._across(phi[below], at[below])
             ratio = first.mantle / first.endosteum
-            ratio += (SPREAD - ratio) * np.minimum(1.0, depth[below] / (4 * self.mesh.size))
+            ratio += (SPREAD - ratio) * np.minimum(1.0, depth[below] / (4 * self.mesh.step_along))
             mantle[below] = ratio * endosteum[below]
         return Lines(start, end, mantle, endosteum)
 

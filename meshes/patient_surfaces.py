@@ -39,7 +39,6 @@ CORE, NARROW = 0.6, 0.65
 ROUGH = 1.5  # samples over which a canal is smoothed
 OBLIQUE = 2.0  # at most, of a way through the cortex over its thickness
 LID, NEAR_LID = 0.9, 15.0  # of the normal along the shaft: a canal's flat end; mm from its top
-WIDE, OVER = 12.0, 2.0  # mm of an edge around the metaphysis, and over the size
 ECCENTRIC = 10.0  # mm that a canal's middle is beside the bone's, at most
 
 
@@ -62,7 +61,6 @@ class PatientSurfaces(FemurSurfaces):
 
     _bone: Any
     _endosteum: Any
-    coarser = 1.7  # below the plug sections are small and far apart
     key = "geometry.insertion"
     remedy = (
         "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and offsets"
@@ -128,10 +126,6 @@ class PatientSurfaces(FemurSurfaces):
         self._bone = Radii(zeta, _limited(radii))
         own = self._own_canal(geometry, canal) if canal else self._table(geometry)
         self._endosteum = Radii(zeta, self._reamed(geometry, own))
-        if not (mesh := self.mesh).around:
-            edge = max(mesh.size, min(WIDE, OVER * mesh.size))
-            wide = 2 * np.pi * float(self._bone.radii.mean(axis=1).max())
-            self.around = max(self.around, int(np.ceil(wide / edge)))
 
     def _table(self, geometry: Any) -> Floats:
         """Radii of the endosteum by its ratio to the periosteum in the parametric femur [mm]."""

@@ -14,6 +14,7 @@ from meshes.data import EDGES, MeshData, Tags, cell_faces, dot, edge_vectors, ma
 
 BAD = 0.01  # below: refused
 POOR = 0.1  # below: counted in the notes, and curved cells are straightened
+SHORTER = (0.5, 0.25)  # of their length: cells that are good then are only long
 WORST_SHOWN = 5
 REACH = 0.25  # of a node's longest edge: the first step that it is moved by
 SMALLEST = 1e-3  # of that edge: the last
@@ -165,6 +166,18 @@ def untangle(points: Floats, cells: Ints, spared: float = 0.0) -> Floats:
     return np.asarray(current)
 
 
+def stubby(points: Floats, cells: Ints) -> Floats:
+    """SICN of cells (m,) that may be long along z: the best of those with their length reduced."""
+    parts = [sicn(points * [1.0, 1.0, part], cells) for part in (1.0, *SHORTER)]
+    return np.asarray(np.max(parts, axis=0))
+
+
+def _poor(points: Floats, cells: Ints, quality: Floats) -> Ints:
+    """Cells that are poor, and not only long along z (k,)."""
+    poor = np.flatnonzero(quality < POOR)
+    return poor[stubby(points, cells[poor]) < POOR]
+
+
 def relaxed(points: Floats, cells: Ints, free: Bools, digits: int) -> Floats:
     """Move free nodes of poor straight cells until the cells are good, or get no better.
 
@@ -183,14 +196,15 @@ def relaxed(points: Floats, cells: Ints, free: Bools, digits: int) -> Floats:
         The nodes (n, 3).
     """
     x, quality = points.copy(), sicn(points, cells)
-    if not (free[cells].any(axis=1) & (quality < POOR)).any():
+    poor = _poor(x, cells, quality)
+    if not free[cells[poor]].any():
         return x
     order = np.argsort(cells.ravel(), kind="stable")
     start = np.searchsorted(cells.ravel()[order], np.arange(len(x) + 1))
     steps: dict[int, tuple[float, float]] = {}  # of each node: the next and the last one
     while True:
         worst: dict[int, float] = {}
-        for cell in np.flatnonzero(quality < POOR):
+        for cell in _poor(x, cells, quality):
             for node in cells[cell][free[cells[cell]]]:
                 worst[int(node)] = min(worst.get(int(node), 1.0), round(quality[cell], digits))
         moving = [k for k in worst if k not in steps or steps[k][0] >= steps[k][1]]

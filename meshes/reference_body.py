@@ -21,7 +21,7 @@ from meshes.gmsh_child import elements, grade, nodes, session
 # Part of y that x is sheared by: mirrored cells would be cut by either diagonal equally well, and
 # rounding would decide.
 SHEAR = 0.03
-COARSER = 1.4  # size inside the core over its edges
+COARSER = 2.0  # size inside the core over its edges
 PRISM = 6  # gmsh's number of the type
 
 

@@ -22,8 +22,9 @@ from meshes.layers import DIGITS, Nodes
 from meshes.quality import check, relaxed, sicn, untangle
 from meshes.reference_body import ReferenceBody
 
-FLOOR = 0.12  # of the mesh size: layers thinner than this have no thickness
-ALONG = 0.10  # of the distance to the next section, where that is far: the same
+# Least thickness of a layer, over the distance to the next line, and to the next section: where it
+# would be thinner it has none.
+FLOOR, ALONG = 0.12, 0.10
 
 POOR = 0.12  # SICN: quadrangles of the rings with worse cells get their other diagonal
 
@@ -76,11 +77,12 @@ class Swept:
         wrong = np.abs(nodes.error[mantle])
         within = nodes.s[mantle] >= 2 * surfaces.mantle[0]
         moved = np.where(nodes.merged[mantle], np.maximum(-nodes.error[mantle], 0.0), wrong)[within]
+        floors = nodes.floor[mantle & ~nodes.merged]
         return {
             "lines_around": surfaces.around,
             "steps_along": sum(segment.steps for segment in surfaces.segments),
             "cells_through": list(surfaces.through),
-            "least_thickness_mm": FLOOR * surfaces.mesh.size,
+            "least_thickness_mm": float(floors.min()) if len(floors) else 0.0,
             "moved_nodes": float((moved > 10.0**-DIGITS).mean()),
             "moved_max_mm": float(moved.max(initial=0.0)),
         }
@@ -142,13 +144,14 @@ def _split(surfaces: FemurSurfaces, body: ReferenceBody, number: Ints) -> tuple[
 
     Columns rank from lateral to medial, all of one line together, outwards: sections turn about an
     antero-posterior axis, and diagonals from lateral to medial are the short ones; where sections
-    turn back, those from medial to lateral.
+    turn back, those from medial to lateral. Lines on a flat side rank as if it were round.
     """
     c = len(body.at)
     lines = surfaces.around * len(body.rho)
     edge = np.concatenate([np.arange(lines) // len(body.rho) * len(body.rho), np.arange(lines, c)])
     x, y = np.round(body.at[edge].T, DIGITS)
-    ranks = [np.argsort(np.lexsort((np.arange(c), y, way * x))) for way in (1, -1)]
+    round_ = -np.sign(x) * np.abs(y)
+    ranks = [np.argsort(np.lexsort((np.arange(c), y, way * round_, way * x))) for way in (1, -1)]
     back = np.isin(body.slab, surfaces.mirrored)[:, None]
     order = np.argsort(np.where(back, ranks[1][body.columns], ranks[0][body.columns]), axis=1)
     low = np.take_along_axis(body.columns, order, axis=1) + c * body.slab[:, None]
@@ -245,7 +248,7 @@ def _floor(surfaces: FemurSurfaces, bone: Floats) -> Floats:
     """Least thickness of the layer within the endosteum, by line and station [mm]."""
     apart = np.sqrt(((np.roll(bone, -1, axis=0) - bone) ** 2).sum(axis=2))
     apart = np.maximum(apart, np.roll(apart, 1, axis=0))
-    floor = FLOOR * np.maximum(surfaces.mesh.size, apart)
+    floor = FLOOR * apart
     # Sections that turn are farther apart on the lateral side: wedges there are longer.
     low, high = surfaces.mantle
     steps = ALONG * np.sqrt((np.diff(bone[:, low : high + 1], axis=1) ** 2).sum(axis=2))

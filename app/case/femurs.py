@@ -9,7 +9,16 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
+from app.case.shapes import (
+    Mantle,
+    MeshOptions,
+    Point3,
+    Shape,
+    Sides,
+    Thickness,
+    perimeter,
+    spread,
+)
 from app.case.stems import StemFile
 from app.schema.section import Section, fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
@@ -292,16 +301,26 @@ class _Femur(Shape):
         )
         return half, depth, corner
 
+    @property
+    def stem_perimeter(self) -> float:
+        """Length around the stem where lines are counted (mm)."""
+        return perimeter(*self._section())
+
+    def interface_nodes(self, mesh: MeshOptions) -> float:
+        """Number of nodes on each interface: lines around at steps along."""
+        around, stem, *_ = self.grid(mesh).values()
+        return float(around * stem)
+
     def grid(self, mesh: MeshOptions) -> dict[str, Any]:
         """Lines around, steps along the stem and below it, cells through the layers."""
         plug = self.stem_tip_z - self.plug_length
         flank = self._cut - self.stem_tip_z - self.tip_height
         stem, more, _ = mesh.graded(flank, "stem")
-        ends = self.plug_length - self.tip_void, self.tip_height, self.tip_void
+        ends = 2.0 * (self.plug_length - self.tip_void), self.tip_height, self.tip_void
         below, equal, _ = mesh.graded(plug - self.distal_cut_z, "below")
         through = mesh.cells_through(self.cement_thickness)
         return {
-            "lines around": mesh.lines_around(self._section(), self.cement_thickness),
+            "lines around": mesh.lines_around(self._section()),
             "steps along the stem": len(stem) - 1 + more + sum(map(mesh.steps, filter(None, ends))),
             "steps below": len(below) - 1 + equal,
             "cells through cement, cancellous and cortical bone": through,
@@ -317,7 +336,7 @@ class _Femur(Shape):
         """
         around, stem, below, (_, *bone) = self.grid(mesh).values()
         most = (mesh.along_cement(self.cement_thickness), *bone)
-        core = 3.0 * max(around - 2.0, 0.085 * around**2 + around - 4.0)
+        core = 3.0 * max(around - 2.0, 0.041 * around**2 + 1.5 * around - 6.0)
         cement = spread(self.cement_thickness)[1]
         filled = cement - self.canal_widening
         open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
@@ -437,4 +456,4 @@ class IntactFemur(_Femur):
         cells, _, whole = self._cells(mesh)
         length = self.head_offset / math.sin(self.neck_angle)
         neck = mesh.steps(length - 1.07 * self.head_radius)
-        return round(cells + whole * (neck + max(5, 1.4 * self.head_radius / mesh.size)))
+        return round(cells + whole * (neck + max(5, 1.4 * self.head_radius / mesh.step_along)))

@@ -317,13 +317,26 @@ class Patient(Shape):
         return (Mantle(spread(self.cement_thickness)[1], femurs.flanks_end(self)),)
 
     @property
+    def _in_own_femur(self) -> Femur:
+        """The stem in the parametric femur."""
+        implant = self.implant
+        levels = {"stem_tip_z": SHOULDER - implant.stem_length, "stem_section_z": SHOULDER - 14.0}
+        return implant.model_copy(update=levels)
+
+    @property
+    def stem_perimeter(self) -> float:
+        """Length around the stem where lines are counted (mm), as in the parametric femur."""
+        return self._in_own_femur.stem_perimeter
+
+    def interface_nodes(self, mesh: MeshOptions) -> float:
+        """Number of nodes on each interface, as in the parametric femur."""
+        return self._in_own_femur.interface_nodes(mesh)
+
+    @property
     def interface_area(self) -> float:
         """Approximate area of both interfaces (mm2), of the parametric femur with this stem."""
         return self.implant.interface_area
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
         """Estimated number of tetrahedra, of the parametric femur with this stem."""
-        least = {"around": mesh.around or 14} if mesh.size <= 10.0 else {}
-        implant = self.implant
-        levels = {"stem_tip_z": SHOULDER - implant.stem_length, "stem_section_z": SHOULDER - 14.0}
-        return implant.model_copy(update=levels).estimate_cells(mesh.model_copy(update=least))
+        return self._in_own_femur.estimate_cells(mesh)

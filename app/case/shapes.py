@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from app.schema.section import TAG, Section, Truth, fail
+from app.schema.section import TAG, Scalar, Section, Truth, fail
 from app.schema.units import Dimension, Plain, PositiveLength
 
 Point3 = tuple[float, float, float]
@@ -25,13 +25,17 @@ Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
 # Least size of a cell (mm), so that its powers do not underflow; a bound of the cells.
 LEAST, COUNTLESS = 1e-8, 1e40
-# Least number of lines around a femur, and that of meshes above a size (mm).
-LINES, COMPANION, COARSE = 8, 4, 10.0
+# Distance of lines around on a stem, over the size: pressure has ridges 1.5 to 3 mm wide there.
+AROUND = 0.243
+# Least number of lines around a femur by default, that of meshes above a size (mm), and the most.
+LINES, COMPANION, COARSE, MOST_LINES = 16, 4, 10.0, 1000
+# Area of an interface per node on it, over the squared edge length.
+AREA_PER_NODE = 0.87
 # Least length of a cell through cement, cancellous and cortical bone over the mesh size: in bone
 # there are as many as have room, in cement at most as many as `through_cement`. Widest bone (mm).
 THROUGH = (0.25, 1.0, 1.25)
 CANCELLOUS, CORTICAL = 15.0, 8.0
-# Steps along (mm): first and largest over the size, and growth per mm; from the plug down, and down
+# Steps along (mm): first and largest over `along`, and growth per mm; from the plug down, and down
 # from the neck cut, beside whose rim the largest gaps are and where sections turn apart.
 GRADING = {"below": (1.0, 1.4, 0.2), "stem": (0.6, 1.0, 0.06)}
 # Keys of a graded thickness: equally far apart from the tip to the neck cut, and around the stem.
@@ -155,6 +159,18 @@ class Shape(Section):
         return 0.0
 
     @property
+    def stem_perimeter(self) -> float:
+        """Length around a stem where lines are counted (mm); 0 without lines."""
+        return 0.0
+
+    def interface_nodes(self, mesh: MeshOptions) -> float:
+        """Approximate number of nodes on each interface, of about the same area; 0 if unknown."""
+        if not mesh.size:
+            return 0.0
+        area = self.interface_area / max(1, len(self.interface_sides))
+        return area / (AREA_PER_NODE * mesh.size**2)
+
+    @property
     def has_curved_surfaces(self) -> bool:
         """Whether curved cells follow it better than straight ones; False by default."""
         return False
@@ -225,6 +241,37 @@ class Shape(Section):
         return {}
 
 
+class Lines(Scalar):
+    """Marks lines around a stem: their number (int), or their distance in mm (float)."""
+
+    number = Plain(integer=True, at_least=COMPANION, at_most=MOST_LINES)
+    length = Dimension("mm", "a number of lines or a length", "1.4 mm", above=0.0, at_most=1e10)
+
+    def read(self, value: object) -> int | float:
+        """A number as an int, a length as a float (mm).
+
+        Raises:
+            PydanticCustomError: It is neither, or out of bounds.
+        """
+        if isinstance(value, str):
+            return self.length.read(value)
+        return int(self.number.read(value))
+
+    def write(self, value: int | float) -> int | str:
+        """The number, or the length with its unit."""
+        return value if isinstance(value, int) else self.length.write(value)
+
+    def __get_pydantic_json_schema__(self, *given: object) -> dict[str, Any]:
+        """A number or a length."""
+        forms = (self.number, self.length)
+        return {"anyOf": [form.__get_pydantic_json_schema__(*given) for form in forms]}
+
+
+def perimeter(half: float, depth: float, corner: float) -> float:
+    """Length around a rectangle with rounded corners, by half-width, half-depth and radius (mm)."""
+    return 4.0 * (half + depth - 2.0 * corner) + 2.0 * math.pi * corner
+
+
 class MeshOptions(Section):
     """Mesh size and order of the displacement."""
 
@@ -238,9 +285,13 @@ class MeshOptions(Section):
     """Whether the cells are curved (second order) to follow the geometry; by default where it is
     curved and `order` is 2. Not at first order."""
 
-    around: Annotated[int, Plain(integer=True, at_least=4, at_most=1000)] | None = None
-    """Lines around the stem of a femur, 4 to 1000; by default its perimeter over `size`, but 8 at
-    least up to a size of 10 mm."""
+    around: Annotated[int | float, Lines()] | None = None
+    """Lines around the stem of a femur: their number, 4 to 1000, or their distance on the stem, a
+    quarter of the way down from the neck cut. By default the distance is 0.243 of `size`, and the
+    number, a multiple of 4, 16 at least up to a size of 10 mm."""
+    along: PositiveLength | None = None
+    """Largest step along the stem of a femur; by default `size`. All steps from the shaft to the
+    head scale with it."""
     through_cement: Annotated[int, Plain(integer=True, at_least=1, at_most=100)] | None = None
     """Cells through the cement of a femur, 1 to 100; by default from its thickness over `size`, and
     at least 2."""
@@ -250,17 +301,22 @@ class MeshOptions(Section):
         """Edge length far from the interfaces (mm)."""
         return 4.0 * self.size if self.far_size is None else self.far_size
 
-    def lines_around(self, section: tuple[float, float, float], cement: Thickness) -> int:
-        """Lines around a stem, by its perimeter half-way through the mantle.
+    @property
+    def step_along(self) -> float:
+        """Largest step along a stem (mm)."""
+        return self.size if self.along is None else self.along
 
-        ``section`` is half-width, half-depth and corner radius of a rounded rectangle, ``cement``
-        the mantle's thickness (mm).
+    def lines_around(self, section: tuple[float, float, float]) -> int:
+        """Lines around a stem: as given, or a multiple of 4, by the perimeter of a section.
+
+        It is a rectangle with rounded corners: half-width, half-depth and corner radius (mm).
         """
-        half, depth, corner = section
-        bend = corner + 0.5 * spread(cement)[1]
-        perimeter = 4.0 * (half + depth - 2.0 * corner) + 2.0 * math.pi * bend
+        if isinstance(self.around, int):
+            return self.around
+        if self.around is not None:
+            return max(COMPANION, 4 * round(perimeter(*section) / self.around / 4.0))
         least = LINES if self.size <= COARSE else COMPANION
-        return self.around or max(least, round(perimeter / self.size))
+        return max(least, 4 * round(perimeter(*section) / (AROUND * self.size) / 4.0))
 
     def along_cement(self, cement: Thickness) -> float:
         """Cells through cement of a thickness (mm), by the mean of a graded one.
@@ -282,8 +338,8 @@ class MeshOptions(Section):
         return cement * self.size, cancellous * self.size, cortical * self.size
 
     def steps(self, length: float) -> int:
-        """Equal steps of about the size in a length (mm)."""
-        return max(1, round(length / self.size))
+        """Equal steps of about the largest along a stem in a length (mm)."""
+        return max(1, round(length / self.step_along))
 
     def graded(self, length: float, part: str) -> tuple[list[float], int, float]:
         """Divide a length (mm) into growing steps, down from the neck cut (stem) or plug (below).
@@ -292,22 +348,29 @@ class MeshOptions(Section):
             Distances from 0 where steps grow, and the number and size of equal steps after them.
         """
         first, longest, growth = GRADING[part]
-        largest = min(longest * self.size, self.far)
-        at, step = [0.0], first * self.size
+        largest = min(longest * self.step_along, self.far)
+        at, step = [0.0], first * self.step_along
         while step < largest and at[-1] + 0.5 * step < length:
             at.append(at[-1] + step)
-            step = first * self.size + growth * at[-1]
+            step = first * self.step_along + growth * at[-1]
         return at, max(round((length - at[-1]) / largest), int(len(at) == 1)), largest
 
     def coarser(self, factor: float) -> MeshOptions:
-        """The same mesh with cells that are larger by a factor, in all directions."""
-        counts = {
-            name: max(least, round(count / factor))
-            for name, least in (("around", 4), ("through_cement", 1))
-            if (count := getattr(self, name)) is not None
-        }
-        sizes = {"size": factor * self.size, "far_size": factor * self.far}
-        return self.model_copy(update=sizes | counts)
+        """The same mesh with cells that are larger by a factor, in all directions.
+
+        A number of lines that is a multiple of 4 stays one.
+        """
+        changed: dict[str, float] = {"size": factor * self.size, "far_size": factor * self.far}
+        if self.along is not None:
+            changed["along"] = factor * self.along
+        if isinstance(self.around, float):
+            changed["around"] = factor * self.around
+        elif self.around is not None:
+            multiple = 1 if self.around % 4 else 4
+            changed["around"] = max(4, multiple * round(self.around / factor / multiple))
+        if self.through_cement is not None:
+            changed["through_cement"] = max(1, round(self.through_cement / factor))
+        return self.model_copy(update=changed)
 
     @model_serializer(mode="wrap")
     def _known(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

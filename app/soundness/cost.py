@@ -38,8 +38,6 @@ ASSEMBLE, FACTORIZE, OUTPUT = 3.5e-5, 5e-5, 4e-5
 BASE, CONDENSED, MULTIGRID = 0.4, 2e-6, 5e-6
 # Assumed size where it is not known.
 UNKNOWN_SIZE = 3e4
-# Area of an interface per node on it, in units of the squared edge length.
-AREA_PER_NODE = 0.87
 
 
 @dataclass(frozen=True)
@@ -77,11 +75,8 @@ def _estimated(case: Case) -> _Size:
     rigid = (name for name, region in case.regions.items() if isinstance(region, Rigid))
     moving = count - sum(case.geometry.cells_apart(name, case.mesh) for name in rigid)
     nodes = (NODES_PER_CELL + EDGES_PER_CELL * (case.mesh.order == 2)) * moving + 50
-    # Jumps are linear at either order; each interface has about the same share of the area.
-    areas = case.geometry.interface_area / max(1, len(case.geometry.interface_sides))
-    # Of a mesh file neither areas nor sizes are known.
-    nodes_each = areas / (AREA_PER_NODE * case.mesh.size**2) if areas else 0.0
-    each = dict.fromkeys(case.interfaces, nodes_each)
+    # Jumps are linear at either order.
+    each = dict.fromkeys(case.interfaces, case.geometry.interface_nodes(case.mesh))
     return _size(case, count, nodes, corners, each)
 
 
