@@ -93,8 +93,7 @@ def _cell(case: str, interface: str, quantity: str) -> str:
     own = {key.removeprefix(start): n for key, n in numbers.items() if key.startswith(start)}
     peak, percentile = (TABLE["interfaces"][key] for key in QUANTITIES[quantity])
     digits = 0 if peak.shown == "um" else 1
-    most = max(own[key] for part in ("", "rim.", "tip.") if (key := f"{part}{peak.key}") in own)
-    return f"{peak.factor * most:.{digits}f} / {percentile.text(own)}"
+    return f"{peak.factor * own[peak.key]:.{digits}f} / {percentile.text(own)}"
 
 
 def words(text: str) -> list[str]:

@@ -257,6 +257,7 @@ add_quantity(
     *(_interface(f"area_{how}", "mm^2", digits=1, history=True) for how in ("damaged", "broken")),
     _interface("damage_mean", "-", digits=4, order=MOTION, history=True),
     _interface("pressure_by_facets", "MPa", digits=2, exact=True),
+    _interface("pressure_mean_max", "MPa", digits=2, label="pressure, largest mean at a point"),
     _interface("zone_length", "mm", digits=1, history=True),
     _interface("zone_elements", "-", digits=1),
     _region("von_mises_max", "MPa", label="von Mises max", peak=True),

@@ -8,7 +8,6 @@ Loads on cells at the interface count as traction.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -27,8 +26,9 @@ from app.mechanics.body_forms import BodyForms, OnBody, SurfaceMeasure, assemble
 from app.mechanics.external_forces import at_full
 from app.mechanics.problem import Problem
 from app.results.cement_risk import Borders
-from app.results.interface_numbers import Surface, failing, normal_pressure
+from app.results.interface_numbers import failing, normal_pressure
 from app.results.stresses import Stresses
+from app.results.surface_parts import Surface
 from app.scene.bodies import (
     Bodies,
     boundary_facets,
@@ -45,6 +45,11 @@ from meshes.contact_points import ContactPoints, ContactSurface, Entries, contac
 # Strength of the cement-bone interface: Mann, Werner & Ayers 1999, as quoted by the paper in its
 # section 4.5.
 CEMENT_ON_BONE = InterfaceStrength.model_validate({"tension": "1.35 MPa", "shear": "2.25 MPa"})
+
+
+def _strength(bond: Interface) -> InterfaceStrength:
+    """Return the strength of a bond, that of cement on bone where it is not given."""
+    return bond.law.strength or CEMENT_ON_BONE
 
 
 class _OnPiece(OnBody):
@@ -102,14 +107,14 @@ class BondForces:
     def indices(self) -> tuple[ContactSurface, dict[str, tuple[int, Floats]]] | None:
         """Surface of all interfaces, and for each bond its number there and failure indices (m,).
 
-        Collective; None without a bond of known strength.
+        By mean tractions. Collective; None without a bond of known strength.
         """
-        known = [b for b in self._bonds if b.law.strength]
-        if not known:
+        if not any(b.law.strength for b in self._bonds):
             return None
-        number = {b.name: i for i, b in enumerate(self._bonds)}
-        found = {b.name: (number[b.name], index) for b, _, _, index in self._loaded(strong=True)}
-        return self._place.points.surface, found
+        surface, (pressures, shear) = self._place.points.surface, self._tractions()
+        loads = normal_pressure(pressures, surface.normals), shear
+        known = [(i, b) for i, b in enumerate(self._bonds) if b.law.strength]
+        return surface, {b.name: (i, _strength(b).index(*loads)) for i, b in known}
 
     def numbers(self, strong: bool = False) -> dict[str, dict[str, Any]]:
         """Published numbers by interface; collective.
@@ -117,37 +122,40 @@ class BondForces:
         Args:
             strong: Only interfaces of known strength.
         """
+        wanted = [b for b in self._bonds if b.law.strength or not strong]
+        if not wanted:
+            return {}
+        pressures, shear = self._tractions()
         found = {}
-        for b, s, loads, index in self._loaded(strong):
-            x, of_parts = self._place.points.surface.x, dict[str, dict[str, Any]]()
-            for part in (part for part, at in s.at.items() if at.any()):
-                numbers = failing(s, index, x, part)
+        for b in wanted:
+            surface = self._place.surfaces[b.name]
+            means = surface.of_faces(pressures), np.repeat(shear[:, None], 3, axis=1)
+            values = tuple(map(surface.sharpened, means))
+            index = _strength(b).index(*values)
+            of_parts = dict[str, dict[str, Any]]()
+            for part in (part for part in surface.parts if surface.weight[part].any()):
+                numbers = failing(surface, index, part)
                 if not b.law.strength:
                     numbers = {"strength_fraction": numbers["strength_fraction"]}
-                for name, values in (("normal", -loads[0]), ("shear", loads[1])):
-                    field = s.field(values, part)
-                    numbers |= {"area": field.whole, f"{name}_mean": field.mean()}
-                    numbers[f"{name}_max"] = float(values[s.at[part]].max())
+                for name, sign, mean, value in zip(
+                    ("normal", "shear"), (-1.0, 1.0), means, values, strict=True
+                ):
+                    field = surface.field(sign * value, part)
+                    numbers |= {
+                        "area": field.whole,
+                        f"{name}_mean": sign * surface.field(mean, part).mean(),
+                        f"{name}_max": field.maximum()[0],
+                    }
                 of_parts[part] = numbers
             found[b.name] = of_parts.pop("", {}) | of_parts
         return found
 
-    def _loaded(
-        self, strong: bool
-    ) -> Iterator[tuple[Interface, Surface, tuple[Floats, Floats], Floats]]:
-        """Bonds with facets in the mesh, their facets, tractions and failure indices.
-
-        If ``strong``, only bonds of known strength.
-        """
-        wanted = [b for b in self._bonds if b.law.strength or not strong]
-        loads = self._tractions() if wanted else None
-        for b in wanted:
-            assert loads is not None
-            index = (b.law.strength or CEMENT_ON_BONE).index(*loads)
-            yield b, self._place.surfaces[b.name], loads, index
-
     def _tractions(self) -> tuple[Floats, Floats]:
-        """Pressure, negative in tension, and shear at the corners (m,) [MPa]; collective."""
+        """Tractions over the areas of the corners; collective.
+
+        Returns:
+            Pressure of each face, negative in tension (m, 3) [MPa], and shear (m,) [MPa].
+        """
         place, p, e = self._place, self._place.points, self._place.entries
         exerted = self._exerted()
         node, component = np.divmod(e.row, 3)
@@ -159,7 +167,7 @@ class BondForces:
         at_corners, normals = p.surface.spread(force), p.surface.normals
         pressures = -np.einsum("cik,ci->ck", np.linalg.pinv(normals), at_corners)
         shear = at_corners + np.einsum("ck,cki->ci", pressures, normals)
-        return normal_pressure(pressures, normals), np.linalg.norm(shear, axis=1)
+        return pressures, np.linalg.norm(shear, axis=1)
 
     def _exerted(self) -> Floats:
         """Forces of the interfaces on the pieces at the nodes (pieces, m, 3) [N]; collective."""

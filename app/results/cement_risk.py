@@ -16,7 +16,7 @@ distance with which stress grows is 2 or more. It then grows with every refineme
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import combinations
 from typing import Any
@@ -27,7 +27,6 @@ from app.arrays import Bools, Floats, Ints
 from app.case.case import Case
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
-from app.results.interface_numbers import divided
 from app.results.percentiles import percentile
 from app.results.stresses import Stresses
 from app.stepping.load_steps import LoadStep, OnStep
@@ -197,3 +196,11 @@ def distance(x: Floats, edges: Floats) -> Floats:
         t = np.clip((x - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
         least = np.minimum(least, np.linalg.norm(x - a - t[:, None] * (b - a), axis=1))
     return least
+
+
+def divided(whole: Bools, levels: Mapping[str, Floats]) -> dict[str, Bools]:
+    """Parts of a whole (n,) where levels (n,) are not positive, the first first; "": the rest."""
+    found = {}
+    for part, level in levels.items():
+        found[part], whole = whole & (level <= 0), whole & (level > 0)
+    return {"": whole} | found

@@ -36,6 +36,9 @@ BOTH = "mesh and step"
 # Unsettled peaks that the log lists.
 MOST = 3
 
+# A largest pressure above the largest mean at a point by this factor depends on the mesh.
+STEEP = 1.5
+
 PERCENTILE = re.compile(r"_p\d+$")
 
 # Limits of the balances: forces to rounding, heat to its solver's tolerance.
@@ -162,6 +165,7 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
         for name, q in summary["interfaces"].items()
         if "pressure_by_facets" in q
     ]
+    clauses += [_steep(name, q) for name, q in summary["interfaces"].items() if _is_steep(q)]
     clauses += [_crack(name, q) for name, q in summary["interfaces"].items() if "zone_length" in q]
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
@@ -261,6 +265,17 @@ def _by_facets(name: str, q: Mapping[str, Any]) -> Verdict:
         f"over them makes up to {part} MPa; less by curved cells of second order or smaller ones"
     )
     return Verdict(text, "doubtful")
+
+
+def _is_steep(q: Mapping[str, Any]) -> bool:
+    return bool(q.get("pressure_max", 0.0) > STEEP * q.get("pressure_mean_max", np.inf))
+
+
+def _steep(name: str, q: Mapping[str, Any]) -> Verdict:
+    """The largest pressure of an interface, where it is far above the mean at its point."""
+    most, mean = (TABLE["interfaces"][key].text(q) for key in ("pressure_max", "pressure_mean_max"))
+    text = f"pressure: the maximum on {name}, {most} MPa, is at a ridge or an edge"
+    return Verdict(f"{text}; the mean at one point is {mean} MPa at most", "doubtful")
 
 
 def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:

@@ -25,7 +25,7 @@ def zone(x: Floats, w: Floats, area: Floats) -> float:
 
     It is not above the size of the surface: uniform damage has no slope.
     """
-    field = SurfaceField(w, area)
+    field = SurfaceField(w, area, x)
     zone = field.area_above(0.0) - field.area_above(BROKEN)
     if not w.max(initial=0.0) or zone <= 0:
         return 0.0

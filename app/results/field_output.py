@@ -222,7 +222,7 @@ class MechanicalFields:
             surface = self._problem.contact.points.surface
             rows = _contact_rows(surface, self.space, self.bodies, nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
-                point |= _interface(contact, samples, rows[i], i)
+                point |= _interface(contact, samples, rows[i])
                 if bearing := self._bearings.get(contact.name):
                     (there,) = _contact_rows(bearing, self.space, self.bodies, nodes)
                     for key, (slave, master) in bearing.fields().items():
@@ -338,7 +338,7 @@ def _along(rows: Ints, values: Floats) -> Floats:
     return out
 
 
-def _interface(contact: Interface, s: ContactSamples, rows: Ints, i: int) -> dict[str, Floats]:
+def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
     """Fields of an interface at the grid's nodes: zero away from it, status -1.
 
     They are linear along edges. In the middle of one the status is the more mobile of its ends:
@@ -354,8 +354,8 @@ def _interface(contact: Interface, s: ContactSamples, rows: Ints, i: int) -> dic
     }
     if contact.between:
         del fields["motion"], fields["slip"]
-    if (index := s.index.get(i)) is not None:
-        fields["failure_index"] = index
+    if strength := contact.law.strength:
+        fields["failure_index"] = strength.index(s.pressure, s.shear)
     found = {f"{contact.name}_{key}": _along(rows, values) for key, values in fields.items()}
     return found | {f"{contact.name}_status": status}
 

@@ -235,7 +235,7 @@ def by_zone(
             for zone in zones.numbers:
                 at = (samples.interface == i) & (where == zone).any(axis=1)
                 if at.any():
-                    result[str(zone)]["interfaces"][contact.name] = _interface(samples, at)
+                    result[str(zone)]["interfaces"][contact.name] = _interface(samples, i, at)
     return result
 
 
@@ -267,12 +267,13 @@ def _integrals(
     return np.asarray(problem.comm.allreduce(local, MPI.SUM))
 
 
-def _interface(s: ContactSamples, at: NDArray[np.bool_]) -> dict[str, float]:
+def _interface(s: ContactSamples, i: int, at: NDArray[np.bool_]) -> dict[str, float]:
     """Motion and tractions of the marked points of an interface; means by area."""
-    weight = s.weight[at]
+    weight, tractions = s.weight[at], s.tractions[i]
     result: dict[str, float] = {}
     for name in ("gap", "slip", "motion", "pressure", "shear"):
-        values = s.sizes[name][at].reshape(len(weight), -1).max(axis=1)
-        result[f"{name}_max"] = float(values.max())
-        result[f"{name}_mean"] = float(np.average(values, weights=weight))
+        mean, value = tractions.get(name, (s.sizes[name], s.sizes[name]))
+        most, typical = (v[at].reshape(len(weight), -1).max(axis=1) for v in (value, mean))
+        result[f"{name}_max"] = float(most.max())
+        result[f"{name}_mean"] = float(np.average(typical, weights=weight))
     return result | {"area": float(weight.sum())}

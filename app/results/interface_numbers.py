@@ -1,8 +1,12 @@
 """Published numbers of interfaces.
 
-All functions are collective and return the same plain values on every rank. Percentiles are
-weighted by area or volume; maxima are reported beside them because peaks at edges grow with
-refinement. Those of a hip leave out rim and tip, which have their own; sums are of the whole.
+All functions are collective and return the same plain values on every rank. Maxima, percentiles,
+means, areas and fractions of a hip are of the interface without the parts within the rim and the
+tip, which have their own; sums are of the whole. Percentiles are weighted by area; maxima are
+reported beside them because peaks at edges grow with refinement.
+
+Maxima and percentiles of tractions are of point values, recovered from forces over areas
+(`surface_parts`); means are those of the forces.
 
 The law holds at the points, along the normals of the surface there. Between them the
 surfaces move apart by the displacements of both bodies, along the normals of the facets themselves:
@@ -11,25 +15,24 @@ bodies may overlap there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
+from app.arrays import Floats, Ints
 from app.case.quantities import TABLE, computed
 from app.laws.interface_laws import Cohesive
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.results.cycles import OF_CYCLES
 from app.results.damage import BROKEN, zone
-from app.results.percentiles import SurfaceField
+from app.results.surface_parts import Surface
 from forms.contact import OPEN, SLIP, STICK
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
-from meshes.contact_points import ContactSurface
 
-Parts = Sequence["Surface"]
+Parts = Sequence[Surface]
 MICROMOTION = 0.030  # mm: where biology reacts
 # Facets decide the largest pressure if they may cause more than this part of it.
 DECIDED = 0.2
@@ -42,6 +45,18 @@ def normal_pressure(pressures: Floats, normals: Floats) -> Floats:
     """
     size = np.linalg.norm(np.einsum("pk,pki->pi", pressures, normals), axis=1)
     return np.where(pressures.sum(axis=1) < 0, -size, size)
+
+
+class TractionSize(NamedTuple):
+    """Size of a traction at the faces of points [MPa].
+
+    Attributes:
+        mean: Means over the areas of the faces (n, 3).
+        value: Point values recovered from them (n, 3).
+    """
+
+    mean: Floats
+    value: Floats
 
 
 class ContactSamples:
@@ -72,7 +87,6 @@ class ContactSamples:
         own: History variables of the laws, by name: (n, ...).
         contacts: The interfaces.
         facet_sizes: Mean length of the edges of their facets [mm].
-        index: Failure index (n,) of interfaces whose strength is known, by their numbers.
         sizes: Sizes of motion [mm] and tractions [MPa] of each point (n,) or face (n, 3), by name.
         friction: Friction on the master per area (n, 3) [MPa], where points slide far.
         arm: From the centre of the master to where they touch it (n, 3) [mm].
@@ -130,10 +144,6 @@ class ContactSamples:
             "pressure": self.pressure,
             "shear": self.shear,
         }
-        laws = enumerate(c.law for c in contacts)
-        self.index = {
-            i: law.strength.index(self.pressure, self.shear) for i, law in laws if law.strength
-        }
         if since is not None:
             way = surface.true_jumps(contact.whole(trial.jump - since))
             self.sizes["inducible"] = np.linalg.norm(way, axis=1)
@@ -147,6 +157,26 @@ class ContactSamples:
         self.by_facets = contact.whole(contact.law.met * pressed)
         self.facet_sizes = contact.edge_lengths
         self.surfaces = parts or [Surface(surface, i, {}) for i in range(len(contacts))]
+        self._pressures = whole(trial.law.pressures)
+        self._points = len(points.x)
+
+    @cached_property
+    def tractions(self) -> list[dict[str, TractionSize]]:
+        """Pressure and shear of each interface, by name."""
+        return [self._tractions(i) for i in range(len(self.contacts))]
+
+    def _tractions(self, i: int) -> dict[str, TractionSize]:
+        surface, n = self.surfaces[i], self._points
+        pressure, shear = (np.repeat(v[:, None], 3, axis=1) for v in (self.pressure, self.shear))
+        # Where sides slide far, forces over areas are no means by shape functions.
+        if self.contacts[i].between:
+            return {
+                "pressure": TractionSize(pressure, pressure),
+                "shear": TractionSize(shear, shear),
+            }
+        pressure[:n] = surface.of_faces(self._pressures)[:n]
+        means = {"pressure": pressure, "shear": shear}
+        return {name: TractionSize(m, surface.sharpened(m)) for name, m in means.items()}
 
     @cached_property
     def numbers(self) -> dict[str, dict[str, Any]]:
@@ -167,7 +197,7 @@ class ContactSamples:
 def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[str, Any]:
     """Numbers of an interface and its parts; the wanted ones of its main part if not all."""
     at, surface = s.interface == i, s.surfaces[i]
-    parts = {part: _of_part(s, i, part, wanted) for part in ([""] if wanted else surface.at)}
+    parts = {part: _of_part(s, i, part, wanted) for part in ([""] if wanted else surface.parts)}
     main = parts.pop("") | {
         "penetration_max": float(s.penetration[s.of_points == i].max(initial=0.0)),
         "dissipation": float(s.dissipation[at].sum()),
@@ -179,11 +209,11 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
     }
     if wanted:
         return main
-    area = float(s.weight[at].sum()) - sum(part["area"] for part in parts.values())
+    main["pressure_mean_max"], _ = surface.field(s.tractions[i]["pressure"].mean, "").maximum()
     by_facets = float(s.by_facets[s.of_points == i].max(initial=0.0))
     if by_facets > DECIDED * main["pressure_max"]:
         main["pressure_by_facets"] = by_facets
-    return main | {"area": area, "force": (s.weight[at] @ s.force[at]).tolist(), **parts}
+    return main | {"force": (s.weight[at] @ s.force[at]).tolist(), **parts}
 
 
 def _damage(s: ContactSamples, i: int) -> dict[str, float]:
@@ -207,94 +237,50 @@ def _damage(s: ContactSamples, i: int) -> dict[str, float]:
 
 def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> dict[str, Any]:
     """Sizes of motion and tractions, states, area and force of a part of an interface."""
-    surface, index = s.surfaces[i], s.index.get(i)
-    at = surface.at[part]
-    weight, x = s.weight[at], s.x[at]
+    surface, contact = s.surfaces[i], s.contacts[i]
     found: dict[str, Any] = {}  # of functions, what is asked for is computed
+    tractions = s.tractions[i]
     # Where sides slide far a jump is no motion, a gap no debonding, and slips do not add up.
-    left_out = ("slip", "motion", "inducible") if s.contacts[i].between else ()
+    left_out = ("slip", "motion", "inducible") if contact.between else ()
     for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
-        field = surface.field(values, part)
-        here = values[at].reshape(len(x), -1).max(axis=1)
-        k = int(np.argmax(here))
+        mean, value = tractions.get(name, (values, values))
+        field = surface.field(value, part)
+        most, place = field.maximum()
         found |= {
-            f"{name}_max": float(max(here[k], 0.0)),
+            f"{name}_max": max(most, 0.0),
+            f"{name}_max_at": place,
             f"{name}_p95": partial(field.percentile, 0.95),
             f"{name}_p99": partial(field.percentile, 0.99),
-            f"{name}_mean": field.mean,
-            f"{name}_max_at": x[k].tolist(),
+            f"{name}_mean": surface.field(mean, part).mean,
         }
-        if name in ("gap", "slip", "motion") and not s.contacts[i].between:
+        if name in ("gap", "slip", "motion") and not contact.between:
             found[f"area_{name}_over_30um"] = partial(field.area_above, MICROMOTION)
+    weight = surface.weight[part]
     for name, state in (("open", OPEN), ("stick", STICK), ("slip", SLIP)):
-        found[f"{name}_fraction"] = float(weight[s.status[at] == state].sum() / weight.sum())
-    found["area"] = field.whole
-    found["force"] = lambda: [field.whole * surface.field(f, part).mean() for f in s.force.T]
-    if index is not None:
-        found |= failing(surface, index, s.x, part)
+        found[f"{name}_fraction"] = float(weight[s.status == state].sum() / weight.sum())
+    found["area"] = float(weight.sum())
+    found["force"] = lambda: (weight @ s.force).tolist()
+    if contact.law.strength:
+        values = (traction.value for traction in tractions.values())
+        found |= failing(surface, contact.law.strength.index(*values), part)
     asked = ((key, value) for key, value in found.items() if not wanted or key in wanted)
     return {key: value() if callable(value) else value for key, value in asked}
 
 
-def failing(surface: Surface, index: Floats, x: Floats, part: str) -> dict[str, Any]:
-    """Failure indices (n,) of a part of an interface: percentile, share of the area beyond 1.
+def failing(surface: Surface, index: Floats, part: str) -> dict[str, Any]:
+    """Failure indices at points (n,) or faces (n, 3) on a part of an interface.
 
-    The load factor is by how much a traction proportional to it would have to grow until the first
-    hundredth of the area fails.
+    Their percentile, the share of the area beyond 1, and the load factor: by how much a traction
+    proportional to it would have to grow until the first hundredth of the area fails.
     """
-    field, at = surface.field(index, part), surface.at[part]
-    k, p99 = int(np.argmax(index[at])), field.percentile()
+    field = surface.field(index, part)
+    p99, (most, place) = field.percentile(), field.maximum()
     return {
-        "failure_index_max": float(index[at][k]),
+        "failure_index_max": most,
         "failure_index_p99": p99,
-        "failure_index_max_at": x[at][k].tolist(),
+        "failure_index_max_at": place,
         "strength_fraction": field.area_above(1.0) / (field.whole or 1.0),
     } | ({"failure_load_factor": 1 / p99} if p99 > 0 else {})
-
-
-class Surface:
-    """Facets of an interface in parts, by their centres; its points are all their corners.
-
-    Attributes:
-        at: Points of each part (n,) by its name, which is empty for the rest.
-        triangles: Points at the corners of each facet (f, 3).
-        corners: Their positions (f, 3, 3) [mm].
-        area: Area of each facet (f,) [mm2].
-
-    Args:
-        borders: Functions of all points (n,) that are not positive in a part; the first counts.
-    """
-
-    def __init__(self, points: ContactSurface, i: int, borders: Mapping[str, Floats]) -> None:
-        at = points.interface == i
-        self.at = divided(at, borders)
-        self.triangles: Ints = points.triangles[i]
-        x = self.corners = points.x[self.triangles]
-        flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-        area = np.linalg.norm(flat, axis=1) / 2
-        # Curved facets have a little more than their corners span.
-        whole = points.weight[at].sum()
-        self.area = area * (whole / area.sum()) if len(area) else area
-        # At each corner the face of the point that this facet belongs to.
-        along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self.triangles]))
-        self._face: Ints = np.argmax(along, axis=2)
-        centres = {part: own[self.triangles].mean(axis=1) for part, own in borders.items()}
-        self._of = divided(np.ones(len(x), dtype=bool), centres)
-
-    def field(self, values: Floats, part: str) -> SurfaceField:
-        """Values at points (n,), or at the faces of points (n, 3), as a field on a part."""
-        corners = values[self.triangles]
-        if values.ndim == 2:
-            corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
-        return SurfaceField(corners[self._of[part]], self.area[self._of[part]])
-
-
-def divided(whole: Bools, levels: Mapping[str, Floats]) -> dict[str, Bools]:
-    """Parts of a whole (n,) where levels (n,) are not positive, the first first; "": the rest."""
-    found = {}
-    for part, level in levels.items():
-        found[part], whole = whole & (level <= 0), whole & (level > 0)
-    return {"": whole} | found
 
 
 # Between the contact points

@@ -27,16 +27,24 @@ class SurfaceField:
     Args:
         corners: Its values at the corners of triangles (f, 3).
         area: Their areas (f,) [mm2].
+        x: Positions of these corners (f, 3, 3) [mm].
     """
 
-    def __init__(self, corners: Floats, area: Floats) -> None:
-        self._corners, self._area, self.whole = corners, area, float(area.sum())
+    def __init__(self, corners: Floats, area: Floats, x: Floats) -> None:
+        self._corners, self._area, self._x, self.whole = corners, area, x, float(area.sum())
         self._sorted = np.sort(corners, axis=1)
 
     def mean(self) -> float:
         """Mean by area; 0 without triangles."""
         integral = float(self._area @ self._corners.mean(axis=1))
         return integral / self.whole if self.whole > 0 else 0.0
+
+    def maximum(self) -> tuple[float, list[float]]:
+        """Largest value and its place (3,) [mm]; 0 and no place without triangles."""
+        if not len(self._area):
+            return 0.0, []
+        k = int(np.argmax(self._corners))
+        return float(self._corners.ravel()[k]), self._x.reshape(-1, 3)[k].tolist()
 
     def area_above(self, level: float) -> float:
         """Area where the field exceeds a level [mm2]."""
@@ -63,7 +71,7 @@ class SurfaceField:
             if side == kept:  # the other end would stay where it is for long
                 excess[1 - side] /= 2
             kept = side
-        return level
+        return min(max(level, ends[0]), ends[1])
 
 
 def _between(ends: Sequence[float], values: Sequence[float]) -> float:

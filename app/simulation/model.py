@@ -31,8 +31,9 @@ from app.results.bond_forces import BondForces
 from app.results.cement_risk import CementRisk
 from app.results.field_output import FieldGroup, HeatFields, MechanicalFields
 from app.results.hip import StemMotion, by_zone, of_femur
-from app.results.interface_numbers import ContactSamples, Surface
+from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
+from app.results.surface_parts import Surface
 from app.scene.scene import Scene, Stage, build_scene
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, memory, well_posedness

@@ -141,7 +141,7 @@ def test_thermal_stiffness_is_the_change_of_the_forces() -> None:
         assert support.difference(q.array, problem.f_q - f_q) < 1e-12
 
 
-@pytest.mark.parametrize(("curved", "tolerance"), [("true", 0.01), ("false", 0.03)])
+@pytest.mark.parametrize(("curved", "tolerance"), [("true", 0.01), ("false", 0.07)])
 def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
     """physics.md 3.2: σ_rr 5.696 and 7.884 MPa on the stem and the bone.
 

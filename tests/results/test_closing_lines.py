@@ -49,6 +49,19 @@ def test_largest_pressure_that_facets_decide() -> None:
     assert "makes up to 4.00 MPa" in words and tone == "doubtful"
 
 
+def test_largest_pressure_far_above_the_means_of_points() -> None:
+    found = summary()
+    found["interfaces"]["stem_cement"] |= {"pressure_max": 9.0, "pressure_mean_max": 5.9}
+    words, tone = told(found)["pressure"]
+    assert words == (
+        "the maximum on stem_cement, 9.00 ± 9.00 MPa, is at a ridge or an edge; the mean at one "
+        "point is 5.90 MPa at most"
+    )
+    assert tone == "doubtful"
+    found["interfaces"]["stem_cement"]["pressure_mean_max"] = 6.1
+    assert "pressure" not in told(found)
+
+
 def test_what_is_bad_stands_out() -> None:
     found = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0, "heat": 1e-3})
     found["interfaces"]["stem_cement"] |= {"penetration_max": 2e-3, "slip_max": 5.0}

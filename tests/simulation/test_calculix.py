@@ -200,7 +200,7 @@ def numbers(solved: support.Solved, u: Floats, monkeypatch: pytest.MonkeyPatch) 
     jump = u[master, dofs] - u[slave, dofs]
     gap = np.einsum("fci,fi->fc", jump, n)
     slip = np.linalg.norm(jump - gap[..., None] * n[:, None], axis=2)
-    both = (SurfaceField(values, area).percentile() for values in (gap, slip))
+    both = (SurfaceField(values, area, x).percentile() for values in (gap, slip))
     return [hip.StemMotion(p, solved.case)(solved.case.side)["subsidence"], *both]
 
 

@@ -1,0 +1,187 @@
+r"""The facets of an interface in parts, and fields on them.
+
+Parts are cut out along the zero lines of level functions, which are linear on each facet: a facet
+that crosses a border is cut into pieces. Maxima, percentiles, means, areas and fractions of a part
+are all of the same pieces, so that a percentile is never above the maximum.
+
+The force of a point over its area is the mean of the traction t by the point's shape function,
+
+.. math:: m_i = \int N_i t \, dA / \int N_i \, dA = (A t)_i .
+
+As a value at the point it is of first order where the slope of t jumps, and always low at a peak.
+`Surface.sharpened` takes two steps of :math:`t \leftarrow t + m - A t` from t = m towards the
+linear field with these means. More steps follow the noise of the means (docs/verification.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.arrays import Bools, Floats, Ints
+from app.results.percentiles import SurfaceField
+from meshes.contact_points import ContactSurface
+
+# Steps from means towards point values.
+STEPS = 2
+# Pieces below this part of their facet are rounding.
+NOTHING = 1e-12
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Triangles cut out of facets.
+
+    Attributes:
+        facet: The facet that each is cut from (t,).
+        at: Barycentric coordinates of its corners in the facet (t, 3, 3).
+    """
+
+    facet: Ints
+    at: Floats
+
+    @property
+    def share(self) -> Floats:
+        """Part of the facet's area (t,)."""
+        a, b, c = np.moveaxis(self.at, 1, 0)
+        return np.asarray(np.abs((a * np.cross(b, c)).sum(axis=1)))
+
+    def values(self, corners: Floats) -> Floats:
+        """Values at the corners (t, 3, ...) of a linear field, from those of facets (f, 3, ...)."""
+        return np.asarray(np.einsum("tcb,tb...->tc...", self.at, corners[self.facet]))
+
+    def beyond(self, level: Floats) -> Pieces:
+        """What of them is where a level, known at the corners of facets (f, 3), is positive."""
+        level = self.values(level)
+        positive = level > 0
+        found = [(self.facet[rows], self.at[rows]) for rows in [positive.all(axis=1)]]
+        for inside in (1, 2):
+            rows = np.flatnonzero(positive.sum(axis=1) == inside)
+            # The corner that is alone on its side comes first.
+            alone = np.argmax(positive[rows] == (inside == 1), axis=1)
+            order = (alone[:, None] + np.arange(3)) % 3
+            f = np.take_along_axis(level[rows], order, axis=1)
+            x = np.take_along_axis(self.at[rows], order[:, :, None], axis=1)
+            # Where the two edges from that corner cross the border.
+            part = f[:, :1] / (f[:, :1] - f[:, 1:])
+            p, q = (x[:, 0] + part[:, k, None] * (x[:, k + 1] - x[:, 0]) for k in (0, 1))
+            if inside == 1:
+                made = [(x[:, 0], p, q)]
+            else:
+                made = [(p, x[:, 1], x[:, 2]), (p, x[:, 2], q)]
+            found += [(self.facet[rows], np.stack(corners, axis=1)) for corners in made]
+        facet, at = (np.concatenate(part) for part in zip(*found, strict=True))
+        pieces = Pieces(facet, at)
+        kept = pieces.share > NOTHING
+        return Pieces(facet[kept], at[kept])
+
+
+def cut(levels: Mapping[str, Floats], facets: int) -> dict[str, Pieces]:
+    """Pieces of facets by part.
+
+    Args:
+        levels: By part, a function at the corners of facets (f, 3) that is not positive there; the
+            first part counts where several do.
+        facets: Number of facets.
+
+    Returns:
+        The pieces of each part; of the rest, with the empty name, first.
+    """
+    rest = Pieces(np.arange(facets), np.tile(np.eye(3), (facets, 1, 1)))
+    found = {}
+    for part, level in levels.items():
+        found[part], rest = rest.beyond(-level), rest.beyond(level)
+    return {"": rest} | found
+
+
+class Surface:
+    """Facets of an interface in parts.
+
+    Attributes:
+        points: Mask of its points (n,) among those of all interfaces.
+        triangles: Points at the corners of each facet (f, 3).
+        corners: Their positions (f, 3, 3) [mm].
+        area: Area of each facet (f,) [mm2].
+        parts: Names of the parts; the empty name is that of the rest.
+        weight: By part, area of each point there (n,) [mm2].
+
+    Args:
+        borders: By part, a function of all points (n,) that is not positive there; the first part
+            counts where several do.
+    """
+
+    def __init__(self, points: ContactSurface, i: int, borders: Mapping[str, Floats]) -> None:
+        self.points: Bools = points.interface == i
+        self.triangles: Ints = points.triangles[i]
+        x = self.corners = points.x[self.triangles]
+        flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        area = np.linalg.norm(flat, axis=1) / 2
+        # Curved facets have a little more than their corners span.
+        whole = points.weight[self.points].sum()
+        self.area = area * (whole / area.sum()) if len(area) else area
+        # At each corner the face of the point that this facet belongs to.
+        along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self.triangles]))
+        self._face: Ints = np.argmax(along, axis=2)
+        levels = {part: level[self.triangles] for part, level in borders.items()}
+        self._pieces = cut(levels, len(x))
+        self._sharp = points.faces[self.triangles].min(axis=1) > 0
+        hats = {part: self._hats(pieces) for part, pieces in self._pieces.items()}
+        own = np.maximum(sum(hats.values()), np.finfo(float).tiny)
+        self.weight = {part: points.weight * hat / own for part, hat in hats.items()}
+
+    @property
+    def parts(self) -> list[str]:
+        """Names of the parts; the empty name is that of the rest."""
+        return list(self._pieces)
+
+    def _hats(self, pieces: Pieces) -> Floats:
+        """Integrals of the points' shape functions over pieces (n,) [mm2]."""
+        shares = pieces.at.mean(axis=1) * (self.area[pieces.facet] * pieces.share)[:, None]
+        sums = np.bincount(self.triangles[pieces.facet].ravel(), shares.ravel(), len(self.points))
+        return np.asarray(sums, dtype=float)
+
+    def _at_corners(self, values: Floats) -> Floats:
+        """Values at the corners of facets (f, 3), from those of points (n,) or faces (n, 3)."""
+        corners = values[self.triangles]
+        if values.ndim == 2:
+            corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
+        return np.asarray(corners)
+
+    def field(self, values: Floats, part: str) -> SurfaceField:
+        """Values at points (n,), or at the faces of points (n, 3), as a field on a part."""
+        pieces = self._pieces[part]
+        area = self.area[pieces.facet] * pieces.share
+        corners = pieces.values(self._at_corners(values))
+        return SurfaceField(corners, area, pieces.values(self.corners))
+
+    def of_faces(self, values: Floats) -> Floats:
+        """Means over the areas of faces (n, 3), from values over the areas of their points (n, 3).
+
+        A face that no facet of this interface belongs to has none.
+        """
+        area = self._sums(np.repeat(self.area[:, None] / 3, 3, axis=1))
+        return np.divide(values * area.sum(axis=1)[:, None], area, where=area > 0, out=0 * values)
+
+    def _sums(self, corners: Floats) -> Floats:
+        """Sums over the facets of each face (n, 3) of values at their corners (f, 3)."""
+        node = 3 * self.triangles + self._face
+        sums = np.bincount(node.ravel(), corners.ravel(), 3 * len(self.points))
+        return np.asarray(sums.reshape(-1, 3))
+
+    def sharpened(self, means: Floats) -> Floats:
+        """Point values (n, 3) at the faces of points from means over their areas (n, 3).
+
+        Values keep the sign of their means, and zeros. Beside a point that supports hold, which
+        carries no reported traction, the means are kept.
+        """
+        area = self._sums(np.repeat(self.area[:, None] / 3, 3, axis=1))
+        held = self._sums(np.repeat(~self._sharp[:, None], 3, axis=1).astype(float))
+        free = (area > 0) & (held == 0)
+        values = means.copy()
+        for _ in range(STEPS):
+            corners = self._at_corners(values)
+            integrals = self.area[:, None] / 12 * (corners + corners.sum(axis=1, keepdims=True))
+            values[free] += means[free] - self._sums(integrals)[free] / area[free]
+        return np.where(values * means > 0, values, 0.0)

@@ -1,0 +1,229 @@
+"""Parts of interfaces are cut exactly; point values are recovered from means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from app.arrays import Floats, Ints
+from app.results.surface_parts import Surface
+
+Function = Callable[[Floats, Floats], Floats]
+
+
+def grid(n: int, length: float = 1.0, jitter: float = 0.0, cells: int = 0) -> tuple[Floats, Ints]:
+    """Points (m, 3) and triangles of a rectangle with n by `cells` squares, n as a rule."""
+    cells = cells or n
+    i, j = np.meshgrid(np.arange(n + 1), np.arange(cells + 1), indexing="ij")
+    x = np.stack([i * length / n, j / cells, 0.0 * i], axis=-1).reshape(-1, 3)
+    inner = (x[:, 0] % length > 0) & (x[:, 1] % 1 > 0)
+    x[inner, :2] += jitter / n * np.random.default_rng(n).uniform(-1, 1, (int(inner.sum()), 2))
+    a = (i * (cells + 1) + j)[:-1, :-1].ravel()
+    b, c, d = a + cells + 1, a + cells + 2, a + 1
+    return x, np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+
+
+def flat(x: Floats, triangles: Ints) -> Any:
+    """The points of one plane interface, as `ContactSurface` has them."""
+    sides = x[triangles[:, 1:]] - x[triangles[:, :1]]
+    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
+    weight = np.bincount(triangles.ravel(), np.repeat(area / 3, 3), len(x))
+    normals = np.zeros((len(x), 3, 3))
+    normals[:, 0, 2] = 1.0
+    return SimpleNamespace(
+        interface=np.zeros(len(x), dtype=int),
+        x=x,
+        weight=weight,
+        normals=normals,
+        faces=np.ones(len(x), dtype=int),
+        triangles=(triangles,),
+    )
+
+
+def plane(n: int, **borders: Function) -> tuple[Floats, Surface]:
+    x, triangles = grid(n, jitter=0.2)
+    return x, Surface(flat(x, triangles), 0, {k: f(x[:, 0], x[:, 1]) for k, f in borders.items()})
+
+
+def test_a_part_is_cut_along_its_border() -> None:
+    """Half-planes of the unit square: areas and means are exact on any mesh."""
+    x, surface = plane(5, tip=lambda x, y: y - 0.37, rim=lambda x, y: x + y - 0.9)
+    # Above y = 0.37, the triangle x + y < 0.9 has legs of 0.53.
+    area = {"tip": 0.37, "rim": 0.53**2 / 2, "": 0.63 - 0.53**2 / 2}
+    for part, expected in area.items():
+        field = surface.field(x[:, 0], part)
+        assert field.whole == pytest.approx(expected, rel=1e-12)
+        assert surface.weight[part].sum() == pytest.approx(expected, rel=1e-12)
+    moments = {"tip": 0.37 / 2, "rim": 0.53**3 / 6, "": 0.63 / 2 - 0.53**3 / 6}
+    for part, expected in moments.items():
+        field = surface.field(x[:, 0], part)
+        assert field.whole * field.mean() == pytest.approx(expected, rel=1e-12)
+    most, place = surface.field(x[:, 1], "rim").maximum()
+    assert most == pytest.approx(0.9) and place[:2] == pytest.approx([0.0, 0.9])
+    assert surface.field(x[:, 1], "tip").maximum()[0] == pytest.approx(0.37)
+    assert surface.field(x[:, 1], "tip").percentile() == pytest.approx(0.99 * 0.37)
+
+
+def test_areas_of_points_add_up() -> None:
+    x, surface = plane(6, tip=lambda x, y: y - 0.4, rim=lambda x, y: (x - 0.5) ** 2 - 0.04)
+    whole = flat(x, surface.triangles).weight
+    assert sum(surface.weight.values()) == pytest.approx(whole)
+    assert sum(surface.field(x[:, 0], p).whole for p in surface.parts) == pytest.approx(1.0)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    values=st.lists(st.integers(0, 1000), min_size=16, max_size=16),
+    levels=st.lists(st.integers(-50, 50), min_size=16, max_size=16),
+    fraction=st.floats(0.0, 1.0),
+)
+def test_a_percentile_is_not_above_its_maximum(
+    values: list[int], levels: list[int], fraction: float
+) -> None:
+    """Of any values, means or recovered, in any part."""
+    x, triangles = grid(3)
+    surface = Surface(flat(x, triangles), 0, {"rim": np.array(levels) / 50})
+    means = np.repeat(np.array(values)[:, None] / 7, 3, axis=1)
+    for part in surface.parts:
+        for field in (surface.field(v, part) for v in (means, surface.sharpened(means))):
+            most, _ = field.maximum()
+            assert field.percentile(fraction) <= most
+            assert field.mean() <= most * (1 + 1e-12)
+
+
+def recovered(x: Floats, triangles: Ints, f: Function) -> tuple[Floats, Floats, Floats]:
+    """Exact values of a function at the points, its means by shape functions, and what is sharp.
+
+    Means are by quadrature, exact to rounding for polynomials on parts of a facet of a 24th.
+    """
+    surface, parts = Surface(flat(x, triangles), 0, {}), 24
+    i, j = np.meshgrid(np.arange(parts), np.arange(parts), indexing="ij")
+    at = np.array([(i + 1 / 3, j + 1 / 3), (i + 2 / 3, j + 2 / 3)]) / parts
+    at = at.transpose(0, 2, 3, 1).reshape(-1, 2)
+    inside = at.sum(axis=1) < 1
+    at = at[inside]
+    hats = np.column_stack([1 - at.sum(axis=1), at])
+    places = np.einsum("qb,tbi->tqi", hats, x[triangles])
+    values = f(places[..., 0], places[..., 1])
+    sums = np.einsum("qb,tq,t->tb", hats, values, surface.area / len(hats))
+    weights = np.einsum("qb,t->tb", hats, surface.area / len(hats))
+    total, area = (np.bincount(triangles.ravel(), s.ravel(), len(x)) for s in (sums, weights))
+    means = total / area
+    three = np.repeat(means[:, None], 3, axis=1)
+    return f(x[:, 0], x[:, 1]), means, surface.sharpened(three)[:, 0]
+
+
+def test_constants_stay_and_signs_stay() -> None:
+    """Where a mean is zero, as at open points, and where it is negative, as in tension."""
+    x, triangles = grid(6, jitter=0.2)
+    surface = Surface(flat(x, triangles), 0, {})
+    assert surface.sharpened(np.full((len(x), 3), 3.7))[:, 0] == pytest.approx(3.7)
+    means = np.where(x[:, :1] > 0.5, x[:, :1], 0.0) * np.ones(3)
+    sharp = surface.sharpened(means)
+    assert (sharp >= 0).all() and sharp.max() > means.max()
+    assert surface.sharpened(-means) == pytest.approx(-sharp)
+
+
+def order(errors: list[float]) -> float:
+    """Fitted order over halved sizes."""
+    return float(-np.polyfit(np.arange(len(errors)), np.log2(errors), 1)[0])
+
+
+def test_smooth_tractions_converge_with_second_order() -> None:
+    """Inside; at the border, where means are one-sided, sharp values gain an order."""
+    found: dict[str, list[float]] = {"mean": [], "sharp": [], "mean, edge": [], "sharp, edge": []}
+    for n in (8, 16, 32):
+        x, triangles = grid(n)
+        exact, mean, sharp = recovered(
+            x, triangles, lambda x, y: 2 + np.sin(3 * x + 1) * np.cos(2 * y)
+        )
+        inner = (np.abs(x[:, :2] - 0.5) < 0.3).all(axis=1)
+        edge = np.isclose(x[:, 0], 1.0) & (np.abs(x[:, 1] - 0.5) < 0.3)
+        for name, values in (("mean", mean), ("sharp", sharp)):
+            found[name].append(float(np.abs(values - exact)[inner].max()))
+            found[f"{name}, edge"].append(float(np.abs(values - exact)[edge].max()))
+    assert order(found["mean"]) > 1.9 and order(found["sharp"]) > 1.9
+    assert order(found["mean, edge"]) == pytest.approx(1.0, abs=0.15)
+    assert found["sharp, edge"][-1] < 0.3 * found["mean, edge"][-1]
+
+
+def test_a_ridge_is_read_to_a_sixth_of_the_error_of_means() -> None:
+    """A kink of slope s on points at a distance h: means are s h / 3 too low there."""
+    for n in (8, 16, 32):
+        # A strip, so that the shape functions are those of one dimension in the middle.
+        x, triangles = grid(n, 1.0, cells=n)
+        exact, mean, sharp = recovered(x, triangles, lambda x, y: 5 - 4 * np.abs(x - 0.5))
+        top = np.isclose(x[:, 0], 0.5) & (np.abs(x[:, 1] - 0.5) < 0.3)
+        low, left = (exact - mean)[top].max(), np.abs(exact - sharp)[top].max()
+        assert low == pytest.approx(4 / n / 3, rel=0.05)
+        assert left < low / 4
+
+
+def test_a_punch_with_rounded_edges() -> None:
+    """Its pressure rises like a root beside its edge and falls to zero there: no value grows.
+
+    p = sqrt(1 - x^2) within |x| < 1, as of a cylinder, and zero beyond (Hertz): the largest value
+    and the 95th percentile converge.
+    """
+    errors: dict[str, list[float]] = {"mean": [], "sharp": []}
+    # Where p exceeds it there lies a twentieth of the area: |x| < 0.05 * 1.5.
+    level = np.sqrt(1 - 0.075**2)
+    for n in (12, 24, 48):
+        x, triangles = grid(n, 1.5, cells=8)
+        surface = Surface(flat(x, triangles), 0, {})
+        _, mean, sharp = recovered(x, triangles, lambda x, y: np.sqrt(np.maximum(1 - x**2, 0.0)))
+        for name, values in (("mean", mean), ("sharp", sharp)):
+            field = surface.field(values, "")
+            errors[name].append(abs(field.percentile(0.95) - level))
+            assert field.maximum()[0] < 1.01
+        assert (sharp[x[:, 0] > 1.0 + 3.0 / n] < 0.05).all()
+    assert errors["sharp"][-1] < 5e-3 and order(errors["sharp"]) > 0.9
+
+
+def test_values_beside_held_points_stay_means() -> None:
+    """A point that supports hold has no reported traction: its zero is no traction of zero."""
+    x, triangles = grid(6)
+    points = flat(x, triangles)
+    held = np.isclose(x[:, 0], 0.0)
+    points.faces = np.where(held, 0, 1)
+    surface = Surface(points, 0, {})
+    means = np.where(held, 0.0, 3.0)[:, None] * np.ones(3)
+    sharp = surface.sharpened(means)[:, 0]
+    assert sharp[held] == pytest.approx(0.0)
+    assert sharp[np.isclose(x[:, 0], 1 / 6)] == pytest.approx(3.0)
+
+
+def test_faces_of_an_edge_have_their_own_means() -> None:
+    """A right angle under one pressure: the force of its edge, over the areas of its faces."""
+    x, triangles = grid(4)
+    other = x[:, [2, 1, 0]] * [1.0, 1.0, -1.0]
+    edge = np.isclose(x[:, 0], 0.0)
+    n = len(x)
+    new = np.where(edge, np.arange(n), n + np.cumsum(~edge) - 1)
+    corner = flat(np.concatenate([x, other[~edge]]), triangles)
+    corner.triangles = (np.concatenate([triangles, new[triangles]]),)
+    both = np.zeros((len(corner.x), 3, 3))
+    both[:n, 0, 2], both[n:, 0, 0] = 1.0, 1.0
+    both[: len(edge)][edge, 1, 0] = 1.0
+    corner.normals = both
+    corner.faces = np.ones(len(corner.x), dtype=int)
+    corner.faces[: len(edge)][edge] = 2
+    sides = corner.x[corner.triangles[0]]
+    area = (
+        np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1) / 2
+    )
+    corner.weight = np.bincount(corner.triangles[0].ravel(), np.repeat(area / 3, 3), len(corner.x))
+    corner.interface = np.zeros(len(corner.x), dtype=int)
+    surface = Surface(corner, 0, {})
+    # A pressure of 2 MPa: half of it over the whole area of a point with two equal faces.
+    pressures = np.where(corner.faces[:, None] > np.arange(3), 2.0 / corner.faces[:, None], 0.0)
+    means = surface.of_faces(pressures)
+    field = surface.field(means, "")
+    assert field.maximum()[0] == pytest.approx(2.0) and field.mean() == pytest.approx(2.0)
+    assert surface.field(surface.sharpened(means), "").maximum()[0] == pytest.approx(2.0)
