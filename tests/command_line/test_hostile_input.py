@@ -100,6 +100,34 @@ def test_the_size_that_would_do_does(monkeypatch: pytest.MonkeyPatch) -> None:
     assert cost.unknowns(case) > 1e5
 
 
+@pytest.mark.parametrize("option", ["around=900", "around=0.06 mm", "along=0.01 mm"])
+def test_the_lines_and_steps_that_would_do_do(option: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The key that makes the mesh too large is refused, with its value that fits."""
+    monkeypatch.setattr(memory, "available", lambda: 8e9)
+    path, key = CONFIGS / "stance.yaml", option.split("=")[0]
+    file = overlay.read(path, [f"mesh.{option}"])
+    with pytest.raises(InputError, match=rf"mesh\.{key}: .* would do") as caught:
+        memory.check(file, resolve(file, CONFIGS))
+    fits = str(caught.value).split("; ")[-1].removesuffix(" would do").removesuffix(" lines")
+    assert 0.5 * 8e9 < memory.needed(load(path, [f"mesh.{key}={fits}"]).config) <= 8e9
+
+
+@pytest.mark.parametrize(
+    ("option", "why"),
+    [
+        ("around=11 mm", "11 mm: the stem is 43.2 mm around .*; expected 0.043 to 10.8 mm"),
+        ("around=0.04 mm", "0.04 mm: the stem is 43.2 mm around .*; expected 0.043 to 10.8 mm"),
+        ("along=21 mm", "21 mm: no part holds such steps; expected at most 20 mm"),
+        ("around=1.4", "1.4 is not a whole number; a distance needs a unit, e.g. '1.4 mm'"),
+        ("around=3", "3 must be at least 4"),
+        ("around=28 kg", "'28 kg' is not a number of lines or a length such as '1.4 mm'"),
+    ],
+)
+def test_lines_that_the_stem_cannot_hold_are_refused(option: str, why: str) -> None:
+    with pytest.raises(InputError, match=rf"--set mesh\.{option.split('=')[0]}: {why}"):
+        load(CONFIGS / "stance.yaml", [f"mesh.{option}"])
+
+
 def test_a_geometry_too_large_for_any_mesh_has_no_size_that_would_do() -> None:
     file = overlay.read(
         CONFIGS / "cylinders.yaml", ["geometry.length=1e10 mm", "geometry.taper=0 deg"]
