@@ -37,7 +37,7 @@ THROUGH = (0.25, 1.0, 1.25)
 CANCELLOUS, CORTICAL = 15.0, 8.0
 # Steps along (mm): first and largest over `along`, and growth per mm; from the plug down, and down
 # from the neck cut, beside whose rim the largest gaps are and where sections turn apart.
-GRADING = {"below": (1.0, 1.4, 0.2), "stem": (0.6, 1.0, 0.06)}
+GRADING = {"below": (1.8, 2.5, 0.2), "stem": (0.6, 1.0, 0.06)}
 # Keys of a graded thickness: equally far apart from the tip to the neck cut, and around the stem.
 HEIGHTS = ("distal", "middle", "proximal")
 SIDES = ("medial", "anterior", "lateral", "posterior")

@@ -240,7 +240,7 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_mesh_draws_the_mantle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("gmsh")
-    sizes = ["--set", "mesh.size=10 mm"]
+    sizes = ["--set", "mesh.size=10 mm", "--set", "mesh.around=8"]
     assert main(["mesh", str(CONFIGS / "stance.yaml"), "-o", str(tmp_path), *sizes]) == 0
     out = capsys.readouterr().out.splitlines()
     assert [Path(line).name for line in out[:4]] == [

@@ -613,7 +613,7 @@ def check_drawn(s: dict[str, Any]) -> None:
 
 
 SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = {
-    "iso_7206_4.yaml": (check_bench, ["mesh.size=10 mm", "output.error=false"]),
+    "iso_7206_4.yaml": (check_bench, ["mesh.size=10 mm", "mesh.around=8", "output.error=false"]),
     "blocks.yaml": (None, ["mesh.size=3 mm"]),
     "cylinders.yaml": (None, ["mesh.size=2.5 mm", "mesh.far_size=5 mm"]),
     **dict.fromkeys(("stance.yaml", "stance_cocr.yaml", "thin_femur.yaml"), (check_stance, STANCE)),
@@ -628,25 +628,40 @@ SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = 
     "history.yaml": (
         check_history,
         [
-            *("mesh.size=10 mm", "mesh.order=1", "time.tolerance=0.2 K"),
+            *("mesh.size=10 mm", "mesh.around=8", "mesh.order=1", "time.tolerance=0.2 K"),
             *("time.mechanical_step=100 K", "stages.2.cycles=3"),
         ],
     ),
     "fatigue.yaml": (
         check_fatigue,
-        ["mesh.size=10 mm", "output.error=false", "stages.0.cycles=1", "stages.4.cycles=1"],
+        [
+            "mesh.size=10 mm",
+            "mesh.around=8",
+            "output.error=false",
+            "stages.0.cycles=1",
+            "stages.4.cycles=1",
+        ],
     ),
-    "debonding.yaml": (check_debonding, ["mesh.size=10 mm", "stages.0.increments=4"]),
-    "remodelling.yaml": (check_bone, ["mesh.size=10 mm", "mesh.order=1", "stages.1.increments=1"]),
+    "debonding.yaml": (
+        check_debonding,
+        ["mesh.size=10 mm", "mesh.around=8", "stages.0.increments=4"],
+    ),
+    "remodelling.yaml": (
+        check_bone,
+        ["mesh.size=10 mm", "mesh.around=8", "mesh.order=1", "stages.1.increments=1"],
+    ),
     "creep_taper.yaml": (check_creep, ["mesh.size=8 mm", "variations={}"]),
     "life.yaml": (
         check_creep,
         [
-            *("mesh.size=10 mm", "mesh.order=1", "time.tolerance=0.2 K"),
+            *("mesh.size=10 mm", "mesh.around=8", "mesh.order=1", "time.tolerance=0.2 K"),
             "time.mechanical_step=100 K",
         ],
     ),
-    "interface_strength.yaml": (check_strength, ["mesh.size=10 mm", "stages.0.increments=6"]),
+    "interface_strength.yaml": (
+        check_strength,
+        ["mesh.size=10 mm", "mesh.around=8", "stages.0.increments=6"],
+    ),
     "head_cup.yaml": (
         check_gait,
         ["mesh.size=4 mm", "stages.1.increments=8", "motions.ball.largest_step=30 deg"],
@@ -660,7 +675,10 @@ SHIPPED: dict[str, tuple[Callable[[dict[str, Any]], None] | None, list[str]]] = 
     ),
     "head_cup_static.yaml": (check_pressed, ["mesh.size=4 mm"]),
     "sliding_block.yaml": (check_drawn, ["stages.1.increments=3"]),
-    "walk.yaml": (partial(check_history, steps=4), ["mesh.size=10 mm", "stages.0.cycles=4"]),
+    "walk.yaml": (
+        partial(check_history, steps=4),
+        ["mesh.size=10 mm", "mesh.around=8", "stages.0.cycles=4"],
+    ),
     "residual.yaml": (
         check_residual,
         [

@@ -17,7 +17,7 @@ from tests import support
 def test_strain_of_the_cortex_is_that_of_a_beam() -> None:
     """At z = -80 and -113: N / EA + M x / EI of the sections of cortex and cancellous bone."""
     text = (support.CONFIGS / "intact.yaml").read_text()
-    solved = support.solve(text, "mesh.size=10 mm")
+    solved = support.solve(text, "mesh.size=10 mm", "mesh.around=8")
     found = of_femur(solved.problem, solved.case)
     theta = 2 * np.pi * np.arange(720) / 720
     knee = section_loads(solved.case, 1.0)[-1]
@@ -104,7 +104,9 @@ def test_the_potting_of_the_bench_test_bears_what_its_angles_give() -> None:
 
 def test_the_stress_over_a_cut_has_the_section_loads() -> None:
     """Above the tip, through stem, cement and bone: means over 40 mm about the cut."""
-    solved = support.solve((support.CONFIGS / "stance.yaml").read_text(), "mesh.size=10 mm")
+    solved = support.solve(
+        (support.CONFIGS / "stance.yaml").read_text(), "mesh.size=10 mm", "mesh.around=8"
+    )
     level = -75.0
     wanted = next(s for s in section_loads(solved.case, 1.0) if s.z == level)
     stresses, force, moment = Stresses(solved.problem), np.zeros(3), np.zeros(3)

@@ -26,7 +26,7 @@ SPACE = 15e9  # bytes: the layers of the image, each a whole tree
 # What a user gives to `docker run -v "$PWD:/work" mantle`.
 STANCE = (
     *("run", "stance.yaml", "-n", "2", "-o", "stance", "--set", "output.error=false"),
-    *("--set", "mesh.size=8 mm", "--set", "mesh.far_size=16 mm"),
+    *("--set", "mesh.size=8 mm", "--set", "mesh.far_size=16 mm", "--set", "mesh.around=8"),
 )
 SWEEP = (
     *("sweep", "sweeps/friction_cylinders.yaml", "-o", "sweep", "--set", "ranks=2"),
