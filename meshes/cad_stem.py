@@ -8,20 +8,25 @@ points meet the surface, which is triangles, once.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.arrays import Floats
+from app.arrays import Bools, Floats
 from app.errors import GeometryError
 from meshes.bone_surface import met, section
-from meshes.femur_stem import unit
+from meshes.femur_stem import ARC, LEAST_WHOLE, allotted, limited, unit
 from meshes.mantle import distance
 from meshes.placement import Placement
 
-CORNERS = 0.35  # of a quarter's length: what its corner counts more
+WINDOW = 1 / 60  # of the length around: bend is averaged over it; shorter corners are points
+CLOSED = 1.5 / 60  # of the length around: flats between corners are longer
+BENT = 1.2  # of the mean bend by length: corners bend more
+LEAST_BEND = 0.2  # radians: what bends less is no corner
+MOVED = 0.08  # of the length around: a corner is that of another section, if it is nearer
 ROUND = 720  # rays around
 THETA = 2 * np.pi * np.arange(ROUND) / ROUND
 HIDDEN = 4.0  # mm of metal that a ray may meet beyond a gap: the corner of a shoulder
@@ -54,6 +59,144 @@ def around(x: Floats) -> float:
     return float(np.sqrt(((x - np.roll(x, 1, axis=0)) ** 2).sum(axis=1)).sum())
 
 
+def positions(x: Floats) -> Floats:
+    """Parts of the length around before points of a closed outline (n, 3); shape (n,)."""
+    length = np.sqrt(((np.roll(x, -1, axis=0) - x) ** 2).sum(axis=1))
+    return np.asarray((np.cumsum(length) - length) / length.sum())
+
+
+def bends(x: Floats) -> Floats:
+    """Angles by which a closed plane outline (n, 3) turns at its points (n,) [rad]."""
+    edges = unit(np.roll(x, -1, axis=0) - x)
+    before = np.roll(edges, 1, axis=0)
+    across = np.cross(before, edges)
+    normal = unit(np.cross(x, np.roll(x, -1, axis=0)).sum(axis=0))
+    return np.asarray(np.arctan2(across @ normal, (before * edges).sum(axis=1)))
+
+
+def corners(x: Floats) -> tuple[Floats, Floats]:
+    """Middles and widths of the corners of a closed outline (n, 3), in parts of its length (k,).
+
+    A corner is where it bends more than in the mean, up to where it bends half as much as there.
+    Bend is averaged over a window: a sharp corner is as wide as that.
+    """
+    at, bend = positions(x), bends(x)
+    total = bend.sum()
+    turned = np.cumsum(bend) - 0.5 * bend
+    at = np.concatenate([at - 1, at, at + 1])
+    turned = np.concatenate([turned - total, turned, turned + total])
+    place = np.arange(2 * ROUND) / (2 * ROUND)
+    ends = [np.interp(place + side * WINDOW, at, turned) for side in (-0.5, 0.5)]
+    density = (ends[1] - ends[0]) / (WINDOW * total)
+    high = density > BENT
+    if high.all() or not high.any():
+        return np.zeros(0), np.zeros(0)
+    shift, n, found = int(np.argmin(high)), len(place), []
+    density, high = np.roll(density, -shift), np.roll(high, -shift)
+    firsts, lasts = np.flatnonzero(np.diff(high.astype(int), append=0)).reshape(-1, 2).T
+    # An arc is facets: what is between them is no flat.
+    apart = np.append(firsts[1:] - lasts[:-1] > CLOSED * n, True)
+    for first, last in zip(firsts[np.roll(apart, 1)] + 1, lasts[apart], strict=True):
+        half = 0.5 * density[first : last + 1].mean()
+        within = first + np.flatnonzero(density[first : last + 1] >= half)
+        before = _outwards(density, half, int(within[0]), -1)
+        after = _outwards(density, half, int(within[-1]), 1)
+        width = (after - before) / n
+        if 2 * half * width * total > LEAST_BEND:
+            found.append(((0.5 * (before + after) + shift) / n, width))
+    middles, widths = np.transpose(found) if found else np.zeros((2, 0))
+    return np.asarray(middles % 1.0), np.asarray(widths)
+
+
+def _outwards(density: Floats, level: float, start: int, way: int) -> float:
+    """Place, from a start in a direction, where a density on a ring falls below a level."""
+    n, k = len(density), start
+    while density[(k + way) % n] >= level and abs(k - start) < n:
+        k += way
+    high, low = density[k % n], density[(k + way) % n]
+    return k + way * float((high - level) / (high - low))
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Corners and flats of the section where lines are counted, and what lines they have.
+
+    Attributes:
+        middles: Middles of the corners in parts of the length around (k,).
+        sharp: Whether each is a point (k,).
+        first: Number of the end of a corner at which the first line is; -1: it is on the first ray.
+        weights: 1 for flats, `ARC` for corners, from the first line on (m,).
+        shares: Parts of all lines on them (m,).
+    """
+
+    middles: Floats
+    sharp: Bools
+    first: int
+    weights: Floats
+    shares: Floats
+
+    @classmethod
+    def of(cls, x: Floats, lines: int) -> Pieces:
+        """Those of an outline (n, 3)."""
+        middles, widths = corners(x)
+        sharp = widths < 1.3 * WINDOW
+        ends = cls._ends(middles, widths, sharp)
+        away = (ends + 0.5) % 1.0 - 0.5
+        near = int(np.argmin(np.abs(away))) if len(ends) else -1
+        first = near if len(ends) and abs(away[near]) < 0.5 / lines else -1
+        pieces = cls(middles, sharp, first, np.zeros(0), np.zeros(0))
+        bounds, inside = pieces._bounds(ends)
+        weights = np.where(inside, ARC, 1.0)
+        lengths = weights * np.diff(bounds)
+        whole = lines % 4 == 0 and lines >= max(LEAST_WHOLE, 2 * len(lengths))
+        shares = allotted(lengths, lines) if whole else lengths
+        return cls(middles, sharp, first, weights, shares / shares.sum())
+
+    @staticmethod
+    def _ends(middles: Floats, widths: Floats, sharp: Bools) -> Floats:
+        """Ends of corners, of a sharp one its point, in parts of the length around (j,)."""
+        ends = [
+            [m] if point else [m - 0.5 * w, m + 0.5 * w]
+            for m, w, point in zip(middles, widths, sharp, strict=True)
+        ]
+        return np.array([at for own in ends for at in own])
+
+    def _bounds(self, ends: Floats) -> tuple[Floats, Bools]:
+        """Bounds of the pieces from the first line on (m + 1,), and which are corners (m,)."""
+        corner = np.array(
+            [k for sharp in self.sharp for k in ([False] if sharp else [True, False])]
+        )
+        start = ends[self.first] if self.first >= 0 else 0.0
+        own = ends if self.first >= 0 else np.append(ends, 0.0)
+        after = corner if self.first >= 0 else np.append(corner, False)
+        place = (own - start) % 1.0
+        order = np.argsort(place, kind="stable")
+        inside = after[order].astype(bool)
+        if self.first < 0 and len(ends):
+            # The first ray may be within a corner.
+            inside[0] = inside[-1]
+        return start + np.append(place[order], 1.0), inside
+
+    def knots(self, x: Floats) -> tuple[Floats, Floats] | None:
+        """Places in an outline (n, 3), and the turns there (m + 1,); None if corners are others."""
+        middles, widths = corners(x)
+        if len(middles) != len(self.middles):
+            return None
+        apart = (middles[None] - self.middles[:, None] + 0.5) % 1.0 - 0.5
+        own = np.abs(apart).argmin(axis=1) if len(middles) else np.zeros(0, dtype=int)
+        away = apart[np.arange(len(own)), own]
+        if len(np.unique(own)) < len(own) or (np.abs(away) > MOVED).any():
+            return None
+        ends = self._ends(self.middles + away, widths[own], self.sharp)
+        bounds, inside = self._bounds(ends)
+        weights = np.where(inside, ARC, 1.0)
+        if (weights != self.weights).any() or (np.diff(bounds) <= 0).any():
+            return None
+        lengths = weights * np.diff(bounds)
+        shares = limited(self.shares, lengths / lengths.sum())
+        return bounds, np.append(0.0, np.cumsum(shares))
+
+
 class CadStem:
     """A stem as `stem_file.read` finds it; ``ends`` are the steps above the neck cut."""
 
@@ -65,7 +208,9 @@ class CadStem:
         self._high = self._low + found["shoulder"] - TIP if high < placed.top else np.inf
         way, shift = [1.0, -1.0 if placed.mirrored else 1.0, 1.0], np.array([0.0, 0.0, self._low])
         self._x, self._coarse = found["x"] * way + shift, found["coarse"] * way + shift
-        self._kept = lru_cache(maxsize=4096)(self._section)
+        self._kept = lru_cache(maxsize=4096)(self._outline)
+        self._placed_lines = lru_cache(maxsize=4096)(self._lines)
+        self._pieces: Pieces | None = None
         end, up = found["end"] * way + shift, found["neck"] * way
         bend = end - (1 - NECK) * end[0] / up[0] * up
         self._path = np.array([[0.0, 0.0, high], bend, end - INSIDE * up])
@@ -87,11 +232,8 @@ class CadStem:
             return 0.0
         return float(rise / (q - p + np.sqrt((q - p) ** 2 + (p - 2 * q + r) * rise)))
 
-    def _section(self, height: float, slope: float, part: float = 0.0) -> tuple[Floats, Floats]:
-        """Outline (`ROUND` + 1, 3) [mm], and its length and bend up to there in turns.
-
-        A part above 0 is that of the way from the cut to the neck's end.
-        """
+    def _outline(self, height: float, slope: float, part: float = 0.0) -> Floats:
+        """Outline (`ROUND`, 3) [mm]; a part above 0 is that of the way from cut to neck's end."""
         t, at = 1 - part, self._cut + (1 - self._cut) * part
         plane = t * t * self._planes[0] + (1 - t * t) * self._planes[1]
         if part <= 0:
@@ -100,7 +242,7 @@ class CadStem:
         if at <= 0:
             origin = np.array([0.0, 0.0, height])
         try:
-            x = outline(self._x, origin, plane)
+            return outline(self._x, origin, plane)
         except ValueError:
             where = self._placed.where(self._placed.to_model(origin))
             raise GeometryError(
@@ -109,14 +251,24 @@ class CadStem:
                 " proximally (stem_tip_z, insertion.depth), cut lower (resection_height,"
                 " resection.height), or leave the collar out"
             ) from None
-        edges = np.roll(x, -1, axis=0) - x
-        length = np.sqrt((edges**2).sum(axis=1))
-        along = edges / length[:, None]
-        bend = np.arccos(np.clip((along * np.roll(along, 1, axis=0)).sum(axis=1), -1.0, 1.0))
-        bend += np.roll(bend, -1)
-        more = CORNERS if part <= 0 else 0.0  # above, corners are those of shoulder and neck
-        weight = length / length.sum() + more * bend / bend.sum()
-        return np.concatenate([x, x[:1]]), np.append(0.0, np.cumsum(weight)) / weight.sum()
+
+    def _lines(self, height: float, slope: float, part: float = 0.0) -> tuple[Floats, Floats]:
+        """Points of an outline (n, 3) [mm], and the lines there in turns (n,)."""
+        x = self._kept(height, slope, part)
+        if part <= 0:
+            return self._turned(x)
+        return x, positions(x)  # corners are those of shoulder and neck
+
+    def _turned(self, x: Floats) -> tuple[Floats, Floats]:
+        """Points of an outline, those of rays (`ROUND`, 3) first, and the lines there in turns."""
+        place = positions(x)
+        if self._pieces and (known := self._pieces.knots(x)):
+            bounds, turns = known
+            start, on = bounds[0], bounds[:-1]
+            more = np.stack([np.interp(on, place, v, period=1.0) for v in x.T], axis=1)
+            at = np.append((place - start) % 1.0 + start, on)
+            return np.concatenate([x, more]), np.interp(at, bounds, turns)
+        return x, place
 
     def _at(self, phi: Floats, *planes: Floats) -> Floats:
         """Points of outlines (n, 3) [mm], one outline for all with the same arguments (n,)."""
@@ -124,23 +276,25 @@ class CadStem:
         found = np.empty((len(phi), 3))
         for k in range(len(keys)):
             own = of.ravel() == k
-            x, at = self._kept(*keys[k])
-            found[own] = np.stack([np.interp(phi[own], at, v) for v in x.T], axis=1)
+            x, at = self._placed_lines(*keys[k])
+            found[own] = np.stack([np.interp(phi[own], at, v, period=1.0) for v in x.T], axis=1)
         return found
 
     def section(self, z: float) -> tuple[float, float, float]:
         """Half-width, half-depth and corner radius of a square of the same length around [mm]."""
-        half = around(self._kept(z, 0.0)[0]) / 8
+        half = around(self._kept(z, 0.0, 0.0)) / 8
         return half, half, 0.0
 
     def divided(self, z: float, around: int) -> CadStem:
-        """Itself."""
+        """Itself, with lines on the corners of its section at z [mm]."""
+        self._pieces = Pieces.of(self._kept(z, 0.0, 0.0), around)
+        self._placed_lines.cache_clear()
         return self
 
     def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
         """Points of outlines as `femur_stem.Body.point`; below the tip they are those above."""
         zeta, slope = (np.broadcast_to(v, phi.shape) for v in (zeta, slope))
-        return self._at(phi, self._low + np.abs(zeta - self._low), slope)
+        return self._at(phi, self._low + np.abs(zeta - self._low), slope, np.zeros(len(phi)))
 
     def points(self, phi: Floats, s: Floats) -> Floats:
         """Points at stations above the cut (n, 3) [mm]."""
@@ -156,7 +310,7 @@ class CadStem:
         wanted = thickness(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
         away = distance(x, self._coarse)
         if (over := x[:, 2] > self._high).any():
-            edge, at = self._kept(self._high, 0.0)[0][:-1, :2], x[over, :2]
+            edge, at = self._kept(self._high, 0.0, 0.0)[:, :2], x[over, :2]
             turn = np.arctan2(at[:, 1], at[:, 0])
             out = np.hypot(*at.T) - np.interp(turn, THETA, np.hypot(*edge.T), period=2 * np.pi)
             beside = np.where(out > 0, cKDTree(edge).query(at)[0], 0.0)

@@ -56,6 +56,13 @@ def allotted(lengths: Floats, lines: int) -> Floats:
     return whole
 
 
+def limited(shares: Floats, weights: Floats) -> Floats:
+    """Shares (k, ...) that are at most `FULL` times weights (k, ...); both have the sum 1."""
+    own = np.minimum(shares, FULL * weights)
+    room = FULL * weights - own
+    return np.asarray(own + (1.0 - own.sum(axis=0)) * room / room.sum(axis=0))
+
+
 @dataclass(frozen=True)
 class Body:
     """A tapered rounded rectangle: value + slope * z for half-width, half-depth and corner.
@@ -100,10 +107,8 @@ class Body:
         that have become too short for their lines, as the flats of a round end.
         """
         weights = self._weights(z)
-        most = FULL * weights / weights.sum(axis=0)
-        own = np.minimum(np.reshape(self.shares, (3,) + (1,) * (weights.ndim - 1)), most)
-        room = most - own
-        return np.asarray(own + (1.0 - own.sum(axis=0)) * room / room.sum(axis=0))
+        shares = np.reshape(self.shares, (3,) + (1,) * (weights.ndim - 1))
+        return limited(shares, weights / weights.sum(axis=0))
 
     def radius(self, theta: Floats, z: Floats) -> Floats:
         """Distance from the z axis to the section's outline in the direction theta [mm]."""

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from app.case.quantities import of_run
+from app.case.shapes import COMPANION, MOST_LINES
 from app.errors import Reason
 from app.laws.densities import density
 from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
@@ -97,16 +98,33 @@ def _mesh(case: Any) -> Iterable[Fault]:
                 f"{case.mesh.size:g} mm: no part holds such cells; expected at most {largest:g} mm"
             )
             yield Fault(("mesh", "size"), text)
-        for key in ("around", "through_cement"):
+        for key in ("around", "along", "through_cement"):
             if getattr(case.mesh, key) and not case.geometry.grid(case.mesh):
                 text = f"geometry.kind: {case.geometry.kind} is not meshed by lines and layers"
                 yield Fault(("mesh", key), f"{text}; leave {key} out")
+        yield from _lines(case)
     size = 0.0 if case.mesh is None else case.mesh.size
     for key, (length, most) in case.geometry.spans.items():
         if size > most * length:
             text = f"cannot be meshed with edges of {size:g} mm (mesh.size)"
             expected = f"at least {size / most:.3g} mm, or a mesh.size of at most"
             yield Fault(("geometry", *key), f"{text}; expected {expected} {most * length:.3g} mm")
+
+
+def _lines(case: Any) -> Iterable[Fault]:
+    """Distances of lines that the stem's section cannot hold, and steps that no part can."""
+    around, length = case.mesh.around, case.geometry.stem_perimeter
+    if isinstance(around, float) and length:
+        # Rounded inwards: what the message allows is allowed.
+        least, most = 1.001 * length / MOST_LINES, 0.999 * length / COMPANION
+        if not length / MOST_LINES <= around <= length / COMPANION:
+            text = f"{around:g} mm: the stem is {length:.3g} mm around where lines are counted"
+            expected = f"expected {least:.2g} to {most:.3g} mm, or a number of lines"
+            yield Fault(("mesh", "around"), f"{text}; {expected}")
+    along, most = case.mesh.along, case.geometry.coarsest_size
+    if along and length and along > most:
+        text = f"{along:g} mm: no part holds such steps; expected at most {most:g} mm"
+        yield Fault(("mesh", "along"), text)
 
 
 def _stages(case: Any) -> Iterable[Fault]:

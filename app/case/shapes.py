@@ -255,6 +255,8 @@ class Lines(Scalar):
         """
         if isinstance(value, str):
             return self.length.read(value)
+        if isinstance(value, float) and not value.is_integer():
+            fail(f"{value} is not a whole number; a distance needs a unit, e.g. '{value} mm'")
         return int(self.number.read(value))
 
     def write(self, value: int | float) -> int | str:

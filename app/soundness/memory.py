@@ -133,13 +133,39 @@ def check(file: CaseFile, case: Case) -> None:
     )
     if isinstance(case.geometry, MeshFile):
         file.raise_all([Fault(("geometry", "path"), text)])
-    size, other = case.mesh.size, case
+    key = _finest(case, memory)
+    given, fits = getattr(case.mesh, key), _fitting(case, key, memory)
+    shown = f"{given} lines" if isinstance(given, int) else f"{given:g} mm"
+    hint = f"; {fits} would do" if fits else ""
+    file.raise_all([Fault(("mesh", key), f"{shown} {text}{hint}")])
+
+
+def _finest(case: Case, memory: float) -> str:
+    """Key of the mesh that makes a case too large: lines or steps that have fitting defaults."""
+    for key in ("around", "along"):
+        mesh = case.mesh.model_copy(update={key: None})
+        given = getattr(case.mesh, key) is not None
+        if given and needed(case.model_copy(update={"mesh": mesh})) <= memory:
+            return key
+    return "size"
+
+
+def _fitting(case: Case, key: str, memory: float) -> str:
+    """Value of a key of the mesh with which a case fits into a memory [byte]; empty if none."""
+    factor, other = 1.0, case
     while needed(other) > memory:
-        size *= 1.02  # in proportion far from the interfaces
-        mesh = case.mesh.coarser(size / case.mesh.size)
+        factor *= 1.02
+        mesh = case.mesh.coarser(factor)
+        if key != "size":  # that one is in proportion everywhere
+            mesh = case.mesh.model_copy(update={key: getattr(mesh, key)})
         other = case.model_copy(update={"mesh": mesh})
+    if isinstance(getattr(case.mesh, key), int):
+        return f"{getattr(other.mesh, key)} lines"
     # Two digits, a few tenths too large at most.
-    digit = 10.0 ** (math.floor(math.log10(size)) - 1)
-    larger = float(f"{digit * math.ceil(size / digit):.2g}")
-    hint = f"; {larger:g} mm would do" if larger <= min(case.geometry.coarsest_size, ABSURD) else ""
-    file.raise_all([Fault(("mesh", "size"), f"{case.mesh.size:g} mm {text}{hint}")])
+    length = factor * getattr(case.mesh, key)
+    digit = 10.0 ** (math.floor(math.log10(length)) - 1)
+    larger = float(f"{digit * math.ceil(length / digit):.2g}")
+    if larger > min(case.geometry.coarsest_size, ABSURD):
+        return ""
+    others = [k for k in ("around", "along") if key == "size" and getattr(case.mesh, k) is not None]
+    return f"{larger:g} mm" + (f", with {' and '.join(others)} as much coarser," if others else "")

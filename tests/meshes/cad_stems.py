@@ -31,6 +31,8 @@ STEMS: dict[str, dict[str, Any]] = {
     },
     "charnley": {"sections": CHARNLEY, "neck": (128.0, 130.0, 5.4, 5.8, 52.0), "fillet": 1.0},
     "anatomic": {"sections": ANATOMIC, "neck": (131.0, 133.0, 5.0, 6.0, 56.0), "smooth": True},
+    # With sharp edges from the tip to the shoulder.
+    "sharp": EXETER | {"sections": [(2.4, 2.4, 0.0, 0.0, 0.0), (8.0, 4.4, 0.0, 0.0, 147.0)]},
     "short": {"sections": SHORT, "neck": (85.0, 130.0, 5.2, 6.0, 56.0), "fillet": 1.2},
     "inch": EXETER | {"unit": "inch"},
     "metre": EXETER | {"unit": "m"},
@@ -92,7 +94,13 @@ def _rename(path: Path, unit: str) -> None:
 
 
 def _rectangle(occ: Any, a: float, b: float, r: float, x: float, z: float) -> int:
-    """A wire around a rounded rectangle."""
+    """A wire around a rounded rectangle, or one with sharp corners."""
+    if r == 0:
+        points = [
+            occ.addPoint(x + u * a, v * b, z) for u, v in ((1, -1), (1, 1), (-1, 1), (-1, -1))
+        ]
+        edges = [occ.addLine(p, points[k - 3]) for k, p in enumerate(points)]
+        return int(occ.addWire(edges))
     arcs = []
     for k, (u, v) in enumerate(((1, -1), (1, 1), (-1, 1), (-1, -1))):
         ends = [(u, 0), (u * math.sqrt(0.5), v * math.sqrt(0.5)), (0, v)][:: 1 if k % 2 else -1]
