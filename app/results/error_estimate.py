@@ -2,15 +2,14 @@ r"""Errors of the numbers of a run, estimated from coarser companions.
 
 A companion on the mesh of size 2 h gives the error of a number X on the mesh of size h,
 
-.. math:: e = r \max(a\, |X_h - X_{2h}|,\; b\, m\, |X_h|),
+.. math:: e = \max(a\, |X_h - X_{2h}|,\; b\, m\, |X_h|),
 
 m the median of :math:`|X_h - X_{2h}| / |X_h|` over all numbers of mechanics, all temperatures, or
-all doses and times: two meshes may agree by chance. r is the size of cells over a fifth of the
-largest with which the geometry can be meshed (4 mm in a femur): a coarse mesh agrees with a still
-coarser one where both are wrong. The factors a and b of each class were fitted to three hips and
-to cement that sets, and tested on others (docs/verification.md). Orders of convergence alone would
-give a; they leave the truth outside too often, as contact begins and ends inside cells. A companion
-of another coarsening is taken as if errors fell with the order in `case.quantities`.
+all doses and times: two meshes may agree by chance. The factors a and b of each class were fitted
+to six hips and to cement that sets, and tested on others (docs/verification.md). Orders of
+convergence alone would give a; they leave the truth outside too often, as contact begins and ends
+inside cells. A companion of another coarsening is taken as if errors fell with the order in
+`case.quantities`.
 
 A number that is zero has no part in medians. It is zero if it is rounding compared with the largest
 number of its unit, or if it is small compared with that and changes by more than its size.
@@ -57,8 +56,6 @@ FACTORS = {
 }
 # Classes that share their median change.
 LIKE = {TRACTION: MOTION, STRESS: MOTION}
-# Parts of the largest mesh size at which these factors hold as they are, and least and largest r.
-FITTED, RESOLVED, COARSE = 0.2, 0.6, 2.0
 # Part of the numbers of a hip whose truth lies within ±, at first and at second order.
 WITHIN = (0.92, 0.9)
 # Sections in which two meshes may agree by chance.
@@ -82,14 +79,6 @@ class Companion:
     case: Case
     coarsening: float
     steps: float
-
-    @property
-    def resolution(self) -> float:
-        """R of the run, 1 where the geometry does not tell."""
-        largest = FITTED * self.case.geometry.coarsest_size
-        size = self.case.mesh.size / self.coarsening
-        known = 0 < largest < np.inf
-        return min(max(size / largest, RESOLVED), COARSE) if known else 1.0
 
     def __str__(self) -> str:
         """Mesh and steps of the companion, in words."""
@@ -166,7 +155,6 @@ def estimate(
         first: mesh size in mm and value on each mesh that was solved, the finest first.
     """
     order = case.mesh.order - 1
-    r = solved[0][0].resolution if solved else 1.0
     unsettled: list[tuple[float, str, list[list[float]]]] = []
     changes: dict[Orders, list[float]] = {}
     raised: list[tuple[Numbers, str, Orders]] = []
@@ -187,7 +175,7 @@ def estimate(
         for q in known if section in CHANCE else ():
             error, value = numbers.get(f"{q.key}_error"), numbers[q.key]
             if error is not None and not q.vector and q.order in FACTORS and value:
-                change = error / (r * FACTORS[q.order][order][0] * abs(value))
+                change = error / (FACTORS[q.order][order][0] * abs(value))
                 if is_zero(value, change * abs(value), largest[q.unit]):
                     continue
                 if (section, name) in whole:
@@ -207,7 +195,7 @@ def estimate(
     _put_in_zones(run, order, solved)
     typical = {like: float(np.median(own)) for like, own in changes.items()}
     for numbers, key, p in raised:
-        least = r * FACTORS[p][order][1] * typical[LIKE.get(p, p)] * abs(numbers[key])
+        least = FACTORS[p][order][1] * typical[LIKE.get(p, p)] * abs(numbers[key])
         numbers[f"{key}_error"] = max(numbers[f"{key}_error"], least)
     worst = sorted(unsettled, key=lambda peak: peak[0], reverse=True)
     return {name: values for _, name, values in worst}
@@ -284,6 +272,5 @@ def _error(key: str, orders: Orders, order: int, run: Numbers, others: Others) -
     coarser = [k for k in known if k[0] > LEAST and (k[1] <= 1 or not pairs)]
     if coarser:
         c, s, o = min(coarser, key=lambda k: k[0])
-        factor *= others[0][0].resolution
         by_mesh = factor * abs(value - (o - path * (1 / s - 1))) * (2**p - 1) / (c**p - 1)
     return np.asarray(by_mesh + abs(path)).tolist()
