@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from app.case.case import Case
-from app.case.quantities import DOSE, HEAT, MOTION, RISK, STRESS, TABLE, TRACTION, numbers_of
+from app.case.quantities import DOSE, HEAT, MOTION, RISK, SLIP, STRESS, TABLE, TRACTION, numbers_of
 
 # Mesh sizes over that of the run, of the companion for the error of the mesh and of those for the
 # error of the step.
@@ -47,15 +47,16 @@ SMALL = 0.01
 LEAST = 1.25
 # Factors a and b at first and at second order, by the orders of convergence of a class.
 FACTORS = {
-    MOTION: ((4.0, 8.0), (0.7, 1.4)),
-    TRACTION: ((2.6, 2.6), (1.6, 3.2)),
-    STRESS: ((6.0, 6.0), (0.9, 0.7)),
-    RISK: ((6.0, 6.0), (0.9, 0.7)),
+    MOTION: ((4.0, 8.0), (0.7, 0.35)),
+    SLIP: ((4.0, 8.0), (0.5, 1.4)),
+    TRACTION: ((2.6, 2.6), (0.55, 0.95)),
+    STRESS: ((6.0, 6.0), (1.25, 0.15)),
+    RISK: ((6.0, 6.0), (1.25, 0.15)),
     HEAT: ((6.0, 0.0), (6.0, 0.0)),
     DOSE: ((5.0, 1.5), (5.0, 1.5)),
 }
 # Classes that share their median change.
-LIKE = {TRACTION: MOTION, STRESS: MOTION}
+LIKE = {SLIP: MOTION, TRACTION: MOTION, STRESS: MOTION}
 # Part of the numbers of a hip whose truth lies within ±, at first and at second order.
 WITHIN = (0.92, 0.9)
 # Sections in which two meshes may agree by chance.

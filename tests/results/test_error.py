@@ -136,9 +136,11 @@ def test_the_estimate_is_exact_for_its_model(increments: int) -> None:
     unsettled = modelled(run, this, lambda size, n: numbers(size, n, p))
     q = run["interfaces"]["lower_upper"]
     # The difference from 2 h, and the steps; a single number changes as the median of all.
-    a, b = error_estimate.FACTORS[quantities.MOTION][1]
-    error = 0.01 * a * (2**p - 1) + 0.02 / increments
-    assert q["slip_p99_error"] == pytest.approx(max(b / a, 1.0) * error)
+    a, _ = error_estimate.FACTORS[quantities.MOTION][1]
+    by_mesh, by_step = 0.01 * (2**p - 1), 0.02 / increments
+    error = a * by_mesh + by_step
+    a, b = error_estimate.FACTORS[quantities.SLIP][1]
+    assert q["slip_p99_error"] == pytest.approx(b / a * (a * by_mesh + by_step))
     assert q["force_error"] == pytest.approx([error, 2 * error, 0])
     # The peak changes by 0.2 of 1.2, the gap by far less than any slip.
     assert list(unsettled) == ["lower_upper.slip_max"]
@@ -197,8 +199,9 @@ def test_an_error_that_is_small_by_chance_is_raised() -> None:
     other = {"slip_p99": 2.2, "slip_p95": 1.1, "slip_mean": 0.55, "gap_p99": 4.0}
     run: dict[str, Any] = {"interfaces": {"lower_upper": values}}
     compared(run, this, {"interfaces": {"lower_upper": other}})
-    factor, least = error_estimate.FACTORS[quantities.MOTION][1]
+    factor, least = error_estimate.FACTORS[quantities.SLIP][1]
     assert values["slip_p99_error"] == pytest.approx(max(0.2 * factor, 2.0 * 0.1 * least))
+    _, least = error_estimate.FACTORS[quantities.MOTION][1]
     assert values["gap_p99_error"] == pytest.approx(4.0 * 0.1 * least)
 
 
