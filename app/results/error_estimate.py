@@ -47,11 +47,11 @@ SMALL = 0.01
 LEAST = 1.25
 # Factors a and b at first and at second order, by the orders of convergence of a class.
 FACTORS = {
-    MOTION: ((4.0, 8.0), (0.7, 0.35)),
-    SLIP: ((4.0, 8.0), (0.5, 1.4)),
-    TRACTION: ((2.6, 2.6), (0.55, 0.95)),
-    STRESS: ((6.0, 6.0), (1.25, 0.15)),
-    RISK: ((6.0, 6.0), (1.25, 0.15)),
+    MOTION: ((4.0, 8.0), (0.6, 0.5)),
+    SLIP: ((4.0, 8.0), (0.5, 1.65)),
+    TRACTION: ((2.6, 2.6), (0.6, 1.0)),
+    STRESS: ((6.0, 6.0), (1.8, 0.15)),
+    RISK: ((6.0, 6.0), (1.8, 0.15)),
     HEAT: ((6.0, 0.0), (6.0, 0.0)),
     DOSE: ((5.0, 1.5), (5.0, 1.5)),
 }
