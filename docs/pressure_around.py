@@ -1,0 +1,67 @@
+r"""Draw the pressure on the stem around three sections of the stance, for docs/verification.md.
+
+./mantle shell -c 'python3 docs/pressure_around.py'
+
+On three meshes: few lines around and means over the areas of points; the default; the reference of
+`error_estimate.py`. Five minutes and 8 GB.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from app.arrays import Floats
+from app.results.interface_numbers import ContactSamples
+from app.system.style import COLOURS, grid, panels
+from tests import support
+
+FIGURE = Path(__file__).with_name("pressure_around.png")
+LEVELS = (-20.0, -55.0, -90.0)  # of the sections [mm]
+# Overrides of the stance, and whether the means are drawn in place of the point values.
+MESHES: dict[str, tuple[tuple[str, ...], bool]] = {
+    "4 mm, 14 lines, means": (("mesh.size=4 mm", "mesh.around=14"), True),
+    "6 mm, 32 lines, point values": (("mesh.size=6 mm",), False),
+    "3.2 mm, 57 lines, point values": (("mesh.size=3.2 mm", "mesh.around=57"), False),
+}
+
+
+def around(samples: ContactSamples, means: bool, z: float) -> tuple[Floats, Floats]:
+    """Angle from medial towards anterior [deg] and pressure [MPa] in a section of the stem."""
+    surface, traction = samples.surfaces[0], samples.tractions[0]["pressure"]
+    values = (traction.mean if means else traction.value)[:, 0][surface.triangles]
+    x = surface.corners
+    found = []
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        part = (z - x[:, a, 2]) / np.where(
+            x[:, b, 2] == x[:, a, 2], np.inf, x[:, b, 2] - x[:, a, 2]
+        )
+        cut = (part > 0) & (part <= 1)
+        at = x[cut, a] + part[cut, None] * (x[cut, b] - x[cut, a])
+        p = values[cut, a] + part[cut] * (values[cut, b] - values[cut, a])
+        found.append(np.column_stack([np.rad2deg(np.arctan2(at[:, 1], at[:, 0])) % 360, p]))
+    angle, pressure = np.concatenate(found).T
+    order = np.argsort(angle)
+    return angle[order], pressure[order]
+
+
+def main() -> None:
+    """Solve and draw."""
+    figure, axes = panels(3, 1, 9.0, 2.6)
+    text = (support.CONFIGS / "stance.yaml").read_text(encoding="utf-8")
+    for k, (label, (overrides, means)) in enumerate(MESHES.items()):
+        solved = support.solve(text, "stages.0.increments=1", *overrides)
+        for z, panel in zip(LEVELS, axes, strict=True):
+            panel.plot(*around(solved.last, means, z), color=COLOURS[k], lw=1.3, label=label)
+    for z, panel in zip(LEVELS, axes, strict=True):
+        panel.set_title(f"pressure on the stem at z = {z:g} mm (MPa)", fontsize=10, loc="left")
+        panel.set_xlim(0, 360)
+        panel.set_xticks([0, 90, 180, 270, 360], ["medial", "anterior", "lateral", "posterior", ""])
+        grid(panel)
+    axes[0].legend(frameon=False, fontsize=8)
+    figure.savefig(FIGURE, dpi=110)
+
+
+if __name__ == "__main__":
+    main()
