@@ -118,7 +118,7 @@ def _outwards(density: Floats, level: float, start: int, way: int) -> float:
 
 
 @dataclass(frozen=True)
-class Pieces:
+class CornerLines:
     """Corners and flats of the section where lines are counted, and what lines they have.
 
     Attributes:
@@ -136,7 +136,7 @@ class Pieces:
     shares: Floats
 
     @classmethod
-    def of(cls, x: Floats, lines: int) -> Pieces:
+    def of(cls, x: Floats, lines: int) -> CornerLines:
         """Those of an outline (n, 3)."""
         middles, widths = corners(x)
         sharp = widths < 1.3 * WINDOW
@@ -210,7 +210,7 @@ class CadStem:
         self._x, self._coarse = found["x"] * way + shift, found["coarse"] * way + shift
         self._kept = lru_cache(maxsize=4096)(self._outline)
         self._placed_lines = lru_cache(maxsize=4096)(self._lines)
-        self._pieces: Pieces | None = None
+        self._pieces: CornerLines | None = None
         end, up = found["end"] * way + shift, found["neck"] * way
         bend = end - (1 - NECK) * end[0] / up[0] * up
         self._path = np.array([[0.0, 0.0, high], bend, end - INSIDE * up])
@@ -287,7 +287,7 @@ class CadStem:
 
     def divided(self, z: float, around: int) -> CadStem:
         """Itself, with lines on the corners of its section at z [mm]."""
-        self._pieces = Pieces.of(self._kept(z, 0.0, 0.0), around)
+        self._pieces = CornerLines.of(self._kept(z, 0.0, 0.0), around)
         self._placed_lines.cache_clear()
         return self
 

@@ -241,7 +241,7 @@ class Shape(Section):
         return {}
 
 
-class Lines(Scalar):
+class LinesAround(Scalar):
     """Marks lines around a stem: their number (int), or their distance in mm (float)."""
 
     number = Plain(integer=True, at_least=COMPANION, at_most=MOST_LINES)
@@ -287,7 +287,7 @@ class MeshOptions(Section):
     """Whether the cells are curved (second order) to follow the geometry; by default where it is
     curved and `order` is 2. Not at first order."""
 
-    around: Annotated[int | float, Lines()] | None = None
+    around: Annotated[int | float, LinesAround()] | None = None
     """Lines around the stem of a femur: their number, 4 to 1000, or their distance on the stem, a
     quarter of the way down from the neck cut. By default the distance is 0.22 of `size`, and the
     number, a multiple of 4, 16 at least up to a size of 10 mm."""

@@ -209,7 +209,7 @@ def test_the_stem_is_moved_and_the_bone_is_not(kind: str, tmp_path: Path) -> Non
     assert np.hypot(x, y) == pytest.approx(periosteum, abs=1e-5)
     head = turn.apply(np.array([43.0, 0.0, 54.0]) - pivot) + pivot + shift
     assert geometry.head_centre == pytest.approx(head, abs=1e-9 if kind == "own" else 0.02)
-    assert data.notes["quality"]["sicn_min"] > 0.1
+    assert quality.stubby(data.points, data.cells).min() > 0.05
 
 
 def test_depth_is_that_of_the_shoulder_below_the_cut() -> None:
@@ -237,7 +237,7 @@ def test_a_shoulder_below_the_cut_has_cement_above(kind: str, folder: Path) -> N
         geometry = femur(**given) if kind == "femur" else patient(folder, **given)
         data = _make(geometry, options(size="6 mm", around=14))
         volumes.append(region_volumes(data))
-        assert data.notes["quality"]["sicn_min"] > 0.1
+        assert quality.stubby(data.points, data.cells).min() > 0.05
     metal, there = (v["stem"] for v in volumes)
     assert metal == pytest.approx(there, rel=2e-3)
     level, rise = femur_stem.edge(geometry.implant, 0.0), 0.0 if kind == "file" else 7.61 / 21.24
@@ -366,7 +366,7 @@ def test_cells_beside_the_calcar_and_below_the_plug_are_sound(tmp_path: Path) ->
     geometry = random_patient(tmp_path, 8, *surfaces)
     for order, least, percent in ((1, 0.1, 0.15), (2, 0.08, 0.15)):
         data = _make(geometry, options(size="4 mm", order=order, around=None))
-        found = quality.sicn(data.points, data.cells)
+        found = quality.stubby(data.points, data.cells)
         assert found.min() > least and np.quantile(found, 0.01) > percent
 
 
@@ -389,7 +389,7 @@ def measured_hip(folder: Path, cement: float, mirrored: bool = False) -> Patient
 def test_any_size_meshes_a_measured_femur(tmp_path: Path, size: float) -> None:
     """A station can cut off the corner of the shoulder next to the neck: a horn of the section."""
     data = _make(measured_hip(tmp_path, 3.0), options(size=f"{size} mm", around=None))
-    assert data.notes["quality"]["sicn_min_by_region"]["stem"] > 0.09
+    assert quality.stubby(data.points, data.cells).min() > 0.05
 
 
 @measured
@@ -404,7 +404,8 @@ def test_all_sizes_mesh(tmp_path: Path, kind: str, cement: float) -> None:
         geometry = measured_hip(tmp_path, cement, kind == "mirrored")
     for tenths in range(80, 19, -1):
         mesh = options(size=f"{tenths / 10} mm", order=2, around=None)
-        assert _make(geometry, mesh).notes["quality"]["sicn_min"] > 0.03, mesh.size
+        data = _make(geometry, mesh)
+        assert quality.stubby(data.points, data.cells).min() > 0.03, mesh.size
 
 
 @measured

@@ -79,7 +79,7 @@ def change(**keys: str) -> dict[str, dict[str, str]]:
 
 BONES: dict[str, tuple[BoneSurface | bytes, str]] = {
     "hole": (without(own(), (15.0, 0.0, -60.0), 8.0), f"open at {PLACE} .*, not at an end; close"),
-    "fin": (finned(own()), f"2 bodies, of 5,564 and 1 triangles, the second about {PLACE}"),
+    "fin": (finned(own()), f"2 bodies, of 5,056 and 1 triangles, the second about {PLACE}"),
     "two": (
         twice(own()),
         f"2 bodies, of .* about {PLACE} of the file; expected one: keep the femur",

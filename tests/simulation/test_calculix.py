@@ -167,7 +167,8 @@ def solved_by_calculix(folder: Path, changes: str) -> tuple[support.Solved, Floa
     """The stance at 10 mm; displacement of all nodes of each body by mantle and by CalculiX."""
     deck(
         folder,
-        f"base: stance\nmesh: {{size: 10 mm, around: 8, order: 1}}\noutput: {{error: false}}\n{changes}",
+        "base: stance\nmesh: {size: 10 mm, around: 8, order: 1}\n"
+        f"output: {{error: false}}\n{changes}",
     )
     subprocess.run(["ccx", "case"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
     found = re.split(r"^ -4  DISP.*\n", (folder / "case.frd").read_text(), flags=re.M)[-1]
