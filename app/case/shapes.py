@@ -26,7 +26,7 @@ Sides = tuple[tuple[str, ...], tuple[str, ...]]
 # Least size of a cell (mm), so that its powers do not underflow; a bound of the cells.
 LEAST, COUNTLESS = 1e-8, 1e40
 # Distance of lines around on a stem, over the size: pressure has ridges 1.5 to 3 mm wide there.
-AROUND = 0.22
+AROUND = 0.2
 # Least number of lines around a femur by default, that of meshes above a size (mm), and the most.
 LINES, COMPANION, COARSE, MOST_LINES = 16, 4, 10.0, 1000
 # Area of an interface per node on it, over the squared edge length.
@@ -289,7 +289,7 @@ class MeshOptions(Section):
 
     around: Annotated[int | float, LinesAround()] | None = None
     """Lines around the stem of a femur: their number, 4 to 1000, or their distance on the stem, a
-    quarter of the way down from the neck cut. By default the distance is 0.22 of `size`, and the
+    quarter of the way down from the neck cut. By default the distance is 0.2 of `size`, and the
     number, a multiple of 4, 16 at least up to a size of 10 mm."""
     along: PositiveLength | None = None
     """Largest step along the stem of a femur; by default `size`. All steps from the shaft to the
