@@ -175,13 +175,14 @@ def test_flipped_triangles_are_turned_and_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("suffix", "message"),
-    [("ply", "is cut short or damaged"), ("obj", "line 395: .* a vertex has three numbers")],
+    [("ply", "is cut short or damaged"), ("obj", r"line \d+: .* a vertex has three numbers")],
 )
 def test_other_files_have_the_same_triangles(suffix: str, message: str, tmp_path: Path) -> None:
     path, stl = tmp_path / f"bone.{suffix}", bone_surface.read(bytes_of(tmp_path, lambda s: s))
     meshio.Mesh(own().points, [("triangle", own().triangles)]).write(path)
     assert bone_surface.read(path).corners == pytest.approx(stl.corners, abs=1e-4)
-    path.write_bytes(path.read_bytes()[:20_000])
+    whole = path.read_bytes()  # cut in a line on a vertex
+    path.write_bytes(whole[: whole.index(b"\n", 20_000) + 5])
     with pytest.raises(GeometryError, match=message):
         bone_surface.read(path)
 

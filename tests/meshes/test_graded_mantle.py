@@ -60,7 +60,7 @@ def test_nodes_have_the_thickness_of_their_place(kind: str, tmp_path: Path) -> N
     assert len(x) > 200 and np.ptp(wanted) > 1.5
     assert cKDTree(stem).query(x)[0] == pytest.approx(wanted, abs=0.1 if kind == "cad" else 0.01)
     assert data.notes["mantle"]["thickness"]["clipped_fraction"] < 0.1
-    assert len(data.cells) == pytest.approx(geometry.estimate_cells(MESH), rel=0.12)
+    assert len(data.cells) == pytest.approx(geometry.estimate_cells(MESH), rel=0.15)
     theta, part = np.meshgrid(2 * np.pi * (np.arange(999) + 0.5) / 999, np.linspace(0, 1, 201))
     least, mean, most = spread(geometry.cement_thickness)
     t = asked(theta, part)
