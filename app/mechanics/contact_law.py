@@ -343,6 +343,8 @@ class PointLaw:
         D, n = inputs["jump"] + inputs["gap"], self._own.normals[rows]
         duals = self._duals[rows]
         a = np.einsum("pki,pi->pk", duals, D)
+        # At rest the slope is that of opening: what is partly broken does not resist closing, and
+        # with released contact nothing would resist at all.
         opens = a >= 0
         # Derivatives of what is pressed, opened and slid, each a part of the jump.
         pressed_by, opened_by = (
