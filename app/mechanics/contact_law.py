@@ -69,16 +69,20 @@ class PointForces:
     told: Mapping[str, Floats]
 
     @property
+    def by_law(self) -> Floats:
+        """Derivative by the jump without the trial force of contact (n, 3, 3) [MPa/mm]."""
+        return self.by_jump - self.stiffness[:, None, None] * self.by_multiplier
+
+    @property
     def resisted(self) -> Floats:
         """Part of a change of the jump that is resisted (n, 3, 3) [-].
 
         Of contact it is the first derivative, of what else resists its share beside the trial
         force.
         """
-        r = self.stiffness[:, None, None]
-        own = self.by_jump - r * self.by_multiplier
+        own, r = self.by_law, self.stiffness[:, None]
         sizes, axes = np.linalg.eigh((own + own.transpose(0, 2, 1)) / 2)
-        shares = np.maximum(sizes, 0.0) / (np.abs(sizes) + r[:, 0])
+        shares = np.maximum(sizes, 0.0) / (np.abs(sizes) + r)
         return self.by_multiplier + (axes * shares[:, None, :]) @ axes.transpose(0, 2, 1)
 
 
@@ -339,7 +343,9 @@ class PointLaw:
         D, n = inputs["jump"] + inputs["gap"], self._own.normals[rows]
         duals = self._duals[rows]
         a = np.einsum("pki,pi->pk", duals, D)
-        opens = a > 0
+        # At rest the slope is that of opening: what is partly broken does not resist closing, and
+        # with released contact nothing would resist at all.
+        opens = a >= 0
         # Derivatives of what is pressed, opened and slid, each a part of the jump.
         pressed_by, opened_by = (
             np.einsum("pk,pki,pkj->pij", side, n, duals) for side in (~opens, opens)

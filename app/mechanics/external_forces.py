@@ -124,6 +124,20 @@ class Forces:
                 work[body] += load.amplitude(time) * (nodal.array_r[: len(flat)] @ flat)
         return np.asarray(self.comm.allreduce(work))
 
+    def most_work(self, time: float, motion: Floats) -> float:
+        """Work of the loads if each acted along a motion of own nodes [N mm]; collective.
+
+        Nothing cancels: the rounding of the work is a part of it. The motion of each body
+        (bodies, n, 3) is in mm.
+        """
+        work = 0.0
+        for load in self._given:
+            for body, nodal in nodal_forces(at_full(load), self._mechanics).items():
+                force = nodal.array_r[: motion[body].size].reshape(-1, 3)
+                size = np.linalg.norm(force, axis=1) @ np.linalg.norm(motion[body], axis=1)
+                work += abs(load.amplitude(time)) * size
+        return float(self.comm.allreduce(work))
+
     def free_work(self, time: float, nodal: Floats, jump: Floats) -> float:
         """Half the works of the forces of free strains in a motion [N mm]; collective.
 

@@ -320,8 +320,9 @@ class ContactSystem(BondedSystem):
         version = self._problem.stiffness.version
         if self._coarse_version != version:
             self._coarse, self._coarse_version = sliding_motions(self._problem), version
-        allowing = np.eye(3) - self.contact.own.projector
-        self._coarse.update(allowing @ free_directions(self.trial.law.resisted) @ allowing)
+        allowing, law = np.eye(3) - self.contact.own.projector, self.trial.law
+        free = allowing @ free_directions(law.resisted) @ allowing
+        self._coarse.update(free, np.linalg.norm(law.by_law, axis=(1, 2)))
         return self._coarse
 
     @property

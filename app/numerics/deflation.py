@@ -24,8 +24,8 @@ from app.numerics.sparse import block_diagonal, diagonal, fill, matrix_sum
 # Motions with less than this part of the largest stiffness are left to the Krylov method; the
 # others are stiffened by a part, as the motions of small boxes may be linearly dependent.
 NOTHING, STIFFER = 1e-10, 1e-8
-# The free directions of a point have changed if its projector differs by this; a part of the points
-# may change before they are updated.
+# The free directions of a point have changed if its projector differs by this, its stiffness if it
+# differs by this part of the larger one; a part of the points may change before they are updated.
 DIFFERENT, STALE = 0.5, 0.03
 
 
@@ -44,18 +44,24 @@ class CoarseSpace:
     def __init__(self, displacement: PETSc.Mat, jump: PETSc.Mat) -> None:
         self.displacement, self._all = displacement, jump
         self._comm, points = jump.comm.tompi4py(), jump.getLocalSize()[0] // 3
-        self._known = np.zeros((points, 3, 3))
+        self._known, self._stiffness = np.zeros((points, 3, 3)), np.zeros(points)
         self._free = block_diagonal(self._comm, points)
         self.jump = self._free.matMult(jump)
         self._forces, self._moved = jump.createVecLeft(), jump.createVecLeft()
         self.version = 0
 
-    def update(self, free: Floats) -> None:
-        """Set the free directions (as `set_free_directions`) if many changed; collective."""
-        changed = (np.abs(free - self._known).max(axis=(1, 2)) > DIFFERENT).sum()
-        changed, points = self._comm.allreduce(np.array([changed, len(free)]))
+    def update(self, free: Floats, stiffness: Floats) -> None:
+        """Set the free directions (as `set_free_directions`) if many points changed; collective.
+
+        A bond that breaks does not change its free directions, but the stiffness (n,) of its point.
+        """
+        differs = np.abs(free - self._known).max(axis=(1, 2)) > DIFFERENT
+        larger = np.maximum(stiffness, self._stiffness)
+        differs |= np.abs(stiffness - self._stiffness) > DIFFERENT * larger
+        changed, points = self._comm.allreduce(np.array([differs.sum(), len(free)]))
         if changed > STALE * points or (changed and not self.version):
             self.set_free_directions(free)
+            self._stiffness = stiffness
 
     def set_free_directions(self, free: Floats) -> None:
         """Restrict jumps to free directions, by projectors at own points (n, 3, 3)."""

@@ -32,6 +32,7 @@ from app.system.layout import point_text
 from forms.contact import OPEN
 from meshes.contact_facets import spread_of_normals
 from meshes.pieces import Parts, Piece
+from meshes.smooth_normals import LIKELY
 
 if TYPE_CHECKING:  # dolfinx, which checks of a case do without
     from app.mechanics.contact import ContactInterfaces, TrialState
@@ -60,16 +61,16 @@ LEVER = 10.0
 # Root of the compliance of springs between rigid bodies: with it a taper of 1 degree and 100 points
 # bears 99 % of a push.
 SPRING = 0.02
-# Resistance of supports over that of a contact point.
-STIFF = 1e8
-# Loads are in balance if less than this part of them is along free motions.
-BALANCED = 1e-9
+# Loads are in balance along a motion if their work in it is less than this part of what it would be
+# if all of them acted along it: such a rest is within the tolerance of the solvers.
+BALANCED = 1e-8
 # Springs do not bear a direction if more than this part of a load along it is left.
 UNBORNE = 0.1
-# Part of all loads, squared, that may be left.
-NOTHING = 1e-4
 # Most iterations to find the springs that are pressed.
 MOST = 20
+# Times that the springs are loaded, each time by what is left: with one, a body sinks into springs
+# under a large load and leaves another one, on which a small load presses.
+LOADINGS = 2
 # Only facets hold a motion that contact resists by less than this part of what the spread of
 # normals gives at random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists),
 # if it is this part of the jumps, squared (0.003 of a push, 0.15 of a turn).
@@ -272,14 +273,56 @@ def pushed_freely(problem: Problem, trial: TrialState) -> list[str]:
     """Bodies that loads push along a motion that nothing resists, however little; collective."""
     contact = trial.contact
     motions = contact.free_motions(trial.law.status)
-    x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
-    loads = problem.forces.on_bodies(problem.load_time, contact.rigid_motions(x)).ravel()
-    work = loads @ motions
-    if np.linalg.norm(work) <= BALANCED * np.linalg.norm(loads):
+    motion = motions @ (motions.T @ _on_bodies(problem))
+    pressures = contact.own.weight[:, None] * trial.law.pressures
+    return _pulls(problem, motion, pressures)
+
+
+def _on_bodies(problem: Problem) -> Floats:
+    """Work of the loads in the rigid motions of all bodies (6 n,) [N]; collective."""
+    assert problem.contact is not None
+    R = problem.contact.rigid_motions(_own_nodes(problem))
+    return problem.forces.on_bodies(problem.load_time, R).ravel()
+
+
+def _own_nodes(problem: Problem) -> Floats:
+    """Own nodes of the displacement (n, 3) [mm]."""
+    own = problem.space.dofmap.index_map.size_local
+    return np.asarray(problem.space.tabulate_dof_coordinates()[:own])
+
+
+def _frictions(problem: Problem) -> Floats:
+    """Friction coefficients of the interfaces that may hold a body (i,)."""
+    # A ball is not wedged by the rim of its cup, which it clears.
+    return np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
+
+
+def _pulls(problem: Problem, motion: Floats, pressures: Floats) -> list[str]:
+    """Sentences on bodies that the loads move along a rigid motion; collective.
+
+    Contact resists by friction and where the motion closes a face. Where normals are in doubt, so
+    is the axis of a free motion, and contact may bear what the loads do along it.
+
+    Args:
+        problem: The problem, at the time of the loads.
+        motion: The part of the loads that nothing bears, as a motion of all bodies (6 n,).
+        pressures: Forces on the faces of own points, positive in compression (p, 3) [N].
+    """
+    contact, names = problem.contact, problem.bodies.names
+    assert contact is not None
+    own = contact.own
+    jump = contact.relative_motion(motion[:, None])[:, :, 0]
+    closing = np.maximum(0.0, -np.einsum("pki,pi->pk", own.normals, jump))
+    friction = _frictions(problem)[own.interface] + LIKELY * contact.points.doubt[own.rows]
+    along = friction * np.linalg.norm(jump, axis=1)
+    resisted = problem.comm.allreduce(float((pressures * (closing + along[:, None])).sum()))
+    R = contact.rigid_motions(_own_nodes(problem))
+    moved = np.einsum("nik,bk->bni", R, motion.reshape(len(names), 6))
+    rounding = BALANCED * problem.forces.most_work(problem.load_time, moved)
+    if motion @ _on_bodies(problem) <= resisted + rounding:
         return []
-    names = [f"'{name}'" for name in problem.bodies.names]
-    centres = np.tile(contact.points.x.mean(axis=0), (len(names), 1))
-    found = describe((motions @ work)[:, None], names, centres, *contact.frame)
+    centres = np.tile(contact.frame[0], (len(names), 1))
+    found = describe(motion[:, None], [f"'{name}'" for name in names], centres, *contact.frame)
     return [f"{text}, and the loads pull there" for text in found]
 
 
@@ -388,52 +431,50 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     Rigid bodies press on springs at the contact points. The part of the loads that these do not
     bear is also a motion that opens or slides along all points (a cone and its polar, Moreau).
     Springs keep single facets from bearing it by wedging. Friction of the pressures may hold it: a
-    taper that is pulled has no pressures.
+    taper that is pulled has no pressures. However small such a load is beside the others, nothing
+    bears it.
     """
     own, n, comm = contact.own, len(problem.bodies.names), problem.comm
-    centre, size = contact.frame
-    x = problem.space.tabulate_dof_coordinates()[: problem.space.dofmap.index_map.size_local]
-    F = problem.forces.on_bodies(problem.time, contact.rigid_motions(x)).ravel()
     held = np.zeros((n, 6, n, 6))
     for b, part in supported(problem).items():
-        held[b, :, b] += STIFF * part
-    of_bodies, R = np.zeros((len(own), 3, n, 6)), contact.rigid_motions(own.x)
-    for side, sign in zip(own.bodies.T, (-1, 1), strict=True):
-        of_bodies[np.arange(len(own)), :, side] += sign * R
-    jumps = of_bodies.reshape(len(own), 3, 6 * n)
+        held[b, :, b] += part
+    sizes, motions = np.linalg.eigh(held.reshape(6 * n, 6 * n))
+    left = motions[:, sizes <= FREE * sizes[-1]]
+    if not left.shape[1]:
+        return []
+    loads = left.T @ _on_bodies(problem)
+    jumps = contact.relative_motion(left)
     openings = own.normals @ jumps
-    # A ball is not wedged by the rim of its cup, which it clears.
-    of = np.array([0.0 if c.between else c.law.friction for c in problem.scene.contacts])
-    friction = of[own.interface]
+    frictions = _frictions(problem)
     # Motions are as large as they move the mean point: a narrow interface resists rolling.
     every = comm.allreduce(np.einsum("pia,pib->ab", jumps, jumps))
-    metric = every / max(comm.allreduce(len(own)), 1) + held.reshape(6 * n, 6 * n) / STIFF
-    metric += 1e-9 * np.eye(6 * n)
+    metric = every / max(comm.allreduce(len(own)), 1) + 1e-9 * np.eye(len(loads))
     scale = np.linalg.inv(np.linalg.cholesky(metric)).T
     # What slides without friction may hide behind bodies that friction holds: these stick then.
-    mixed = min(of) == 0 < max(of)
-    for stick in [np.zeros(len(own), dtype=bool), friction > 0][: 1 + mixed]:
-        rest: Floats = F
-        springs = held.reshape(6 * n, 6 * n)
-        for _ in range(MOST):  # Newton's method: the springs that are pressed
-            closing = openings @ rest < 0
-            pressed = [openings[closing], jumps[closing.any(axis=1) & stick].reshape(-1, 6 * n)]
-            rows = np.concatenate(pressed)
-            springs = held.reshape(6 * n, 6 * n) + comm.allreduce(rows.T @ rows)
-            rest = np.asarray(np.linalg.solve(np.eye(6 * n) + springs / SPRING**2, F))
-        forces = np.maximum(0.0, -(openings @ rest)).sum(axis=1) / SPRING**2
+    mixed = frictions.min() == 0 < frictions.max()
+    may_stick = frictions[own.interface] > 0
+    for stick in [np.zeros_like(may_stick), may_stick][: 1 + mixed]:
+        rest: Floats = loads
+        springs = np.zeros_like(metric)
+        pressures, shear = np.zeros((2, len(own), 3))
+        for _ in range(LOADINGS):
+            for _ in range(MOST):  # Newton's method: the springs that are pressed
+                closing = openings @ rest < SPRING**2 * pressures
+                sticking = closing.any(axis=1) & stick
+                rows = np.vstack([openings[closing], jumps[sticking].reshape(-1, len(loads))])
+                known = np.concatenate([pressures[closing], shear[sticking].ravel()])
+                springs, borne = (comm.allreduce(rows.T @ part) for part in (rows, known))
+                soft = np.eye(len(loads)) + springs / SPRING**2
+                rest = np.linalg.solve(soft, loads + borne)
+            pressures = np.maximum(0.0, pressures - openings @ rest / SPRING**2)
+            shear = np.where(sticking[:, None], shear - jumps @ rest / SPRING**2, 0.0)
         # A large load that springs bear must not hide a small load that nothing bears.
         sizes, motions = np.linalg.eigh(scale.T @ springs @ scale)
         free = np.linalg.qr(scale @ motions[:, sizes < SPRING**2 * (1 / UNBORNE - 1)])[0]
-        rest = free @ (free.T @ F)
-        holds = comm.allreduce(float(friction * forces @ np.linalg.norm(jumps @ rest, axis=1)))
-        if rest @ F > max(NOTHING * (F @ F), holds):
-            break
-    else:
-        return []
-    names = [f"'{name}'" for name in problem.bodies.names]
-    found = describe(rest[:, None], names, np.tile(centre, (n, 1)), centre, size)
-    return [f"{text}, and the loads pull there" for text in found]
+        found = _pulls(problem, left @ (free @ (free.T @ loads)), pressures)
+        if found:
+            return found
+    return []
 
 
 def held_by_facets(problem: Problem, trial: TrialState) -> str:

@@ -97,6 +97,17 @@ def moving(displacement: PETSc.Mat, jump: PETSc.Mat) -> CoarseSpace:
     return motions
 
 
+def test_coarse_space_follows_bonds_that_break() -> None:
+    """The free directions of a bond may stay the same; its stiffness does not."""
+    random = np.random.default_rng(1)
+    motions = CoarseSpace(sparse(random.normal(size=(6, 3))), sparse(random.normal(size=(6, 3))))
+    versions = []
+    for stiffness in ([8.0, 8.0], [8.0, 6.0], [8.0, 0.0], [8.0, 0.0], [0.0, 0.0]):
+        motions.update(ALL, np.array(stiffness))
+        versions.append(motions.version)
+    assert versions == [1, 1, 2, 2, 3]
+
+
 def test_deflation_solves_exactly_for_its_motions() -> None:
     """Whatever the other preconditioner does, A Z comes back as Z, of each Jacobian."""
     random = np.random.default_rng(1)
@@ -187,7 +198,7 @@ def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.Mon
     for rows, version in (([], 0), ([0], 1), ([n // 2], 1), (slice(None), 2)):
         free = free.copy()
         free[rows] = np.eye(3)
-        motions.update(free)
+        motions.update(free, np.zeros(n))
         assert motions.version == version
         assert version == 0 or np.count_nonzero(motions.jump.getValuesCSR()[2]) > 0
     # Two bodies shifted against each other: the jump of every point is the same.

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import math
 import random
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from app.errors import MantleError, Reason
+import meshes
+from app.errors import ConvergenceError, MantleError, Reason
+from app.soundness.loose_bodies import pulled_off
+from meshes import write_msh
+from meshes.distribute import distribute
 from tests import support
+from tests.mechanics.test_interfaces_that_meet import box
 
 # A block on another, which is fixed; what holds the upper one is drawn.
 BLOCKS = """
@@ -120,3 +128,144 @@ def test_loose_bodies_are_free_ones_and_no_others(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(100, 200))
 def test_loose_bodies_are_free_ones_and_no_others_drawn(seed: int) -> None:
     judge(seed)
+
+
+# Small loads along free motions, beside large ones that contact bears
+
+SMOOTH = "interfaces.stem_cement.friction_coefficient=0"
+ALONG = "'stem': it is free to turn about z, and the loads pull there"
+
+
+def torque(moment: float, history: str = "[1]") -> tuple[str, ...]:
+    """Overrides: a moment about the axis of the stem [N mm], by forces 20 mm apart."""
+    return tuple(
+        f"loads.{name}={{kind: force, boundary: stem_top, history: {history}, "
+        f"force: [{side * moment / 20} N, 0 N, 0 N], at: [0 mm, {-10 * side} mm, 20 mm]}}"
+        for name, side in (("one", 1), ("other", -1))
+    )
+
+
+@pytest.mark.parametrize("linear", support.SOLVERS)
+@pytest.mark.parametrize("moment", [1e-3, 1.0, 200.0])
+def test_loose_bodies_turn_by_a_small_torque(moment: float, linear: str) -> None:
+    """Nothing bears a torque about the axis of a frictionless stem, be it small beside 900 N."""
+    with pytest.raises(ConvergenceError, match=ALONG) as error:
+        support.solve(support.STEM, SMOOTH, *torque(moment), f"solver.linear={linear}")
+    assert Reason.within(str(error.value)) == {Reason.LOOSE_BODY}
+
+
+@pytest.mark.parametrize("moment", [1e-3, 200.0])
+def test_loose_bodies_turn_in_a_later_stage(moment: float) -> None:
+    stages = "stages=[{name: press}, {name: turn, max_cut_backs: 1}]"
+    with pytest.raises(ConvergenceError, match=ALONG) as error:
+        support.solve(support.STEM, SMOOTH, *torque(moment, "[0, 1]"), stages)
+    assert "stage 'turn'" in str(error.value)
+    assert Reason.within(str(error.value)) == {Reason.LOOSE_BODY}
+
+
+@pytest.mark.parametrize("digits", [12, 6, 4, 3, 2])
+@pytest.mark.parametrize("taper", [1.5, 5])
+@pytest.mark.parametrize("force", ["[300 N, 0 N, -900 N]", "[0 N, 0 N, -900 N]"])
+def test_loose_bodies_are_not_those_with_an_axis_in_doubt(
+    force: str, taper: float, digits: int
+) -> None:
+    """With rounded coordinates the axis is off, and loads through it have a small torque."""
+    changes = (SMOOTH, f"geometry.taper={taper} deg", f"loads.hip.force={force}")
+    case = support.case(support.STEM, *changes)
+    data = meshes.build(case.geometry, case.mesh)
+    data = replace(data, points=np.round(data.points, digits))
+    problem, _ = support.assemble(case, distribute(data, support.MPI.COMM_WORLD))
+    problem.set_time(1.0)
+    assert problem.contact
+    assert not pulled_off(problem, problem.contact)
+
+
+# A block on a floor and against a wall of one base, without friction.
+CORNER = """
+geometry: {{kind: file, path: {path}, interfaces: {{joint: [base, block]}}}}
+mesh: {{order: 1, size: 1 mm}}
+regions:
+  base: {{youngs_modulus: 6 GPa, poisson_ratio: 0.3, tissue: other}}
+  block: {{youngs_modulus: 6 GPa, poisson_ratio: 0.3, tissue: other}}
+interfaces:
+  joint: {{kind: contact, friction_coefficient: 0}}
+supports:
+  floor: {{kind: fixed, boundary: z0}}
+  side: {{kind: roller, boundary: top_y0, axis: y}}
+loads:
+  press: {{kind: force, boundary: top_x1, force: [{push} N, 0 N, -900 N], at: [3 mm, 1.5 mm, 3 mm]}}
+solver: {{linear: {linear}}}
+"""
+
+
+@pytest.mark.parametrize("linear", support.SOLVERS)
+@pytest.mark.parametrize("push", [1e-2, 1.0, 0.0, -1.0])
+def test_loose_bodies_leave_a_wall_by_a_small_force(
+    push: float, linear: str, tmp_path: Path
+) -> None:
+    """900 N press the block on the floor, and a small force pulls it off the wall."""
+    blocks = {
+        "base": lambda x: (x[:, 2] < 2) | (x[:, 0] < 2),
+        "block": lambda x: (x[:, 2] > 2) & (x[:, 0] > 2),
+    }
+    write_msh(box(blocks, (4, 3, 4), (4, 3, 4)), tmp_path / "corner.msh")
+    text = CORNER.format(path=tmp_path / "corner.msh", push=push, linear=linear)
+    if push <= 0:
+        support.solve(text)
+        return
+    with pytest.raises(ConvergenceError, match="'block': it is free to move along x") as error:
+        support.solve(text)
+    assert Reason.within(str(error.value)) == {Reason.LOOSE_BODY}
+
+
+# Three blocks on each other: the middle one is pressed down, the upper one drawn away.
+TOWER = """
+geometry:
+  kind: blocks
+  blocks:
+    - {{name: low, size: [4 mm, 3 mm, 2 mm]}}
+    - {{name: middle, size: [4 mm, 3 mm, 2 mm]}}
+    - {{name: high, size: [4 mm, 3 mm, 2 mm]}}
+mesh: {{order: 1, size: 1 mm, far_size: 1 mm}}
+regions:
+  low: {{youngs_modulus: 6 GPa, poisson_ratio: 0, tissue: other}}
+  middle: {{youngs_modulus: 6 GPa, poisson_ratio: 0, tissue: other}}
+  high: {{youngs_modulus: 6 GPa, poisson_ratio: 0.3, tissue: other}}
+interfaces:
+  low_middle: {{kind: contact, friction_coefficient: 0.3}}
+  middle_high: {{kind: contact, friction_coefficient: 0.3}}
+supports:
+  floor: {{kind: fixed, boundary: bottom}}
+loads:
+  press: {{kind: body_force, regions: [middle], density: "[0, 0, {density}] N/mm^3"}}
+  draw: {{kind: force, boundary: top, force: "{force} N"}}
+"""
+
+
+@pytest.mark.parametrize("density", [-4, -400])
+@pytest.mark.parametrize(
+    ("force", "motion"), [([0, 0, 0.1], "move along z"), ([0, 0.05, -0.1], "move along y")]
+)
+def test_loose_bodies_are_found_beside_one_that_is_pressed(
+    force: Sequence[float], motion: str, density: float
+) -> None:
+    """The load on one body is judged by the loads on it, not by 96 N or 9.6 kN on another one."""
+    with pytest.raises(ConvergenceError, match=f"'high': it is free to .*{motion}") as error:
+        support.solve(TOWER.format(force=list(force), density=density))
+    assert Reason.within(str(error.value)) == {Reason.LOOSE_BODY}
+
+
+@pytest.mark.parametrize("density", [-4, -400])
+@pytest.mark.parametrize("force", [[0, 0, -0.1], [0, 0.02, -0.1]])
+def test_loose_bodies_are_not_those_pressed_by_a_small_load(
+    force: Sequence[float], density: float
+) -> None:
+    """0.1 N with a friction of 0.3 hold 0.02 N, though the body below takes much larger loads."""
+    text = TOWER.format(force=list(force), density=density)
+    problem, _ = support.assemble(support.case(text))
+    problem.set_time(1.0)
+    assert problem.contact
+    assert not pulled_off(problem, problem.contact)
+    if density > -10:
+        numbers = support.solve(text).interfaces["middle_high"]
+        assert numbers["pressure_mean"] == pytest.approx(0.1 / 12, rel=1e-6)
