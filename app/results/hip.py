@@ -272,8 +272,9 @@ def _interface(s: ContactSamples, i: int, at: NDArray[np.bool_]) -> dict[str, fl
     weight, tractions = s.weight[at], s.tractions[i]
     result: dict[str, float] = {}
     for name in ("gap", "slip", "motion", "pressure", "shear"):
-        mean, value = tractions.get(name, (s.sizes[name], s.sizes[name]))
-        most, typical = (v[at].reshape(len(weight), -1).max(axis=1) for v in (value, mean))
-        result[f"{name}_max"] = float(most.max())
-        result[f"{name}_mean"] = float(np.average(typical, weights=weight))
+        value = mean = s.sizes[name].reshape(len(s.x), -1).max(axis=1)
+        if name in tractions:
+            value, mean = tractions[name].value, tractions[name].of_points
+        result[f"{name}_max"] = float(value[at].max())
+        result[f"{name}_mean"] = float(np.average(mean[at], weights=weight))
     return result | {"area": float(weight.sum())}

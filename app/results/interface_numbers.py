@@ -53,10 +53,12 @@ class TractionSize(NamedTuple):
     Attributes:
         mean: Means over the areas of the faces (n, 3).
         value: Point values recovered from them (n, 3).
+        of_points: Means over the areas of the points (n,).
     """
 
     mean: Floats
     value: Floats
+    of_points: Floats
 
 
 class ContactSamples:
@@ -167,16 +169,17 @@ class ContactSamples:
 
     def _tractions(self, i: int) -> dict[str, TractionSize]:
         surface, n = self.surfaces[i], self._points
-        pressure, shear = (np.repeat(v[:, None], 3, axis=1) for v in (self.pressure, self.shear))
+        means = {
+            name: np.repeat(v[:, None], 3, axis=1)
+            for name, v in (("pressure", self.pressure), ("shear", self.shear))
+        }
+        of_points = {"pressure": self.pressure.copy(), "shear": self.shear}
         # Where sides slide far, forces over areas are no means by shape functions.
         if self.contacts[i].between:
-            return {
-                "pressure": TractionSize(pressure, pressure),
-                "shear": TractionSize(shear, shear),
-            }
-        pressure[:n] = surface.of_faces(self._pressures)[:n]
-        means = {"pressure": pressure, "shear": shear}
-        return {name: TractionSize(m, surface.sharpened(m)) for name, m in means.items()}
+            return {k: TractionSize(m, m, of_points[k]) for k, m in means.items()}
+        means["pressure"][:n] = surface.of_faces(self._pressures)[:n]
+        of_points["pressure"][:n] = self._pressures[:n].sum(axis=1)
+        return {k: TractionSize(m, surface.sharpened(m), of_points[k]) for k, m in means.items()}
 
     @cached_property
     def numbers(self) -> dict[str, dict[str, Any]]:
@@ -243,7 +246,7 @@ def _of_part(s: ContactSamples, i: int, part: str, wanted: set[str] | None) -> d
     # Where sides slide far a jump is no motion, a gap no debonding, and slips do not add up.
     left_out = ("slip", "motion", "inducible") if contact.between else ()
     for name, values in ((k, v) for k, v in s.sizes.items() if k not in left_out):
-        mean, value = tractions.get(name, (values, values))
+        mean, value, _ = tractions.get(name, TractionSize(values, values, values))
         field = surface.field(value, part)
         most, place = field.maximum()
         found |= {

@@ -330,10 +330,10 @@ def test_overrides_hold_for_every_case(path: Path) -> None:
 @pytest.mark.parametrize(
     ("run", "told"),
     [
-        ("mesh.size: [2.95 mm, 1 mm]", "stem/size=3mm (60 lines around)"),
+        ("mesh.size: [2.95 mm, 1 mm]", "stem/size=3mm (72 lines around)"),
         (
-            "mesh.size: 5 mm, mesh.around: [60, 80]",
-            "around[0]: has the mesh of stem/size=3mm (60",
+            "mesh.size: 5 mm, mesh.around: [72, 80]",
+            "around[0]: has the mesh of stem/size=3mm (72",
         ),
         ("mesh.size: [2.5 mm, 1 mm]", ""),
         ("mesh.size: 4 mm", ""),

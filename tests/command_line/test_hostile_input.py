@@ -84,7 +84,7 @@ def test_a_mesh_of_a_nanometre_is_refused_with_the_estimate(
     assert main([command, str(path), *arguments, "--set", "mesh.size=1 nm"]) == 2
     said = capsys.readouterr().err
     assert "\n--set mesh.size: 1e-06 mm makes about " in f"\n{said}"
-    for word in (" cells", " unknowns", " GB", " mm would do"):
+    for word in (" cells", " unknowns", " GB", " would do"):
         assert word in said
     assert not (tmp_path / "out").exists()
 
