@@ -22,7 +22,7 @@ LEVELS = (-20.0, -55.0, -90.0)  # of the sections [mm]
 # Overrides of the stance, and whether the means are drawn in place of the point values.
 MESHES: dict[str, tuple[tuple[str, ...], bool]] = {
     "4 mm, 14 lines, means": (("mesh.size=4 mm", "mesh.around=14"), True),
-    "6 mm, 32 lines, point values": (("mesh.size=6 mm",), False),
+    "6 mm, 36 lines, point values": (("mesh.size=6 mm",), False),
     "3.2 mm, 57 lines, point values": (("mesh.size=3.2 mm", "mesh.around=57"), False),
 }
 
