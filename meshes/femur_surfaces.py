@@ -35,6 +35,7 @@ TURN = 60.0  # mm below the neck cut over which sections turn to it
 CORE = 0.5  # of the canal: where the innermost surface goes below the plug
 CORE_OVER = 30.0  # mm that it takes to get there
 SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the plug
+CAD_COARSER = 1.4  # as `COARSER`, of stems from CAD, whose shoulders are not convex
 VOID = "void"  # where no cells are
 DEEP = 2.5  # mm that a shoulder is below the cut at least, or else it is taken to be at it
 LEAST_MANTLE = 1.0  # mm of cement for which there must be room
@@ -102,6 +103,7 @@ class FemurSurfaces:
         if stem := getattr(implant, "stem", None):
             ends = implant.stem_tip_z, self._shoulder
             self.spared = 0.9  # shoulder and neck have sharp edges
+            self.coarser = CAD_COARSER
             self._body: Any = CadStem(stem.found, ends, placed, mesh)
         else:
             self._body = replace(femur_stem.body(implant), lean=self._lean)

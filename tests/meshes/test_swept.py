@@ -166,14 +166,14 @@ def test_unknowns_grow_steadily_with_the_size(least_size: float) -> None:
     assert (nodes[1:] / nodes[:-1]).max() < 1.4
 
 
-@pytest.mark.parametrize(("size", "lines"), [(8.0, 24), (6.0, 32), (5.0, 40), (4.0, 48)])
+@pytest.mark.parametrize(("size", "lines"), [(8.0, 28), (6.0, 36), (5.0, 44), (4.0, 56)])
 def test_size_alone_sets_lines_around_and_steps_along(size: float, lines: int) -> None:
     """Distances of lines are a fraction of the size where lines are counted; steps are the size."""
     surfaces = Surfaces(hip(), sized(size))
     assert surfaces.around == lines
     a, b, r = surfaces._body.section(surfaces._middle)
     perimeter = 4 * (a + b - 2 * r) + 2 * np.pi * r
-    assert perimeter / lines == pytest.approx(0.22 * size, rel=0.1)
+    assert perimeter / lines == pytest.approx(0.2 * size, rel=0.1)
     steps = np.diff(surfaces._zeta[surfaces.tip : surfaces.cut])
     assert steps.max() == pytest.approx(size, rel=0.1)
 
@@ -183,7 +183,7 @@ def test_lines_and_steps_have_lengths_of_their_own() -> None:
     base, given = (
         Surfaces(hip(), sized(6.0, **more)) for more in ({}, {"around": "2.2 mm", "along": "3 mm"})
     )
-    assert (base.around, given.around) == (32, 20)  # of 43.2 mm around
+    assert (base.around, given.around) == (36, 20)  # of 43.2 mm around
     assert given.through == base.through
     steps = np.diff(given._zeta[given.tip : given.cut])
     assert steps.max() == pytest.approx(3.0, rel=0.1)
@@ -379,7 +379,7 @@ def test_random_hips_mesh_as_coarse_companions() -> None:
 )
 def test_cells_of_the_intact_femur_are_good(curved: bool, size: float) -> None:
     data = femur_intact.build(IntactFemur(), sized(size, curved))
-    assert quality.stubby(data.points, data.cells).min() > 0.08
+    assert quality.stubby(data.points, data.cells).min() > 0.07
 
 
 @pytest.mark.parametrize(
