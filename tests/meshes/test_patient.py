@@ -209,7 +209,7 @@ def test_the_stem_is_moved_and_the_bone_is_not(kind: str, tmp_path: Path) -> Non
     assert np.hypot(x, y) == pytest.approx(periosteum, abs=1e-5)
     head = turn.apply(np.array([43.0, 0.0, 54.0]) - pivot) + pivot + shift
     assert geometry.head_centre == pytest.approx(head, abs=1e-9 if kind == "own" else 0.02)
-    assert quality.stubby(data.points, data.cells).min() > 0.03
+    assert quality.stubby(data.points, data.cells).min() > 0.05
 
 
 def test_depth_is_that_of_the_shoulder_below_the_cut() -> None:
@@ -389,7 +389,7 @@ def measured_hip(folder: Path, cement: float, mirrored: bool = False) -> Patient
 def test_any_size_meshes_a_measured_femur(tmp_path: Path, size: float) -> None:
     """A station can cut off the corner of the shoulder next to the neck: a horn of the section."""
     data = _make(measured_hip(tmp_path, 3.0), options(size=f"{size} mm", around=None))
-    assert quality.stubby(data.points, data.cells).min() > 0.05
+    assert quality.stubby(data.points, data.cells).min() > 0.035
 
 
 @measured
