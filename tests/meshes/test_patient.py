@@ -397,7 +397,7 @@ def test_any_size_meshes_a_measured_femur(tmp_path: Path, size: float) -> None:
 @pytest.mark.parametrize("cement", [2.0, 3.0, 5.0])
 @pytest.mark.parametrize("kind", ["parametric", "measured", "mirrored"])
 def test_all_sizes_mesh(tmp_path: Path, kind: str, cement: float) -> None:
-    """From 8 to 2 mm by 0.1, curved: none is refused, and no cell, if it were shorter, is below 0.03."""
+    """From 8 to 2 mm by 0.1, curved: none is refused; no cell, if shorter, is below 0.03."""
     if kind == "parametric":
         geometry: Any = Femur.model_validate({"cement_thickness": f"{cement} mm"})
     else:
