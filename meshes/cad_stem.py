@@ -137,7 +137,7 @@ class CornerLines:
 
     @classmethod
     def of(cls, x: Floats, lines: int) -> CornerLines:
-        """Those of an outline (n, 3)."""
+        """Corners and flats of an outline (n, 3)."""
         middles, widths = corners(x)
         sharp = widths < 1.3 * WINDOW
         ends = cls._ends(middles, widths, sharp)
@@ -262,7 +262,8 @@ class CadStem:
     def _turned(self, x: Floats) -> tuple[Floats, Floats]:
         """Points of an outline, those of rays (`ROUND`, 3) first, and the lines there in turns."""
         place = positions(x)
-        if self._pieces and (known := self._pieces.knots(x)):
+        known = self._pieces.knots(x) if self._pieces else None
+        if known:
             bounds, turns = known
             start, on = bounds[0], bounds[:-1]
             more = np.stack([np.interp(on, place, v, period=1.0) for v in x.T], axis=1)

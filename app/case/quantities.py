@@ -20,8 +20,12 @@ from app.schema.units import Dimension, Plain
 
 # Orders of convergence of P1 and P2 for estimates of errors (docs/verification.md): of
 # displacements, of slip, of tractions, of stress, of temperature, of doses, times and cure.
-MOTION, SLIP, TRACTION = (0.8, 1.3), (0.8, 1.2), (0.8, 0.8)
-STRESS, HEAT, DOSE = (0.8, 1.0), (1.5, 1.5), (1.0, 1.0)
+MOTION = (0.8, 1.3)
+SLIP = (0.8, 1.2)
+TRACTION = (0.8, 0.8)
+STRESS = (0.8, 1.0)
+HEAT = (1.5, 1.5)
+DOSE = (1.0, 1.0)
 # Of what follows a power of stress, or is where it exceeds a level.
 RISK = (0.8, 0.99)
 # Dimension of each unit in summary.json, with its article.

@@ -53,7 +53,7 @@ class Pieces:
         return np.asarray(np.einsum("tcb,tb...->tc...", self.at, corners[self.facet]))
 
     def beyond(self, level: Floats) -> Pieces:
-        """What of them is where a level, known at the corners of facets (f, 3), is positive."""
+        """Parts of them where a level, given at the corners of facets (f, 3), is positive."""
         level = self.values(level)
         positive = level > 0
         found = [(self.facet[rows], self.at[rows]) for rows in [positive.all(axis=1)]]
@@ -124,6 +124,7 @@ class Surface:
         # At each corner the face of the point that this facet belongs to.
         along = np.abs(np.einsum("fi,fcki->fck", flat, points.normals[self.triangles]))
         self._face: Ints = np.argmax(along, axis=2)
+        self._face_area = self._sums(np.repeat(self.area[:, None] / 3, 3, axis=1))
         levels = {part: level[self.triangles] for part, level in borders.items()}
         self._pieces = cut(levels, len(x))
         self._sharp = points.faces[self.triangles].min(axis=1) > 0
@@ -161,7 +162,7 @@ class Surface:
 
         A face that no facet of this interface belongs to has none.
         """
-        area = self._sums(np.repeat(self.area[:, None] / 3, 3, axis=1))
+        area = self._face_area
         return np.divide(values * area.sum(axis=1)[:, None], area, where=area > 0, out=0 * values)
 
     def _sums(self, corners: Floats) -> Floats:
@@ -176,7 +177,7 @@ class Surface:
         Values keep the sign of their means, and zeros. Beside a point that supports hold, which
         carries no reported traction, the means are kept.
         """
-        area = self._sums(np.repeat(self.area[:, None] / 3, 3, axis=1))
+        area = self._face_area
         held = self._sums(np.repeat(~self._sharp[:, None], 3, axis=1).astype(float))
         free = (area > 0) & (held == 0)
         values = means.copy()
