@@ -24,7 +24,8 @@ from meshes.reference_body import ReferenceBody
 
 # Least thickness of a layer, over the distance to the next line, and to the next section: where it
 # would be thinner it has none.
-FLOOR, ALONG = 0.12, 0.05
+FLOOR = 0.12
+ALONG = 0.05
 
 POOR = 0.12  # SICN: quadrangles of the rings with worse cells get their other diagonal
 

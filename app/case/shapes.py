@@ -27,8 +27,11 @@ Sides = tuple[tuple[str, ...], tuple[str, ...]]
 LEAST, COUNTLESS = 1e-8, 1e40
 # Distance of lines around on a stem, over the size: pressure has ridges 1.5 to 3 mm wide there.
 AROUND = 0.2
-# Least number of lines around a femur by default, that of meshes above a size (mm), and the most.
-LINES, COMPANION, COARSE, MOST_LINES = 16, 4, 10.0, 1000
+# Least number of lines around a femur by default; that of meshes above a size (mm).
+LINES = 16
+COMPANION = 4
+COARSE = 10.0
+MOST_LINES = 1000
 # Area of an interface per node on it, over the squared edge length.
 AREA_PER_NODE = 0.87
 # Least length of a cell through cement, cancellous and cortical bone over the mesh size: in bone

@@ -22,7 +22,8 @@ NODES_PER_CELL = 0.19
 EDGES_PER_CELL = 1.22
 # Cost of a run on one core (measured). Mechanics: seconds per unknown beside the solver, and of a
 # later load step beside the first.
-PRICE, LATER = 6e-5, 0.05
+PRICE = 6e-5
+LATER = 0.05
 # Part of the time of a Krylov method, which is that of several Newton steps, without contact.
 LINEAR = 0.25
 # Heat: seconds of a time step, and per temperature; time steps of a stage, and of cement that sets.
