@@ -1,7 +1,12 @@
-"""Sparse Cholesky factors by CHOLMOD whose last block is at hand.
+"""Sparse Cholesky factors by CHOLMOD that stop before the last unknowns.
 
 PETSc takes no ordering of ours and shows no block of a factor. cffi compiles the calls at first
 use, in the cache of compiled forms.
+
+CHOLMOD has no call for a Schur complement, but makes one on its way: before it factors the last
+supernode, the block of this supernode holds :math:`-E^T A^{-1} E`. The first pivot of the block is
+-1 here, so that LAPACK stops there at once and CHOLMOD calls its error handler, which copies the
+block.
 """
 
 from __future__ import annotations
@@ -18,30 +23,33 @@ from typing import Any
 import cffi
 import numpy as np
 from dolfinx import jit
-from scipy.linalg import blas, lapack
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, csr_array
 
 from app.arrays import Floats, Ints
 from app.captured import captured
+from app.numerics.dense import mirror_upper
 
 # What is used of CHOLMOD; cffi finds what the dots stand for in its header.
 CALLS = """
 struct cholmod_method_struct { int ordering; ...; };
-typedef struct { int supernodal, nmethods, status; double fl, lnz;
+typedef struct { int supernodal, nmethods, status, postorder; double fl, lnz; double zrelax[3];
                  struct cholmod_method_struct method[...]; ...; } cholmod_common;
 typedef struct { size_t nrow, ncol, nzmax; void *p, *i, *x; int stype, itype, xtype, dtype, sorted,
                  packed; ...; } cholmod_sparse;
 typedef struct { size_t nrow, ncol, nzmax, d; void *x; int xtype, dtype; ...; } cholmod_dense;
-typedef struct { size_t nsuper; void *Perm, *super, *pi, *px, *x; ...; } cholmod_factor;
+typedef struct { size_t n, nsuper; void *super, *pi, *px, *x; ...; } cholmod_factor;
 int cholmod_l_start(cholmod_common *);
 int cholmod_l_finish(cholmod_common *);
 int cholmod_l_metis(cholmod_sparse *, int64_t *, size_t, int, int64_t *, cholmod_common *);
+int cholmod_l_etree(cholmod_sparse *, int64_t *, cholmod_common *);
+int64_t cholmod_l_postorder(int64_t *, size_t, int64_t *, int64_t *, cholmod_common *);
 cholmod_factor *cholmod_l_analyze_p(cholmod_sparse *, int64_t *, int64_t *, size_t,
                                     cholmod_common *);
-int cholmod_l_factorize(cholmod_sparse *, cholmod_factor *, cholmod_common *);
 cholmod_dense *cholmod_l_solve(int, cholmod_factor *, cholmod_dense *, cholmod_common *);
 int cholmod_l_free_dense(cholmod_dense **, cholmod_common *);
 int cholmod_l_free_factor(cholmod_factor **, cholmod_common *);
+size_t factorize_but_last(cholmod_sparse *, cholmod_factor *, double *, size_t, size_t,
+                          cholmod_common *);
 #define CHOLMOD_GIVEN ...
 #define CHOLMOD_SUPERNODAL ...
 #define CHOLMOD_REAL ...
@@ -51,6 +59,38 @@ int cholmod_l_free_factor(cholmod_factor **, cholmod_common *);
 #define CHOLMOD_Lt ...
 """
 HEADER = "suitesparse/cholmod.h"
+# The handler of CHOLMOD's errors has no argument of ours: what it copies is static.
+SOURCE = """
+#include <string.h>
+static struct { cholmod_factor *L; double *to; size_t start, count; } last;
+static void copy_last(int status, const char *file, int line, const char *message)
+{
+    if (status == CHOLMOD_NOT_POSDEF && last.L->x)
+        memcpy(last.to, (double *) last.L->x + last.start, last.count * sizeof(double));
+}
+/* Factor all but the last supernode of size columns, the block of which is copied and becomes the
+   identity. Returns the column at which CHOLMOD stopped, or n + 1 after another error. */
+static size_t factorize_but_last(cholmod_sparse *A, cholmod_factor *L, double *to, size_t start,
+                                 size_t size, cholmod_common *common)
+{
+    int print = common->print;
+    size_t stopped, k;
+    last.L = L; last.to = to; last.start = start; last.count = size * size;
+    common->print = 0;
+    common->error_handler = copy_last;
+    cholmod_l_factorize(A, L, common);
+    common->error_handler = NULL;
+    common->print = print;
+    if (common->status != CHOLMOD_NOT_POSDEF || !L->x) return L->n + 1;
+    stopped = L->minor;
+    L->minor = L->n;
+    common->status = CHOLMOD_OK;
+    for (k = 0; k < size; k++) ((double *) L->x)[start + k * (size + 1)] = 1.0;
+    return stopped;
+}
+"""
+# Columns of the last supernode that CHOLMOD never joins with others (its nrelax[2] is 48).
+ALONE = 49
 
 
 @cache
@@ -59,13 +99,14 @@ def library() -> Any:
     folder = Path(jit.get_options()["cache_dir"])
     try:
         header = (Path("/usr/include") / HEADER).read_text()
-        name = f"mantle_cholmod_{hashlib.sha256((CALLS + header).encode()).hexdigest()[:12]}"
+        key = hashlib.sha256((CALLS + SOURCE + header).encode()).hexdigest()[:12]
+        name = f"mantle_cholmod_{key}"
         path = folder / (name + EXTENSION_SUFFIXES[0])
         if not path.exists():
             folder.mkdir(parents=True, exist_ok=True)
             ffi = cffi.FFI()
             ffi.cdef(CALLS)
-            ffi.set_source(name, f"#include <{HEADER}>", libraries=["cholmod"])
+            ffi.set_source(name, f"#include <{HEADER}>\n{SOURCE}", libraries=["cholmod"])
             with tempfile.TemporaryDirectory(dir=folder) as own, captured("cffi"):
                 os.replace(ffi.compile(tmpdir=own), path)
         spec = importlib.util.spec_from_file_location(name, path)
@@ -83,38 +124,70 @@ def _free(ffi: Any, lib: Any, common: Any, L: Any) -> None:
 
 
 class Cholesky:
-    """Factors L L^T of a symmetric matrix, ordered by nodes of three unknowns, some nodes last.
+    r"""Factors of A in :math:`\begin{pmatrix} A & E \\ E^T & 0 \end{pmatrix}`, by CHOLMOD.
+
+    The last supernode has the columns of E behind some empty ones, the first of which has entries
+    in all its rows. A does not meet the empty ones, so that CHOLMOD joins this supernode with no
+    other.
 
     Attributes:
-        flops, entries: Floating-point operations of the factorization, entries of L.
+        operations, entries: Floating-point operations of the factorization, entries of the factors.
 
     Args:
-        A: The matrix. Each of its last unknowns has entries in the columns of the first three of
-            these: they are one block.
-        last: Number of unknowns, the last ones of A, that stay last.
+        rows: A and E side by side (n, n + m), A symmetric positive definite, n and m multiples of
+            three; each three unknowns are a node.
     """
 
-    def __init__(self, A: csc_array, last: int) -> None:
+    def __init__(self, rows: csr_array) -> None:
         module = library()
         self._ffi, self._lib = module.ffi, module.lib
-        self._common = self._ffi.new("cholmod_common *")
-        self._lib.cholmod_l_start(self._common)
-        self._n, self._last = A.shape[0], last
-        self._pattern = A.indptr, A.indices
-        order = self._ordering(A)
-        common = self._common
+        common = self._common = self._ffi.new("cholmod_common *")
+        self._lib.cholmod_l_start(common)
+        self._n, self._m = rows.shape[0], rows.shape[1] - rows.shape[0]
+        self._empty = max(1, ALONE - self._m)
+        self._pattern = rows.indptr, rows.indices
+        self._order = self._ordering(rows)
         common.nmethods, common.supernodal = 1, self._lib.CHOLMOD_SUPERNODAL
         common.method[0].ordering = self._lib.CHOLMOD_GIVEN
-        matrix, kept = self._sparse(A)
+        common.postorder, common.zrelax[2] = 0, 0.0
+        matrix, kept = self._sparse(self._whole(rows))
         none = self._ffi.NULL
-        L = self._lib.cholmod_l_analyze_p(matrix, self._ints(order), none, 0, common)
+        L = self._lib.cholmod_l_analyze_p(matrix, self._ints(self._order), none, 0, common)
         # Nothing that refers to this object: in a circle the factors would never be freed.
         self._L = self._ffi.gc(L, partial(_free, self._ffi, self._lib, common))
         del kept
-        self.flops, self.entries = float(common.fl), float(common.lnz)
+        last = self._empty + self._m
+        self.operations = float(common.fl) - last**3 / 3
+        self.entries = float(common.lnz)
+        starts = (self._array("int64_t", p, L.nsuper + 1) for p in (L.super, L.px))
+        (first, start) = (int(v[-2]) for v in starts)
+        if first != self._n:
+            raise ArithmeticError(f"CHOLMOD: the last supernode begins at {first}, not {self._n}")
+        self._start = start
 
     def _ints(self, values: Ints) -> Any:
         return self._ffi.cast("int64_t *", values.ctypes.data)
+
+    def _array(self, kind: str, pointer: Any, size: int) -> Any:
+        dtype = np.int64 if kind == "int64_t" else np.float64
+        return np.frombuffer(
+            self._ffi.buffer(self._ffi.cast(f"{kind} *", pointer), 8 * size), dtype
+        )
+
+    def _whole(self, rows: csr_array) -> csc_array:
+        """The whole matrix, with the empty columns; what is below its diagonal is not read."""
+        n, last = self._n, self._empty + self._m
+        E = rows[:, n:]
+        # Row n has entries in all columns from n on.
+        data = np.concatenate([E.data, [-1.0], np.zeros(last - 1)])
+        columns = np.concatenate([E.indices + self._empty, np.arange(last)])
+        ends = np.append(E.indptr, E.nnz + last)
+        E = csr_array((data, columns, ends), shape=(n + 1, last)).tocsc()
+        # Rows of a symmetric matrix are its columns.
+        data = np.concatenate([rows.data, E.data])
+        indices = np.concatenate([rows.indices, E.indices])
+        ends = np.concatenate([rows.indptr, rows.nnz + E.indptr[1:]])
+        return csc_array((data, indices, ends), shape=(n + last, n + last))
 
     def _sparse(self, A: csc_array, pattern: bool = False) -> tuple[Any, Any]:
         """The upper triangle for CHOLMOD, and arrays that have to live as long."""
@@ -126,96 +199,83 @@ class Cholesky:
         found.x = ffi.NULL if pattern else ffi.cast("void *", A.data.ctypes.data)
         found.stype, found.itype = 1, lib.CHOLMOD_LONG
         found.xtype = lib.CHOLMOD_PATTERN if pattern else lib.CHOLMOD_REAL
-        found.packed, found.sorted = 1, int(A.has_sorted_indices)
+        found.packed, found.sorted = 1, 0
         return found, (p, i, A)
 
-    def _ordering(self, A: csc_array) -> Ints:
-        """Nested dissection of the graph of nodes, the last ones taken out and appended."""
-        nodes, free = self._n // 3, (self._n - self._last) // 3
-        rows = A.indices // 3
-        columns = np.repeat(np.arange(self._n) // 3, np.diff(A.indptr))
-        graph = csc_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), (nodes, nodes))
+    def _ordering(self, rows: csr_array) -> Ints:
+        """Nested dissection of the graph of nodes of A, in postorder; the other columns stay last.
+
+        CHOLMOD's postorder of the whole matrix would move these.
+        """
+        n, nodes = self._n, self._n // 3
+        row = np.repeat(np.arange(n) // 3, np.diff(rows.indptr))
+        inside = rows.indices < n
+        at = row[inside], rows.indices[inside] // 3
+        graph = csc_array((np.ones(len(at[0]), dtype=np.int8), at), shape=(nodes, nodes))
         graph.sum_duplicates()
-        order = np.empty(nodes, dtype=np.int64)
+        order, parent, post = np.empty((3, nodes), dtype=np.int64)
+        none = self._ffi.NULL
         matrix, kept = self._sparse(graph, pattern=True)
-        self._lib.cholmod_l_metis(matrix, self._ffi.NULL, 0, 1, self._ints(order), self._common)
+        self._lib.cholmod_l_metis(matrix, none, 0, 1, self._ints(order), self._common)
+        matrix, kept = self._sparse(graph[:, order][order], pattern=True)
+        self._lib.cholmod_l_etree(matrix, self._ints(parent), self._common)
+        self._lib.cholmod_l_postorder(
+            self._ints(parent), nodes, none, self._ints(post), self._common
+        )
         del kept
-        order = np.concatenate([order[order < free], np.arange(free, nodes)])
-        return np.ascontiguousarray((3 * order[:, None] + np.arange(3)).ravel())
+        unknowns = (3 * order[post][:, None] + np.arange(3)).ravel()
+        return np.append(unknowns, np.arange(n, n + self._empty + self._m))
 
-    def fits(self, A: csc_array) -> bool:
+    def fits(self, rows: csr_array) -> bool:
         """Whether a matrix has the pattern that was analysed."""
-        return all(map(np.array_equal, self._pattern, (A.indptr, A.indices)))
+        return all(map(np.array_equal, self._pattern, (rows.indptr, rows.indices)))
 
-    def factorize(self, A: csc_array) -> None:
-        """Compute the factors of a matrix that fits.
+    def factorize(self, rows: csr_array) -> Floats:
+        """Factor a matrix that fits.
+
+        Returns:
+            The Schur complement of the last unknowns, :math:`-E^T A^{-1} E` (m, m).
 
         Raises:
-            ArithmeticError: It is not positive definite, or memory does not suffice.
+            ArithmeticError: A is not positive definite, or memory does not suffice.
         """
-        matrix, kept = self._sparse(A)
-        self._lib.cholmod_l_factorize(matrix, self._L, self._common)
+        matrix, kept = self._sparse(self._whole(rows))
+        size = self._empty + self._m
+        block = np.empty((size, size))
+        to = self._ffi.cast("double *", block.ctypes.data)
+        arguments = matrix, self._L, to, self._start, size, self._common
+        stopped = self._lib.factorize_but_last(*arguments)
         del kept
-        if self._common.status:
-            raise ArithmeticError(f"CHOLMOD: status {self._common.status}")
-        self._order = self._array("int64_t", self._L.Perm, self._n)
-        self._tail = self._order[self._n - self._last :] - (self._n - self._last)
-        if self._tail.min() < 0:
-            raise ArithmeticError("CHOLMOD: the last unknowns were moved")
+        if stopped != self._n:
+            why = f"status {self._common.status}" if stopped > self._n else f"pivot {stopped}"
+            raise ArithmeticError(f"CHOLMOD: {why} of {self._n:,} unknowns")
+        # LAPACK's lower triangle, by columns, is the upper one by rows.
+        S = np.ascontiguousarray(block[self._empty :, self._empty :])
+        return mirror_upper(S)
 
-    def _array(self, kind: str, pointer: Any, size: int) -> Any:
-        dtype = np.int64 if kind == "int64_t" else np.float64
-        return np.frombuffer(
-            self._ffi.buffer(self._ffi.cast(f"{kind} *", pointer), 8 * size), dtype
-        )
+    def reduce(self, b: Floats) -> Floats:
+        """Forces on the last unknowns that b (n,) causes, :math:`-E^T A^{-1} b` (m,)."""
+        self._half = np.concatenate([b, np.zeros(self._empty + self._m)])[self._order]
+        if b.any():  # between the cycles of a load there are no such forces
+            self._half = self._solve(self._lib.CHOLMOD_L, self._half)
+        return self._half[self._n + self._empty :].copy()
 
-    def _triangle(self) -> Floats:
-        """The last supernode of L (m, m), a view in Fortran's order; its upper triangle is void."""
-        L = self._L
-        heads, widths, starts = (
-            self._array("int64_t", pointer, L.nsuper + 1) for pointer in (L.super, L.pi, L.px)
-        )
-        m = int(widths[-1] - widths[-2])
-        if m != heads[-1] - heads[-2] or m < self._last:
-            raise ArithmeticError("CHOLMOD: the last unknowns are in several supernodes")
-        block = self._array("double", L.x, int(starts[-1]))[starts[-2] :]
-        return block.reshape(m, m).T
-
-    def schur(self) -> Floats:
-        """The Schur complement of the last unknowns, in the order of the matrix (m, m)."""
-        # L L^T is U U^T of the lower triangle read from its other end.
-        U = np.asfortranarray(self._triangle()[: -self._last - 1 : -1, : -self._last - 1 : -1])
-        S, _ = lapack.dlauum(U, lower=0, overwrite_c=1)
-        S = np.triu(S)
-        S += np.triu(S, 1).T
-        back = np.argsort(self._tail[::-1])
-        return np.ascontiguousarray(S[np.ix_(back, back)])
-
-    def down(self, b: Floats) -> Floats:
-        """Solution of L y = b, in the order of L (n,)."""
-        return self._solve(self._lib.CHOLMOD_L, b[self._order])
-
-    def up(self, y: Floats) -> Floats:
-        """Solution of L^T x = y, in the order of the matrix (n,)."""
-        x = np.empty(self._n)
-        x[self._order] = self._solve(self._lib.CHOLMOD_Lt, y)
-        return x
-
-    def last(self, y: Floats, transposed: bool = False) -> Floats:
-        """Last block of L times y: from the order of L to that of the matrix, or transposed."""
-        triangle = self._triangle()
-        full = np.zeros(len(triangle))
-        full[-self._last :] = y[self._tail] if transposed else y
-        found = blas.dtrmv(triangle, full, lower=1, trans=int(transposed))[-self._last :]
-        return np.asarray(found if transposed else found[np.argsort(self._tail)])
+    def expand(self, x: Floats) -> Floats:
+        """The first unknowns :math:`A^{-1} (b - E x)` (n,), with b as last reduced."""
+        self._half[self._n : self._n + self._empty] = 0.0
+        self._half[self._n + self._empty :] = x
+        found = np.empty(self._n)
+        found[self._order[: self._n]] = self._solve(self._lib.CHOLMOD_Lt, self._half)[: self._n]
+        return found
 
     def _solve(self, which: int, b: Floats) -> Floats:
+        """Solution of L x = b or L^T x = b, in the order of the factors."""
         ffi, lib = self._ffi, self._lib
-        right, b = ffi.new("cholmod_dense *"), np.ascontiguousarray(b)
-        right.nrow = right.nzmax = right.d = self._n
+        right = ffi.new("cholmod_dense *")
+        right.nrow = right.nzmax = right.d = len(b)
         right.ncol, right.xtype = 1, lib.CHOLMOD_REAL
         right.x = ffi.cast("void *", b.ctypes.data)
         found = lib.cholmod_l_solve(which, self._L, right, self._common)
-        x = self._array("double", found.x, self._n).copy()
+        x = self._array("double", found.x, len(b)).copy()
         lib.cholmod_l_free_dense(ffi.new("cholmod_dense **", found), self._common)
         return np.asarray(x)

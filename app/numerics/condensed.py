@@ -4,13 +4,9 @@ The Jacobian of contact, with T and B blocks of contact points, is
 
 .. math:: J = \begin{pmatrix} K & C \\ T C^T & T D + B \end{pmatrix}, \qquad S = D - C^T K^{-1} C,
 
-so that a step solves (T S + B) dq = r_q - T C^T K^{-1} r_u and K du = r_u - C dq. The factors of
-
-.. math:: A' = \begin{pmatrix} K & C \\ C^T & D + \tau \end{pmatrix} = L L^T, \qquad \tau = diag(D),
-
-with the jumps last hold both: the last block of L is the factor of S + tau. (S alone is singular: a
-stem can slide and rotate without resistance.) S stays for all steps, stages and variations of one
-stiffness.
+so that a step solves (T S + B) dq = r_q - T C^T K^{-1} r_u and K du = r_u - C dq. The ranks share
+the elimination of the displacement (`numerics.substructures`). S is on rank 0, which solves for the
+jumps of all ranks, and stays for all steps, stages and variations of one stiffness.
 
 T S + B is singular in a state that holds a body in some directions only, such as the first iterate
 of a belt that only contact holds. The bodies are then joined by weak springs in this step,
@@ -23,7 +19,7 @@ Rigid motions that nothing resists, columns of Z, need other springs: a friction
 about its axis. With springs along these motions only, T S + B + s Z Z^T, the step is exact, because
 balanced forces cause no such motion.
 Unknowns that points follow are last too, before the jumps: new pairs change S, but no factors
-(`numerics.untied`). One rank factors and solves for all.
+(`numerics.untied`).
 """
 
 from __future__ import annotations
@@ -38,11 +34,13 @@ from petsc4py import PETSc
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
-from scipy.sparse import block_array, bsr_array, csc_array, csr_array, diags_array, vstack
+from scipy.sparse import bsr_array, csr_array, diags_array, vstack
 
-from app.arrays import Floats
+from app.arrays import Floats, Ints
 from app.errors import on_root
-from app.numerics.cholesky import Cholesky, library
+from app.numerics.factor import library
+from app.numerics.root_work import blas_threads, cores, wait
+from app.numerics.substructures import Substructures
 from app.numerics.untied import Untied
 
 # Singular values of T, and parts of a row of B across its direction, that count as none.
@@ -94,95 +92,63 @@ class Condensable(Protocol):
 
 
 class Condensed:
-    """Context of a PCPYTHON: the inverse of the Jacobian of contact; made collectively.
-
-    Attributes:
-        cholesky: Factors of A', on rank 0.
-    """
+    """Context of a PCPYTHON: the inverse of the Jacobian of contact; made collectively."""
 
     def __init__(self, contact: Condensable) -> None:
         self._contact = contact
-        K, _, D = contact.parts()
-        self._comm = K.comm.tompi4py()
-        self.size, self._jumps = K.getSize()[0], D.getSize()[0]
-        self._order, self._kept = np.arange(self.size), self.size
-        self._ties = self._gathered_ties()
-        self._matrix: csc_array | None = self._gathered_matrix()
-        self._made = self._bodies = -1
+        matrices = contact.parts()
+        self._comm = matrices[0].comm.tompi4py()
+        self._threads = cores(self._comm)
+        self._jumps, self._own = matrices[2].getSize()[0], matrices[2].getLocalSize()[0]
+        self._sizes = self._comm.gather(self._own)
+        self._kept = self._followed()
+        self._bodies = Substructures(matrices, self._kept)
+        self._current = self._factored = -1
         self._untied: Untied | None = None
         self._sprung = False
-        if self._matrix is not None:
-            self.cholesky = self._analysed(self._matrix)
 
     @property
     def work(self) -> tuple[float, float]:
-        """Operations and entries of the factors; collective."""
-        c = None if self._comm.rank else self.cholesky
-        return self._comm.bcast(c and (c.flops, c.entries))
+        """Operations of the rank that has most, and entries of all factors."""
+        return self._bodies.operations, self._bodies.entries
 
     # Factors
 
-    def _analysed(self, A: csc_array) -> Cholesky:
-        return Cholesky(A, self.size + self._jumps - self._kept)
+    def _followed(self) -> Ints:
+        """Nodes that points may follow, sorted, on all ranks; collective."""
+        if (ties := self._contact.ties()) is None:
+            return np.zeros(0, dtype=np.int64)
+        columns = np.unique(ties[1].getValuesCSR()[1] // 3)
+        return np.unique(np.concatenate(self._comm.allgather(columns)))
 
-    def _gathered_ties(self) -> csr_array | None:
-        """Displacement of points by the last unknowns, if they follow, on rank 0; collective."""
+    def _ties(self) -> csr_array | None:
+        """Displacement of points by the nodes that they follow, on rank 0; collective."""
         if (ties := self._contact.ties()) is None:
             return None
-        Q, every = (self._gathered_rows(A) for A in ties)
-        if self._comm.rank:
-            return None
-        if self._kept == self.size:
-            there = np.unique(every.indices // 3)
-            last = (3 * there[:, None] + np.arange(3)).ravel()
-            self._order = np.concatenate([np.setdiff1d(self._order, last), last])
-            self._kept -= len(last)
-        return Q[:, self._order[self._kept :]]
-
-    def _gathered_matrix(self) -> csc_array | None:
-        """A' on rank 0, its upper triangle right, None elsewhere; collective."""
-        K, C, D = self._contact.parts()
-        every = [self._gathered_rows(A) for A in (K, C, D)]
-        if self._comm.rank:
-            return None
-        k, c, d = every
-        self._tau = d.diagonal()
-        if self._ties is not None:
-            k, c = k[self._order][:, self._order], c[self._order]
-        lower = block_array([[c.T, d + diags_array(self._tau)]], format="csr")
-        k.resize(self.size, self.size + self._jumps)
-        rows = vstack([k[: self._kept], _joined(vstack([k[self._kept :], lower]))], format="csr")
-        # Rows of the lower triangle are columns of the upper one.
-        return csc_array((rows.data, rows.indices, rows.indptr), shape=rows.shape)
-
-    def _gathered_rows(self, A: PETSc.Mat) -> csr_array:
-        """A matrix on rank 0, own rows elsewhere; collective."""
-        starts, columns, values = A.getValuesCSR()
-        own = csr_array((values, columns, starts), shape=(len(starts) - 1, A.getSize()[1]))
-        every = self._comm.gather(own) if self._comm.size > 1 else [own]
-        return vstack(every, format="csr") if every else own
+        starts, columns, values = ties[0].getValuesCSR()
+        own = csr_array((values, columns, starts), shape=(len(starts) - 1, ties[0].getSize()[1]))
+        every = self._comm.gather(own)
+        last = (3 * self._kept[:, None] + np.arange(3)).ravel()
+        return vstack(every, format="csr")[:, last] if every else None
 
     def _renew(self) -> None:
-        """Factor the bodies if their stiffness has changed; collective."""
-        if self._made == (now := self._contact.version):
+        """Condense the bodies if their stiffness has changed; collective."""
+        if self._current == (now := self._contact.version):
             return
-        self._made, bodies = now, now - self._contact.pairings
-        self._ties = self._gathered_ties()
-        if self._bodies != bodies:
-            A = self._matrix if self._bodies < 0 else self._gathered_matrix()
-            self._bodies, self._matrix = bodies, None
-            if A is not None:
-                if not self.cholesky.fits(A):  # a support may have let go
-                    self.cholesky = self._analysed(A)
-                self.cholesky.factorize(A)
-                self._S = self.cholesky.schur()
-                jumps = np.arange(len(self._S))[-self._jumps :]
-                self._S[jumps, jumps] -= self._tau
-                self._untied = None if self._ties is None else Untied(self._S, self._ties)
+        bodies = now - self._contact.pairings
+        ties = self._ties()
+        if self._factored != bodies:
+            if self._factored >= 0:
+                self._bodies.renew(self._contact.parts())
+            S = self._bodies.factorize()
+            if S is not None:
+                self._S = S
+                self._untied = None if ties is None else Untied(S, ties)
+        if self._untied is not None:
+            self._S = self._untied.tie(ties)
         if self._comm.rank == 0:
-            if self._untied is not None:
-                self._S = self._untied.tie(self._ties)
             self._single = self._S.astype(np.float32)
+        self._current, self._factored = now, bodies
 
     def setUp(self, pc: PETSc.PC | None = None) -> None:
         """Set up for the current Jacobian; collective."""
@@ -194,7 +160,8 @@ class Condensed:
         if self._comm.rank == 0:
             self._set_rows(*(v.reshape(-1, 3, 3) for v in rows))
             self._unresisted = np.linalg.qr(unresisted.reshape(self._jumps, number))[0]
-            self._factor(self._single, self._B)
+            with blas_threads(self._threads):
+                self._factor(self._single, self._B)
 
     def _gathered(self, own: Floats) -> Floats:
         """Values of all ranks one after the other, on rank 0; collective."""
@@ -237,9 +204,9 @@ class Condensed:
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Solve J z = r; collective."""
         (ru, rq), (u, q) = (v.getNestSubVecs() for v in (r, z))
-        pulled = self._on_root(self._pulled, q, ru.array_r)
-        dq = self._on_root(lambda a, b: self._step(a - self._T @ b), q, rq.array_r, pulled)
-        u.array = self._on_root(self._moved, u, dq)
+        pulled = self._pulled(ru.array_r)
+        dq = self._on_root(lambda a, b: self._step(a - self._T @ b), rq.array_r, pulled)
+        u.array = self._moved(dq)
         q.array = dq
 
     def iterate(self, x: list[PETSc.Vec], tolerance: float) -> int:
@@ -255,8 +222,7 @@ class Condensed:
         q, number = q_vector.array.copy(), 0
         if self._norm(ru) <= LITTLE * tolerance * scale:
             ru = np.zeros_like(ru)
-        pulled = self._on_root(self._pulled, q_vector, ru)
-        e = e - pulled
+        e = e - self._pulled(ru)
         r, scale = self._contact.law(e, q)
         norm, moving, kept = self._norm(r), True, False
         before_springs: list[float] = []
@@ -264,14 +230,14 @@ class Condensed:
         while norm > (tolerance * scale if number else 0.0) and moving and number < MOST:
             if not kept:
                 self.setUp()
-            dq = self._on_root(self._step, q_vector, r)
+            dq = self._on_root(self._step, r)
             if not self._comm.bcast(self._sprung):
                 before_springs = []
             else:
                 before_springs.append(norm)
                 if norm > min(before_springs[:-SINGULAR_STEPS], default=math.inf) / 2:
                     break  # what is free stays unbalanced
-            de = self._on_root(lambda: self._pushed, q_vector)
+            de = self._on_root(lambda: self._pushed)
             for part in PARTS:
                 there = e - part * de, q - part * dq
                 r, scale = self._contact.law(*there)
@@ -280,45 +246,50 @@ class Condensed:
                     e, q = there
                     break
             number += 1
-        u.array[:] -= self._on_root(self._moved, u, q_vector.array_r - q)
+        u.array[:] -= self._moved(q_vector.array_r - q)
         q_vector.array[:] = q
         return number
 
     def _norm(self, own: Floats) -> float:
         return math.sqrt(self._comm.allreduce(float(own @ own)))
 
-    def _on_root(self, function: Callable[..., Floats], like: PETSc.Vec, *own: Floats) -> Floats:
-        """Own part, as of a vector, of a function of values of all ranks; collective."""
+    def _on_root(self, function: Callable[..., Floats], *own: Floats) -> Floats:
+        """Own part of jumps, a function of values of all ranks that rank 0 computes; collective."""
         every = [self._gathered(v) for v in own]
-        if self._comm.size == 1:
-            return function(*every)
-        found = function(*every) if self._comm.rank == 0 else None
-        part = np.empty(like.getLocalSize())
-        sizes = self._comm.gather(len(part))
-        self._comm.Scatterv([found, sizes] if found is not None else None, part)
-        return part
+        if self._comm.rank:
+            return self._scattered(None)
+        with blas_threads(self._threads):
+            return self._scattered(function(*every))
 
-    # On rank 0
+    def _scattered(self, jumps: Floats | None) -> Floats:
+        """Own part of the jumps of all ranks, which rank 0 has; collective."""
+        if self._comm.size == 1:
+            assert jumps is not None
+            return jumps
+        wait(self._comm)
+        own = np.empty(self._own)
+        self._comm.Scatterv([jumps, self._sizes] if jumps is not None else None, own)
+        return own
 
     def _pulled(self, ru: Floats) -> Floats:
-        """Forces on jumps of the displacement that other forces cause, C^T K^-1 r_u."""
-        self._half = np.concatenate([ru[self._order], np.zeros(self._jumps)])
-        if ru.any():
-            self._half = self.cholesky.down(self._half)
-        elif self._untied is None:  # as in cycles
-            return self._half[self.size :].copy()
-        self._given = self.cholesky.last(self._half[self._kept :])
-        if self._untied is not None:
-            return self._untied.solve(self._given, np.zeros(self._jumps))[0]
-        return -self._given
+        """Forces on own jumps that forces on own displacements cause, C^T K^-1 r_u; collective."""
+        self._given = self._bodies.reduce(ru)
+        if self._given is None:
+            return self._scattered(None)
+        if self._untied is None:
+            return self._scattered(-self._given)
+        return self._scattered(self._untied.solve(self._given, np.zeros(self._jumps))[0])
 
     def _moved(self, dq: Floats) -> Floats:
-        """The displacement K^-1 (r_u - C dq), r_u as last given to `_pulled`."""
-        last = dq if self._untied is None else self._untied.solve(self._given, dq)[1]
-        self._half[self._kept :] = self.cholesky.last(last, transposed=True)
-        u = np.empty(self.size)
-        u[self._order] = self.cholesky.up(self._half)[: self.size]
-        return u
+        """The displacement K^-1 (r_u - C dq), r_u as last given to `_pulled`; collective."""
+        every = self._gathered(dq)
+        if self._given is None:
+            return self._bodies.expand(None)
+        if self._untied is None:
+            return self._bodies.expand(every)
+        return self._bodies.expand(self._untied.solve(self._given, every)[1])
+
+    # On rank 0
 
     def _step(self, r: Floats) -> Floats:
         """Solution of (T S + B) dq = r, with weak springs if it is singular; keeps S dq."""
@@ -355,22 +326,8 @@ class Condensed:
 
 
 def available(comm: MPI.Comm) -> bool:
-    """Whether CHOLMOD can be compiled against; collective."""
+    """Return True if there is a library for the factors; collective."""
     return bool(on_root(comm, lambda: library() is not None))
-
-
-def _joined(rows: csr_array) -> csr_array:
-    """Add zero entries of the last unknowns in the columns of the first three of these.
-
-    ``rows`` are the last rows of a matrix. CHOLMOD's postordering puts other unknowns between the
-    last ones if these are in several branches of its elimination tree, such as the jumps of columns
-    that supports hold. With these entries the last unknowns are one branch.
-    """
-    first = rows.shape[1] - rows.shape[0]
-    i, j = np.indices((rows.shape[0], 3)).reshape(2, -1)
-    a = rows.tocoo()
-    at = np.concatenate([a.row, i]), np.concatenate([a.col, first + j])
-    return csr_array((np.concatenate([a.data, np.zeros(len(i))]), at), shape=a.shape)
 
 
 def _blocks(values: Floats) -> csr_array:

@@ -1,0 +1,125 @@
+"""Sparse factors by MUMPS, with a Schur complement.
+
+PETSc has these, but petsc4py does not: ctypes calls PETSc with the handles of petsc4py's objects.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import weakref
+from functools import cache
+from typing import Any
+
+import numpy as np
+from petsc4py import PETSc
+from scipy.sparse import csr_array, vstack
+
+from app.arrays import Floats
+from app.numerics.dense import mirror_upper
+
+# Controls of MUMPS: order of elimination, extra working space [%], which system is solved.
+ORDER, SPACE, SYSTEM = 7, 14, 26
+# METIS' nested dissection, half as much space again, A alone.
+METIS, HALF, FIRST_ALONE = 5, 50, 0
+# Results of MUMPS: operations of the elimination, entries (in millions if negative), the error, and
+# the number of negative pivots.
+OPERATIONS, ENTRIES, ERROR, NEGATIVE = 1, 20, 1, 12
+FACTOR_CHOLESKY = 2  # of PETSc's MatFactorType
+
+
+@cache
+def _petsc() -> ctypes.CDLL:
+    return ctypes.CDLL(PETSc.__file__)
+
+
+def _call(name: str, *arguments: Any) -> None:
+    if error := getattr(_petsc(), name)(*arguments):
+        raise ArithmeticError(f"{name} of PETSc: error {error}")
+
+
+def _pointer(handle: int) -> ctypes.c_void_p:
+    return ctypes.c_void_p(handle)
+
+
+def _destroy(F: ctypes.c_void_p) -> None:
+    if not PETSc.Sys.isFinalized():
+        _call("MatDestroy", ctypes.byref(F))
+
+
+class Mumps:
+    """Factors by MUMPS, on one rank: see `app.numerics.factor.Factor`."""
+
+    def __init__(self, rows: csr_array) -> None:
+        self._n, self._m = rows.shape[0], rows.shape[1] - rows.shape[0]
+        A = self._matrix(rows)
+        F = self._F = ctypes.c_void_p()
+        _call("MatGetFactor", _pointer(A.handle), b"mumps", FACTOR_CHOLESKY, ctypes.byref(F))
+        weakref.finalize(self, _destroy, F)
+        last = PETSc.IS().createStride(self._m, self._n, 1, A.comm)
+        _call("MatFactorSetSchurIS", F, _pointer(last.handle))
+        for control, value in ((ORDER, METIS), (SPACE, HALF)):
+            _call("MatMumpsSetIcntl", F, control, value)
+        self._info = (ctypes.c_double * 32)()  # longer than PETSc's MatFactorInfo
+        _call("MatFactorInfoInitialize", self._info)
+        _call("MatCholeskyFactorSymbolic", F, _pointer(A.handle), None, self._info)
+        self._check()
+        operations = ctypes.c_double()
+        _call("MatMumpsGetRinfog", F, OPERATIONS, ctypes.byref(operations))
+        self.operations = operations.value
+        entries = self._result(ENTRIES)
+        self.entries = float(entries if entries >= 0 else -1_000_000 * entries)
+
+    def _matrix(self, rows: csr_array) -> PETSc.Mat:
+        """The whole matrix, its upper triangle right."""
+        n, m = self._n, self._m
+        diagonal = csr_array((np.zeros(m), np.arange(n, n + m), np.arange(m + 1)), shape=(m, n + m))
+        whole = vstack([rows, diagonal], format="csr")
+        whole.sort_indices()
+        starts, columns = (v.astype(PETSc.IntType) for v in (whole.indptr, whole.indices))
+        arrays = starts, columns, whole.data
+        A = PETSc.Mat().createAIJ(whole.shape, csr=arrays, comm=PETSc.COMM_SELF)
+        A.setOption(PETSc.Mat.Option.SPD, True)
+        return A
+
+    def _result(self, number: int) -> int:
+        value = ctypes.c_int()
+        _call("MatMumpsGetInfog", self._F, number, ctypes.byref(value))
+        return value.value
+
+    def _check(self) -> None:
+        if error := self._result(ERROR):
+            raise ArithmeticError(f"MUMPS: error {error}")
+        if negative := self._result(NEGATIVE):
+            raise ArithmeticError(f"MUMPS: {negative} negative pivots")
+
+    def factorize(self, rows: csr_array) -> Floats:
+        """Factor a matrix of the pattern that was analysed: see `Factor`."""
+        self._right = rows[:, self._n :]
+        A = self._matrix(rows)
+        _call("MatCholeskyFactorNumeric", self._F, _pointer(A.handle), self._info)
+        self._check()
+        _call("MatMumpsSetIcntl", self._F, SYSTEM, FIRST_ALONE)
+        S, status = ctypes.c_void_p(), ctypes.c_int()
+        _call("MatFactorGetSchurComplement", self._F, ctypes.byref(S), ctypes.byref(status))
+        values = ctypes.POINTER(ctypes.c_double)()
+        _call("MatDenseGetArrayRead", S, ctypes.byref(values))
+        complement = np.ctypeslib.as_array(values, shape=(self._m, self._m)).copy()
+        _call("MatDenseRestoreArrayRead", S, ctypes.byref(values))
+        _call("MatFactorRestoreSchurComplement", self._F, ctypes.byref(S), status)
+        return mirror_upper(complement)
+
+    def reduce(self, b: Floats) -> Floats:
+        """Forces on the last unknowns that b causes: see `Factor`."""
+        self._moved = self._solve(b)
+        return np.asarray(-(self._right.T @ self._moved))
+
+    def expand(self, x: Floats) -> Floats:
+        """The first unknowns, with b as last reduced: see `Factor`."""
+        return self._moved - self._solve(self._right @ x)
+
+    def _solve(self, b: Floats) -> Floats:
+        """Solution of A x = b."""
+        right = np.concatenate([b, np.zeros(self._m)])
+        x, y = (PETSc.Vec().createWithArray(v, comm=PETSc.COMM_SELF) for v in (right, right * 0))
+        _call("MatSolve", self._F, _pointer(x.handle), _pointer(y.handle))
+        return np.array(y.array_r[: self._n])
