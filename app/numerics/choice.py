@@ -7,16 +7,18 @@ from dataclasses import dataclass
 
 from app.system.layout import duration
 
-# Measured on one core: operations per second of factors, of dense products with S, of LU in single
-# precision; bytes per second of back-substitutions. Iterations from rest, and of a later solve.
-FACTORS, PRODUCTS, SINGLE, BYTES = 36e9, 26e9, 86e9, 10e9
+# Measured on one core: operations per second of factors, of LU in single precision; bytes per second
+# of back-substitutions. Iterations from rest, and of a later solve.
+FACTORS, SINGLE, BYTES = 36e9, 86e9, 10e9
 FROM_REST, ITERATIONS = 12, 5.5
 # Seconds of imports and analysis; per unknown of assembling A', and of a solve by a Krylov method
 # by order; a later one beside it.
 START, ASSEMBLY = 0.3, 1.5e-5
 KRYLOV, LATER = {1: 1e-4, 2: 1.3e-4}, {1: 0.4, 2: 0.5}
-# Efficiency of ranks of a Krylov method; part of the memory that factors may take.
+# Efficiency of ranks of a Krylov method, and of threads of rank 0; part of the memory that factors
+# may take. Operations of factors fall with this power of the number of ranks that share them.
 SPEEDUP, MEMORY = 0.9, 0.5
+DIVIDED = 1.4
 
 
 @dataclass(frozen=True)
@@ -29,8 +31,9 @@ class SolverChoice:
         solves: Number of solves.
         setting: Whether the stiffness changes, so that the bodies are factored for each.
         memory: Of a rank [byte].
-        ranks: Number of ranks, which share the work of a Krylov method alone.
-        factors: Operations and entries of the factors of A'; estimated if they are not known.
+        ranks: Number of ranks.
+        factors: Operations of the factors of the bodies on the rank that has most, and entries of
+            all; estimated if they are not known.
     """
 
     order: int
@@ -44,35 +47,41 @@ class SolverChoice:
 
     @property
     def work(self) -> tuple[float, float]:
-        """Operations and entries of the factors.
+        """Operations of the factors on the rank that has most, and entries of all.
 
-        Estimated within a quarter (entries: a tenth) in hips of 3,000 to 850,000 unknowns at either
+        Estimated on one rank within a quarter (entries: a tenth) in hips of 3,000 to 850,000 unknowns at either
         order; a compact body has up to 1.6 times as many operations.
         """
         n, m = self.size, self.jumps
-        return self.factors or (10.2 * n**2.05 + 1.1 * m**2.91, 5.6 * n**1.44 + 1.1 * m**1.95)
+        operations = 10.2 * n**2.05 + 1.1 * m**2.91 - m**3 / 3
+        entries = 5.6 * n**1.44 + 1.1 * m**1.95
+        return self.factors or (operations / self.ranks**DIVIDED, entries)
 
     @property
     def condensed(self) -> float:
         """Time of condensation [s]."""
-        flops, entries = self.work
-        setup = flops / FACTORS + self.jumps**3 / (3 * PRODUCTS) + ASSEMBLY * self.size
-        lu = (2 / 3) * (0.64 * self.jumps) ** 3 / SINGLE
-        iteration = lu + (32 * self.jumps**2 + 8 * entries) / BYTES
+        operations, entries = self.work
+        setup = operations / FACTORS + ASSEMBLY * self.size / self._speedup
+        lu = (2 / 3) * (0.64 * self.jumps) ** 3 / (SINGLE * self._speedup)
+        iteration = lu + (32 * self.jumps**2 + 8 * entries / self.ranks) / BYTES
         setup *= self.solves if self.setting else 1
         return START + setup + (FROM_REST + ITERATIONS * (self.solves - 1)) * iteration
 
     @property
     def krylov(self) -> float:
         """Time of a Krylov method [s]."""
-        speedup = SPEEDUP * self.ranks if self.ranks > 1 else 1.0
         later = LATER[self.order] * (self.solves - 1)
-        return KRYLOV[self.order] * self.size * (1 + later) / speedup
+        return KRYLOV[self.order] * self.size * (1 + later) / self._speedup
+
+    @property
+    def _speedup(self) -> float:
+        """Speed of all ranks over that of one."""
+        return SPEEDUP * self.ranks if self.ranks > 1 else 1.0
 
     @property
     def needed(self) -> float:
-        """Memory of condensation [byte]."""
-        return 1.3 * 8 * self.work[1] + 20 * self.jumps**2
+        """Memory of condensation on rank 0 [byte]."""
+        return 1.3 * 8 * self.work[1] / self.ranks + 20 * self.jumps**2
 
     @property
     def fits(self) -> bool:

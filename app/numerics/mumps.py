@@ -51,6 +51,9 @@ class Mumps:
 
     def __init__(self, rows: csr_array) -> None:
         self._n, self._m = rows.shape[0], rows.shape[1] - rows.shape[0]
+        self.operations = self.entries = 0.0
+        if not self._n:  # MUMPS refuses this
+            return
         A = self._matrix(rows)
         F = self._F = ctypes.c_void_p()
         _call("MatGetFactor", _pointer(A.handle), b"mumps", FACTOR_CHOLESKY, ctypes.byref(F))
@@ -95,10 +98,14 @@ class Mumps:
     def factorize(self, rows: csr_array) -> Floats:
         """Factor a matrix of the pattern that was analysed: see `Factor`."""
         self._right = rows[:, self._n :]
+        if not self._n:
+            return np.zeros((self._m, self._m))
         A = self._matrix(rows)
         _call("MatCholeskyFactorNumeric", self._F, _pointer(A.handle), self._info)
         self._check()
         _call("MatMumpsSetIcntl", self._F, SYSTEM, FIRST_ALONE)
+        if not self._m:  # PETSc has no complement then
+            return np.zeros((0, 0))
         S, status = ctypes.c_void_p(), ctypes.c_int()
         _call("MatFactorGetSchurComplement", self._F, ctypes.byref(S), ctypes.byref(status))
         values = ctypes.POINTER(ctypes.c_double)()
@@ -119,6 +126,8 @@ class Mumps:
 
     def _solve(self, b: Floats) -> Floats:
         """Solution of A x = b."""
+        if not self._n:
+            return b
         right = np.concatenate([b, np.zeros(self._m)])
         x, y = (PETSc.Vec().createWithArray(v, comm=PETSc.COMM_SELF) for v in (right, right * 0))
         _call("MatSolve", self._F, _pointer(x.handle), _pointer(y.handle))

@@ -2,59 +2,19 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.sparse import csc_array, csr_array, diags_array, eye_array, kron
+from scipy.sparse import csr_array
 
 from app.numerics.choice import SolverChoice
-from app.numerics.cholesky import Cholesky
 from app.numerics.condensed import Condensed
 from app.numerics.untied import Untied
 from tests import support
 
 CONDENSED = "solver.linear=condensed"
-
-
-def spring_grid(n: int = 6) -> csc_array:
-    """Three unknowns at each node of a grid, positive definite."""
-    line = diags_array([-np.ones(n - 1), 2.1 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
-    one = eye_array(n)
-    grid = kron(kron(line, one), one) + kron(kron(one, line), one) + kron(kron(one, one), line)
-    B = np.random.default_rng(0).normal(size=(3, 3))
-    return csc_array(kron(grid, B @ B.T + 3 * np.eye(3)))
-
-
-def joined_grid(last: int, grid: csc_array | None = None) -> csc_array:
-    """A grid with entries (zeros) of its last unknowns in the first three of these."""
-    A = spring_grid() if grid is None else grid
-    i, j = np.indices((3, last)).reshape(2, -1) + A.shape[0] - last
-    a = A.tocoo()
-    at = np.concatenate([a.row, i]), np.concatenate([a.col, j])
-    return csc_array((np.concatenate([a.data, 0.0 * i]), at))
-
-
-@pytest.mark.parametrize("last", [108, 324])
-def test_last_block_is_the_factor_of_the_schur_complement(last: int) -> None:
-    """S = D - C^T K^-1 C by dense matrices, whatever the order of the factors."""
-    A = joined_grid(last)
-    c = Cholesky(A, last)
-    c.factorize(A)
-    K, C, D = (
-        A.toarray()[rows]
-        for rows in (np.s_[:-last, :-last], np.s_[:-last, -last:], np.s_[-last:, -last:])
-    )
-    np.testing.assert_allclose(c.schur(), D - C.T @ np.linalg.solve(K, C), atol=1e-12)
-    b = np.random.default_rng(1).normal(size=A.shape[0])
-    np.testing.assert_allclose(A @ c.up(y := c.down(b)), b, atol=1e-12)
-    pulled = C.T @ np.linalg.solve(K, b[:-last])
-    np.testing.assert_allclose(c.last(y[-last:]), b[-last:] - pulled, atol=1e-12)
-    there = np.concatenate([y[:-last], c.last(b[-last:], transposed=True)])
-    moved = np.linalg.solve(K, b[:-last] - C @ b[-last:])
-    np.testing.assert_allclose(c.up(there), np.concatenate([moved, b[-last:]]), atol=1e-12)
 
 
 def test_other_ties_are_condensed_without_new_factors() -> None:
@@ -78,24 +38,16 @@ def test_other_ties_are_condensed_without_new_factors() -> None:
     np.testing.assert_allclose(forces, C.T @ m + held @ q - g[9:], atol=1e-9)
 
 
-def test_factors_that_nothing_holds_are_freed() -> None:
-    """A motion makes new ones at each step: CHOLMOD's memory goes with the object."""
-    c = Cholesky(joined_grid(108), 108)
-    gone = weakref.ref(c)
-    del c
-    assert gone() is None
-
-
 # Order, unknowns of displacement and jumps, GFlop and million entries of the factors; the number of
 # solves from which it pays: measured on a hip's mesh, beside multigrid.
 MEASURED = [
-    ((2, 20_343, 1_278, 7, 10), 1),
-    ((2, 91_551, 3_030, 195, 90), 1),
-    ((2, 110_427, 3_798, 274, 116), 1),
-    ((2, 151_851, 5_046, 412, 164), 2),
-    ((1, 4_818, 1_584, 2.4, 2.9), 4),
-    ((1, 97_335, 12_774, 1_350, 213), np.inf),
-    ((2, 853_299, 15_078, 17_700, 2_038), np.inf),
+    ((2, 20_343, 1_278, 6.3, 10), 1),
+    ((2, 91_551, 3_030, 186, 90), 1),
+    ((2, 110_427, 3_798, 256, 116), 1),
+    ((2, 151_851, 5_046, 369, 164), 2),
+    ((1, 4_818, 1_584, 1.1, 2.9), 4),
+    ((1, 97_335, 12_774, 655, 213), np.inf),
+    ((2, 853_299, 15_078, 16_560, 2_038), np.inf),
 ]
 
 
@@ -134,11 +86,11 @@ def exchanged(c: Condensed) -> None:
     c._S[:, [0, 40]] = c._S[:, [40, 0]]
 
 
-def left_in(c: Condensed) -> None:
-    c._S[np.diag_indices(len(c._S))] += c._tau
+def doubled(c: Condensed) -> None:
+    c._S[np.diag_indices(len(c._S))] *= 2.0
 
 
-@pytest.mark.parametrize("error", [exchanged, left_in])
+@pytest.mark.parametrize("error", [exchanged, doubled])
 def test_an_error_in_s_is_not_believed(
     error: Callable[[Condensed], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -146,9 +98,9 @@ def test_an_error_in_s_is_not_believed(
     right = Condensed._renew
 
     def wrong(self: Condensed) -> None:
-        made = self._made
+        current = self._current
         right(self)
-        if made != self._made:
+        if current != self._current:
             error(self)
             self._single = self._S.astype(np.float32)
 

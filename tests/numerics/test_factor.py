@@ -6,18 +6,21 @@ import weakref
 
 import numpy as np
 import pytest
-from scipy.sparse import csc_array, csr_array, diags_array, eye_array, kron, random_array
+from scipy.sparse import csr_array, diags_array, eye_array, hstack, kron, random_array
 
-from app.numerics import cholesky
 from app.numerics.cholesky import Cholesky
 from app.numerics.factor import Factor
 from app.numerics.mumps import Mumps
 
 BOTH = [Cholesky, Mumps]
+# Nodes along the edge of a grid, and last unknowns; a rank may have no interior, or meet nothing.
+SIZES = [(0, 6), (2, 0), (1, 3), (2, 3), (2, 60), (6, 3), (6, 48), (6, 51), (6, 600)]
 
 
 def spring_grid(n: int) -> csr_array:
     """Three unknowns at each node of a grid, positive definite."""
+    if not n:
+        return csr_array((0, 0))
     line = diags_array([-np.ones(n - 1), 2.1 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1])
     one = eye_array(n)
     grid = kron(kron(line, one), one) + kron(kron(one, line), one) + kron(kron(one, one), line)
@@ -25,19 +28,14 @@ def spring_grid(n: int) -> csr_array:
     return csr_array(kron(grid, B @ B.T + 3 * np.eye(3)))
 
 
-def joined(A: csr_array, m: int, density: float, seed: int = 1) -> tuple[csr_array, csr_array]:
-    """A and E side by side, and E: some columns of which are empty, or have one node."""
-    E = csr_array(random_array((A.shape[0], m), density=density, rng=seed))
-    coo = A.tocoo(), E.tocoo()
-    data, rows, columns = (
-        np.concatenate(v)
-        for v in ((coo[0].data, coo[1].data), (coo[0].row, coo[1].row), (coo[0].col, coo[1].col + A.shape[0]))
-    )
-    return csr_array((data, (rows, columns)), shape=(A.shape[0], A.shape[0] + m)), E
+def joined(A: csr_array, m: int, density: float) -> tuple[csr_array, csr_array]:
+    """A and E side by side, and E, some columns of which are empty."""
+    E = csr_array(random_array((A.shape[0], m), density=density, rng=1))
+    return csr_array(hstack([A, E], format="csr")), E
 
 
 @pytest.mark.parametrize("kind", BOTH)
-@pytest.mark.parametrize(("n", "m"), [(1, 3), (2, 3), (2, 60), (6, 3), (6, 48), (6, 51), (6, 600)])
+@pytest.mark.parametrize(("n", "m"), SIZES)
 @pytest.mark.parametrize("density", [0.004, 0.2])
 def test_schur_complement(kind: type[Factor], n: int, m: int, density: float) -> None:
     """- E^T A^-1 E, whatever the number of last unknowns and wherever they are met."""
@@ -52,7 +50,7 @@ def test_schur_complement(kind: type[Factor], n: int, m: int, density: float) ->
     np.testing.assert_allclose(f.reduce(b), -dense.T @ inverse @ b, atol=1e-11)
     np.testing.assert_allclose(f.expand(x), inverse @ (b / 2 - dense @ x), atol=1e-11)
     np.testing.assert_allclose(f.expand(0 * x), inverse @ b / 2, atol=1e-11)
-    assert f.operations > 0 and f.entries >= A.shape[0]
+    assert f.operations >= 0 and f.entries >= A.shape[0]
 
 
 @pytest.mark.parametrize("kind", BOTH)

@@ -132,6 +132,7 @@ SHORT = (
 HEATING = "interfaces.lower_upper={kind: contact, friction_coefficient: 0.3, friction_heating: 0.3}"
 GRUEN = ("mesh.size=6 mm", "mesh.order=1", "stages.0.increments=1", "output.error=false")
 EXACT = "solver.tolerance=1e-12"
+CONDENSED = "solver.linear=condensed"
 TIRING = "fatigue={region: corner, spectrum: {load: 1e6}, laws: {m: {kind: murphy_2000}}}"
 STATES = ("open_fraction", "stick_fraction", "slip_fraction")
 Summaries = dict[str, dict[str, Any]]
@@ -149,6 +150,30 @@ CASES: dict[str, tuple[str, tuple[str, ...], dict[int, tuple[str, ...]]]] = {
             2: ("solver.linear=direct",),
             3: ("solver.linear=multigrid",),
         },
+    ),
+    "condensed": (
+        STEM,
+        (),
+        {
+            1: ("solver.linear=direct",),
+            2: (CONDENSED,),
+            3: (CONDENSED,),
+            4: (CONDENSED,),
+        },
+    ),
+    "condensed, a support lets go": (
+        STEM,
+        (
+            CONDENSED,
+            "supports.held={kind: roller, boundary: stem_top, axis: x, stages: [first]}",
+            "stages=[{name: first}, {name: second}]",
+        ),
+        {1: (), 2: ()},
+    ),
+    "condensed, a deformable head": (
+        CUP,
+        (COCR, TURN, stages(3), EXACT, CONDENSED),
+        {1: (), 2: (), 3: ()},
     ),
     "conductance": (coupled.CASE, ("stages[1].increments=2", EXACT), {1: (), 3: ()}),
     "friction heat": (coupled.CASE, (HEATING, EXACT), {1: (), 3: ()}),
