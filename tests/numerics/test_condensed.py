@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
+from app.numerics import substructures
 from app.numerics.choice import SolverChoice
 from app.numerics.condensed import Condensed
+from app.numerics.mumps import Mumps
 from app.numerics.untied import Untied
 from tests import support
 
@@ -80,6 +82,17 @@ def test_jumps_are_those_of_the_krylov_method(law: str, order: int) -> None:
     assert condensed.solver.linear.exact and not krylov.solver.linear.exact
     expected, found = (s.problem.contact.state.jump for s in (krylov, condensed))
     assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+def test_jumps_are_the_same_by_other_factors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """MUMPS where there is no CHOLMOD."""
+    law = f"interfaces.stem_cement={LAWS[0]}"
+    expected = support.solve(support.STEM, "mesh.order=2", law, CONDENSED)
+    monkeypatch.setattr(substructures, "library", lambda: Mumps)
+    found = support.solve(support.STEM, "mesh.order=2", law, CONDENSED)
+    a, b = (s.problem.contact.state.jump for s in (expected, found))
+    assert b == pytest.approx(a, abs=1e-12 * np.abs(a).max())
+    assert not np.array_equal(a, b)
 
 
 def exchanged(c: Condensed) -> None:

@@ -1,0 +1,24 @@
+"""Substructures: nodes that ranks share are a smallest vertex cover; the rest is on ranks."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.numerics.substructures import vertex_cover
+
+PAIRS = st.lists(st.tuples(st.integers(0, 5), st.integers(6, 11)), min_size=1, max_size=14)
+
+
+@given(PAIRS)
+@settings(max_examples=200, deadline=None)
+def test_vertex_cover_is_the_smallest(pairs: list[tuple[int, int]]) -> None:
+    """By trying all smaller sets of nodes."""
+    found = set(vertex_cover(np.array(pairs)).tolist())
+    assert all(found & set(pair) for pair in pairs)
+    nodes = {node for pair in pairs for node in pair}
+    for fewer in combinations(nodes, len(found) - 1):
+        assert not all(set(fewer) & set(pair) for pair in pairs)
