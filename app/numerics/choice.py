@@ -9,12 +9,12 @@ from app.system.layout import duration
 
 # Measured on one core: operations per second of factors, of LU in single precision; bytes per second
 # of back-substitutions. Iterations from rest, and of a later solve.
-FACTORS, SINGLE, BYTES = 36e9, 86e9, 10e9
+FACTORS, SINGLE, BYTES = 48e9, 86e9, 10e9
 FROM_REST, ITERATIONS = 12, 5.5
 # Seconds of imports and analysis; per unknown of assembling A', and of a solve by a Krylov method
 # by order; a later one beside it.
 START, ASSEMBLY = 0.3, 1.5e-5
-KRYLOV, LATER = {1: 1e-4, 2: 1.3e-4}, {1: 0.4, 2: 0.5}
+KRYLOV, LATER = {1: 1e-4, 2: 9.5e-5}, {1: 0.4, 2: 0.5}
 # Efficiency of ranks of a Krylov method, and of threads of rank 0; part of the memory that factors
 # may take. Operations of factors fall with this power of the number of ranks that share them.
 SPEEDUP, MEMORY = 0.9, 0.5
@@ -53,8 +53,8 @@ class SolverChoice:
         order; a compact body has up to 1.6 times as many operations.
         """
         n, m = self.size, self.jumps
-        operations = 10.2 * n**2.05 + 1.1 * m**2.91 - m**3 / 3
-        entries = 5.6 * n**1.44 + 1.1 * m**1.95
+        operations = 15 * n**2.05 + 1.1 * m**2.91 - m**3 / 3
+        entries = 6 * n**1.44 + 1.1 * m**1.95
         return self.factors or (operations / self.ranks**DIVIDED, entries)
 
     @property

@@ -43,10 +43,10 @@ def test_other_ties_are_condensed_without_new_factors() -> None:
 # Order, unknowns of displacement and jumps, GFlop and million entries of the factors; the number of
 # solves from which it pays: measured on a hip's mesh, beside multigrid.
 MEASURED = [
-    ((2, 20_343, 1_278, 6.3, 10), 1),
-    ((2, 91_551, 3_030, 186, 90), 1),
-    ((2, 110_427, 3_798, 256, 116), 1),
-    ((2, 151_851, 5_046, 369, 164), 1),
+    ((2, 23_730, 1_488, 17.2, 15.6), 1),
+    ((2, 45_819, 2_412, 60.9, 38.5), 1),
+    ((2, 90_072, 4_242, 222, 96.9), 2),
+    ((2, 120_024, 5_250, 428, 148), 4),
     ((1, 4_818, 1_584, 1.1, 2.9), 4),
     ((1, 97_335, 12_774, 655, 213), np.inf),
     ((2, 853_299, 15_078, 16_560, 2_038), np.inf),
