@@ -220,13 +220,11 @@ class Inverse:
         pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
         self._operator = self._matrix
         if self._options["pc_type"] == BY_DEGREE["pc_type"]:
+            pc.reset()  # levels would keep the diagonal blocks of the matrix before
             self._set_coarse_level()
             self._operator = self._matrix.convert("baij", PETSc.Mat())
         pc.setOperators(self._operator)
-        if self._made is None:
-            configure(pc, self._options)
-        else:
-            pc.setUp()
+        configure(pc, self._options)
         if pc.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
             raise MemoryError(f"factorization of a matrix of {self.size:,} unknowns")
         pc.setReusePreconditioner(True)
@@ -240,9 +238,8 @@ class Inverse:
         below.setOption(PETSc.Mat.Option.SPD, True)
         x = self.lower.space.tabulate_dof_coordinates()[: below.getLocalSize()[0] // 3]
         below.setNearNullSpace(near_null_space(below, rigid_modes(x).reshape(-1, 6).T))
-        if self._made is None:
-            self.pc.setType(BY_DEGREE["pc_type"])
-            self.pc.setMGLevels(2)
+        self.pc.setType(BY_DEGREE["pc_type"])
+        self.pc.setMGLevels(2)
         self.pc.setMGInterpolation(1, P)
         self.pc.getMGCoarseSolve().setOperators(below)
 
