@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from app.system.layout import duration
 
-# Measured on one core: operations per second of factors, of LU in single precision; bytes per second
-# of back-substitutions. Iterations from rest, and of a later solve.
+# Measured on one core: operations per second of factors, and of LU in single precision; bytes per
+# second of back-substitutions. Iterations from rest, and of a later solve.
 FACTORS, SINGLE, BYTES = 48e9, 86e9, 10e9
 FROM_REST, ITERATIONS = 12, 5.5
 # Seconds of imports and analysis; per unknown of assembling A', and of a solve by a Krylov method
@@ -49,8 +49,8 @@ class SolverChoice:
     def work(self) -> tuple[float, float]:
         """Operations of the factors on the rank that has most, and entries of all.
 
-        Estimated on one rank within a quarter (entries: a tenth) in hips of 3,000 to 850,000 unknowns at either
-        order; a compact body has up to 1.6 times as many operations.
+        Estimated on one rank within a sixth (entries: a tenth) in hips of 24,000 to 153,000
+        unknowns, within a third at 850,000.
         """
         n, m = self.size, self.jumps
         operations = 15 * n**2.05 + 1.1 * m**2.91 - m**3 / 3

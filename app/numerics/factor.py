@@ -6,6 +6,7 @@ from functools import cache
 from typing import Protocol
 
 from petsc4py import PETSc
+
 from scipy.sparse import csr_array
 
 from app.arrays import Floats

@@ -10,8 +10,9 @@ import weakref
 from functools import cache
 from typing import Any
 
-import numpy as np
 from petsc4py import PETSc
+
+import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from app.arrays import Floats

@@ -49,8 +49,8 @@ MULTIGRID: Options = {
     "mg_levels_pc_type": "sor",
 }
 # Second order: its own smoother, and first order on the same mesh below, factored or by two cycles
-# of the above. The smoother needs products with the matrix alone, which blocks of three make twice as
-# fast: 70 iterations of a bonded hip of 153 000 unknowns take 3.5 CPU s, 87 with sweeps 6.9.
+# of the above. The smoother needs products with the matrix alone, which blocks of three make twice
+# as fast: 70 iterations of a bonded hip of 153 000 unknowns take 3.5 CPU s, 87 with sweeps 6.9.
 BY_DEGREE: Options = {
     "pc_type": "mg",
     "mg_levels_ksp_type": "chebyshev",

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from functools import cache
 
 from mpi4py import MPI
+
 from threadpoolctl import ThreadpoolController
 
 # Time between two looks at whether all ranks have come [s].

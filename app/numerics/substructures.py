@@ -15,9 +15,10 @@ substructures, AIAA Journal 1, 138-147.
 
 from __future__ import annotations
 
-import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
+
+import numpy as np
 from scipy.linalg import blas, lapack
 from scipy.sparse import coo_array, csr_array, hstack
 from scipy.sparse.csgraph import maximum_bipartite_matching
@@ -224,10 +225,8 @@ def _unknowns(nodes: Ints) -> Ints:
 def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept: Ints) -> Ints:
     """Nodes between the interiors of all ranks, sorted; collective.
 
-    Args:
-        k: Own rows of K.
-        starts: First nodes of the ranks, and the number of all nodes.
-        kept: Nodes of K that are kept.
+    ``k`` are own rows of K, ``starts`` the first nodes of the ranks and the number of all nodes,
+    ``kept`` the nodes that are kept.
     """
     if comm.size == 1:
         return np.zeros(0, dtype=np.int64)
