@@ -25,6 +25,8 @@ class Factor(Protocol):
     operations: float
     entries: float
 
+    def __init__(self, rows: csr_array) -> None: ...
+
     def factorize(self, rows: csr_array) -> Floats:
         """Factor a matrix of the pattern that was analysed.
 

@@ -239,7 +239,7 @@ def _shared_nodes(comm: MPI.Comm, k: csr_array, starts: Ints, kept: Ints) -> Int
     pairs = pairs[(pairs[:, 0] < pairs[:, 1]) & ~np.isin(pairs, kept).any(axis=1)]
     pairs = np.concatenate(comm.allgather(pairs))
     ranks = np.searchsorted(starts, pairs, side="right") - 1
-    found = [np.zeros(0, dtype=np.int64)]
+    found: list[Ints] = [np.zeros(0, dtype=np.int64)]
     for of in np.unique(ranks, axis=0):
         found.append(vertex_cover(pairs[(ranks == of).all(axis=1)]))
     return np.unique(np.concatenate(found))

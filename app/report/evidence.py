@@ -39,7 +39,7 @@ FACTORS = {
 PARTS = [(part, name) for part, names in FACTORS.items() for name in names]
 
 
-class Factor(NamedTuple):
+class CredibilityFactor(NamedTuple):
     """A credibility factor: 1 to 13 in the order of the standard, its group, and sentences."""
 
     number: int
@@ -83,7 +83,7 @@ def write(folders: Sequence[Path]) -> list[Path]:
 
 def factors(
     case: Case, summary: Mapping[str, Any], record: Mapping[str, Any], checks: Sequence[Any]
-) -> list[Factor]:
+) -> list[CredibilityFactor]:
     """The factors of a run, with outcomes of verification and validation problems."""
     validated = [c for c in checks if c["group"] == "validation"]
     verified = [c for c in checks if c["group"] != "validation"]
@@ -103,7 +103,7 @@ def factors(
         (f"the question: {case.question}",) if case.question else LEFT,
         (f"the context of use: {case.context_of_use}", *LEFT) if case.context_of_use else LEFT,
     )
-    return [Factor(k + 1, *PARTS[k], s) for k, s in enumerate(sentences)]
+    return [CredibilityFactor(k + 1, *PARTS[k], s) for k, s in enumerate(sentences)]
 
 
 # Verdicts of a run that are about the solver.

@@ -106,7 +106,9 @@ def test_a_run_goes_on_within_its_creep(tmp_path: Path) -> None:
     assert lost.min() >= -1e-10 * lost.max() and s["creep"]["dissipation"] > 0
     assert s["creep"]["cycles"] == 2e5 and named["creep cycles [-]"][-1] == 2e5
     subsided = named["stem subsidence [mm]"]
-    assert np.diff(subsided[named["time [-]"] < 2]).min() > 0
+    # The first stage has two rows of one state.
+    further = np.diff(subsided[named["time [-]"] < 2])
+    assert further[0] == pytest.approx(0, abs=1e-12) and further[1:].min() > 1e-3
     assert any("Verdonschot" in note and "from memory: check" in note for note in s["notes"])
     assert any("measured from 3 to 11 MPa" in note for note in s["notes"])
     middle = [
