@@ -66,7 +66,7 @@ class Stiffness:
             return
         nodal = scene.order > 1 and not self.constraints.transforms
         lower = CoarseOrder(space, lambda: self.constraints.constrained) if nodal else None
-        options = stiffness_options("auto", self.K, scene.order, lower)
+        options = stiffness_options("auto", self.K, lower)
         self.inverse = Inverse(self.K, lambda: self.version, options, lower)
 
     def constraints_of_stages(self) -> list[Constraints]:

@@ -73,10 +73,9 @@ class BondedSystem(System):
 
     def options(self, linear: str) -> dict[str, Options]:
         """Direct or multigrid."""
-        K, order = self._problem.stiffness.K, self._problem.scene.order
-        lower = self._problem.stiffness.inverse.lower
-        bonded = self._problem.contact is None
-        return {"displacement": stiffness_options(linear, K, order, lower, bonded)}
+        stiffness, bonded = self._problem.stiffness, self._problem.contact is None
+        options = stiffness_options(linear, stiffness.K, stiffness.inverse.lower, bonded)
+        return {"displacement": options}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put prescribed displacements into a state."""

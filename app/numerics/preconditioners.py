@@ -23,16 +23,13 @@ PETSC = ctypes.CDLL(PETSc.__file__)
 # Names of options that PETSc has asked for, without prefix.
 USED: set[str] = set()
 
-# Unknowns above which a block of nodal unknowns is solved by algebraic multigrid. With MUMPS, which
-# several ranks need, a contact solve takes 3.3 CPU s against 3.8 at 19 000 unknowns, 7.1 against
-# 6.2 at 35 000. CHOLMOD solves twice as fast, and multigrid is slower on second order: 6.5 against
-# 5.3 at 38 000 of first order, 7.1 against 9.6 at 38 000 and 24 against 26 at 92 000 of second,
-# where the factors take twice the memory.
+# Unknowns above which a block of nodal unknowns is solved by multigrid. With MUMPS, which several
+# ranks need, a contact solve takes 3.3 CPU s against 3.8 at 19 000 unknowns of first order, 7.1
+# against 6.2 at 35 000; with CHOLMOD 2.5 against 2.3 at 24 000 of second, 6.4 against 5.2 at 46 000.
 DIRECT_LIMIT = 25_000
-SERIAL_LIMITS = {1: DIRECT_LIMIT, 2: 60_000}
-# The same of bonded bodies, which need one solve: 1.0 CPU s against 2.0 at 44 000 unknowns of first
-# order, 3.6 against 5.3 at 89 000 of second; at 200 000 12.9 against 15.3 in four times the memory.
-BONDED_LIMIT = 150_000
+# The same of bonded bodies on one rank, which need one solve: 1.9 CPU s against 2.1 at 46 000
+# unknowns of second order, 4.5 against 4.8 at 90 000.
+BONDED_LIMIT = 90_000
 FACTORED: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
 FACTORED_SERIALLY: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "cholmod"}
 MULTIGRID: Options = {
@@ -74,11 +71,10 @@ def is_direct(linear: str, size: int, limit: int = DIRECT_LIMIT) -> bool:
 
 
 def stiffness_options(
-    linear: str, K: PETSc.Mat, order: int, lower: CoarseOrder | None, bonded: bool = False
+    linear: str, K: PETSc.Mat, lower: CoarseOrder | None, bonded: bool = False
 ) -> Options:
     """Options for a stiffness; ``linear`` is direct, multigrid or auto (by size)."""
-    serial = BONDED_LIMIT if bonded else SERIAL_LIMITS[order]
-    limit = serial if K.comm.size == 1 else DIRECT_LIMIT
+    limit = BONDED_LIMIT if bonded and K.comm.size == 1 else DIRECT_LIMIT
     if is_direct(linear, K.getSize()[0], limit):
         return factors(K)
     if lower is None:

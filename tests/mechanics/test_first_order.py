@@ -64,13 +64,13 @@ def test_iterations_do_not_grow_with_the_mesh(factored_below: bool) -> None:
         lower = CoarseOrder(fine.space, lambda held=fine.held: held)
         if not factored_below:
             lower.size = 1_000_000
-        options = stiffness_options("multigrid", fine.K, 2, lower)
+        options = stiffness_options("multigrid", fine.K, lower)
         assert options["pc_type"] == "mg"
         assert options["mg_coarse_pc_type"] == ("cholesky" if factored_below else "gamg")
         b, x = fine.K.createVecs()
         b.array[:] = np.where(fine.held, 0.0, np.random.default_rng(2).normal(size=len(fine.held)))
         counts.append(Inverse(fine.K, lambda: 0, options, lower).solve(b, x, 1e-10))
-        direct = Inverse(fine.K, lambda: 0, stiffness_options("direct", fine.K, 2, None))
+        direct = Inverse(fine.K, lambda: 0, stiffness_options("direct", fine.K, None))
         y = x.duplicate()
         direct.solve(b, y, 1e-12)
         assert np.abs(x.array - y.array).max() < 1e-7 * np.abs(y.array).max()
@@ -81,7 +81,7 @@ def test_it_follows_a_changed_stiffness() -> None:
     fine, version = problem(), [0]
     lower = CoarseOrder(fine.space, lambda: fine.held)
     inverse = Inverse(
-        fine.K, lambda: version[0], stiffness_options("multigrid", fine.K, 2, lower), lower
+        fine.K, lambda: version[0], stiffness_options("multigrid", fine.K, lower), lower
     )
     b, x = fine.K.createVecs()
     b.set(1.0)
