@@ -25,7 +25,8 @@ USED: set[str] = set()
 
 # Unknowns above which a block of nodal unknowns is solved by multigrid. With MUMPS, which several
 # ranks need, a contact solve takes 3.3 CPU s against 3.8 at 19 000 unknowns of first order, 7.1
-# against 6.2 at 35 000; with CHOLMOD 2.5 against 2.3 at 24 000 of second, 6.4 against 5.2 at 46 000.
+# against 6.2 at 35 000; with CHOLMOD 2.5 against 2.3 at 24 000 of second, 6.4 against 5.2 at
+# 46 000.
 DIRECT_LIMIT = 25_000
 # The same of bonded bodies on one rank, which need one solve: 1.9 CPU s against 2.1 at 46 000
 # unknowns of second order, 4.5 against 4.8 at 90 000.
