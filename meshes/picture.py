@@ -130,7 +130,7 @@ def fill(ax: Any, data: MeshData, axis: int, at: float) -> None:
         own = [x[data.cell_tags[cell] == data.regions[name]][..., [u, v]] for x, cell in polygons]
         area = PathCollection([figures.joined(own)], color=colour, linewidths=0)
         ax.add_collection(area, autolim=False)
-    ax.add_collection(LineCollection(edges[..., [u, v]], colors="#00000060", lw=0.25))
+    ax.add_collection(LineCollection(list(edges[..., [u, v]]), colors="#00000060", lw=0.25))
     ax.autoscale_view()
 
 
@@ -213,12 +213,13 @@ def surface(
     light = np.stack([right, normal[:, 2], eye * normal[:, toward]], axis=1) @ LIGHT
     lit = colours * (DARKEST + (1 - DARKEST) * np.clip(light, 0.0, 1.0))[:, None]
     order = np.argsort(eye * pieces[:, :, toward].mean(axis=1))
-    flat = pieces[order][:, :, [across, 2]]
+    # Arrays, of which matplotlib makes paths in half the time of lists; its types do not know them.
+    flat: Any = pieces[order][:, :, [across, 2]]
     ax.add_collection(PolyCollection(flat, color=lit[order], linewidths=0.3, rasterized=True))
     if edges is not None:
         near = eye * normals(facets)[:, toward] > 0
         ring = [0, 3, 1, 4, 2, 5] if facets.shape[1] == 6 else [0, 1, 2]
-        rings = facets[near][:, ring][:, :, [across, 2]]
+        rings: Any = facets[near][:, ring][:, :, [across, 2]]
         ax.add_collection(PolyCollection(rings, fc="none", ec=edges[near], linewidths=0.2))
     ax.autoscale_view()
     ax.set(aspect="equal", xlabel=f"{AXES[across]} (mm)")
