@@ -62,22 +62,24 @@ NO_NUMBERS = "There are no numbers: no step has converged, or the run did not co
 log = logging.getLogger("mantle")
 
 
-def after_run(folder: Path, failed: bool) -> None:
+def after_run(folder: Path, comm: MPI.Comm | None) -> None:
     """Write the pages at the end of a run (collective); a failure is only a warning.
 
-    The ranks on the node of rank 0, which have its files, share the pictures. A failed run has few,
-    and rank 0 draws them, as the others may not come.
+    Args:
+        folder: The run directory.
+        comm: The ranks of the run. Those on the node of rank 0, which have its files, share the
+            pictures. None after a failure: rank 0 draws alone and little, as others may not come.
     """
+    if comm is None and rank() != 0:
+        return
     import matplotlib as mpl
 
-    world = MPI.COMM_SELF if failed else MPI.COMM_WORLD
-    if rank() != 0 and failed:
-        return
-    node = world.Split_type(MPI.COMM_TYPE_SHARED)
+    every = comm or MPI.COMM_SELF
+    node = every.Split_type(MPI.COMM_TYPE_SHARED)
     try:
-        if node.bcast(world.rank) == 0:
+        if node.bcast(every.rank) == 0:
             with mpl.rc_context():  # those of the process that we are a guest of
-                write(folder, 0.0 if failed else SHARE, comm=node)
+                write(folder, SHARE if comm else 0.0, comm=node)
     except Exception as error:  # the results are there, whatever the page lacks
         if node.rank == 0:
             log.warning("%s was not written: %s: %s", folder / PAGE, type(error).__name__, error)
