@@ -32,7 +32,7 @@ from time import process_time
 import numpy, pydantic, ruamel.yaml, petsc4py
 petsc4py.init(["mantle", "-skip_petscrc"])
 from mpi4py import MPI
-import dolfinx.fem.petsc, h5py, scipy.interpolate, scipy.linalg, scipy.sparse, scipy.spatial
+import dolfinx.fem.petsc, h5py, scipy.linalg, scipy.sparse, scipy.spatial
 print(process_time())
 """
 START = """
