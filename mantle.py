@@ -31,6 +31,8 @@ from app.errors import stack_needed
 from app.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from mpi4py import MPI
+
     from app.case.case import LoadedCase
     from app.results.reading import Results
     from app.simulation.recorder import AcceptedStep
@@ -174,7 +176,7 @@ def run(
             with stack_needed():
                 from app.simulation import session
             try:
-                session.run(
+                comm = session.run(
                     case,
                     folder,
                     petsc_options,
@@ -185,9 +187,9 @@ def run(
                     progress=progress,
                 )
             except (ConvergenceError, StoppedError, UnusableError):
-                _report(case, folder, failed=True)
+                _report(case, folder, None)
                 raise
-            _report(case, folder, failed=False)
+            _report(case, folder, comm)
     return read(folder)
 
 
@@ -210,11 +212,11 @@ def read(folder: str | os.PathLike[str]) -> Results:
     return Results(path)
 
 
-def _report(case: LoadedCase, folder: Path, *, failed: bool) -> None:
+def _report(case: LoadedCase, folder: Path, comm: MPI.Comm | None) -> None:
     if case.config.output.report:
         from app.report import run_report
 
-        run_report.after_run(folder, failed)
+        run_report.after_run(folder, comm)
 
 
 if __name__ == "__main__":

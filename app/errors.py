@@ -169,3 +169,15 @@ def on_root(comm: Any, action: Callable[[], T], share: bool = True) -> T | None:
     """Run an action on rank 0; share its result, or None, and raise its errors on every rank."""
     result = everywhere(comm, lambda: action() if comm.rank == 0 else None)
     return comm.bcast(result) if share else result
+
+
+def dealt(comm: Any, tasks: Sequence[Callable[[], T]]) -> list[T]:
+    """Divide tasks among the ranks and return their results in order on rank 0, else nothing.
+
+    Rank r takes task r and every further one by the number of ranks. Collective; an error in a
+    task is raised on every rank.
+    """
+    results = comm.gather(everywhere(comm, lambda: [t() for t in tasks[comm.rank :: comm.size]]))
+    if results is None:
+        return []
+    return [results[k % comm.size][k // comm.size] for k in range(len(tasks))]

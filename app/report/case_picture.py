@@ -63,7 +63,7 @@ class View:
         part = (height[met] / (height[met] - after[met]))[:, None]
         ends = (1 - part) * x[met] + part * np.roll(x, -1, axis=1)[met]
         flat = ends[:, [self.across, 2]].reshape(-1, 2, 2)
-        self.ax.add_collection(LineCollection(list(flat), **style))
+        self.ax.add_collection(LineCollection(flat, **style))
         return flat.mean(axis=1)
 
 
@@ -120,7 +120,8 @@ def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) ->
         view.ax.plot([], [], color=colour, lw=7.0, label=region.replace("_", " "))
     pale = 0.5 + 0.5 * np.array([(0, 0, 0), *map(to_rgb, colours.values())])
     x = data.points[facets]
-    picture.surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], np.full(len(x), "0.7"), name)
+    grey = np.full((len(x), 3), 0.7)
+    picture.surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], grey, name)
     picture.fill(view.ax, data, view.toward, view.at)
 
 

@@ -9,15 +9,19 @@ import json
 import logging
 import math
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from mpi4py import MPI
 
 import meshes
 from app import figures
 from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
-from app.errors import InputError, StoppedError
+from app.errors import InputError, StoppedError, dealt, on_root
 from app.report import case_picture, curves, gruen, page, pictures, sentence, sweep_figures, viewer
 from app.report.input_spread import HEAD, InputSpread, of_run
 from app.report.page import Blocks, Figure, bullets, table
@@ -58,20 +62,29 @@ NO_NUMBERS = "There are no numbers: no step has converged, or the run did not co
 log = logging.getLogger("mantle")
 
 
-def after_run(folder: Path, failed: bool) -> None:
-    """Write the pages at the end of a run, on rank 0; a failure is only a warning.
+def after_run(folder: Path, comm: MPI.Comm | None) -> None:
+    """Write the pages at the end of a run (collective); a failure is only a warning.
 
-    After a failed run the page takes no time, as other ranks wait.
+    Args:
+        folder: The run directory.
+        comm: The ranks of the run. Those on the node of rank 0, which have its files, share the
+            pictures. None after a failure: rank 0 draws alone and little, as others may not come.
     """
-    if rank() != 0:
+    if comm is None and rank() != 0:
         return
     import matplotlib as mpl
 
+    every = comm or MPI.COMM_SELF
+    node = every.Split_type(MPI.COMM_TYPE_SHARED)
     try:
-        with mpl.rc_context():  # those of the process that we are a guest of
-            write(folder, 0.0 if failed else SHARE)
+        if node.bcast(every.rank) == 0:
+            with mpl.rc_context():  # those of the process that we are a guest of
+                write(folder, SHARE if comm else 0.0, comm=node)
     except Exception as error:  # the results are there, whatever the page lacks
-        log.warning("%s was not written: %s: %s", folder / PAGE, type(error).__name__, error)
+        if node.rank == 0:
+            log.warning("%s was not written: %s: %s", folder / PAGE, type(error).__name__, error)
+    finally:
+        node.Free()
 
 
 def is_run(folder: Path) -> bool:
@@ -79,16 +92,22 @@ def is_run(folder: Path) -> bool:
     return any((folder / name).exists() for name in ("case.yaml", "variations.json"))
 
 
-def write(folder: Path, share: float = math.inf, spread: Path | None = None) -> list[Path]:
-    """Write the page of a run, or of its variations and over them.
+def write(
+    folder: Path,
+    share: float = math.inf,
+    spread: Path | None = None,
+    comm: MPI.Comm = MPI.COMM_SELF,
+) -> list[Path]:
+    """Write the page of a run, or of its variations and over them; collective.
 
     Args:
         folder: The run directory.
         share: Part of the run's time that may be spent; if infinite, pictures become files, too.
         spread: Folder of a sweep over uncertain inputs of the run's case.
+        comm: The ranks that share the pictures.
 
     Returns:
-        The pages and pictures, the page of the folder first.
+        The pages and pictures, the page of the folder first; nothing on other ranks than 0.
 
     Raises:
         InputError: The results cannot be read, or the sweep does not fit.
@@ -96,8 +115,8 @@ def write(folder: Path, share: float = math.inf, spread: Path | None = None) -> 
     """
     try:
         if (folder / "variations.json").exists():
-            return _variations(folder, share)
-        return _run(folder, share, spread=spread)
+            return _variations(folder, share, comm)
+        return _run(folder, share, comm, spread=spread)
     except OSError as error:
         text = f"cannot write {error.filename or f'the report in {folder}'}: {error.strerror}"
         raise StoppedError(text) from error
@@ -110,15 +129,36 @@ def opened(folder: Path, **more: Any) -> SweptCase:
     return SweptCase(folder.name, folder, **{"status": CONVERGED} | more)
 
 
-def _run(folder: Path, share: float, alone: bool = True, spread: Path | None = None) -> list[Path]:
+def _run(
+    folder: Path,
+    share: float,
+    comm: MPI.Comm = MPI.COMM_SELF,
+    alone: bool = True,
+    spread: Path | None = None,
+) -> list[Path]:
     """Write the page of a run; of one among many, as its share of time allows."""
-    case, summary = opened(folder), UNFINISHED | _json(folder / "summary.json")
+    case = opened(folder)
+
+    def time() -> float:
+        summary = UNFINISHED | _json(folder / "summary.json")
+        return float(share * summary["timing"]["total"])
+
+    spent = on_root(comm, time) or 0.0
+    whole = alone or spent >= VIEW
+    # The view first: rank 0, which also writes the page, has the least to draw.
+    tasks: list[Callable[[], Any]] = [
+        lambda: _view(folder) if whole else ("", []),
+        lambda: _model(folder) if whole else [],
+        lambda: _pictures(case, spent),
+    ]
+    parts = dealt(comm, tasks)
+    if comm.rank:
+        return []
+    (view, lacking), model, (sides, maps, files) = parts
+    summary = UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     over = of_run(spread, case) if spread else None
     panels, x = curves.of_history(case.history)
-    spent = share * summary["timing"]["total"]
-    view, lacking = _view(folder) if alone or spent >= VIEW else ("", [])
-    sides, maps, files = _pictures(case, spent)
     drawn = [curves.drawing(panel, x) for panel in panels]
     stressed = [curves.drawing(p, "tension (MPa)") for p in curves.of_tension(summary)]
     if share == math.inf and panels:
@@ -127,7 +167,7 @@ def _run(folder: Path, share: float, alone: bool = True, spread: Path | None = N
     case_file = _text(folder / "case.yaml")
     verbatim: Blocks = [("verbatim", {"text": case_file})] if case_file else []
     sections = [
-        ("model", "Bodies, supports and loads", _model(folder) if alone or spent >= VIEW else []),
+        ("model", "Bodies, supports and loads", model),
         ("numbers", "Numbers", _numbers(summary, over)),
         ("sides", "From three sides", sides),
         ("curves", "Over time", [("drawings", {"drawings": drawn})] if panels else []),
@@ -300,14 +340,18 @@ def _pairs(values: dict[str, Any]) -> Blocks:
     return table(["", ""], [[str(k).replace("_", " "), plain(v)] for k, v in values.items()])
 
 
-def _variations(folder: Path, share: float) -> list[Path]:
-    cases, pages = [], [folder / PAGE]
-    for row in _json(folder / "variations.json"):
-        own = folder / row["name"]
+def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
+    rows = on_root(comm, lambda: _json(folder / "variations.json")) or []
+    solved = [f for f in (folder / row["name"] for row in rows) if (f / "summary.json").exists()]
+    written = dealt(comm, [partial(_run, own, share, alone=False) for own in solved])
+    if comm.rank:
+        return []
+    pages = [folder / PAGE, *(page for page, *_ in written)]
+    cases = []
+    for row in rows:
         more = {k: row[k] for k in ("overrides", "status", "seconds", "numbers")}
-        cases.append(opened(own, **more, notes=tuple(row.get("notes", ()))))
-        if (own / "summary.json").exists():
-            pages += _run(own, share, alone=False)[:1]
+        notes = tuple(row.get("notes", ()))
+        cases.append(opened(folder / row["name"], **more, notes=notes))
     every = sweep_figures.headlines(cases)
     names = [n for n in every if not ((q := quantities.get(n)) and q.exact)]
     drawings = folder / PICTURES

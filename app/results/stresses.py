@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from itertools import combinations
 from typing import Any
 
 import basix
@@ -21,6 +22,8 @@ from forms import elasticity
 
 # Components of a symmetric tensor, in the order of `elasticity.symmetric`.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+# Stiffness of each law met: UFL takes 20 ms, and companions and variations share it.
+_MODULI: dict[tuple[type[Elastic], str], Floats] = {}
 FINE = 9  # a degree whose weights are all positive, as those of 7 are not
 
 
@@ -65,7 +68,6 @@ class Stresses:
         self._relative: dict[str, Floats] = {}
         self.follow_density(every=True)
         self._places: dict[str, tuple[Floats, Floats]] = {}
-        self._moduli: dict[str, Floats] = {}
         # Regions share the form of their strain, but for those with free strain.
         self._own: dict[str, fem.Expression] = {}
         self._moved = fem.Function(problem.space)
@@ -102,19 +104,20 @@ class Stresses:
         """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
         if history := self._history.get(region):
             σ, at = history.stress(region), self.points[region]
-            return σ if at is history.points else extrapolated(σ, history.points, at[None])
+            if at is history.points:
+                return σ
+            rows = σ.reshape(*σ.shape[:2], 9)
+            return extrapolated(rows, history.points, at).reshape(len(σ), -1, 3, 3)
         return self._stress(region, self._elastic_strain(region))
 
     def _stress(self, region: str, ε: Floats) -> Floats:
         """Stress of a region's elastic strain at its points (cells, points, 3, 3) [MPa]."""
         e = next(e for e in self._problem.scene.elastic if e.region == region)
-        if region not in self._moduli:  # UFL takes 0.1 s, and variations share it
-            self._moduli[region] = _moduli(e)
         turning = e.fibre if isinstance(e.fibre, Circumferential) else None
         if turning:  # in axes that turn with it
             Q = turning.frames(self.places(region)[0]).reshape(ε.shape)
             ε = Q.swapaxes(2, 3) @ ε @ Q
-        σ = (ε.reshape(-1, 9) @ self._moduli[region]).reshape(ε.shape)
+        σ = (ε.reshape(-1, 9) @ _moduli(e)).reshape(ε.shape)
         if turning:
             σ = Q @ σ @ Q.swapaxes(2, 3)
         return σ * self._relative[region][..., None, None] if region in self._relative else σ
@@ -198,16 +201,25 @@ def _moduli(e: Elastic) -> Floats:
 
     For a fibre that turns, in axes that turn with it, of which it is the third.
     """
+    law = type(e), e.model_dump_json()
+    if law not in _MODULI:
+        _MODULI[law] = _moduli_by_energy(e)
+    return _MODULI[law]
+
+
+def _moduli_by_energy(e: Elastic) -> Floats:
     fibre = e.fibre.axis if e.fibre and not e.fibre.turns else (0.0, 0.0, 1.0)
 
     def energy(strain: Floats) -> float:
         ε = elasticity.symmetric([float(c) for c in strain])
         return float(e.energy(ε, e.coefficients, as_vector(fibre))(()))
 
-    # Of a quadratic form, ψ(a + b) - ψ(a) - ψ(b) = a : σ(b).
-    own = np.array([energy(a) for a in np.eye(6)])
-    work = np.array([[energy(a + b) for b in np.eye(6)] for a in np.eye(6)])
-    work -= own[:, None] + own
+    # Of a quadratic form, ψ(a + b) - ψ(a) - ψ(b) = a : σ(b), and ψ(2 a) = 4 ψ(a).
+    one = np.eye(6)
+    own = np.array([energy(a) for a in one])
+    work = np.diag(2 * own)
+    for i, j in combinations(range(6), 2):
+        work[i, j] = work[j, i] = energy(one[i] + one[j]) - own[i] - own[j]
     # Each of the last three stands for two entries of the tensors.
     entries = np.zeros((6, 3, 3))
     for k, (i, j) in enumerate(COMPONENTS):
@@ -217,15 +229,14 @@ def _moduli(e: Elastic) -> Floats:
 
 
 def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
-    """Stress (f, p, 3, 3) at points (p, 3) of each cell, linearly extrapolated to X (f, q, 3)."""
+    """Values (f, p, k) at points (p, 3) of each cell, linearly extrapolated to points X (q, 3)."""
 
     def basis(x: Floats) -> Floats:
         # One point gives no slope.
-        one = np.ones((*x.shape[:-1], 1))
-        return np.concatenate([one, x], axis=-1) if len(points) > 1 else one
+        one = np.ones((len(x), 1))
+        return np.concatenate([one, x], axis=1) if len(points) > 1 else one
 
-    continued = basis(X) @ np.linalg.pinv(basis(points))
-    return np.asarray(np.einsum("fqp,fpij->fqij", continued, σ))
+    return np.asarray(basis(X) @ np.linalg.pinv(basis(points)) @ σ)
 
 
 def _hoop(σ: Floats, x: Floats) -> Floats:

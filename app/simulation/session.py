@@ -92,8 +92,11 @@ def run(
     walltime: float | None = None,
     signals: bool = True,
     progress: OnAccepted = lambda step: None,
-) -> None:
+) -> MPI.Comm:
     """Solve a case and write its run directory; arguments as of `mantle.run`; collective.
+
+    Returns:
+        The ranks of the run.
 
     Raises:
         MantleError: With the last converged state on disk where there is one.
@@ -124,6 +127,7 @@ def run(
             text.report(summary)
             text.check_usable({output: summary})
     log.info("results in %s", output)
+    return comm
 
 
 def _choose(setup: Setup, longest: float | None) -> None:

@@ -192,17 +192,13 @@ def mpi_settings() -> Iterator[None]:
         process = contextlib.ExitStack()
         atexit.register(process.close)
         os.environ |= process.enter_context(scratch.variables())
-    changed = {
-        name: before.get(name) for name in os.environ if os.environ[name] != before.get(name)
-    }
     try:
         yield
     finally:
-        for name, value in changed.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        # Libraries that are imported in the block set variables, too.
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ |= before
 
 
 def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int] = ()) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 from scipy.spatial.distance import pdist
 
 from app.case.femurs import MUSCLES
@@ -62,3 +63,13 @@ def test_muscles_insert_on_the_bone_and_apart() -> None:
     np.testing.assert_allclose(np.hypot(x, y), on_bone, atol=1e-3)
     assert set(MUSCLES) < set(GEOMETRY.boundary_names)
     assert pdist(np.array([x, y, z]).T).min() > 2 * PATCH_RADIUS
+
+
+def test_tables_are_interpolated_as_by_scipy() -> None:
+    """At and between random rows, with flat parts, turns and ends that are steep."""
+    rng = np.random.default_rng(1)
+    for n in (3, 4, 7, 12, 40):
+        x, y = np.sort(rng.random(n)), np.round(rng.normal(size=(n, 4)), n % 3)
+        places = np.concatenate([x, rng.uniform(x[0], x[-1], 99 - n)]).reshape(11, 9)
+        expected = PchipInterpolator(x, y)(places)
+        np.testing.assert_allclose(femur_bone.monotone(x, y)(places), expected, atol=1e-12)

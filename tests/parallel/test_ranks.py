@@ -293,6 +293,59 @@ def test_an_error_on_one_rank_is_told_once_and_ends_all(tmp_path: Path) -> None:
         assert done.stderr.count(f"{key}: expression '{value}' is not finite at (") == 1
 
 
+DEALT = """
+from mpi4py import MPI
+from app.errors import InputError, dealt
+
+comm = MPI.COMM_WORLD
+
+def fail():
+    raise InputError("wrong")
+
+for n in (0, 1, 3, 5):
+    found = dealt(comm, [lambda k=k: (k, comm.rank) for k in range(n)])
+    assert found == ([(k, k % comm.size) for k in range(n)] if comm.rank == 0 else [])
+try:
+    dealt(comm, [int, fail, int])
+except InputError as error:
+    assert str(error) == "wrong"
+else:
+    raise AssertionError
+"""
+# Draws the page of a folder on all ranks.
+PAGE = """
+import sys
+from pathlib import Path
+from mpi4py import MPI
+from app.report import run_report
+
+written = run_report.write(Path(sys.argv[1]), comm=MPI.COMM_WORLD)
+assert bool(written) == (MPI.COMM_WORLD.rank == 0)
+"""
+
+
+def test_tasks_are_dealt_out_and_errors_raised_on_all_ranks(tmp_path: Path) -> None:
+    program = tmp_path / "tasks.py"
+    program.write_text(DEALT)
+    support.on_ranks(3, program)
+
+
+def test_ranks_share_the_pictures_of_a_page(tmp_path: Path) -> None:
+    """The page and its files are those of one rank, byte for byte."""
+    program, folder = tmp_path / "page.py", tmp_path / "run"
+    program.write_text(PAGE)
+    case, sizes = support.CONFIGS / "cylinders.yaml", ("mesh.size=4 mm", "mesh.far_size=6 mm")
+    sets = [word for size in (*sizes, "mesh.order=1") for word in ("--set", size)]
+    support.on_ranks(2, "-m", "mantle", "run", case, "-o", folder, *sets)
+    pages = []
+    for ranks in (1, 2):
+        (folder / "case.png").unlink()
+        support.on_ranks(ranks, program, folder)
+        assert (folder / "case.png").exists()
+        pages.append((folder / "report.html").read_text())
+    assert pages[0] == pages[1] and pages[0].count("data:image/png") == 4
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_multigrid_is_as_good_on_ranks(order: int, tmp_path: Path) -> None:
     """Each rank smooths its own part; with longer steps than on one rank that would diverge."""

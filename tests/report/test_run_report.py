@@ -8,6 +8,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
@@ -103,7 +105,7 @@ def test_no_page_where_none_is_wanted(tmp_path: Path, caplog: pytest.LogCaptureF
     case = mantle.load(CONFIGS / "blocks.yaml", **{**COARSE, "output.report": False})
     mantle.run(case, tmp_path / "out")
     assert not (tmp_path / "out" / "report.html").exists()
-    run_report.after_run(tmp_path / "nothing", failed=False)
+    run_report.after_run(tmp_path / "nothing", MPI.COMM_SELF)
     assert "report.html was not written" in caplog.text
 
 

@@ -18,6 +18,7 @@ from app.heat.operators import HeatOperators
 from app.results.field_output import FieldGroup, Fields, HeatFields, OutputNodes
 from app.results.interface_numbers import ContactSamples
 from app.results.reading import Run, shape_functions
+from app.results.stresses import extrapolated
 from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import Bodies, bodies_of
 from app.scene.scene import Scene
@@ -36,11 +37,11 @@ class Motion:
         self.bodies: Bodies = bodies_of(tagged, (), ())
         self.space = fem.functionspace(tagged.mesh, ("Lagrange", 2, (3,)))
 
-    def point(self, nodes: OutputNodes, samples: ContactSamples | None) -> dict[str, Any]:
-        return {"place": self.space.tabulate_dof_coordinates()[nodes.dof]}
-
-    def cell(self, cells: int) -> dict[str, Any]:
-        return {"one": np.ones(cells)}
+    def values(
+        self, nodes: OutputNodes, samples: ContactSamples | None, cells: int
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        place = self.space.tabulate_dof_coordinates()[nodes.dof]
+        return {"place": place}, {"one": np.ones(cells)}
 
 
 def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
@@ -144,3 +145,13 @@ def test_files_on_ranks(ranks: int, tmp_path: Path) -> None:
 if __name__ == "__main__":
     for check in (check_heat_alone, check_both):
         check(MPI.COMM_WORLD, Path(sys.argv[1]))
+
+
+def test_a_linear_field_is_continued_to_the_nodes_of_each_cell() -> None:
+    rng = np.random.default_rng(2)
+    inside, nodes, slopes = rng.random((5, 3)), rng.random((10, 3)), rng.random((4, 3, 6))
+    found = extrapolated(1.0 + inside @ slopes, inside, nodes)
+    np.testing.assert_allclose(found, 1.0 + nodes @ slopes, rtol=1e-12)
+    one = rng.random((4, 1, 6))
+    expected = np.broadcast_to(one, (4, 10, 6))
+    np.testing.assert_allclose(extrapolated(one, inside[:1], nodes), expected)
