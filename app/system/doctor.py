@@ -162,11 +162,11 @@ def _mpi() -> str:
 
 
 def _compiler() -> str:
-    name = os.environ.get("CC", "").split(" ")[0] or "cc"
+    name, *more = os.environ.get("CC", "").split() or ["cc"]
     path = shutil.which(name)
     if path is None:
         return _MISSING
-    command = partial(subprocess.check_output, [path, "--version"], text=True, timeout=10)
+    command = partial(subprocess.check_output, [path, *more, "--version"], text=True, timeout=10)
     return f"{path} ({_try(command).splitlines()[0]})"
 
 
