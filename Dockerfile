@@ -1,14 +1,20 @@
 # mantle with its solver stack: docker build -t mantle . && docker run --rm -v "$PWD:/work" mantle run case.yaml
 # Where ranks exchange much, give them room: --shm-size=2g
 # The base never changes by itself; docs/howto/administrators.md tells how to renew it.
+# `--build-arg BASE=dolfinx/dolfinx:v0.11.0` (or v0.10.0) takes DOLFINx from its own image, the rest by pip: not tested.
 ARG BASE=debian:trixie-slim@sha256:a29215f6a35e51e22adffa17f89e9d2ef06214e64a2bad10d765c46aea49f11f
 FROM ${BASE}
 
 COPY packages.txt /tmp/packages.txt
-RUN apt-get update \
-    && sed 's/#.*//' /tmp/packages.txt \
-       | DEBIAN_FRONTEND=noninteractive xargs apt-get install -y --no-install-recommends \
-    && rm -rf /var/lib/apt/lists/* /tmp/packages.txt
+RUN if python3 -c 'import dolfinx' 2>/dev/null; then \
+        sed -n 's/^[^#].*# wheel \([^;]*\).*/\1/p' /tmp/packages.txt | tr ' ' '\n' \
+           | grep -Ev '^(dolfinx-solver|gmsh|numpy)' | xargs python3 -m pip install --no-cache-dir; \
+    else \
+        apt-get update \
+        && sed 's/#.*//' /tmp/packages.txt \
+           | DEBIAN_FRONTEND=noninteractive xargs apt-get install -y --no-install-recommends \
+        && rm -rf /var/lib/apt/lists/*; \
+    fi && rm /tmp/packages.txt
 
 COPY . /opt/mantle
 RUN ln -s /opt/mantle/mantle /usr/local/bin/mantle \

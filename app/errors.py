@@ -106,6 +106,7 @@ def stack_needed(petsc: bool = True) -> Iterator[None]:
     """
     try:
         if petsc:
+            import mpi4py.MPI  # noqa: F401  (libraries of wheels find MPI by it)
             import petsc4py
 
             petsc4py.init(["mantle", "-skip_petscrc"])

@@ -11,11 +11,12 @@ from mpi4py import MPI
 
 import dolfinx
 import numpy as np
-from dolfinx.cpp.graph import AdjacencyList_int32
-from dolfinx.io.gmshio import cell_perm_array, ufl_mesh
+from dolfinx.graph import adjacencylist
 from dolfinx.io.utils import distribute_entity_data
 from dolfinx.mesh import CellType, GhostMode, MeshTags, meshtags, meshtags_from_entities
 
+from app import dolfinx_features
+from app.dolfinx_features import cell_perm_array, ufl_mesh
 from meshes.data import MeshData
 
 THREADS = "SCOTCH_PTHREAD_NUMBER"
@@ -54,9 +55,9 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
         mesh = dolfinx.mesh.create_mesh(
             comm,
             own.cells[:, cell_perm_array(CellType.tetrahedron, corners)].copy(),
-            own.points,
-            ufl_mesh(11 if own.curved else 4, 3, np.float64),
-            dolfinx.mesh.create_cell_partitioner(GhostMode.shared_facet),
+            x=own.points,
+            e=ufl_mesh(11 if own.curved else 4, 3, np.float64),
+            partitioner=dolfinx_features.partitioner(GhostMode.shared_facet),
         )
     finally:
         if given is None:
@@ -71,7 +72,7 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     facets = own.facets[:, cell_perm_array(CellType.triangle, width)].copy()
     local, values = distribute_entity_data(mesh, 2, facets, own.facet_tags)
     patches = meshtags_from_entities(
-        mesh, 2, AdjacencyList_int32(local), values.astype(np.int32, copy=False)
+        mesh, 2, adjacencylist(local), values.astype(np.int32, copy=False)
     )
     patches.name = "boundaries"
     names = (known.regions, known.boundaries, known.interfaces, known.notes)

@@ -7,6 +7,8 @@ import logging
 import sys
 from collections.abc import Iterator
 
+from mpi4py import MPI  # noqa: F401  (libraries of wheels find MPI by it)
+
 import pytest
 from hypothesis import settings
 

@@ -17,14 +17,15 @@ from petsc4py import PETSc
 import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx.fem import IntegralType, compute_integration_domains
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from numpy.typing import NDArray
 
 from app.arrays import Bools, Field, Floats, Ints
+from app.dolfinx_features import exterior_facets
 from app.errors import everywhere
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
 from app.laws.thermal import Thermal
+from app.numerics.lifetime import function_space
 from app.numerics.sparse import diagonal, matrix_sum
 from app.scene.bodies import Bodies, facets_by_body
 from app.system.timing import Timing
@@ -52,7 +53,7 @@ class HeatForms:
         self._tagged, self._bodies, self._timing = tagged, bodies, timing
         self._mesh = tagged.mesh
         self.comm = tagged.mesh.comm
-        self.space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
+        self.space = function_space(tagged.mesh, ("Lagrange", 1))
         self.owned: int = self.space.dofmap.index_map.size_local
         self._volumes: dict[str, Floats] = {}
 
@@ -153,12 +154,11 @@ class HeatForms:
         return ufl.Measure("dx", domain=self._mesh, subdomain_data=[(1, self.cells(region))])(1)
 
     def _ds(self, boundary: str) -> dict[int, ufl.Measure]:
-        topology, exterior = self._mesh.topology, IntegralType.exterior_facet
         return {
             b: ufl.Measure(
                 "ds",
                 domain=self._mesh,
-                subdomain_data=[(1, compute_integration_domains(exterior, topology, facets, 2))],
+                subdomain_data=[(1, exterior_facets(self._mesh.topology, facets))],
             )(1)
             for b, facets in facets_by_body(self._tagged, self._bodies, boundary).items()
         }

@@ -19,7 +19,7 @@ import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem, la
-from dolfinx.fem import IntegralType, compute_integration_domains
+from dolfinx.fem import IntegralType
 from dolfinx.fem.forms import CompiledForm
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from numpy.typing import NDArray
@@ -27,10 +27,12 @@ from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
 from app.arrays import Field, Floats
+from app.dolfinx_features import exterior_facets
 from app.errors import InputError, everywhere
 from app.laws.densities import density, modulus
 from app.laws.loads import Patch
 from app.laws.materials import Elastic
+from app.numerics.lifetime import function_space
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates, facets_by_body
 from app.scene.scene import Scene
 from app.system.timing import Timing
@@ -60,8 +62,7 @@ class SurfaceMeasure:
         for name in sorted(boundaries):
             for b, facets in facets_by_body(tagged, bodies, name).items():
                 self._number[name, b] = len(self.facets) + 1
-                exterior, topology = IntegralType.exterior_facet, tagged.mesh.topology
-                entities = compute_integration_domains(exterior, topology, facets, 2)
+                entities = exterior_facets(tagged.mesh.topology, facets)
                 self.facets.append((len(self.facets) + 1, entities))
         self._measure = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=self.facets)
 
@@ -150,7 +151,7 @@ class BodyForms:
         self.varying_degree = 2 * scene.order - 1
         self.history_degree = max(1, 2 * scene.order - 2) if scene.creeps else self.varying_degree
         self.mesh = tagged.mesh
-        self.space = fem.functionspace(self.mesh, ("Lagrange", scene.order, (3,)))
+        self.space = function_space(self.mesh, ("Lagrange", scene.order, (3,)))
         self.u = fem.Function(self.space, name="displacement")
         self._tags = cell_tags(tagged)
         self._surface = SurfaceMeasure(tagged, bodies, scene.loaded_boundaries)
@@ -177,7 +178,7 @@ class BodyForms:
     @cached_property
     def scalars(self) -> fem.FunctionSpace:
         """Space of vertex data: temperatures, degrees of cure."""
-        return fem.functionspace(self.mesh, ("Lagrange", 1))
+        return function_space(self.mesh, ("Lagrange", 1))
 
     # Measures
 

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from petsc4py import PETSc
 
 from app.numerics.deflation import Deflated
+from app.numerics.lifetime import python_pc
 from app.numerics.preconditioners import INTERFACE, SWEEP, Inverse, Options, configure
 from app.numerics.system import System
 from app.system.timing import Timing
@@ -102,7 +103,7 @@ class Linear:
         own: list[PETSc.PC] = []
         with self._timing.phase("factorize"):
             if self.exact:
-                pc = PETSc.PC().createPython(self.exact, comm=self._system.comm)
+                pc = python_pc(self.exact, self._system.comm)
                 parts = {}
             elif self._split and pc.getType() == "fieldsplit":
                 parts = self._gauss_seidel(pc, given)
@@ -114,8 +115,8 @@ class Linear:
                 own, parts = [pc], {" and ".join(BLOCKS.get(n, n) for n in self._names): pc}
             coarse = self._system.coarse_space() if self._split else None
             if coarse is not None:
-                context = Deflated(pc, self._names, self._system.coarse_space)
-                pc = PETSc.PC().createPython(context, comm=self._system.comm)
+                self._deflated = Deflated(pc, self._names, self._system.coarse_space)
+                pc = python_pc(self._deflated, self._system.comm)
             ksp.setPC(pc)
             pc.setOperators(self.matrix)
             pc.setUp()

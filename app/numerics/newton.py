@@ -22,6 +22,7 @@ import numpy as np
 from app.arrays import Floats, Ints
 from app.errors import InputError, StoppedError
 from app.numerics.krylov import BLOCKS, Linear
+from app.numerics.lifetime import weak
 from app.numerics.preconditioners import PETSC, USED, Options, options_set
 from app.numerics.system import Measure, System
 from app.system.timing import Timing
@@ -29,6 +30,8 @@ from app.system.timing import Timing
 log = logging.getLogger("mantle")
 
 OUT_OF_MEMORY = 55  # PETSc's error
+# Its reason for a residual that is not finite, which changed its name in 3.25.
+NOT_FINITE = -4
 REASONS = PETSc.SNES.ConvergedReason
 
 NEWTON: Options = {
@@ -194,13 +197,11 @@ class Solver:
         self._forces: Floats | None = None
         snes = self.snes = PETSc.SNES().create(system.comm)
         snes.setOptionsPrefix(system.prefix)
-        snes.setFunction(
-            lambda _, x, f: system.residual(self.blocks(x), self.blocks(f)), self.vector()
-        )
-        snes.setJacobian(lambda _, x, J, P: self.linear.update(self.blocks(x)), self.linear.matrix)
-        snes.setMonitor(self._monitor)
-        snes.setUpdate(self._update)
-        snes.setConvergenceTest(self._test)
+        snes.setFunction(weak(self._function), self.vector())
+        snes.setJacobian(weak(self._jacobian), self.linear.matrix)
+        snes.setMonitor(weak(self._monitor))
+        snes.setUpdate(weak(self._update))
+        snes.setConvergenceTest(weak(self._test))
         try:
             with options_set(system.prefix, self.options):
                 snes.setFromOptions()
@@ -291,7 +292,7 @@ class Solver:
                 # Exceptions raised in a callback come back wrapped, and leave the solution locked.
                 self.x = self.x.copy()
                 raise error.__cause__ or error from None
-        if self.snes.getConvergedReason() == REASONS.DIVERGED_FNORM_NAN:
+        if self.snes.getConvergedReason() == NOT_FINITE:
             # PETSc calls neither monitor nor test if the residual is not finite.
             self.residuals.append(math.nan)
             self.changes.append(0)
@@ -338,6 +339,12 @@ class Solver:
             self.snes.setFromOptions()
 
     # Callbacks
+
+    def _function(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        self.system.residual(self.blocks(x), self.blocks(f))
+
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
+        self.linear.update(self.blocks(x))
 
     def _update(self, snes: PETSc.SNES, iteration: int) -> None:
         # A singular step may move free bodies far away, where rounding errors hide other forces.

@@ -32,13 +32,13 @@ import ffcx
 import numpy as np
 import ufl
 from dolfinx import fem, jit
-from dolfinx.cpp.fem import create_expression_float64
 from dolfinx.mesh import create_mesh
 from ufl.algorithms import extract_coefficients, strip_variables
 from ufl.core.expr import Expr
 
 from app import files
 from app.arrays import Floats, Ints
+from app.dolfinx_features import CompiledExpression
 from app.system import folders, form_cache
 
 # What is compiled: expressions by name or in order, from inputs by name.
@@ -93,8 +93,8 @@ class Pointwise:
         self._mesh = create_mesh(
             MPI.COMM_SELF,
             np.arange(cells, dtype=np.int64)[:, None] + np.arange(2),
-            np.arange(cells + 1, dtype=np.float64).reshape(-1, 1),
-            ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,))),
+            x=np.arange(cells + 1, dtype=np.float64).reshape(-1, 1),
+            e=ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,))),
         )
         self._cell_of_point = np.argsort(self._mesh.topology.original_cell_index)[:n]
         self._cell_of_point = self._cell_of_point.astype(np.int32)
@@ -110,13 +110,8 @@ class Pointwise:
             found = self._compile(comm, build)
             _keep(comm, note, found[0])
         kernel, symbol, self._module = found
-        ffi = self._module.ffi
-        self._expression = create_expression_float64(
-            ffi.cast("uintptr_t", ffi.addressof(symbol)),
-            [self._inputs[name]._cpp_object for name in kernel.inputs],
-            [],
-            None,
-        )
+        inputs = [self._inputs[name]._cpp_object for name in kernel.inputs]
+        self._expression = CompiledExpression(self._module.ffi, symbol, inputs)
         self._shapes, self.outputs = kernel.shapes, kernel.outputs
         self._size = sum(math.prod(shape) for shape in kernel.shapes)
 
@@ -125,6 +120,7 @@ class Pointwise:
         built = build(dict(self._inputs))
         if not isinstance(built, Mapping):
             built = {str(k): e for k, e in enumerate(built)}
+        built = {name: ufl.as_ufl(e) for name, e in built.items()}  # some are numbers
         # The labels of variables differ from run to run; without them the code is found again.
         every = [strip_variables(e) for e in built.values()]
         together = ufl.as_vector([c for e in every for c in _components(e)])
@@ -164,7 +160,7 @@ class Pointwise:
         cells = self._cell_of_point if rows is None else self._cell_of_point[rows]
         found = np.zeros((len(cells), self._size))
         if len(cells):
-            self._expression.eval(self._mesh._cpp_object, cells, found)
+            self._expression.evaluate(self._mesh, cells, found)
         parts, begin = [], 0
         for shape in self._shapes:
             end = begin + math.prod(shape)

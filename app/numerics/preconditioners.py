@@ -16,6 +16,7 @@ from dolfinx import fem
 from dolfinx.fem.petsc import interpolation_matrix
 
 from app.arrays import Bools, Floats
+from app.numerics.lifetime import function_space
 from app.numerics.rigid_motions import rigid_modes
 
 Options = dict[str, str | int | float | bool]
@@ -32,7 +33,13 @@ DIRECT_LIMIT = 25_000
 # unknowns of second order, 4.5 against 4.8 at 90 000.
 BONDED_LIMIT = 90_000
 FACTORED: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
-FACTORED_SERIALLY: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "cholmod"}
+FACTORED_SERIALLY: Options = {
+    "pc_type": "cholesky",
+    # Wheels have no CHOLMOD.
+    "pc_factor_mat_solver_type": (
+        "cholmod" if PETSc.Sys.hasExternalPackage("cholmod") else "mumps"
+    ),
+}
 MULTIGRID: Options = {
     "pc_type": "gamg",
     "pc_gamg_agg_nsmooths": 1,
@@ -117,7 +124,7 @@ class CoarseOrder:
 
     def __init__(self, fine: fem.FunctionSpace, constrained: Callable[[], Bools]) -> None:
         self._fine, self._constrained = fine, constrained
-        self.space = fem.functionspace(fine.mesh, ("Lagrange", 1, (3,)))
+        self.space = function_space(fine.mesh, ("Lagrange", 1, (3,)))
         self.size = 3 * int(self.space.dofmap.index_map.size_global)
 
     @cached_property

@@ -17,6 +17,7 @@ import numpy as np
 from dolfinx import fem, la
 
 from app.arrays import Floats, Ints
+from app.dolfinx_features import interpolation_points
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import ENDS, node_keys
 from app.results.bearing import Bearing
@@ -262,7 +263,7 @@ class MechanicalFields:
         At a node it is the mean of the body's cells there, by volume. Within a cell it is the
         linear field that fits its stress best.
         """
-        dofs, X = self.space.dofmap.list, self.space.element.interpolation_points()
+        dofs, X = self.space.dofmap.list, interpolation_points(self.space)
         nodal, mean = (np.zeros((n, len(COMPONENTS))) for n in (len(nodes.dof), cells))
         for body in range(len(self.bodies.names)):
             sums = self._sums.array.reshape(-1, len(COMPONENTS) + 1)

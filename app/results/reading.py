@@ -150,7 +150,7 @@ class Run(Results):
         cells = np.empty_like(self.cells)
         cells[:, QUADRATIC_NODES[: cells.shape[1]]] = self.cells
         shape = element("Lagrange", "tetrahedron", order, shape=(3,))
-        return create_mesh(MPI.COMM_SELF, cells, self.points, shape)
+        return create_mesh(MPI.COMM_SELF, cells, x=self.points, e=shape)
 
     def function(self, name: str, step: int | str = -1) -> Any:
         """A field on the nodes at a written step as a dolfinx `Function` on `mesh`."""

@@ -23,6 +23,7 @@ from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Predictor, WarmStart
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
+from app.numerics import lifetime
 from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results.balance import Balance
@@ -186,7 +187,9 @@ class Model:
         data = on_root(comm, lambda: meshes.build(case.geometry, case.mesh, cache), share=False)
         found = well_posedness.look(case, data) if data is not None else None
         digest = comm.bcast(_mesh_hash(data) if data is not None else "")
-        return distribute(data, comm), digest, found
+        tagged = distribute(data, comm)
+        lifetime.follow(tagged.mesh)
+        return tagged, digest, found
 
     def deforms_like(self, case: Case) -> bool:
         """Whether a case differs from this one in loads and laws alone."""

@@ -24,6 +24,7 @@ from app.errors import (
     agree,
     on_root,
 )
+from app.numerics import lifetime
 from app.numerics.krylov import condition_number
 from app.numerics.newton import raw_options, unused
 from app.results import closing_lines as text
@@ -108,6 +109,7 @@ def run(
             f"started as one of {expected} ranks, but MPI sees {comm.size}: mpirun belongs to "
             "another MPI; use the one of this installation, or mantle run -n"
         )
+    lifetime.begin_run(comm)
     blas_check.check(comm)
     signalled = stopping.signals() if signals else str
     if signals:  # the process is ours: a host's functions and options are left as they are
@@ -177,6 +179,7 @@ def _vary(setup: Setup, output: Path) -> None:
         status = solved[i].get("status", "not converged")
         rows[i] = variations.row(v, solved[i], status, clock.perf_counter() - setup.begin)
         on_root(comm, partial(variations.write, rows, output), share=False)
+        lifetime.release(comm)  # models on meshes that no later variation shares
         setup.begin, setup.started = clock.perf_counter(), datetime.now(UTC)
         setup.timing.clear()
     done = on_root(comm, partial(variations.write, rows, output)) or []

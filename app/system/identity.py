@@ -10,6 +10,7 @@ import hashlib
 import importlib.util
 import json
 import re
+import sys
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -38,7 +39,7 @@ def parts() -> dict[str, str]:
     petsc = _petsc()
     return {
         "mantle": program(),
-        "dolfinx": _version("fenics-dolfinx"),
+        "dolfinx": _version("fenics-dolfinx", "dolfinx-solver-real"),
         "petsc": _version_of(petsc) if petsc else MISSING,
         "gmsh": _version("gmsh"),
         "blas": _blas(petsc) if petsc else MISSING,
@@ -62,8 +63,10 @@ def sources() -> dict[str, Path]:
     return {p.relative_to(top).as_posix(): p for p in files}
 
 
-def _version(package: str) -> str:
-    return next((d.version for d in metadata.distributions(name=package)), MISSING)
+def _version(*packages: str) -> str:
+    """Version of the first of some packages that is installed."""
+    found = (d.version for name in packages for d in metadata.distributions(name=name))
+    return next(found, MISSING)
 
 
 def _petsc() -> ctypes.CDLL | None:
@@ -71,6 +74,8 @@ def _petsc() -> ctypes.CDLL | None:
     spec = importlib.util.find_spec("petsc4py")
     folders = (spec and spec.submodule_search_locations) or ()
     found = sorted(p for folder in folders for p in Path(folder).glob("lib/**/PETSc*.so"))
+    if mpi := sorted(Path(sys.prefix).glob("lib/libmpi.so.*")):  # of wheels, which PETSc's needs
+        ctypes.CDLL(str(mpi[0]), mode=ctypes.RTLD_GLOBAL)
     return ctypes.CDLL(str(found[0])) if found else None
 
 

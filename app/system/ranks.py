@@ -145,7 +145,9 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     Raises:
         EnvironmentProblem: There is no mpirun.
     """
-    mpirun = shutil.which("mpirun")
+    # That of a virtual environment belongs to its MPI, and need not be in the PATH.
+    places = [str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)]
+    mpirun = shutil.which("mpirun", path=os.pathsep.join(places))
     if mpirun is None:
         raise EnvironmentProblem("-n needs mpirun, which is not installed (Debian: openmpi-bin)")
     libc = ctypes.CDLL(None)

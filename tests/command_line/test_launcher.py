@@ -10,6 +10,7 @@ import argparse
 import ctypes
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,10 +18,12 @@ import tempfile
 import time
 from pathlib import Path
 
+import dolfinx
 import pytest
 
 import mantle
 from app.command_line.parser import parser
+from docs import packages
 from tests.meshes.test_scripts import CASE, LAYERS
 from tests.misleading import mislead
 from tests.support import ROOT, python, started
@@ -85,7 +88,7 @@ def on_ranks(number: int, tmp_path: Path, *arguments: str) -> list[str]:
     [
         ("", 2, "usage: mantle COMMAND"),
         ("--version", 0, f"mantle {mantle.__version__}\n"),  # without a solver stack
-        ("doctor", 2, "'cloud' is not one of native, container, tree"),
+        ("doctor", 2, "'cloud' is not one of native, wheels, container, tree"),
         ("setup --update someday", 2, "--update"),
         ("setup --upgrade", 2, "--update"),
     ],
@@ -112,7 +115,7 @@ def test_a_shell_has_dolfinx_and_one_thread_where_it_is_started(tmp_path: Path) 
     native = {"MANTLE_BACKEND": "native", "MANTLE_INSIDE": "", "OMP_NUM_THREADS": ""}
     result = run("shell", "-c", command, cwd=tmp_path, **native)
     assert (result.returncode, result.stderr) == (4, "")
-    assert result.stdout.split() == ["0.9.0", "1", str(tmp_path)]
+    assert result.stdout.split() == [dolfinx.__version__, "1", str(tmp_path)]
 
 
 # Finds all that it is asked for, notes what it runs under which kernel, and fails under Haswell.
@@ -311,6 +314,56 @@ def test_a_tree_that_is_named_is_never_set_up(tmp_path: Path) -> None:
     result = run("doctor", MANTLE_INSIDE="", **more)
     assert result.returncode == 69 and "no solver stack in MANTLE_TREE=/no/tree" in result.stderr
     assert trees(tmp_path) == []
+
+
+# A Python with headers in HEADERS, whose environments note what they are asked.
+HOST = """
+case "$*" in
+    *get_path*) echo "$HEADERS" ;;
+    "-m venv "*) mkdir -p "$3/bin" && cp "$0" "$3/bin/python3" ;;
+    *) echo "$*" >>"$LOG"; [ "$2" != pip ] || [ -z "${BROKEN:-}" ] ;;
+esac
+"""
+
+
+def wheels(tmp_path: Path, **more: str) -> subprocess.CompletedProcess[str]:
+    """Set up wheels by a stand-in of Python 3.12."""
+    (tmp_path / "Python.h").touch()
+    program(tmp_path / "bin" / "python3.12", HOST)
+    environ = {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "LOG": str(tmp_path / "log")}
+    environ |= {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HEADERS": str(tmp_path)}
+    return run("setup", "--wheels", MANTLE_INSIDE="", **environ | more)
+
+
+def test_wheels_are_set_up_once_with_all_packages(tmp_path: Path) -> None:
+    assert wheels(tmp_path).returncode == wheels(tmp_path).returncode == 0
+    asked = (tmp_path / "log").read_text()
+    (installed,) = re.findall("^-m pip install.*", asked, re.MULTILINE)
+    assert set(packages.requirements("wheel")) <= set(installed.split())
+    (folder,) = (tmp_path / "cache" / "mantle").glob("wheels-*")
+    assert (folder / "mantle-wheels").exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"BROKEN": "yes"}, "wheels could not be installed"),
+        ({"HEADERS": "/nowhere"}, "python3-dev"),
+    ],
+)
+def test_wheels_that_fail_leave_nothing(more: dict[str, str], said: str, tmp_path: Path) -> None:
+    result = wheels(tmp_path, **more)
+    assert result.returncode == 69 and said in result.stderr
+    assert not [*(tmp_path / "cache" / "mantle").glob("wheels-*")]
+
+
+def test_wheels_need_a_python_that_is_new_enough(tmp_path: Path) -> None:
+    for name in ("python3.12", "python3.13", "python3.14", "python3"):
+        program(tmp_path / "bin" / name, "exit 1")
+    path = f"{tmp_path / 'bin'}:{os.environ['PATH']}"
+    cache = str(tmp_path / "cache")
+    result = run("setup", "--wheels", PATH=path, MANTLE_INSIDE="", XDG_CACHE_HOME=cache)
+    assert result.returncode == 69 and "Python 3.12 or newer" in result.stderr
 
 
 def test_a_container_client_without_an_engine_is_not_enough(tmp_path: Path) -> None:

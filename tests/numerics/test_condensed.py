@@ -84,6 +84,7 @@ def test_jumps_are_those_of_the_krylov_method(law: str, order: int) -> None:
     assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.skipif(substructures.library() is Mumps, reason="PETSc has no CHOLMOD")
 def test_jumps_are_the_same_by_other_factors(monkeypatch: pytest.MonkeyPatch) -> None:
     """MUMPS where there is no CHOLMOD."""
     law = f"interfaces.stem_cement={LAWS[0]}"

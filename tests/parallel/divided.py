@@ -9,12 +9,11 @@ from typing import Any
 
 from mpi4py import MPI
 
-import dolfinx
 import numpy as np
 from dolfinx.cpp.graph import AdjacencyList_int32
 from scipy.spatial import cKDTree
 
-from app import cli
+from app import cli, dolfinx_features
 from app.simulation import model
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
@@ -86,12 +85,12 @@ def given(way: str) -> Callable[[MeshData | None, MPI.Comm], TaggedMesh]:
                 return AdjacencyList_int32(np.zeros(0, np.int32), np.zeros(1, np.int32))
             return destinations(data, WAYS[way](data, comm.size))
 
-        usual = dolfinx.mesh.create_cell_partitioner
-        dolfinx.mesh.create_cell_partitioner = lambda mode: partitioner
+        usual = dolfinx_features.partitioner
+        dolfinx_features.partitioner = lambda ghosts: partitioner
         try:
             tagged = distribute(data, comm)
         finally:
-            dolfinx.mesh.create_cell_partitioner = usual
+            dolfinx_features.partitioner = usual
         mine = tagged.cell_tags.values[: tagged.mesh.topology.index_map(3).size_local]
         have = comm.gather([int((mine == tag).sum()) for tag in tagged.regions.values()])
         if comm.rank == 0:

@@ -19,8 +19,8 @@ LAYERS = ("app", "forms", "meshes")
 
 # Lowest first: a package imports only what stands before its row, and itself. Packages of one row
 # do not know each other. Beside them stand `app.errors`, `app.captured`, `app.confined`,
-# `app.files`, `app.mesh_files` and `app.version`, which everybody may import, and `mantle.py` with
-# the public functions and `app.cli`, which see everything.
+# `app.dolfinx_features`, `app.files`, `app.mesh_files` and `app.version`, which everybody may
+# import, and `mantle.py` with the public functions and `app.cli`, which see everything.
 ROWS = (
     ("configs", "forms", "meshes", "system"),
     ("schema", "numerics"),
@@ -167,7 +167,10 @@ def test_forms_import_only_ufl(path: Path) -> None:
 def test_meshes_know_nothing_of_the_application(path: Path) -> None:
     """What belongs to no layer above apart: errors, arrays, files."""
     own = {m for m in imported(path) if top(m) == "app"}
-    names = ("arrays", "captured", "confined", "errors", "figures", "files", "mesh_files")
+    names = (
+        *("arrays", "captured", "confined", "dolfinx_features", "errors", "figures", "files"),
+        "mesh_files",
+    )
     aside = {f"app.{m}" for m in names}
     assert own <= aside
 
@@ -196,6 +199,21 @@ def test_nobody_asks_an_interface_a_load_or_a_support_for_its_kind(path: Path) -
     ):
         seen = {m for m in imported(path) if package_of(m) in ("schema", "case")}
         assert seen <= ({"app.case.quantities"} if path.stem == "interface_numbers" else set())
+
+
+# What releases of DOLFINx call differently.
+DIFFERENT = (
+    *("gmshio", "dolfinx.io.gmsh", "compute_integration_domains", "create_cell_partitioner"),
+    *("create_submesh", "element.interpolation_points", "create_expression_", "assemble_matrix_b"),
+    *("LinearProblem", "tabulate_expression", "sub_topology_to_topology"),
+)
+
+
+@all_of("app", "forms", "meshes", "tests")
+def test_one_module_asks_dolfinx_what_it_can(path: Path) -> None:
+    if named(path) not in ("app/dolfinx_features.py", "tests/project/test_layering.py"):
+        text = path.read_text(encoding="utf-8")
+        assert [name for name in DIFFERENT if name in text] == []
 
 
 @all_of("app")

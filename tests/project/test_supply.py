@@ -6,10 +6,12 @@ import re
 import sys
 import tomllib
 from importlib import metadata
+from importlib.util import find_spec
 
 import pytest
 from packaging.requirements import Requirement
 
+from docs import packages
 from tests.project.test_layering import MODULES, ROOT, imported, top
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -46,13 +48,51 @@ def test_dependencies_have_bounds_that_hold_here(text: str) -> None:
     try:
         assert wanted.specifier.contains(metadata.version(wanted.name), prereleases=True)
     except metadata.PackageNotFoundError:
-        assert wanted.name in ("gmsh", "ruff", "argcomplete", "python-gdcm")
+        absent = {"gmsh", "ruff", "argcomplete", "python-gdcm"}
+        # One wheel holds these.
+        absent |= {"fenics-dolfinx", "petsc4py"} if find_spec("dolfinx_solver") else set()
+        assert wanted.name in absent
 
 
-def test_dolfinx_is_of_one_series() -> None:
-    """Its interface changes with every one."""
+def test_dolfinx_is_of_series_that_are_known() -> None:
+    """Its interface changes with every one: `app.dolfinx_features` knows these."""
     (dolfinx,) = (Requirement(t) for t in PROJECT["dependencies"] if "dolfinx" in t)
-    assert "0.9.5" in dolfinx.specifier and "0.10.0" not in dolfinx.specifier
+    known = [v for v in ("0.8.0", "0.9.5", "0.10.0", "0.11.0", "0.12.0") if v in dolfinx.specifier]
+    assert known == ["0.9.5", "0.10.0", "0.11.0"]
+
+
+def named(requirements: list[str]) -> dict[str, Requirement]:
+    return {r.name.lower(): r for r in map(Requirement, requirements)}
+
+
+def test_wheels_are_the_dependencies_in_versions_that_they_allow() -> None:
+    """The wheel of DOLFINx brings its parts, PETSc and MPI along; the linter comes by itself."""
+    brought = {"fenics-dolfinx", "fenics-ufl", "fenics-basix", "fenics-ffcx", "petsc4py", "mpi4py"}
+    wheels = named(packages.requirements("wheel"))
+    extras = (*EXTRA["many"], *EXTRA["test"], *EXTRA["dicom"])
+    wanted = named([*PROJECT["dependencies"], *extras])
+    assert wheels.keys() - {"dolfinx-solver-real", "pulp"} == wanted.keys() - brought
+    for name in wanted.keys() - brought:
+        lowest = next(s.version for s in wheels[name].specifier if s.operator != "<")
+        assert lowest in wanted[name].specifier, name
+    (dolfinx,) = wheels["dolfinx-solver-real"].specifier
+    assert dolfinx.version in wanted["fenics-dolfinx"].specifier
+
+
+def test_conda_has_the_same_packages_as_the_list() -> None:
+    assert (ROOT / "environment.yml").read_text() == packages.environment()
+    conda = {re.split("[<>=~]", name)[0] for name in packages.requirements("conda")}
+    other = {"snakemake-minimal": "snakemake", "matplotlib-base": "matplotlib"}
+    have = {other.get(name, name.removeprefix("python-")) for name in conda}
+    wanted = named([*PROJECT["dependencies"], *EXTRA["many"], *EXTRA["test"]]).keys()
+    # DOLFINx brings its own parts.
+    assert wanted - have == {"fenics-ufl", "fenics-basix", "fenics-ffcx"}
+
+
+@pytest.mark.parametrize("recipe", ["Dockerfile", "mantle.def"])
+def test_recipes_of_images_read_the_list(recipe: str) -> None:
+    text = (ROOT / recipe).read_text()
+    assert "packages.txt" in text and "python3-" not in text
 
 
 def test_the_linter_is_the_one_with_these_digests() -> None:

@@ -14,15 +14,17 @@ Run it (some seconds) to see the ladder::
 from __future__ import annotations
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import basix.ufl
 import gmsh
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.fem.petsc import LinearProblem
-from dolfinx.io import gmshio
+from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from dolfinx.mesh import Mesh, locate_entities_boundary, meshtags
+
+from app import dolfinx_features
 
 POISSON_RATIOS = (0.3, 0.45, 0.49, 0.499, 0.4999)
 # The outline, with the middle of the loaded edge as a vertex.
@@ -48,7 +50,7 @@ def mesh(size: float) -> Mesh:
     gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
     gmsh.option.setNumber("Mesh.MeshSizeFromPoints", 0)
     gmsh.model.mesh.generate(2)
-    result, _, _ = gmshio.model_to_mesh(gmsh.model, MPI.COMM_SELF, 0, gdim=2)
+    result = dolfinx_features.gmsh.model_to_mesh(gmsh.model, MPI.COMM_SELF, 0, gdim=2)[0]
     gmsh.finalize()
     return result
 
@@ -76,9 +78,16 @@ def displacement(
     left = locate_entities_boundary(domain, 1, lambda x: np.isclose(x[0], 0))
     held = fem.locate_dofs_topological((W.sub(0), V), 1, left)
     fixed = fem.dirichletbc(fem.Function(V), held, W.sub(0))
-    direct = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
-    load = F / 16 * v[1] * ds(1)
-    solution = LinearProblem(a * ufl.dx, load, [fixed], petsc_options=direct).solve()
+    A = assemble_matrix(fem.form(a * ufl.dx), bcs=[fixed])
+    A.assemble()
+    b = assemble_vector(fem.form(F / 16 * v[1] * ds(1)))
+    b.array[held[0]] = 0
+    pc = PETSc.PC().create(MPI.COMM_SELF)
+    pc.setOperators(A)
+    pc.setType("lu")
+    pc.setFactorSolverType("mumps")
+    solution = fem.Function(W)
+    pc.apply(b, solution.x.petsc_vec)
     u_h = solution.sub(0).collapse()
     x = u_h.function_space.tabulate_dof_coordinates()[:, :2]
     nearest = int(np.argmin(np.linalg.norm(x - np.array(at), axis=1)))

@@ -24,21 +24,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mpi4py import MPI
-from petsc4py import PETSc
-
 import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx.fem import IntegralType, compute_integration_domains
-from dolfinx.fem import petsc as fem_petsc
-from dolfinx.mesh import create_submesh, entities_to_geometry
+from dolfinx.fem import IntegralType
+from dolfinx.mesh import entities_to_geometry
 from numpy.typing import NDArray
+from scipy.sparse import block_array, csc_array, csr_array, diags_array
+from scipy.sparse.linalg import splu
 from ufl.algorithms import expand_derivatives
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
 from app.case.geometries import Cylinders
+from app.dolfinx_features import entity_maps, exterior_facets, facet_domain, submesh
 from app.laws.interface_laws import Coulomb
 from app.laws.loads import BodyForce, Force, Pressure
 from app.laws.materials import Isotropic
@@ -94,6 +93,7 @@ class Part:
         u: The unknown: displacement or multiplier.
         to_parent: Parent cell or facet of each of its cells.
         map: Its cell for each parent cell or facet, else -1.
+        cell_map: The same as DOLFINx returns it.
         dof_of_node: Blocked dof at each node of the parent's geometry, else -1.
         vertex: Vertex number of the mesh file at each blocked dof.
     """
@@ -101,6 +101,7 @@ class Part:
     u: fem.Function
     to_parent: NDArray[np.int32]
     map: NDArray[np.int32]
+    cell_map: Any
     dof_of_node: NDArray[np.int32]
     vertex: Ints
 
@@ -142,14 +143,12 @@ class Interface:
         ]
         part = self.part = _part(tagged, 2, np.array(facets, dtype=np.int32), name)
         self.entities = np.array(
-            compute_integration_domains(
-                IntegralType.interior_facet, mesh.topology, part.to_parent, 2
-            )
+            facet_domain(IntegralType.interior_facet, mesh.topology, part.to_parent)
         ).reshape(-1, 4)
         turned = tags[self.entities[:, 0]] != tagged.regions[self.master]
         self.entities[turned] = self.entities[turned][:, [2, 3, 0, 1]]
-        # Both sides of a facet are mapped for every form on it, so each body's map must hold some
-        # valid cell for the cells across; what is computed there is multiplied by nothing.
+        # DOLFINx 0.9 maps both sides of a facet for every form on it, so each body's map must hold
+        # some valid cell for the cells across; what is computed there is multiplied by nothing.
         plus, minus = self.entities[:, 0], self.entities[:, 2]
         m, s = bodies[self.master], bodies[self.slave]
         m.map[minus], s.map[plus] = m.map[plus], s.map[minus]
@@ -157,15 +156,15 @@ class Interface:
         nodes = nodes[np.argsort(part.dof_of_node[nodes])]
         self.dofs = np.stack([m.dof_of_node[nodes], s.dof_of_node[nodes]])
         space = part.u.function_space
-        submesh = space.mesh
-        x = submesh.geometry.x[submesh.geometry.dofmap]
+        surface = space.mesh
+        x = surface.geometry.x[surface.geometry.dofmap]
         edge = np.linalg.norm(x - x[:, [1, 2, 0]], axis=2).mean()
         self.normal, self.area = _nodal_normal(tagged, part, self.entities)
         if isinstance(case.geometry, Cylinders):
             _put_normals_of_cones(self.normal, case.geometry.taper)
         self.free, self.old = fem.Function(space), fem.Function(space)
         self.free.x.array[:] = 1
-        self.gap = fem.Function(fem.functionspace(submesh, ("Lagrange", 1)))
+        self.gap = fem.Function(fem.functionspace(surface, ("Lagrange", 1)))
         at = self.gap.function_space.tabulate_dof_coordinates()
         gap = evaluate(law.gap, at) if isinstance(law.gap, str) else law.gap
         self.full_gap: Floats = np.broadcast_to(gap, len(at))
@@ -244,17 +243,22 @@ def _isotropic(case: Case, region: str) -> tuple[float, float]:
 
 def _part(tagged: TaggedMesh, dim: int, entities: NDArray[np.int32], name: str) -> Part:
     mesh = tagged.mesh
-    submesh, to_parent, _, nodes = create_submesh(mesh, dim, entities)
-    space = fem.functionspace(submesh, ("Lagrange", 1, (3,)))
+    part, cell_map, to_parent, nodes = submesh(mesh, dim, entities)
+    space = fem.functionspace(part, ("Lagrange", 1, (3,)))
     index_map = mesh.topology.index_map(dim)
     inverse = np.full(index_map.size_local + index_map.num_ghosts, -1, dtype=np.int32)
     inverse[to_parent] = np.arange(len(to_parent), dtype=np.int32)
     dof_of_node = np.full(len(mesh.geometry.x), -1, dtype=np.int32)
-    dof_of_node[np.asarray(nodes)[submesh.geometry.dofmap]] = space.dofmap.list
+    dof_of_node[np.asarray(nodes)[part.geometry.dofmap]] = space.dofmap.list
     vertex = np.zeros(space.dofmap.index_map.size_local, dtype=np.int64)
     on = dof_of_node >= 0
     vertex[dof_of_node[on]] = np.asarray(mesh.geometry.input_global_indices)[on]
-    return Part(fem.Function(space, name=name), to_parent, inverse, dof_of_node, vertex)
+    u = fem.Function(space, name=name)
+    return Part(u, to_parent, inverse, cell_map, dof_of_node, vertex)
+
+
+def _entity_maps(parts: Sequence[Part]) -> Any:
+    return entity_maps([(p.u.function_space.mesh, p.cell_map, p.map) for p in parts])
 
 
 def _vertex_rule(tagged: TaggedMesh, entities: Sequence[NDArray[np.int32]]) -> Any:
@@ -272,9 +276,9 @@ def _nodal_normal(
     dS = _vertex_rule(tagged, [entities])(0)
 
     def assemble(form: Any) -> Floats:
-        compiled = fem.form(form, entity_maps={space.mesh: part.map})
-        values: Floats = fem_petsc.assemble_vector(compiled).array.reshape(-1, 3)
-        return values
+        compiled = fem.form(form, entity_maps=_entity_maps([part]))
+        values = fem.assemble_vector(compiled)  # which its array does not keep alive
+        return np.array(values.array).reshape(-1, 3)
 
     b = assemble(ufl.inner(ufl.FacetNormal(tagged.mesh)("+"), m("+")) * dS)
     normal = fem.Function(space)
@@ -430,10 +434,7 @@ def _patches(
             facets = _boundary_facets(tagged, part, load.boundary)
             if len(facets):
                 patches[key][name] = len(data)
-                entities = compute_integration_domains(
-                    IntegralType.exterior_facet, tagged.mesh.topology, facets, 2
-                )
-                data.append((len(data), entities))
+                data.append((len(data), exterior_facets(tagged.mesh.topology, facets)))
     return ufl.Measure("ds", domain=tagged.mesh, subdomain_data=data), patches
 
 
@@ -460,7 +461,7 @@ class _Newton:
     def __init__(self, tagged: TaggedMesh, parts: list[Part], residual: Any) -> None:
         self._parts = parts
         spaces = [p.u.function_space for p in parts]
-        maps = {V.mesh: p.map for V, p in zip(spaces, parts, strict=True)}
+        maps = _entity_maps(parts)
         rows = ufl.extract_blocks(residual)
         trials = ufl.TrialFunctions(ufl.MixedFunctionSpace(*spaces))
         jacobian = [
@@ -472,25 +473,27 @@ class _Newton:
         ]
         self._F = fem.form(rows, entity_maps=maps)
         self._J = fem.form(jacobian, entity_maps=maps)
-        self._A = fem_petsc.create_matrix_block(self._J)
-        self._b = fem_petsc.create_vector_block(self._F)
         self._ends = np.cumsum([0, *(len(p.u.x.array) for p in parts)])
-        self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
-        self._ksp.setOperators(self._A)
-        self._ksp.setType("preonly")
-        self._ksp.getPC().setType("lu")
-        self._ksp.getPC().setFactorSolverType("mumps")
 
     def _set(self, x: Floats) -> None:
         for p, a, b in zip(self._parts, self._ends, self._ends[1:], strict=False):
             p.u.x.array[:] = x[a:b]
 
     def _evaluate(self, fixed: Ints) -> Floats:
-        self._b.set(0)
-        fem_petsc.assemble_vector_block(self._b, self._F, self._J, [])
-        f = self._b.array.copy()
+        rows = [fem.assemble_vector(row) for row in self._F]
+        f = np.concatenate([row.array for row in rows])
         f[fixed] = 0
         return f
+
+    def _step(self, f: Floats, fixed: Ints) -> Floats:
+        """Newton's step at the current state, zero in the fixed dofs."""
+        blocks = [[J and _matrix(J) for J in row] for row in self._J]
+        free = np.ones(len(f))
+        free[fixed] = 0
+        jacobian = diags_array(free) @ block_array(blocks) + diags_array(1 - free)
+        lu = splu(csc_array(jacobian))
+        step = lu.solve(-f)
+        return np.asarray(step - lu.solve(jacobian @ step + f))
 
     def solve(self, fixed: list[dict[int, float]]) -> None:
         """Solve with given values of some dofs of each block.
@@ -515,24 +518,24 @@ class _Newton:
             history.append(norm)
             if norm <= TOLERANCE * scale and iteration:
                 return
-            self._A.zeroEntries()
-            fem_petsc.assemble_matrix_block(self._A, self._J)
-            self._A.assemble()
-            self._A.zeroRows(rows.astype(PETSc.IntType), diag=1.0)
-            right, step = self._A.createVecLeft(), self._A.createVecRight()
-            right.array[:] = -f
-            self._ksp.solve(right, step)
-            if not np.isfinite(step.array).all():
+            step = self._step(f, rows)
+            if not np.isfinite(step).all():
                 break
             t = 1.0
             while True:
-                self._set(x + t * step.array)
+                self._set(x + t * step)
                 f = self._evaluate(rows)
                 if np.linalg.norm(f) < (1 - 1e-4 * t) * norm or t <= SMALLEST_STEP:
                     break
                 t /= 2
-            x = x + t * step.array
+            x = x + t * step
         raise RuntimeError(f"formulation B does not converge: {history}")
+
+
+def _matrix(form: fem.Form) -> csr_array:
+    A = fem.assemble_matrix(form)
+    A.scatter_reverse()
+    return csr_array(A.to_scipy(), copy=True)
 
 
 # Results

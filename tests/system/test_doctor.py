@@ -66,6 +66,33 @@ def test_report_survives_missing_and_broken_packages_and_missing_programs(
         assert words in text
 
 
+@pytest.mark.parametrize(
+    ("version", "said"),
+    [
+        ("0.8.0", "DOLFINx 0.8.0 is too old"),
+        ("0.9.0", ""),
+        ("0.10.0.post5", ""),
+        ("0.11.0.post0", ""),
+        ("0.12.1", "DOLFINx 0.12.1 is newer"),
+    ],
+)
+def test_dolfinx_of_another_series_is_a_problem(
+    version: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor, "_version", lambda module: version)
+    found = [problem for problem in doctor.problems() if "DOLFINx" in problem]
+    assert len(found) == bool(said) and all(problem.startswith(said) for problem in found)
+
+
+def test_factors_that_petsc_lacks_are_named_with_what_they_cost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    text = "3.25.5, float64, with MUMPS, without CHOLMOD"
+    monkeypatch.setattr(doctor, "_petsc", lambda: text)
+    (found,) = [problem for problem in doctor.problems() if problem.startswith("PETSc")]
+    assert "no CHOLMOD" in found and "times the CPU time" in found
+
+
 def test_slow_settings_are_problems(monkeypatch: pytest.MonkeyPatch) -> None:
     for threads, blas, slow in (("1", "openblas-pthread", False), ("4", "blas", True)):
         monkeypatch.setenv("OMP_NUM_THREADS", threads)

@@ -1,0 +1,104 @@
+"""Lifetime of PETSc's objects: all that were made for a run are destroyed with it.
+
+Matrices, solvers and meshes hold communicators, of which MPICH has 2,048. Python's garbage
+collector does not see what PETSc refers to. On several ranks petsc4py destroys no object that
+Python has dropped: it waits for a clean-up of its communicator, since destroying is collective.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from itertools import count
+from typing import Any, Protocol
+from weakref import WeakMethod, ref
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+
+_runs = count()  # of this process
+# Meshes and spaces of several ranks, each with an object that keeps its communicator.
+_followed: list[tuple[ref[Mesh | fem.FunctionSpace], PETSc.IS]] = []
+# Objects that Python drops may be the last to refer to others: solver, preconditioner, its factors.
+ROUNDS = 3
+
+
+def weak(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a callback for PETSc that does not keep the object of a method alive.
+
+    An object that owns its PETSc object and is its callback, too, would never be destroyed.
+    """
+    reference = WeakMethod(method)
+
+    def call(*arguments: Any) -> Any:
+        target = reference()
+        assert target is not None
+        return target(*arguments)
+
+    return call
+
+
+class Preconditioner(Protocol):
+    """Preconditioner in Python."""
+
+    def setUp(self, pc: PETSc.PC) -> None:
+        """Set up for the operators of a PC."""
+
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply to x, into y."""
+
+
+class _WeakContext:
+    def __init__(self, context: Preconditioner) -> None:
+        self.setUp, self.apply = weak(context.setUp), weak(context.apply)
+
+
+def python_pc(context: Preconditioner, comm: MPI.Comm) -> PETSc.PC:
+    """Return a PETSc preconditioner that does not keep its context in Python alive.
+
+    A clean-up that destroyed the context, too, would lose the PETSc objects that this drops.
+    """
+    return PETSc.PC().createPython(_WeakContext(context), comm=comm)
+
+
+def follow(owner: Mesh | fem.FunctionSpace) -> None:
+    """Have `release` clean up a communicator; collective.
+
+    Matrices and solvers have that of their mesh, assembled vectors that of their space.
+    """
+    comm = owner.comm if isinstance(owner, Mesh) else owner.dofmap.index_map.comm
+    if comm.size > 1:
+        _followed.append((ref(owner), PETSc.IS().createStride(0, comm=comm)))
+
+
+def function_space(mesh: Mesh, element: Any) -> fem.FunctionSpace:
+    """Make a function space for PETSc's vectors, which `release` cleans up; collective."""
+    space = fem.functionspace(mesh, element)
+    follow(space)
+    return space
+
+
+def begin_run(comm: MPI.Comm) -> None:
+    """Release what earlier runs of this process have left, failed ones too; collective.
+
+    The first run of a process, often its only one, does not pay for it.
+    """
+    if next(_runs):
+        release(comm)
+
+
+def release(comm: MPI.Comm) -> None:
+    """Destroy all objects of PETSc and DOLFINx that nothing refers to any more; collective."""
+    for _ in range(ROUNDS):
+        gc.collect()
+        comm.barrier()
+        for _, keeper in _followed:
+            PETSc.garbage_cleanup(keeper.comm)
+    gone = [comm.allreduce(owner() is None, MPI.LAND) for owner, _ in _followed]
+    for (_, keeper), done in zip(_followed, gone, strict=True):
+        if done:
+            keeper.destroy()
+    _followed[:] = [kept for kept, done in zip(_followed, gone, strict=True) if not done]

@@ -1,0 +1,72 @@
+"""What PETSc and DOLFINx made for a run is destroyed with it, however many runs a process makes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests import support
+
+# A new communicator has the lowest index that no other has.
+RUNS = """
+import sys
+from mpi4py import MPI
+import petsc4py
+petsc4py.init(["runs", "-skip_petscrc", "-log_view", f":{sys.argv[2]}/log.txt"])
+import mantle
+
+def communicators():
+    # Those in use below the highest of some new ones.
+    new = [MPI.COMM_WORLD.Dup() for _ in range(100)]
+    indices = [c.py2f() & 0xFFFF for c in new]  # the lower bits of MPICH's
+    for c in new:
+        c.Free()
+    return max(indices) + 1 - len(set(indices))
+
+def megabytes():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096 // 2**20
+
+case = mantle.load("configs/blocks.yaml", **{
+    "mesh.size": "5 mm", "mesh.order": 1, "output.fields": False, "output.report": False})
+for _ in range(int(sys.argv[1])):
+    mantle.run(case, f"{sys.argv[2]}/out", force=True)
+    if MPI.COMM_WORLD.rank == 0:
+        print("after:", communicators(), megabytes(), flush=True)
+    else:
+        communicators()
+"""
+LEFT = 60  # objects of one kind that the last run and the loaded program may hold
+
+
+@pytest.mark.parametrize(
+    ("ranks", "runs", "growth"),
+    [
+        (1, 8, 40),
+        pytest.param(2, 8, 40, marks=pytest.mark.parallel),
+        pytest.param(1, 300, 60, marks=pytest.mark.slow),
+    ],
+)
+def test_runs_leave_no_communicators_matrices_and_memory(
+    ranks: int, runs: int, growth: int, tmp_path: Path
+) -> None:
+    """MPICH has 2,048 communicators; a run needs about twenty."""
+    script = tmp_path / "runs.py"
+    script.write_text(RUNS)
+    if ranks == 1:
+        said = support.python(script, str(runs), tmp_path, timeout=1800).stdout
+    else:
+        said = support.on_ranks(ranks, script, str(runs), tmp_path).stdout
+    seen = [[int(word) for word in line.split()[1:]] for line in re.findall("after:.*", said)]
+    assert len(seen) == runs
+    communicators, megabytes = zip(*seen, strict=True)
+    assert communicators[-1] <= communicators[2] + 2, communicators
+    assert megabytes[-1] <= megabytes[2] + growth, megabytes
+    if ranks == 1:
+        kinds = "Matrix|Vector|Preconditioner|Krylov Solver|SNES|Index Set"
+        table = (tmp_path / "log.txt").read_text()
+        counts = re.findall(rf"^ *({kinds}) +(\d+) +(\d+)", table, re.MULTILINE)
+        assert len(counts) == 6
+        assert {k: int(m) - int(d) for k, m, d in counts if int(m) - int(d) > LEFT} == {}
