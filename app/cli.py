@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")
     ranks.find_program()
-    ranks.keep_quiet()
+    ranks.use_one_node()
     ranks.end_with_parent()
     try:
         if (message := settle_cache()) and rank() == 0:

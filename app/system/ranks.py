@@ -30,8 +30,13 @@ _WORLD_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "SLU
 _WORLD_MARKS = ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "SLURM_STEP_ID")
 # Variables with the rank of a process, by process manager.
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
-# On one node only shared memory is needed; looking for a network fails audibly.
-ONE_NODE = {"OMPI_MCA_btl": "self,sm", "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe"}
+# On one node only shared memory is needed; looking for a network fails audibly. A rank that waits
+# lets others have its core: beside other work two ranks take half of the time.
+ONE_NODE = {
+    "OMPI_MCA_btl": "self,sm",
+    "OMPI_MCA_mpi_yield_when_idle": "1",
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+}
 _RULE = b"-" * 74 + b"\n"
 _BANNER = re.compile(rb"-{74}\s+(prterun|mpirun|MPI_ABORT) ")
 # Banners that repeat the application's message, and messages of a job manager that closes down.
@@ -74,14 +79,15 @@ def environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
     return {**defaults, **environ}
 
 
-def keep_quiet(environ: MutableMapping[str, str] = os.environ) -> None:
-    """Silence Open MPI's search for a network where all ranks are on this node.
+def use_one_node(environ: MutableMapping[str, str] = os.environ) -> None:
+    """Set Open MPI to shared memory where all ranks are on this node.
 
     Call it before MPI is initialised, for ranks started by a plain ``mpirun``.
     """
     size = environ.get("OMPI_COMM_WORLD_SIZE")
     if size is not None and environ.get("OMPI_COMM_WORLD_LOCAL_SIZE") == size:
-        environ.setdefault("OMPI_MCA_btl", "self,sm")
+        for name, value in ONE_NODE.items():
+            environ.setdefault(name, value)
 
 
 def find_program(environ: MutableMapping[str, str] = os.environ) -> None:
@@ -189,7 +195,7 @@ def mpi_settings() -> Iterator[None]:
     node.
     """
     before = dict(os.environ)
-    keep_quiet()
+    use_one_node()
     if world_size() is None and "mpi4py.MPI" not in sys.modules:
         process = contextlib.ExitStack()
         atexit.register(process.close)

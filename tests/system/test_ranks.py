@@ -72,7 +72,7 @@ def test_the_environment_of_the_user_and_of_a_scheduler_stays() -> None:
 def test_only_ranks_of_one_node_do_without_a_network() -> None:
     for size, expected in (("2", "self,sm"), ("4", None)):
         environ = {"OMPI_COMM_WORLD_SIZE": size, "OMPI_COMM_WORLD_LOCAL_SIZE": "2"}
-        ranks.keep_quiet(environ)
+        ranks.use_one_node(environ)
         assert environ.get("OMPI_MCA_btl") == expected
 
 
