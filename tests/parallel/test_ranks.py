@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -201,6 +202,11 @@ def numbers(value: dict[str, Any], *path: str) -> Iterator[tuple[tuple[str, ...]
                     yield (*path, f"{key}.{k}" if k else key), float(one)
 
 
+def _kind(path: tuple[str, ...]) -> tuple[str, str]:
+    """Section and kind of a number; components of a vector, `force.1`, are of one kind."""
+    return path[0], re.split(r"[_.]", path[-1])[0]
+
+
 def summaries(output: Path) -> Summaries:
     """Summaries by folder: one, or that of each variation."""
     paths = [path for path in output.glob("**/summary.json") if (path.parent / "DONE").exists()]
@@ -222,11 +228,10 @@ def compare(one: Summaries, other: Summaries, ranks: int, states: bool = True) -
         assert a.keys() == b.keys()
         largest: dict[tuple[str, str], float] = {}
         for path, value in a.items():
-            kind = path[0], path[-1].partition("_")[0]
-            largest[kind] = max(abs(value), largest.get(kind, 0.0))
+            largest[_kind(path)] = max(abs(value), largest.get(_kind(path), 0.0))
         wrong = []
         for path, value in a.items():
-            limit = max(TOLERANCE * largest[path[0], path[-1].partition("_")[0]], 1e-12)
+            limit = max(TOLERANCE * largest[_kind(path)], 1e-12)
             if path[0] == "interfaces" and path[-1].startswith(("area_", *STATES)):
                 # Whether a point at its limit sticks or slips is a matter of rounding.
                 nodes = 2 * 3.0**2
