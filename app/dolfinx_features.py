@@ -1,4 +1,4 @@
-"""The one module that asks how DOLFINx is called: 0.9, 0.10 and 0.11 differ in some places.
+"""Calls of DOLFINx that differ between 0.9, 0.10 and 0.11; no other module asks for them.
 
 It asks for a feature (a module, an argument, a kind of attribute), never for a version, so that a
 later release runs without a change as long as it keeps the features.

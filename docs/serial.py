@@ -26,7 +26,8 @@ from app.system.layout import table
 ROOT = Path(__file__).resolve().parents[1]
 KEPT = Path(__file__).with_suffix(".json")
 TIMES = 5
-SHORT, LONG = 16.0, 60.0  # s
+SHORT = 16.0  # s
+LONG = 60.0  # s
 LIBRARIES = """
 from time import process_time
 

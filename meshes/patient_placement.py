@@ -48,7 +48,7 @@ class PatientPlacement(Placement):
 
     @property
     def mirrored(self) -> bool:
-        """Whether the model is the mirror image of what is operated on: a right femur."""
+        """True if the model is the mirror image of the patient's bone: a right femur."""
         return self.frame.side == "right"
 
     @property
@@ -75,7 +75,7 @@ class PatientPlacement(Placement):
 
     @property
     def trochanter_lost(self) -> float:
-        """How far the greater trochanter's tip is above the cut, along its normal [mm]."""
+        """Height of the greater trochanter's tip above the cut, along its normal [mm]."""
         x = self.bone.points - self.foot
         return float((x[(x[:, 0] < 0) & (x[:, 2] > 0)] @ self.normal).max(initial=0.0))
 
@@ -89,12 +89,13 @@ class PatientPlacement(Placement):
         beside = -float(x[(x[:, 2] > 0) & (x[:, 2] < 40 * up), 0].min()) / LATERAL
         kept = self.bone.corners.mean(axis=1)
         kept = kept[(kept - self.foot) @ self.normal < -BELOW_CUT]
-        found, told = {}, []
+        found: dict[str, Floats] = {}
+        distances = []
         for name, (px, py, pz) in places.items():
             scaled = np.array([px * (beside if px < 0 < pz else wide), py * wide, pz * up])
             found[name] = kept[((kept - scaled) ** 2).sum(axis=1).argmin()]
-            told.append(f"{name} {float(np.linalg.norm(found[name] - scaled)):.0f}")
-        return found, told
+            distances.append(f"{name} {float(np.linalg.norm(found[name] - scaled)):.0f}")
+        return found, distances
 
 
 @lru_cache(maxsize=8)

@@ -7,17 +7,24 @@ from dataclasses import dataclass
 
 from app.system.layout import duration
 
-# Measured on one core: operations per second of factors, and of LU in single precision; bytes per
-# second of back-substitutions. Iterations from rest, and of a later solve.
-FACTORS, SINGLE, BYTES = 48e9, 86e9, 10e9
-FROM_REST, ITERATIONS = 12, 5.5
-# Seconds of imports and analysis; per unknown of assembling A', and of a solve by a Krylov method
-# by order; a later one beside it.
-START, ASSEMBLY = 0.3, 1.5e-5
-KRYLOV, LATER = {1: 1e-4, 2: 9.5e-5}, {1: 0.4, 2: 0.5}
-# Efficiency of ranks of a Krylov method, and of threads of rank 0; part of the memory that factors
-# may take. Operations of factors fall with this power of the number of ranks that share them.
-SPEEDUP, MEMORY = 0.9, 0.5
+# Measured on one core.
+FACTORS = 48e9  # operations per second of sparse factors
+SINGLE = 86e9  # operations per second of dense factors in single precision
+BYTES = 10e9  # bytes per second of back-substitutions
+# Newton iterations from rest, and of a later solve.
+FROM_REST = 12
+ITERATIONS = 5.5
+# Seconds of imports and analysis, and of setting the matrices up per unknown.
+START = 0.3
+ASSEMBLY = 1.5e-5
+# Seconds of a solve by a Krylov method per unknown, by order; a later solve over the first.
+KRYLOV = {1: 1e-4, 2: 9.5e-5}
+LATER = {1: 0.4, 2: 0.5}
+# Efficiency of ranks of a Krylov method, and of threads of rank 0.
+SPEEDUP = 0.9
+# Part of the memory that factors may take.
+MEMORY = 0.5
+# Operations of factors fall with this power of the number of ranks that share them.
 DIVIDED = 1.4
 
 

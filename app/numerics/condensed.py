@@ -40,7 +40,7 @@ from app.arrays import Floats, Ints
 from app.errors import on_root
 from app.numerics.factor import library
 from app.numerics.root_work import blas_threads, cores, wait
-from app.numerics.substructures import Substructures
+from app.numerics.substructures import Substructures, own_rows, unknowns_of
 from app.numerics.untied import Untied
 
 # Singular values of T, and parts of a row of B across its direction, that count as none.
@@ -116,24 +116,24 @@ class Condensed:
 
     def _followed(self) -> Ints:
         """Nodes that points may follow, sorted, on all ranks; collective."""
-        if (ties := self._contact.ties()) is None:
+        ties = self._contact.ties()
+        if ties is None:
             return np.zeros(0, dtype=np.int64)
         columns = np.unique(ties[1].getValuesCSR()[1] // 3)
         return np.unique(np.concatenate(self._comm.allgather(columns)))
 
     def _ties(self) -> csr_array | None:
         """Displacement of points by the nodes that they follow, on rank 0; collective."""
-        if (ties := self._contact.ties()) is None:
+        ties = self._contact.ties()
+        if ties is None:
             return None
-        starts, columns, values = ties[0].getValuesCSR()
-        own = csr_array((values, columns, starts), shape=(len(starts) - 1, ties[0].getSize()[1]))
-        every = self._comm.gather(own)
-        last = (3 * self._kept[:, None] + np.arange(3)).ravel()
-        return vstack(every, format="csr")[:, last] if every else None
+        every = self._comm.gather(own_rows(ties[0]))
+        return vstack(every, format="csr")[:, unknowns_of(self._kept)] if every else None
 
     def _renew(self) -> None:
         """Condense the bodies if their stiffness has changed; collective."""
-        if self._current == (now := self._contact.version):
+        now = self._contact.version
+        if self._current == now:
             return
         bodies = now - self._contact.pairings
         ties = self._ties()

@@ -18,13 +18,18 @@ from scipy.sparse import csr_array, vstack
 from app.arrays import Floats
 from app.numerics.dense import mirror_upper
 
-# Controls of MUMPS: order of elimination, extra working space [%], which system is solved.
-ORDER, SPACE, SYSTEM = 7, 14, 26
-# METIS' nested dissection, half as much space again, A alone.
-METIS, HALF, FIRST_ALONE = 5, 50, 0
-# Results of MUMPS: operations of the elimination, entries (in millions if negative), the error, and
-# the number of negative pivots.
-OPERATIONS, ENTRIES, ERROR, NEGATIVE = 1, 20, 1, 12
+# Numbers of MUMPS' controls, and the values that they get.
+ORDER = 7  # of elimination
+METIS = 5  # nested dissection by METIS
+SPACE = 14  # working space beyond the estimate [%]
+HALF = 50
+SYSTEM = 26  # what is solved
+FIRST_ALONE = 0  # A alone
+# Numbers of its results.
+OPERATIONS = 1  # of the elimination
+ENTRIES = 20  # of the factors; in millions if negative
+ERROR = 1
+NEGATIVE = 12  # number of negative pivots
 FACTOR_CHOLESKY = 2  # of PETSc's MatFactorType
 
 

@@ -51,7 +51,7 @@ class Substructures:
 
     def renew(self, matrices: Matrices) -> None:
         """Set the matrices; collective. The factors are analysed if the pattern is another."""
-        k, c, d = (_own_rows(A) for A in matrices)
+        k, c, d = (own_rows(A) for A in matrices)
         pattern = k.indptr, k.indices, c.indptr, c.indices
         known = self._pattern is not None and all(map(np.array_equal, self._pattern, pattern))
         known = self.comm.allreduce(known, MPI.LAND)
@@ -66,8 +66,8 @@ class Substructures:
     def _divide(self, k: csr_array, c: csr_array, starts: Ints) -> None:
         """Divide the nodes into interiors and the border; ``starts`` are the ranks' first ones."""
         low, high = starts[self.comm.rank : self.comm.rank + 2]
-        shared = _unknowns(_shared_nodes(self.comm, k, starts, self._kept))
-        self._shared, kept = len(shared), _unknowns(self._kept)
+        shared = unknowns_of(_shared_nodes(self.comm, k, starts, self._kept))
+        self._shared, kept = len(shared), unknowns_of(self._kept)
         self._first_jump = self._shared + len(kept)
         self._border = self._first_jump + c.shape[1]
         # Place in the border of all unknowns of K, -1 of those inside.
@@ -213,12 +213,14 @@ class Substructures:
         return own
 
 
-def _own_rows(A: PETSc.Mat) -> csr_array:
+def own_rows(A: PETSc.Mat) -> csr_array:
+    """Rows of a matrix that this rank has, with all columns."""
     starts, columns, values = A.getValuesCSR()
     return csr_array((values, columns, starts), shape=(len(starts) - 1, A.getSize()[1]))
 
 
-def _unknowns(nodes: Ints) -> Ints:
+def unknowns_of(nodes: Ints) -> Ints:
+    """The three unknowns of each node (3 n,)."""
     return (3 * nodes[:, None] + np.arange(3)).ravel()
 
 

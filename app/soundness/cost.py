@@ -36,7 +36,9 @@ WITH_ERRORS, WITH_HEAT_ERRORS, START, MESHING = 1.25, 2.5, 2.6, 1e-4
 # Seconds of compiling forms, which are cached: of the mechanics, in addition with fibres, of heat.
 MECHANICAL_FORMS, FIBRE_FORMS, HEAT_FORMS = 5.0, 10.0, 2.0
 # Seconds of a phase per unknown, the first time; `phases`.
-ASSEMBLE, FACTORIZE, OUTPUT = 3e-5, 3e-5, 2e-5
+ASSEMBLE = 3e-5
+FACTORIZE = 3e-5
+OUTPUT = 2e-5
 # Memory of a run in GB, without factors, and per unknown: condensed, and by a Krylov method.
 BASE, CONDENSED, MULTIGRID = 0.4, 2e-6, 5e-6
 # Assumed size where it is not known.

@@ -26,7 +26,8 @@ _MODULES = (
     *("nibabel", "pydicom", "skimage"),
 )
 # Releases of DOLFINx that the tests run on, the first and the last; between them all.
-_OLDEST, _NEWEST = (0, 9), (0, 11)
+_OLDEST = (0, 9)
+_NEWEST = (0, 11)
 _SHARED_MEMORY = 256 * 2**20  # bytes; Docker gives 64 MiB, in which ranks cannot exchange
 _MISSING = "missing"
 # Packages of PETSc that factor matrices. Others, such as hypre, mantle does not use.

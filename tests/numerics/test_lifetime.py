@@ -1,4 +1,4 @@
-"""What PETSc and DOLFINx made for a run is destroyed with it, however many runs a process makes."""
+"""Objects that PETSc and DOLFINx made for a run are destroyed with it, in any number of runs."""
 
 from __future__ import annotations
 

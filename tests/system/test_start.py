@@ -43,7 +43,7 @@ def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_
 
 
 def test_placing_a_stem_in_the_parametric_femur_imports_nothing_for_patients() -> None:
-    """What finds landmarks on a patient's bone takes 0.15 s."""
+    """Imports of the search for landmarks on a patient's bone take 0.15 s."""
     path = str(support.CONFIGS / "stance.yaml")
     script = (
         "import sys; from pathlib import Path; from app.case.case import load; "
