@@ -58,7 +58,10 @@ class Substructures:
         if not known:
             self._pattern = pattern
             self._divide(k, c, matrices[0].getOwnershipRanges() // 3)
-        self._rows = self._interior_rows(k, c)
+        inside = self._interior(k), self._interior(c)
+        if not known:
+            self._meet(*inside)
+        self._rows = self._interior_rows(*inside)
         self._entries = self._border_entries(k, c, d, matrices[2].getOwnershipRange()[0])
         if not known:
             self._analyse()
@@ -77,16 +80,21 @@ class Substructures:
         own = self._place[3 * low : 3 * high]
         self._inside, self._outside = np.flatnonzero(own < 0), np.flatnonzero(own >= 0)
         self._own_place = own[self._outside]
-        # The part of the border that the interior meets.
-        met = np.zeros(self._border, dtype=bool)
-        met[self._place[k[self._inside].indices]] = True
-        met[-1] = False
-        met[self._first_jump + c[self._inside].indices] = True
-        self._met = np.flatnonzero(met.reshape(-1, 3).any(axis=1).repeat(3))
-        n = len(self._inside)
         self._column = np.full(k.shape[1], -1, dtype=np.int32)
-        self._column[3 * low + self._inside] = np.arange(n)
-        outside = np.flatnonzero(self._place >= 0)
+        self._column[3 * low + self._inside] = np.arange(len(self._inside))
+
+    def _interior(self, A: csr_array) -> csr_array:
+        """The interior's rows of own ones; on one rank these are often all."""
+        return A[self._inside] if len(self._outside) else A
+
+    def _meet(self, k: csr_array, c: csr_array) -> None:
+        """Find the part of the border that the interior's rows of K and C meet."""
+        place = self._place[k.indices]
+        met = np.zeros(self._border, dtype=bool)
+        met[place[place >= 0]] = True
+        met[self._first_jump + c.indices] = True
+        self._met = np.flatnonzero(met.reshape(-1, 3).any(axis=1).repeat(3))
+        n, outside = len(self._inside), np.flatnonzero(self._place >= 0)
         self._local = np.full(self._border, -1, dtype=np.int32)
         self._local[self._met] = np.arange(len(self._met))
         self._column[outside] = n + self._local[self._place[outside]]
@@ -94,8 +102,6 @@ class Substructures:
     def _interior_rows(self, k: csr_array, c: csr_array) -> csr_array:
         """The interior's rows, its own columns first, then those of the border that it meets."""
         n, first = len(self._inside), int(np.searchsorted(self._met, self._first_jump))
-        if n < k.shape[0]:
-            k, c = k[self._inside], c[self._inside]
         k = csr_array((k.data, self._column[k.indices], k.indptr), shape=(n, n + first))
         columns = self._local[self._first_jump + c.indices] - first
         c = csr_array((c.data, columns, c.indptr), shape=(n, len(self._met) - first))
