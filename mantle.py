@@ -20,15 +20,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.errors import ConvergenceError as ConvergenceError
-from app.errors import EnvironmentProblem as EnvironmentProblem
-from app.errors import GeometryError as GeometryError
-from app.errors import InputError as InputError
-from app.errors import MantleError as MantleError
-from app.errors import StoppedError as StoppedError
-from app.errors import UnusableError as UnusableError
-from app.errors import stack_needed
-from app.version import __version__ as __version__
+from app import __version__ as __version__
+from app.foundation.errors import ConvergenceError as ConvergenceError
+from app.foundation.errors import EnvironmentProblem as EnvironmentProblem
+from app.foundation.errors import GeometryError as GeometryError
+from app.foundation.errors import InputError as InputError
+from app.foundation.errors import MantleError as MantleError
+from app.foundation.errors import StoppedError as StoppedError
+from app.foundation.errors import UnusableError as UnusableError
+from app.foundation.errors import stack_needed
 
 if TYPE_CHECKING:
     from mpi4py import MPI

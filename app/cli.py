@@ -24,7 +24,7 @@ from typing import Any
 from app.command_line.commands import dispatch
 from app.command_line.parser import parser
 from app.command_line.streams import painted, silence
-from app.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
+from app.foundation.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
 from app.system import ranks
 from app.system.folders import settle_cache
 from app.system.ranks import rank

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 PIXELS = 500  # of a shaded surface, along both axes
 DIGITS = 6  # decimals to which the places of equal corners agree [mm or degrees]

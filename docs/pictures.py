@@ -16,13 +16,13 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch
 
 from app import figures
-from app.arrays import Floats, Ints
 from app.campaigns import study, study_picture
 from app.campaigns.runs import Result
 from app.campaigns.study_report import Report
 from app.case import quantities
 from app.case import study as study_file
 from app.case.case import load
+from app.foundation.arrays import Floats, Ints
 from meshes import picture, reference_body, swept
 from meshes.femur_surfaces import FemurSurfaces
 

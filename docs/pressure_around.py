@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.results.interface_numbers import ContactSamples
 from app.system.style import COLOURS, grid, panels
 from tests import support

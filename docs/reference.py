@@ -21,13 +21,13 @@ from typing import Any
 from pydantic import BaseModel
 
 import mantle
-from app import errors
 from app.case import keys
 from app.case.case import Case, LoadedCase
 from app.case.keys import Key, prose
 from app.case.study import StudyFile
 from app.case.sweep import Sweep
 from app.command_line.parser import parser
+from app.foundation import errors
 from app.results.reading import Results, Run
 from app.simulation.recorder import AcceptedStep
 from app.soundness.preview import CheckedCase

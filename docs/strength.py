@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import mantle
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.results.reading import Run
 from app.system.style import COLOURS, grid, panels
 

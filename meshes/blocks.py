@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from meshes.data import MeshData, assemble, exterior_facets, number
 from meshes.gmsh_child import grade, session, tetrahedra
 

@@ -18,8 +18,8 @@ from scipy.optimize import least_squares, minimize
 from scipy.signal import find_peaks
 from scipy.spatial import cKDTree
 
-from app.arrays import Bools, Floats
-from app.errors import GeometryError
+from app.foundation.arrays import Bools, Floats
+from app.foundation.errors import GeometryError
 from meshes.bone_surface import BoneSurface, centroid, exits, place, section
 from meshes.femur_stem import unit
 

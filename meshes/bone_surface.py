@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from app.arrays import Floats, Ints
-from app.errors import GeometryError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import GeometryError
 from meshes import label_surface, surface_files, welding
 from meshes.data import connected
 from meshes.welding import Welded

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from app import files
+from app.foundation import files
 from meshes.data import MeshData
 
 log = logging.getLogger("mantle")

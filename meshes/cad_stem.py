@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.arrays import Bools, Floats
-from app.errors import GeometryError
+from app.foundation.arrays import Bools, Floats
+from app.foundation.errors import GeometryError
 from meshes.bone_surface import met, section
 from meshes.femur_stem import ARC, LEAST_WHOLE, allotted, limited, unit
 from meshes.mantle import distance

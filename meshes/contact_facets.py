@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from app.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from meshes.data import connected, tangents
 from meshes.smooth_normals import slid_along, smooth_normals, unit_sums
 

@@ -39,8 +39,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.errors import InputError
 from meshes.contact_facets import (
     InterfaceFacets,
     bends,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 
 Tags = npt.NDArray[np.integer[Any]]
 AT_ONCE = 1 << 13  # cells, of which all intermediate numbers fit a cache

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import InputError
-from app.files import parts
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
+from app.foundation.files import parts
 
 UNEVEN = 0.1  # largest distance of a slice from its even place, as a part of the step
 SAME_PLACE = 0.01  # mm: slices that are nearer are at one place

@@ -15,8 +15,8 @@ from dolfinx.graph import adjacencylist
 from dolfinx.io.utils import distribute_entity_data
 from dolfinx.mesh import CellType, GhostMode, MeshTags, meshtags, meshtags_from_entities
 
-from app import dolfinx_features
-from app.dolfinx_features import cell_perm_array, ufl_mesh
+from app.foundation import dolfinx_features
+from app.foundation.dolfinx_features import cell_perm_array, ufl_mesh
 from meshes.data import MeshData
 
 THREADS = "SCOTCH_PTHREAD_NUMBER"

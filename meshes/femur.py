@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from meshes import swept
 from meshes.data import MeshData, assemble, facet_areas, number
 from meshes.femur_bone import turned

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 # z, lateral, medial, antero-posterior half-width [mm], superellipse exponent
 OUTER = np.array(

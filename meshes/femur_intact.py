@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from meshes import swept
 from meshes.data import MeshData
 from meshes.femur import assembled

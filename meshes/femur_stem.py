@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import GeometryError
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
 
 ARC = 1.6  # lines on a corner's arc over those on a flat of its length: it bends
 FULL = 3.0  # lines on a piece of a quarter over those by its length, at most

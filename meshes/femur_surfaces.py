@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize.elementwise import find_root
 
-from app.arrays import Floats, Ints
-from app.errors import GeometryError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import GeometryError
 from meshes import femur_bone, femur_stem
 from meshes.cad_stem import CadStem
 from meshes.femur_bone import PERIOSTEUM

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from app import mesh_files
-from app.arrays import Floats, Ints
-from app.captured import captured
-from app.errors import GeometryError, MantleError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.captured import captured
+from app.foundation.errors import GeometryError, MantleError
 from meshes.quality import untangle
 
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}

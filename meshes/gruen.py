@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from meshes import femur_bone, femur_stem
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from app.arrays import Floats
-from app.errors import InputError
-from app.files import parts
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
+from app.foundation.files import parts
 from meshes import dicom_series, nifti_file
 
 TILT = 0.01  # largest cosine of the angle between edges of voxels

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from app import confined, mesh_files
-from app.errors import GeometryError
+from app import mesh_files
+from app.foundation import confined
+from app.foundation.errors import GeometryError
 from meshes.data import (
     MeshData,
     assemble,

@@ -10,8 +10,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_array, diags_array
 
-from app.arrays import Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import InputError
 from meshes import images
 
 NEARLY = 0.05  # largest difference of a label from a whole number

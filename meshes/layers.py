@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 
 DIGITS = 6  # decimals [mm] that nodes are rounded to: processors differ far behind these
 

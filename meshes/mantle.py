@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from meshes.contact_facets import foot, shape_functions
 from meshes.data import MeshData, cell_volumes, faces_of, facet_areas, interface_facets
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 
 SIZE_OFF = 0.01  # largest relative difference of the edges of voxels by sform and by pixdim
 APART = 0.5  # voxels: largest distance of places by sform from those by qform

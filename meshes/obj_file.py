@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import GeometryError
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
 from meshes.polygons import corners_of
 from meshes.text_files import decoded
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.arrays import Floats
-from app.errors import GeometryError
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
 from meshes import bone_frame, bone_surface
 from meshes.bone_frame import Frame
 from meshes.bone_surface import BoneSurface, centroid, exits

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter
 
-from app.arrays import Floats, Ints
-from app.errors import GeometryError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import GeometryError
 from meshes import femur_bone
 from meshes.bone_surface import BoneSurface, centroid, exits, section
 from meshes.femur_bone import CORTEX, PERIOSTEUM

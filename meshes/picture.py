@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from app import figures
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from meshes.data import EDGES, MeshData, boundary_facets, interface_facets
 
 # The straight cells that share the nodes of a curved one: its corners, and four around a diagonal.

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from meshes.contact_facets import NODES, nodal_normals, shape_functions, surface
 from meshes.data import (
     MeshData,

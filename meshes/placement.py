@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from meshes import femur_bone, femur_stem
 
 EXACT = 1e-12  # of a cut's normal: rounded off

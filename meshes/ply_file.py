@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import GeometryError
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
 from meshes.polygons import corners_of
 
 # Letters of numpy for the names of types in a header.

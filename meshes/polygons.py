@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from app.arrays import Floats, Ints
-from app.errors import GeometryError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import GeometryError
 
 Polygon = Sequence[int]
 

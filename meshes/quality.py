@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
-from app.errors import GeometryError
+from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.errors import GeometryError
 from meshes.data import EDGES, MeshData, Tags, cell_faces, dot, edge_vectors, match_faces, tangents
 
 BAD = 0.01  # below: refused

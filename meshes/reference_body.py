@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from meshes.gmsh_child import elements, grade, nodes, session
 
 # Part of y that x is sheared by: mirrored cells would be cut by either diagonal equally well, and

@@ -1,7 +1,7 @@
 """A stem from a file of CAD: read by OpenCASCADE, triangulated, and laid along its axis.
 
-Runs in a process of its own (`app.confined`), which damaged files may crash. Axes of the answer: z
-along the stem, proximal, 0 at the end of its tip; x towards the head; y across.
+Runs in a process of its own (`app.foundation.confined`), which damaged files may crash. Axes of
+the answer: z along the stem, proximal, 0 at the end of its tip; x towards the head; y across.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import GeometryError
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
 from meshes.bone_surface import section
 from meshes.cad_stem import INSIDE, around, outline
 from meshes.data import facet_areas

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import GeometryError
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
 from meshes.text_files import decoded, is_text, line_of
 
 HEADER = 84  # bytes before the triangles of a binary file

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from app.arrays import Floats
-from app.errors import GeometryError
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
 from meshes import obj_file, ply_file, stl_file
 from meshes.text_files import decoded, is_text
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from meshes import reference_body
 from meshes.data import EDGES, cell_volumes, faces_of, match_faces
 from meshes.femur_surfaces import VOID, FemurSurfaces

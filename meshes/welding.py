@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
-from app.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from meshes.data import connected
 from meshes.polygons import divided
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.mechanics.contact import TrialState
 from app.numerics.newton import Solver
 from app.scene.scene import Scene, build_scene

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver

@@ -23,9 +23,9 @@ from ruamel.yaml import YAML
 
 import mantle
 import meshes
-from app.arrays import Floats
 from app.case import library
 from app.case.case import Case, load, plain
+from app.foundation.arrays import Floats
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical

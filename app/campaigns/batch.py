@@ -34,7 +34,7 @@ from app.campaigns import engine
 from app.campaigns.runs import BatchRun, Job, Result, result_of, runs_of, tail
 from app.case.case import dump, plain
 from app.case.variations import split
-from app.errors import EnvironmentProblem, InputError, StoppedError
+from app.foundation.errors import EnvironmentProblem, InputError, StoppedError
 from app.schema import yaml_file
 from app.soundness import cost, memory
 from app.system import layout

@@ -23,7 +23,7 @@ from contextlib import contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
 
-from app.errors import EnvironmentProblem
+from app.foundation.errors import EnvironmentProblem
 from app.soundness import memory
 from app.system import ranks
 

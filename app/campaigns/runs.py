@@ -16,7 +16,7 @@ from typing import Any
 
 from app.case.case import Case, dump, load, plain
 from app.case.variations import CHANGED, split
-from app.errors import ConvergenceError, EnvironmentProblem, StoppedError, UnusableError
+from app.foundation.errors import ConvergenceError, EnvironmentProblem, StoppedError, UnusableError
 from app.results.closing_lines import reasons_not_to_use
 from app.soundness import cost, memory
 from app.system import identity

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from app import __version__
 from app.campaigns import batch, study_picture, study_report
 from app.campaigns import work_precision as wp
 from app.campaigns.batch import Options
@@ -18,11 +19,10 @@ from app.case import study as study_file
 from app.case.case import Case
 from app.case.study import Study
 from app.case.sweep import PlannedRun
-from app.errors import InputError, gravest
+from app.foundation.errors import InputError, gravest
 from app.schema.yaml_file import key_parts
 from app.system import folders
 from app.system.layout import duration, percent
-from app.version import __version__
 
 log = logging.getLogger("mantle")
 

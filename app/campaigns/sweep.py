@@ -20,7 +20,7 @@ from app.campaigns.batch import Options
 from app.campaigns.runs import Job, Result
 from app.case import sweep as sweep_file
 from app.case.sweep import PlannedRun
-from app.errors import gravest
+from app.foundation.errors import gravest
 from app.results.closing_lines import UNUSABLE
 from app.schema import yaml_file
 from app.simulation import variations

@@ -22,7 +22,7 @@ from app.case import checks, overlay, points
 from app.case.geometries import Geometry, MeshFile, MeshOptions
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
 from app.case.variations import Variations, expand, title_with_changes
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.laws.failure import Fatigue
 from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import Bonded, Coulomb, Interface

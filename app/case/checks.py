@@ -10,7 +10,7 @@ from typing import Any
 
 from app.case.quantities import of_run
 from app.case.shapes import COMPANION, MOST_LINES
-from app.errors import Reason
+from app.foundation.errors import Reason
 from app.laws.densities import density
 from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
 from app.laws.interface_laws import Cohesive

@@ -18,7 +18,7 @@ import configs
 from app.case import library, quantities
 from app.case.case import Case
 from app.case.overlay import MEASURED
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.schema.section import TAG, docstrings
 from app.schema.units import bounds_in_words
 

@@ -14,7 +14,7 @@ from typing import Any
 import configs
 from app.case import gmsh_header
 from app.case.geometries import MeshFile, MeshOptions
-from app.errors import InputError, MantleError
+from app.foundation.errors import InputError, MantleError
 
 # Pairs of regions of a mesh that meet, and its interior surfaces.
 Meeting = Callable[[Any, Any], tuple[list[tuple[str, str]], list[str]]]

@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 
 import configs
 from app.case import library
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.schema import yaml_file
 from app.schema.section import VECTOR, Triple, did_you_mean, show
 from app.schema.units import ANGLE, FORCE, WEIGHT

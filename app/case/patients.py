@@ -15,8 +15,8 @@ from app.case import femurs
 from app.case.femurs import BONE, INSIDE, MUSCLES, Femur, Insertion
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.case.stems import StemFile
-from app.errors import GeometryError, InputError
-from app.files import parts
+from app.foundation.errors import GeometryError, InputError
+from app.foundation.files import parts
 from app.schema.paths import ImageFile, SurfaceFile
 from app.schema.section import Kinds, Pair, Section, Triple, fail
 from app.schema.units import Angle, Dimension, Length, Number, Plain, PositiveLength

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import model_validator
 
-from app import confined
-from app.errors import GeometryError
+from app.foundation import confined
+from app.foundation.errors import GeometryError
 from app.schema.paths import file
 from app.schema.section import Pair, Section, Triple, fail
 from app.schema.units import Length

@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError, model_validator
 from app.case import overlay, points
 from app.case.case import Case, load
 from app.case.points import MOST_CASES, Point, SweepPart
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.schema import section, yaml_file
 from app.schema.section import MAPPING, Name, Section, Text, fail, show
 from app.schema.yaml_file import CaseFile, Fault

@@ -20,7 +20,7 @@ import mantle
 from app.case import gmsh_header
 from app.command_line.parser import parser
 from app.command_line.streams import configure_log, painted, pass_colours
-from app.errors import InputError, stack_needed
+from app.foundation.errors import InputError, stack_needed
 from app.system import ranks
 from app.system.folders import prepare_run
 from app.system.ranks import rank

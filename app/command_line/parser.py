@@ -8,9 +8,9 @@ import re
 from pathlib import Path
 from typing import Any, NoReturn
 
-from app.errors import InputError
+from app import __version__
+from app.foundation.errors import InputError
 from app.system.ranks import rank
-from app.version import __version__
 
 EXIT_CODES = (
     "exit codes: 0 ok, 1 a verification problem fails or a benchmark cannot be measured, 2 input, "

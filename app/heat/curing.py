@@ -18,7 +18,7 @@ from ufl import as_ufl, diff, variable
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.laws.cure import Autocatalytic, Cure, Prescribed
 from app.laws.values import multiplier

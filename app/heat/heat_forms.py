@@ -20,9 +20,9 @@ from dolfinx import default_scalar_type, fem
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from numpy.typing import NDArray
 
-from app.arrays import Bools, Field, Floats, Ints
-from app.dolfinx_features import exterior_facets
-from app.errors import everywhere
+from app.foundation.arrays import Bools, Field, Floats, Ints
+from app.foundation.dolfinx_features import exterior_facets
+from app.foundation.errors import everywhere
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
 from app.laws.thermal import Thermal
 from app.numerics.lifetime import function_space

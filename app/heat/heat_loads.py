@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.temperature_jumps import TemperatureJumps
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion

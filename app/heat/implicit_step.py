@@ -16,8 +16,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.heat.heat_loads import MeanExchange
 from app.heat.matrices import HeatMatrices
 from app.heat.operators import HeatOperators

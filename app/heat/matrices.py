@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Bools, Floats
+from app.foundation.arrays import Bools, Floats
 from app.heat.temperature_jumps import TemperatureJumps
 from app.numerics.preconditioners import FACTORED, configure, on_one_rank
 from app.numerics.sparse import matrix_sum, renew

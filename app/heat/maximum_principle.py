@@ -21,7 +21,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Bools, Floats
+from app.foundation.arrays import Bools, Floats
 from app.numerics.sparse import from_rows
 
 # Distances from a bound, in parts of the range of the data, that count as outside and as near.

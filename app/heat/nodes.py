@@ -14,8 +14,8 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.scene.bodies import cell_tags
 from meshes.data import shares

@@ -20,7 +20,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.heat.curing import CureHeat
 from app.heat.heat_forms import HeatForms
 from app.heat.heat_loads import FixedTemperatures, FrictionHeating, HeatLoads, MeanExchange

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.numerics.pointwise import Pointwise
 from app.numerics.sparse import from_triplets, owners

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Tag, model_validator
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.schema.paths import ImageFile
 from app.schema.section import ITEMS, TAG, Four, Section, Text, Truth, fail
 from app.schema.units import Dimension, Modulus, Number, Stress
 
 if TYPE_CHECKING:
-    from app.arrays import Floats
+    from app.foundation.arrays import Floats
     from meshes.images import Image
 
 

@@ -13,7 +13,7 @@ from app.schema.units import Axis, Length
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
-    from app.arrays import Floats
+    from app.foundation.arrays import Floats
 
 Vector = tuple[float, float, float]
 

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import model_validator
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.laws.values import Named, OverTime, field
 from app.schema import units
 from app.schema.expressions import Varying
 from app.schema.section import ITEMS, Kinds, Name, Pair, fail
 
 if TYPE_CHECKING:
-    from app.arrays import Floats
+    from app.foundation.arrays import Floats
 
 TemperatureField = Annotated[float | str, Varying(units.AbsoluteTemperature())]
 FluxField = Annotated[

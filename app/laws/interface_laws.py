@@ -34,7 +34,7 @@ from app.schema.units import MixingExponent, NonNegativeNumber, PositiveStiffnes
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
-    from app.arrays import Field, Floats
+    from app.foundation.arrays import Field, Floats
     from forms.contact import Response
 
 # Keys of contact that slides far, and why others have none.

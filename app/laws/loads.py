@@ -18,7 +18,7 @@ from app.schema.units import Dimension, ForceVector, Length, Stress
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
-    from app.arrays import Floats
+    from app.foundation.arrays import Floats
 
 ForceDensityField = Annotated[
     float | str, Varying(Dimension("N/mm^3", "a force per volume", "1e-5 N/mm^3"))

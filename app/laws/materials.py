@@ -25,7 +25,7 @@ from app.schema.units import Length, Modulus, Number, Plain
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
-    from app.arrays import Floats
+    from app.foundation.arrays import Floats
 
 Tissue = Literal["bone", "cement", "implant", "other"]
 # Poisson's ratio beyond which a material counts as nearly incompressible, and the margin there.

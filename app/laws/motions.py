@@ -14,7 +14,7 @@ from app.schema.section import Name, Section, fail
 from app.schema.units import PositiveAngle
 
 if TYPE_CHECKING:
-    from app.arrays import Floats
+    from app.foundation.arrays import Floats
 
 
 class Rotation(Section):

@@ -22,7 +22,7 @@ from app.schema.section import ITEMS, Name, Pair, Section, fail
 from app.schema.units import Dimension, PositiveLength, Share
 
 if TYPE_CHECKING:
-    from app.arrays import Floats
+    from app.foundation.arrays import Floats
 
 _BoneDensity = Annotated[float, Dimension("g/cm^3", "a density", "1.74 g/cm^3", at_least=LEAST)]
 _Names = Annotated[tuple[Name, ...], ITEMS]

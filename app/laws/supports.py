@@ -13,7 +13,7 @@ from app.schema.units import Axis, Stiffness
 if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
-    from app.arrays import Floats
+    from app.foundation.arrays import Floats
 
 
 StageNames = Annotated[tuple[Name, ...], ITEMS, Field(min_length=1)] | None

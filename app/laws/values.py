@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 from pydantic import AfterValidator, Discriminator, PrivateAttr, Tag
 from pydantic_core import PydanticCustomError
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.schema.expressions import Varying, evaluate
 from app.schema.section import ITEMS, TAG, Section, Text, fail
 from app.schema.units import Dimension, NonNegativeInteger, Number, Part, PositiveLength
 
 if TYPE_CHECKING:
-    from app.arrays import Field, Floats
+    from app.foundation.arrays import Field, Floats
 
 StiffnessField = Annotated[
     float | str, Varying(Dimension("MPa/mm", "a stiffness per area", "100 MPa/mm", above=0.0))

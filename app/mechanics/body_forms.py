@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from app.arrays import Field, Floats
-from app.dolfinx_features import exterior_facets
-from app.errors import InputError, everywhere
+from app.foundation.arrays import Field, Floats
+from app.foundation.dolfinx_features import exterior_facets
+from app.foundation.errors import InputError, everywhere
 from app.laws.densities import density, modulus
 from app.laws.loads import Patch
 from app.laws.materials import Elastic

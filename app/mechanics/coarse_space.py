@@ -6,7 +6,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
 from app.numerics.deflation import CoarseSpace

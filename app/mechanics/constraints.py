@@ -14,8 +14,8 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Bools, Floats, Ints
-from app.errors import InputError, everywhere
+from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.errors import InputError, everywhere
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.followers import Followers
 from app.numerics.rigid_motions import rigid_modes

@@ -25,8 +25,8 @@ from petsc4py import PETSc
 import numpy as np
 from pydantic_core import PydanticCustomError
 
-from app.arrays import Bools, Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.errors import InputError
 from app.laws.values import amplitude, gap_at
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors

@@ -18,7 +18,7 @@ import numpy as np
 from ufl import as_ufl
 from ufl.core.expr import Expr
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.laws import interface_laws
 from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, Cohesive, InterfaceLaw, Unilateral
 from app.mechanics.contact_points import ContactState, OwnPoints

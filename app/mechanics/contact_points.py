@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.errors import InputError
 from app.laws.supports import Support
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Constraints

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.mechanics.body_forms import BodyForms, hats
 
 # Strain that counts as none, stress [MPa] that counts as none, least exponent m.

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 import numpy as np
 import ufl
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.laws.loads import Load
 from app.laws.materials import Elastic
 from app.laws.values import amplitude

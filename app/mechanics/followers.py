@@ -21,8 +21,8 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import InputError
 from app.laws.loads import BodyForce, Force
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.pairs import Pairs, SmoothSurface, mortar, oriented

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.numerics.rigid_motions import rigid_modes
 from app.scene.bodies import facets_by_body
 from meshes.contact_facets import projectors

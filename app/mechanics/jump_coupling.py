@@ -7,7 +7,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
 from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum, renew

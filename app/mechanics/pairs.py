@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from meshes.contact_facets import foot
 
 CANDIDATES = 16  # facets, by the distance of their centres, among which the closest is sought

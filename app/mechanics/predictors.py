@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState

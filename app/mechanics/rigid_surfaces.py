@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 # Largest distance of nodes from the surface they are on, over their extent.
 FIT = 1e-6

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.arrays import Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import InputError
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact_points import OwnPoints
 from app.mechanics.followers import Followers, Side

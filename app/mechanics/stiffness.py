@@ -8,7 +8,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
 from app.mechanics.followers import Followers

@@ -30,8 +30,8 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from app.arrays import Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import InputError
 from app.laws.cure import Cure
 from app.laws.materials import Elastic
 from app.mechanics.body_forms import BodyForms, assembled_vector

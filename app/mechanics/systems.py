@@ -12,7 +12,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.mechanics.coarse_space import displacement_by, free_directions, sliding_motions
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.contact_law import PointForces

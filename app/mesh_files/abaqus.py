@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.mesh_files.content import ONLY, Found, left_out, numbers_in, rows_of
 
 # Types of elements: tetrahedra, triangles, and other volumes.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 
 # Order of the nodes of a cell for gmsh. Unlike gmsh, these programs have the middle of the edge 13
 # before that of the edge 23.

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from app.arrays import Ints
+from app.foundation.arrays import Ints
 from app.mesh_files.content import CellBlock, CellGrid, Found, extend, left_out
 
 MOST = 255  # different values of an array of regions, at most

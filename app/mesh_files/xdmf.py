@@ -11,7 +11,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from app.arrays import Ints
+from app.foundation.arrays import Ints
 from app.mesh_files.content import NOT_READ, ONLY, CellBlock, CellGrid
 
 # Dimension and number of nodes of the kinds of cells that are read.

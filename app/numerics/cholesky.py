@@ -25,8 +25,8 @@ import numpy as np
 from dolfinx import jit
 from scipy.sparse import csc_array, csr_array
 
-from app.arrays import Floats, Ints
-from app.captured import captured
+from app.foundation.arrays import Floats, Ints
+from app.foundation.captured import captured
 from app.numerics.dense import mirror_upper
 
 # What is used of CHOLMOD; cffi finds what the dots stand for in its header.

@@ -36,8 +36,8 @@ from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
 from scipy.sparse import bsr_array, csr_array, diags_array, vstack
 
-from app.arrays import Floats, Ints
-from app.errors import on_root
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import on_root
 from app.numerics.factor import library
 from app.numerics.root_work import blas_threads, cores, wait
 from app.numerics.substructures import Substructures, own_rows, unknowns_of

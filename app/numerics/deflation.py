@@ -18,7 +18,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.numerics.sparse import block_diagonal, diagonal, fill, matrix_sum
 
 # Motions with less than this part of the largest stiffness are left to the Krylov method; the

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 # Rows that are mirrored at once: blocks that fit into a cache.
 ROWS = 256

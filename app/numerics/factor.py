@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 from scipy.sparse import csr_array
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 
 class Factor(Protocol):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 State = list[Floats]
 # Solves y = start + h f(seconds, y) from (start, h, seconds, guess of y); None: did not converge.

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.numerics.dense import mirror_upper
 
 # Numbers of MUMPS' controls, and the values that they get.

@@ -19,8 +19,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats, Ints
-from app.errors import InputError, StoppedError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import InputError, StoppedError
 from app.numerics.krylov import BLOCKS, Linear
 from app.numerics.lifetime import weak
 from app.numerics.preconditioners import PETSC, USED, Options, options_set

@@ -36,9 +36,9 @@ from dolfinx.mesh import create_mesh
 from ufl.algorithms import extract_coefficients, strip_variables
 from ufl.core.expr import Expr
 
-from app import files
-from app.arrays import Floats, Ints
-from app.dolfinx_features import CompiledExpression
+from app.foundation import files
+from app.foundation.arrays import Floats, Ints
+from app.foundation.dolfinx_features import CompiledExpression
 from app.system import folders, form_cache
 
 # What is compiled: expressions by name or in order, from inputs by name.

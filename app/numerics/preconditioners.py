@@ -15,7 +15,7 @@ from petsc4py import PETSc
 from dolfinx import fem
 from dolfinx.fem.petsc import interpolation_matrix
 
-from app.arrays import Bools, Floats
+from app.foundation.arrays import Bools, Floats
 from app.numerics.lifetime import function_space
 from app.numerics.rigid_motions import rigid_modes
 

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 
 DIRECTIONS = [f"{motion} {axis}" for motion in ("move along", "turn about") for axis in "xyz"]
 # Part (squared) of a named motion among the free ones from which it is free, and part outside those

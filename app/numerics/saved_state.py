@@ -19,7 +19,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from app.arrays import Ints
+from app.foundation.arrays import Ints
 
 Array = NDArray[Any]
 # Key of rows that are not saved.

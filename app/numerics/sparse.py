@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx.common import IndexMap
 from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 
 
 def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import Inverse, Options
 

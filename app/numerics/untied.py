@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.sparse import csr_array
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 # Part of the largest pivot below which nothing resists a motion.
 LOOSE = 1e-9

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from app import figures
-from app.arrays import Floats, Ints
 from app.case.case import Case
+from app.foundation.arrays import Floats, Ints
 from app.laws.loads import BodyForce, Pressure
 from app.soundness import preview
 from app.system.layout import plain

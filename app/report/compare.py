@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from app.case import quantities
-from app.errors import InputError, StoppedError
+from app.foundation.errors import InputError, StoppedError
 from app.report import page, run_report, sweep_figures, viewer
 from app.report.page import Blocks, bullets, table
 from app.report.sweep_results import Number, SweptCase

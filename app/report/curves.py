@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from app import figures
-from app.arrays import Floats
 from app.case.quantities import FACTORS, STRESSED, TABLE, printed
+from app.foundation.arrays import Floats
 from app.report import page
 from app.report.page import Blocks
 from app.report.sweep_results import Number

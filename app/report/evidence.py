@@ -15,7 +15,7 @@ from app.case.case import Case, load
 from app.case.geometries import MeshFile
 from app.case.library import ORIGIN
 from app.case.quantities import TABLE
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.report import page
 from app.results import closing_lines
 from app.results.reading import Results

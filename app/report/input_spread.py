@@ -11,7 +11,7 @@ from typing import Any
 
 from app.campaigns import uncertainty
 from app.case.quantities import TABLE, Quantity, numbers_of, titled
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.report.sweep_figures import title
 from app.report.sweep_results import SweptCase, read
 from app.system.layout import plain

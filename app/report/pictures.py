@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from app import figures
-from app.arrays import Floats, Ints
 from app.case.case import read_geometry
 from app.case.geometries import Sides
-from app.errors import MantleError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import MantleError
 from app.report import sentence
 from app.report.page import Figure
 from app.report.sweep_figures import headlines

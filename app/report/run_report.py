@@ -21,7 +21,7 @@ from app import figures
 from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
-from app.errors import InputError, StoppedError, dealt, on_root
+from app.foundation.errors import InputError, StoppedError, dealt, on_root
 from app.report import case_picture, curves, gruen, page, pictures, sentence, sweep_figures, viewer
 from app.report.input_spread import HEAD, InputSpread, of_run
 from app.report.page import Blocks, Figure, bullets, table

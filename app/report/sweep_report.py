@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.campaigns import uncertainty
-from app.errors import StoppedError
+from app.foundation.errors import StoppedError
 from app.report import gruen, page, pictures, sweep_figures
 from app.report.page import Blocks, bullets, table
 from app.report.sentence import spread

@@ -10,9 +10,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from app.arrays import Floats
 from app.case import quantities
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.results.closing_lines import UNUSABLE
 from app.results.reading import Results
 from app.schema.units import NUMBER

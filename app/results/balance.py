@@ -24,7 +24,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.laws.materials import Elastic
 from app.laws.values import amplitude
 from app.mechanics.body_forms import assembled_vector

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats, Ints
 from app.case.case import Case
+from app.foundation.arrays import Floats, Ints
 from app.mechanics.pairs import SmoothSurface
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rotation_vector

@@ -19,7 +19,7 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from app.arrays import Field, Floats, Ints
+from app.foundation.arrays import Field, Floats, Ints
 from app.laws.failure import InterfaceStrength
 from app.laws.loads import Load
 from app.mechanics.body_forms import BodyForms, OnBody, SurfaceMeasure, assembled_vector

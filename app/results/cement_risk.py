@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
 from app.case.case import Case
+from app.foundation.arrays import Bools, Floats, Ints
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.results.percentiles import percentile

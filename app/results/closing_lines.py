@@ -13,7 +13,7 @@ import numpy as np
 
 from app.case import quantities
 from app.case.quantities import NECROSIS, TABLE, in_print, numbers_of
-from app.errors import UnusableError
+from app.foundation.errors import UnusableError
 from app.results.cycles import sentences
 from app.results.damage import RESOLVED
 from app.results.error_estimate import is_zero, largest_of_units

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 
 LEVELS = (0.5, 0.9)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.results.percentiles import SurfaceField
 
 # Part of the energy at which a point counts as broken: exponential softening never ends.

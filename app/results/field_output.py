@@ -16,8 +16,8 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem, la
 
-from app.arrays import Floats, Ints
-from app.dolfinx_features import interpolation_points
+from app.foundation.arrays import Floats, Ints
+from app.foundation.dolfinx_features import interpolation_points
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import ENDS, node_keys
 from app.results.bearing import Bearing

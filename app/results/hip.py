@@ -11,10 +11,10 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
 from app.case.case import Case
 from app.case.femurs import IntactFemur
 from app.case.quantities import GAUGES
+from app.foundation.arrays import Floats, Ints
 from app.mechanics.problem import Problem
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses

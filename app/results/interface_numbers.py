@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.arrays import Floats, Ints
 from app.case.quantities import TABLE, computed
+from app.foundation.arrays import Floats, Ints
 from app.laws.interface_laws import Cohesive
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem

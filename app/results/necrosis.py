@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 CELSIUS = 273.15  # K at 0 degC
 LEVELS = (47.0, 50.0, 56.0)  # degC

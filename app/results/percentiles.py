@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 PERCENTILE = 0.99
 

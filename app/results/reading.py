@@ -20,8 +20,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import InputError
 from app.results.vtkhdf import QUADRATIC_NODES
 from app.schema import yaml_file
 from app.schema.section import did_you_mean

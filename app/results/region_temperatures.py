@@ -21,7 +21,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from app.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.nodes import ThermalNodes
 from app.results.necrosis import CELSIUS, COUNTS_FROM, LEVELS, Exposure

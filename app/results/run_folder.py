@@ -19,14 +19,14 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app import files
+from app import __version__
 from app.case import quantities
-from app.errors import StoppedError, on_root
+from app.foundation import files
+from app.foundation.errors import StoppedError, on_root
 from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
 from app.system import identity
 from app.system.folders import ENDS, RESULTS, csv_text, saved, write_json, write_text
-from app.version import __version__
 from meshes.distribute import TaggedMesh
 
 UNITS = {what.partition(" ")[2]: unit for unit, what in quantities.UNITS.items() if unit != "-"}

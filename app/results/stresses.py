@@ -12,8 +12,8 @@ from dolfinx import fem
 from ufl import as_vector
 from ufl.core.expr import Expr
 
-from app.arrays import Field, Floats
 from app.case.quantities import STRESSED, computed
+from app.foundation.arrays import Field, Floats
 from app.laws.fibres import Circumferential
 from app.laws.materials import Elastic
 from app.mechanics.problem import Problem

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from app.results.percentiles import SurfaceField
 from meshes.contact_points import ContactSurface
 

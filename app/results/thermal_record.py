@@ -17,7 +17,7 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.nodes import InterfaceNodes, Probe, Probes, Side, region_nodes
 from app.heat.operators import HeatOperators

@@ -26,8 +26,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from app import files
-from app.errors import on_root
+from app.foundation import files
+from app.foundation.errors import on_root
 
 Array = npt.NDArray[Any]
 

@@ -15,8 +15,8 @@ import numpy as np
 from dolfinx import fem, la
 from numpy.typing import NDArray
 
-from app.arrays import Bools, Ints
-from app.errors import InputError
+from app.foundation.arrays import Bools, Ints
+from app.foundation.errors import InputError
 from app.laws.materials import Rigid
 from app.scene.scene import Interface
 from meshes.contact_facets import InterfaceFacets, gather, sorted_facets

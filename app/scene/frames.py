@@ -13,8 +13,8 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.common import IndexMap
 
-from app.arrays import Bools, Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Bools, Floats, Ints
+from app.foundation.errors import InputError
 from app.laws.supports import Support
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes
 from app.scene.scene import Scene

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Field, Floats
 from app.case.case import Case
 from app.case.run_options import Stage as Stage
 from app.case.run_options import TimeOptions
+from app.foundation.arrays import Field, Floats
 from app.laws.courses import Course
 from app.laws.creep import Creep
 from app.laws.cure import Cure

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import TYPE_CHECKING, Any
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.schema.section import Scalar, did_you_mean, fail
 from app.schema.units import LARGEST, NUMBER, Dimension
 

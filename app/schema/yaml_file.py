@@ -22,7 +22,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
 
-from app.errors import GeometryError, InputError
+from app.foundation.errors import GeometryError, InputError
 
 Path = tuple[str | int, ...]
 # Name of the file, line and column (from 1); or the key of an option.

@@ -16,9 +16,9 @@ from mpi4py import MPI
 import basix
 import numpy as np
 
-from app import files
-from app.arrays import Floats, Ints
 from app.case.case import Case, LoadedCase
+from app.foundation import files
+from app.foundation.arrays import Floats, Ints
 from app.laws.fibres import Radial, Straight
 from app.laws.interface_laws import Bonded, Coulomb, Penalty, Unilateral
 from app.laws.loads import Load

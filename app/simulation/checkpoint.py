@@ -22,14 +22,14 @@ from mpi4py import MPI
 
 import numpy as np
 
+from app import __version__
 from app.case.case import Case, plain
-from app.errors import InputError, everywhere, on_root
-from app.files import write_bytes
+from app.foundation.errors import InputError, everywhere, on_root
+from app.foundation.files import write_bytes
 from app.numerics.saved_state import Array, Rows, collect, fill, restore
 from app.simulation.model import Model
 from app.simulation.recorder import Recorder
 from app.system import folders
-from app.version import __version__
 
 log = logging.getLogger("mantle")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from app.case.case import Case, LoadedCase, Varied, dump
 from app.case.geometries import MeshFile
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.results.closing_lines import check_usable
 from app.soundness import memory
 from app.system import folders, identity

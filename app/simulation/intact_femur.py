@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats
 from app.case.case import Case, load
-from app.errors import ConvergenceError, InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import ConvergenceError, InputError
 from app.mechanics.body_forms import BodyForms
 from app.stepping.remodelling import Remodeller
 

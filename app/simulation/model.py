@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import meshes
-from app.arrays import Floats
 from app.case.case import Case
-from app.errors import on_root
+from app.foundation.arrays import Floats
+from app.foundation.errors import on_root
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
 from app.mechanics.contact import TrialState

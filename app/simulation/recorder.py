@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Ints
 from app.case.case import Case
 from app.case.quantities import TABLE
 from app.case.section_loads import section_loads
-from app.errors import StoppedError
+from app.foundation.arrays import Ints
+from app.foundation.errors import StoppedError
 from app.heat.nodes import Probes
 from app.mechanics.contact import TrialState
 from app.results import closing_lines as text

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from app.case.case import Case, LoadedCase, Varied, dump
 from app.case.run_options import CheckpointOptions
-from app.errors import (
+from app.foundation.errors import (
     ConvergenceError,
     EnvironmentProblem,
     GeometryError,

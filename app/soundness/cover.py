@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from app.arrays import Floats, Ints
-from app.errors import InputError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import InputError
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes

@@ -21,8 +21,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import Reason
+from app.foundation.arrays import Floats
+from app.foundation.errors import Reason
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.numerics.newton import ActiveSet, NewtonResult, Solver

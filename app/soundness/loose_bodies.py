@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.arrays import Bools, Floats
 from app.case.case import Case
-from app.errors import Reason
+from app.foundation.arrays import Bools, Floats
+from app.foundation.errors import Reason
 from app.laws.values import gap_at
 from app.numerics.rigid_motions import (
     DIRECTIONS,

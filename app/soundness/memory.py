@@ -12,7 +12,7 @@ from pathlib import Path
 
 from app.case.case import Case
 from app.case.geometries import MeshFile
-from app.errors import EnvironmentProblem
+from app.foundation.errors import EnvironmentProblem
 from app.schema.yaml_file import CaseFile, Fault
 from app.soundness import cost
 from app.system.timing import peak_memory

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from app.arrays import Floats, Ints
 from app.case.case import Case
+from app.foundation.arrays import Floats, Ints
 from app.laws.values import field
 from meshes.pieces import Parts
 

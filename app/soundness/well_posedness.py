@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.arrays import Floats
 from app.case.case import Case
 from app.case.quantities import largest
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.heat.nodes import OUTSIDE, outside_text
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.arrays import Floats, Ints
-from app.errors import MantleError, StoppedError
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import MantleError, StoppedError
 from app.mechanics.predictors import imbalance
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver

@@ -25,7 +25,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.heat.operators import HeatOperators
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.contact_law import PointForces

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.heat.implicit_step import ImplicitStep
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem

@@ -18,8 +18,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from app.arrays import Floats
-from app.errors import ConvergenceError
+from app.foundation.arrays import Floats
+from app.foundation.errors import ConvergenceError
 from app.numerics.newton import NewtonResult
 from app.numerics.remedies import solve
 from app.scene.scene import Stage

@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.heat.heat_loads import MeanExchange
 from app.heat.implicit_step import ImplicitStep
 from app.mechanics.contact import TrialState

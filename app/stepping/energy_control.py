@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.heat.curing import as_temperature
 from app.heat.implicit_step import ImplicitStep
 from app.numerics import integrator

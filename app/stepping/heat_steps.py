@@ -10,7 +10,7 @@ import time as clock
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 
-from app.errors import ConvergenceError
+from app.foundation.errors import ConvergenceError
 from app.numerics.integrator import Controller
 from app.scene.scene import Stage
 from app.soundness.failure import attempts

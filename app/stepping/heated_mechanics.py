@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.heat.curing import free_strain, since_gelation
 from app.numerics.saved_state import node_keys
 from app.scene.scene import Stage

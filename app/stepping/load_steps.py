@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from petsc4py import PETSc
 
-from app.errors import ConvergenceError, Reason
+from app.foundation.errors import ConvergenceError, Reason
 from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Extrapolation, Predictor, same
 from app.mechanics.problem import Problem

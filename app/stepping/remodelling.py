@@ -17,8 +17,8 @@ from petsc4py import PETSc
 import numpy as np
 import ufl
 
-from app.arrays import Floats
-from app.errors import ConvergenceError, InputError, MantleError
+from app.foundation.arrays import Floats
+from app.foundation.errors import ConvergenceError, InputError, MantleError
 from app.laws.remodelling import Remodelling
 from app.laws.supports import Fixed
 from app.laws.values import field

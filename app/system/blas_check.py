@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.errors import EnvironmentProblem
+from app.foundation.errors import EnvironmentProblem
 from app.system import doctor
 
 # Larger than the blocks of usual kernels, and no multiple of them.

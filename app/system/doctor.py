@@ -15,9 +15,9 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
+from app import __version__
 from app.system import ranks
 from app.system.folders import form_cache
-from app.version import __version__
 
 # Modules that a run needs.
 _MODULES = (

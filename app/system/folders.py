@@ -14,8 +14,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from app import files
-from app.errors import EnvironmentProblem, InputError
+from app.foundation import files
+from app.foundation.errors import EnvironmentProblem, InputError
 
 # File in the folder of a variation that did not converge, with the reason.
 FAILED = "FAILED"

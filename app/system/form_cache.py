@@ -18,9 +18,9 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
-from app import files
-from app.captured import captured
-from app.errors import EnvironmentProblem
+from app.foundation import files
+from app.foundation.captured import captured
+from app.foundation.errors import EnvironmentProblem
 from app.system.folders import form_cache
 
 log = logging.getLogger("mantle")

@@ -15,7 +15,7 @@ from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 
-from app.version import __version__
+from app import __version__
 
 # Modules that no number of a run depends on: changing them leaves finished runs valid.
 OUTSIDE = re.compile(

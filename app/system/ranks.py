@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import IO
 
-from app.errors import EnvironmentProblem, StoppedError
+from app.foundation.errors import EnvironmentProblem, StoppedError
 from app.system import scratch
 
 # Variables with the number of ranks, by process manager.

@@ -9,7 +9,7 @@ import time as clock
 from collections.abc import Callable
 from types import FrameType
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.system import ranks
 
 # Fraction of the time reserved for saving, and its limit [s].

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import null_space
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 Elastic = tuple[float, float]
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.results.reading import Run
 from app.verification.check import Check, CheckRun, Sample, problem, worst
 from app.verification.measures import number, relative

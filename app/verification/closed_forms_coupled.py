@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.verification.closed_forms import Elastic, lame
 from app.verification.closed_forms_heat import two_bars
 

@@ -16,7 +16,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import erfc, erfcx, j0, j1, jn_zeros
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 
 Conductor = tuple[float, float]
 

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from app.arrays import Bools, Floats
+from app.foundation.arrays import Bools, Floats
 from app.results.reading import Run
 from app.verification import closed_forms as exact
 from app.verification import judges

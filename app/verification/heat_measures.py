@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.results.reading import Run
 from app.verification import closed_forms_coupled as coupled
 from app.verification import closed_forms_heat as exact

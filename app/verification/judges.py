@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
-from app.errors import Reason
+from app.foundation.arrays import Floats
+from app.foundation.errors import Reason
 from app.laws.interface_laws import InterfaceLaw
 from app.results.reading import Run
 from app.verification import closed_forms as exact

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from app.arrays import Bools, Field, Floats, Ints
 from app.case import quantities
+from app.foundation.arrays import Bools, Field, Floats, Ints
 from app.results.reading import Run
 from app.verification import closed_forms as exact
 from app.verification.check import Sample

@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from app.arrays import Floats
 from app.case.case import read_geometry
-from app.errors import MantleError
+from app.foundation.arrays import Floats
+from app.foundation.errors import MantleError
 from app.report.pictures import facets
 from app.report.sweep_results import PERCENTILES, Number, SweepResults, SweptCase, magnitude
 from app.results.percentiles import percentile

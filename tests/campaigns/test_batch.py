@@ -16,7 +16,7 @@ from app.campaigns import batch, engine
 from app.campaigns.runs import Job, result_of, runs_of
 from app.case.case import load
 from app.case.geometries import MeshFile
-from app.errors import EnvironmentProblem, InputError
+from app.foundation.errors import EnvironmentProblem, InputError
 from app.soundness import cost, memory
 from app.system import folders, identity
 from tests.campaigns.conftest import Bench, wait

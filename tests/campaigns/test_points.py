@@ -16,7 +16,7 @@ from app.case import study as study_file
 from app.case import sweep as sweep_file
 from app.case.case import load
 from app.case.points import Point
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.schema import yaml_file
 from tests import support
 from tests.schema.test_layers import BLOCKS

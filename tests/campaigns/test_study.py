@@ -21,7 +21,7 @@ from app.campaigns.work_precision import NOT_CONVERGING, ReferenceValue
 from app.case import quantities
 from app.case import study as study_file
 from app.cli import main
-from app.errors import MantleError
+from app.foundation.errors import MantleError
 from tests.campaigns import test_points as points
 from tests.campaigns.conftest import Bench
 from tests.campaigns.test_points import CASE

@@ -26,7 +26,7 @@ from app.campaigns.runs import Job, runs_of
 from app.case import sweep as sweep_file
 from app.case.case import load, plain
 from app.cli import main
-from app.errors import ConvergenceError, StoppedError, gravest
+from app.foundation.errors import ConvergenceError, StoppedError, gravest
 from app.schema import yaml_file
 from app.soundness import cost
 from tests import support

@@ -10,7 +10,7 @@ import pytest
 import mantle
 from app.case.case import load
 from app.cli import main
-from app.errors import UnusableError
+from app.foundation.errors import UnusableError
 from app.results.closing_lines import UNUSABLE, reasons_not_to_use
 
 # A block drawn over another by so many mm; the facets between them are about 2 mm wide.

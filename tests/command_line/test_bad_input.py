@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 
 from app.case.case import load
 from app.cli import main
-from app.errors import InputError
+from app.foundation.errors import InputError
 from tests import support
 from tests.support import CONFIGS
 

@@ -14,7 +14,7 @@ import pytest
 from app import cli
 from app.case.case import load
 from app.cli import main
-from app.errors import ConvergenceError
+from app.foundation.errors import ConvergenceError
 from app.soundness import preview
 from app.system import ranks
 from tests import support

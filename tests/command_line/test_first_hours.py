@@ -12,7 +12,7 @@ from app.case import keys
 from app.case.geometries import Femur, MeshOptions
 from app.cli import main
 from app.command_line.commands import dispatch
-from app.errors import GeometryError, InputError
+from app.foundation.errors import GeometryError, InputError
 from app.laws.creep import Creep
 from app.schema.section import Section
 from app.soundness import preview

@@ -14,7 +14,7 @@ from app.case import sweep as sweep_file
 from app.case.case import load, resolve
 from app.case.gmsh_header import ALLOWED
 from app.cli import main
-from app.errors import GeometryError, InputError
+from app.foundation.errors import GeometryError, InputError
 from app.schema import yaml_file
 from app.schema.units import LONGEST_VALUE
 from app.soundness import cost, memory

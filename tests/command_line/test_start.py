@@ -15,7 +15,7 @@ import meshes
 from app.case import keys, new_case
 from app.case.case import load
 from app.cli import main
-from app.errors import GeometryError, InputError
+from app.foundation.errors import GeometryError, InputError
 from tests import frozen, support
 from tests.support import CONFIGS
 

@@ -9,7 +9,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.laws.interface_laws import Cohesive
 from app.mechanics.contact_law import PointForces, PointLaw
 from app.mechanics.contact_points import ContactState, OwnPoints

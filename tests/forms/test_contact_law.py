@@ -21,7 +21,7 @@ from scipy.optimize import nnls
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.laws.interface_laws import Coulomb
 from app.mechanics import contact_law as point_law
 from app.mechanics.contact_law import PointLaw, gap_vectors

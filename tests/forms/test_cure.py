@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.heat.curing import (
     UNREACTED,
     Kinetics,

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.numerics.pointwise import Pointwise
 from app.verification.closed_forms import Fibrous
 from forms import elasticity

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.numerics.pointwise import Pointwise
 from forms import heat, interface_heat
 

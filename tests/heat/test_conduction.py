@@ -14,10 +14,10 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
 from app.case.run_options import TimeOptions
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.heat.implicit_step import ImplicitStep
 from app.heat.matrices import WORTH, KeptFactors
 from app.heat.operators import HeatOperators

@@ -11,7 +11,7 @@ import pytest
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.mechanics import contact
 from app.mechanics.body_forms import assembled_matrix
 from tests import support

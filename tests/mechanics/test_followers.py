@@ -9,7 +9,7 @@ import pytest
 
 import meshes
 from app.case.geometries import Block, Blocks, MeshOptions
-from app.errors import InputError
+from app.foundation.errors import InputError
 from meshes.data import MeshData
 from tests import restarted, support
 from tests.mechanics.test_sliding import CUP, FORCE, FRICTION, R, solve, stages, turning

@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 import meshes
-from app.arrays import Floats
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.results.bond_forces import BondForces
 from app.results.stresses import Stresses
 from app.scene.scene import build_scene

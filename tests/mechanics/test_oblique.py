@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import meshes
-from app.arrays import Floats
 from app.case.case import Case
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.laws.supports import Roller
 from app.results.balance import Balance
 from app.soundness.well_posedness import judge, look

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.mechanics.pairs import Pairs, SmoothSurface, mortar, rule
 
 R = 14.0

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.scene.scene import Scene
 from tests.heated import Heated
 

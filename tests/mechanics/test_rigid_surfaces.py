@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.mechanics.rigid_surfaces import fitted
 from app.numerics.rigid_motions import rotation_vector
 

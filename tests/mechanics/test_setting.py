@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.arrays import Floats
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.laws.cure import Cure, Prescribed
 from app.results.stresses import Stresses
 from app.scene.scene import Scene

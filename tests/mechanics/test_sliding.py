@@ -14,8 +14,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import meshes
-from app.arrays import Floats
-from app.errors import ConvergenceError
+from app.foundation.arrays import Floats
+from app.foundation.errors import ConvergenceError
 from app.mechanics.contact import TrialState
 from app.numerics.rigid_motions import rotation_vector
 from app.stepping.load_steps import LoadStep, LoadStepper

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pydicom
 
-from app.arrays import Bools, Floats
 from app.case.femurs import IntactFemur
 from app.case.shapes import MeshOptions
+from app.foundation.arrays import Bools, Floats
 from meshes import femur_bone, femur_intact
 from meshes.bone_surface import BoneSurface
 from meshes.data import exterior_facets

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from app.errors import GeometryError
+from app.foundation.errors import GeometryError
 from meshes import bone_frame, bone_surface
 from meshes.bone_surface import BoneSurface
 from tests.meshes.bones import MEASURED, moved, opened, own, write

@@ -10,10 +10,10 @@ import pytest
 
 import mantle
 import meshes
-from app.arrays import Floats
 from app.case.case import dump, load
 from app.cli import main
-from app.errors import GeometryError, InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError, InputError
 from meshes import quality
 from meshes.data import exterior_facets, interface_facets
 from meshes.femur_surfaces import FemurSurfaces

@@ -13,7 +13,7 @@ import pytest
 
 import meshes
 from app.case.geometries import Block, Blocks, MeshFile, MeshOptions
-from app.errors import GeometryError
+from app.foundation.errors import GeometryError
 from app.soundness import well_posedness
 from meshes.data import MeshData, cell_volumes, region_volumes
 from meshes.gmsh_child import session

@@ -16,7 +16,7 @@ from dolfinx import fem, io, mesh
 import meshes
 from app.case.case import load
 from app.case.geometries import Cylinders, MeshFile, MeshOptions
-from app.errors import InputError
+from app.foundation.errors import InputError
 from meshes.data import EDGES, MeshData, boundary_areas, region_volumes
 from meshes.distribute import distribute
 from meshes.gmsh_child import session

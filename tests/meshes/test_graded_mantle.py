@@ -10,9 +10,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 import meshes
-from app.arrays import Floats
 from app.case.geometries import Femur, MeshOptions
 from app.case.shapes import spread
+from app.foundation.arrays import Floats
 from meshes import femur_stem
 from meshes.data import interface_facets
 from meshes.gruen import Zones

@@ -10,8 +10,8 @@ import pytest
 from pydantic import ValidationError
 
 import meshes
-from app.arrays import Floats, Ints
 from app.case.geometries import HeadCup, MeshOptions
+from app.foundation.arrays import Floats, Ints
 from meshes.data import (
     MeshData,
     boundary_areas,

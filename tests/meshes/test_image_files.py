@@ -13,7 +13,7 @@ import numpy as np
 import pydicom
 import pytest
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from meshes import dicom_series, images, label_surface
 from tests.meshes.bones import enhanced, slices
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.laws.densities import ImageModulus, modulus
 from meshes import femur_bone, images, label_surface
 from meshes.data import region_volumes

@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 import meshes
-from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
+from app.foundation.arrays import Floats
 from app.verification.changed_meshes import ROTATION
 from meshes.contact_facets import InterfaceFacets, sorted_facets
 from meshes.contact_points import ContactPoints, Entries, Holds, contact_points

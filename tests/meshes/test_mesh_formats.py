@@ -18,7 +18,7 @@ import meshes
 from app.case.case import load
 from app.case.geometries import MeshFile, MeshOptions
 from app.case.gmsh_header import content
-from app.errors import GeometryError, MantleError
+from app.foundation.errors import GeometryError, MantleError
 from app.mesh_files import named
 from app.mesh_files.lz4_block import decompress
 from app.soundness.well_posedness import judge, look

@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 import meshes
 from app.campaigns.work_precision import fitted_order
 from app.case.geometries import Block, Blocks, Cylinders, MeshFile, MeshOptions
-from app.errors import GeometryError
+from app.foundation.errors import GeometryError
 from meshes import cache, cylinders, quality
 from meshes.data import (
     MeshData,

@@ -13,11 +13,11 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from app.arrays import Floats
 from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, MeshOptions, Patient
 from app.case.stems import StemFile
-from app.errors import GeometryError
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
 from meshes import _make, bone_surface, femur_bone, femur_stem, quality
 from meshes.bone_surface import BoneSurface
 from meshes.data import MeshData, interface_facets, region_volumes

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import meshes
-from app import confined
 from app.case.case import load
 from app.case.geometries import MeshFile
 from app.case.gmsh_header import ALLOWED, physical_names
 from app.case.shapes import MeshOptions
-from app.errors import GeometryError, InputError
+from app.foundation import confined
+from app.foundation.errors import GeometryError, InputError
 from meshes import cache
 from meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
 from meshes.gmsh_child import session

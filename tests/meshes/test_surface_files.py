@@ -15,7 +15,7 @@ import pytest
 from pydantic import ValidationError
 
 from app.case.geometries import Patient
-from app.errors import GeometryError, InputError
+from app.foundation.errors import GeometryError, InputError
 from meshes import bone_frame, bone_surface, polygons, surface_files
 from meshes.bone_surface import BoneSurface
 from tests.meshes.bones import opened, own, write

@@ -13,7 +13,7 @@ import pytest
 
 from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, IntactFemur, MeshOptions
-from app.errors import GeometryError
+from app.foundation.errors import GeometryError
 from meshes import (
     femur,
     femur_bone,

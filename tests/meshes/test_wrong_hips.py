@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.arrays import Floats
 from app.cli import main
+from app.foundation.arrays import Floats
 from meshes.bone_surface import BoneSurface
 from tests.meshes.bones import moved, opened, own, own_canal, slices, tube, write
 

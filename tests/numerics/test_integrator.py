@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
+from app.foundation.arrays import Floats
 from app.numerics import integrator
 from app.numerics.integrator import METHODS, Controller, Method, State, start_slope, step
 

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from app.errors import ConvergenceError
+from app.foundation.errors import ConvergenceError
 from app.mechanics.coarse_space import Boxes, free_directions, sliding_motions
 from app.numerics.deflation import CoarseSpace, Deflated
 from app.numerics.preconditioners import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse

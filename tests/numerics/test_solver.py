@@ -7,7 +7,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from app.errors import ConvergenceError
+from app.foundation.errors import ConvergenceError
 from app.mechanics.predictors import take_better
 from app.numerics.krylov import condition_number
 from app.numerics.remedies import solve

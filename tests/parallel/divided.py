@@ -13,7 +13,8 @@ import numpy as np
 from dolfinx.cpp.graph import AdjacencyList_int32
 from scipy.spatial import cKDTree
 
-from app import cli, dolfinx_features
+from app import cli
+from app.foundation import dolfinx_features
 from app.simulation import model
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute

@@ -300,7 +300,7 @@ def test_an_error_on_one_rank_is_told_once_and_ends_all(tmp_path: Path) -> None:
 
 DEALT = """
 from mpi4py import MPI
-from app.errors import InputError, dealt
+from app.foundation.errors import InputError, dealt
 
 comm = MPI.COMM_WORLD
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import mantle
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.simulation.recorder import AcceptedStep
 from tests import support
 from tests.support import CONFIGS, ROOT

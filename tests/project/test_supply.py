@@ -55,7 +55,7 @@ def test_dependencies_have_bounds_that_hold_here(text: str) -> None:
 
 
 def test_dolfinx_is_of_series_that_are_known() -> None:
-    """Its interface changes with every one: `app.dolfinx_features` knows these."""
+    """Its interface changes with every one: `app.foundation.dolfinx_features` knows these."""
     (dolfinx,) = (Requirement(t) for t in PROJECT["dependencies"] if "dolfinx" in t)
     known = [v for v in ("0.8.0", "0.9.5", "0.10.0", "0.11.0", "0.12.0") if v in dolfinx.specifier]
     assert known == ["0.9.5", "0.10.0", "0.11.0"]

@@ -24,7 +24,7 @@ from dolfinx import fem
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from dolfinx.mesh import Mesh, locate_entities_boundary, meshtags
 
-from app import dolfinx_features
+from app.foundation import dolfinx_features
 
 POISSON_RATIOS = (0.3, 0.45, 0.49, 0.499, 0.4999)
 # The outline, with the middle of the loaded edge as a vertex.

@@ -34,10 +34,10 @@ from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 from ufl.algorithms import expand_derivatives
 
-from app.arrays import Floats, Ints
 from app.case.case import Case
 from app.case.geometries import Cylinders
-from app.dolfinx_features import entity_maps, exterior_facets, facet_domain, submesh
+from app.foundation.arrays import Floats, Ints
+from app.foundation.dolfinx_features import entity_maps, exterior_facets, facet_domain, submesh
 from app.laws.interface_laws import Coulomb
 from app.laws.loads import BodyForce, Force, Pressure
 from app.laws.materials import Isotropic

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.report import compare
 from app.report.sweep_results import Number
 from app.results.reading import Run

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.report import evidence
 from app.results.reading import Run
 from tests import support

@@ -12,7 +12,7 @@ import pytest
 
 import meshes
 from app.case.case import dump, load, plain
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.report.sweep_results import SweptCase
 from app.results.error_estimate import companions

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.report import pictures, viewer
 from app.results.reading import Run
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.arrays import Floats
+from app.foundation.arrays import Floats
 from app.report import pictures, run_report
 from app.results import closing_lines
 from app.results.reading import Results, Run

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.arrays import Floats
 from app.case.case import load
+from app.foundation.arrays import Floats
 from app.laws.failure import Fatigue, Murphy, Power, Verdonschot, Weibull
 from app.report import curves
 from app.results import closing_lines

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.arrays import Floats
 from app.case import library
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.laws.interface_laws import Cohesive
 from app.laws.values import Patches
 from app.results.damage import zone

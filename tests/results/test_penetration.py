@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.results.interface_numbers import LATTICE, gaps
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 from tests.support import STEM, Solved, solve

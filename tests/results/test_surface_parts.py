@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 from app.results.surface_parts import Surface
 
 Function = Callable[[Floats, Floats], Floats]

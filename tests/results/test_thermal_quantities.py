@@ -16,7 +16,7 @@ import pytest
 from dolfinx import fem, mesh
 from scipy.integrate import quad
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.heat.nodes import Probe
 from app.results import closing_lines

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import meshes
 from app import cli
-from app.errors import ConvergenceError, StoppedError
+from app.foundation.errors import ConvergenceError, StoppedError
 from app.mechanics import problem, systems
 from app.results.run_folder import Writer
 from app.simulation import checkpoint

@@ -29,7 +29,7 @@ from app.case import gmsh_header
 from app.case import study as study_file
 from app.case import sweep as sweep_file
 from app.case.case import dump, load
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.schema import yaml_file
 from app.schema.units import registry
 from app.soundness import cost, preview

@@ -18,7 +18,7 @@ from typing import Any
 
 import meshes
 from app.case.case import load
-from app.errors import GeometryError, InputError
+from app.foundation.errors import GeometryError, InputError
 from meshes.gmsh_child import session
 from tests.robustness.fuzz import search
 

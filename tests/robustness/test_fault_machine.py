@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.errors import EnvironmentProblem
+from app.foundation.errors import EnvironmentProblem
 from app.soundness import memory
 from app.system import blas_check, form_cache
 from tests import support

@@ -21,7 +21,7 @@ import pytest
 
 from app.campaigns import batch
 from app.campaigns.runs import Job, Result
-from app.errors import EnvironmentProblem, StoppedError
+from app.foundation.errors import EnvironmentProblem, StoppedError
 from tests import support
 
 pytestmark = pytest.mark.slow

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.laws import densities
 from app.laws.densities import ImageModulus
 from meshes import images

@@ -10,9 +10,9 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from app.arrays import Floats
 from app.case.case import Case, load
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.laws.fibres import Circumferential, Radial
 from app.results.stresses import Stresses
 from app.simulation.model import Model

@@ -15,7 +15,7 @@ from app.case import sweep as sweep_file
 from app.case.case import dump, load
 from app.case.femurs import Femur
 from app.case.run_options import Stage
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.laws.interface_laws import Bonded
 from app.laws.loads import Force
 from app.laws.materials import Rigid

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from app.case.case import load
 from app.case.femurs import Femur
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.laws.fibres import Straight
 from app.laws.heat_conditions import FixedTemperature
 from app.laws.values import multiplier

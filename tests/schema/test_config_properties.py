@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from app.case.case import load
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.laws.materials import TransverselyIsotropic
 from app.schema.units import Angle, Axis, Length, Stiffness, Temperature
 from tests.forms.test_elasticity import compliance

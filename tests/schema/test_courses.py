@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.case.case import dump, load
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.laws.courses import ROTATIONS, Course
 from app.laws.loads import Force
 from app.laws.motions import Motion

@@ -14,7 +14,7 @@ import pytest
 from app.case import library, overlay
 from app.case import sweep as sweep_file
 from app.case.case import dump, load
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.schema import yaml_file
 from tests import support
 from tests.support import CONFIGS

@@ -11,7 +11,7 @@ import pytest
 from app.case.case import Case, load
 from app.case.quantities import MOTION
 from app.cli import main
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.simulation import accuracy
 from app.soundness import cost, memory
 from tests import support

@@ -13,10 +13,10 @@ import pytest
 
 import mantle
 import meshes
-from app.arrays import Floats
 from app.case.case import load
 from app.case.geometries import MeshFile, MeshOptions
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.results import hip
 from app.results.percentiles import SurfaceField
 from app.scene import bodies

@@ -19,7 +19,7 @@ import pytest
 
 from app.case.case import load
 from app.cli import main
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.numerics.saved_state import Rows
 from app.simulation import checkpoint
 from app.simulation.checkpoint import DamagedError

@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from app.errors import GeometryError, MantleError, StoppedError
+from app.foundation.errors import GeometryError, MantleError, StoppedError
 from app.mechanics.contact import TrialState
 from app.numerics import remedies
 from app.numerics.newton import NewtonResult, Solver

@@ -11,9 +11,9 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from app.arrays import Floats
 from app.case.case import Case, dump, load
-from app.errors import InputError
+from app.foundation.arrays import Floats
+from app.foundation.errors import InputError
 from app.mechanics.contact import TrialState
 from app.results.interface_numbers import ContactSamples
 from app.simulation.model import Model

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from app.errors import ConvergenceError
+from app.foundation.errors import ConvergenceError
 from app.stepping.load_steps import LoadStepper
 from tests import support
 

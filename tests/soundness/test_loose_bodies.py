@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app.errors import ConvergenceError, MantleError, Reason
+from app.foundation.errors import ConvergenceError, MantleError, Reason
 from app.soundness.loose_bodies import pulled_off
 from meshes import write_msh
 from meshes.distribute import distribute

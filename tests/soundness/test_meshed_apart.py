@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from app.case.case import load
-from app.errors import ConvergenceError, InputError
+from app.foundation.errors import ConvergenceError, InputError
 from app.soundness import cost, well_posedness
 from meshes import build
 from meshes.distribute import distribute

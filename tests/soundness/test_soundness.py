@@ -16,7 +16,7 @@ import pytest
 import meshes
 from app.case.case import Case, load
 from app.cli import main
-from app.errors import ConvergenceError, GeometryError, InputError
+from app.foundation.errors import ConvergenceError, GeometryError, InputError
 from app.numerics.newton import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
 from app.simulation.model import Model

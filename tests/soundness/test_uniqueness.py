@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.arrays import Floats
 from app.case.case import Case
+from app.foundation.arrays import Floats
 from app.soundness.failure import beyond_critical, critical_friction
 from tests import support
 

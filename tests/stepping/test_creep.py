@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from app.errors import StoppedError
+from app.foundation.errors import StoppedError
 from app.mechanics.creep import CreepState, deviator, von_mises
 from app.numerics.newton import Solver
 from tests import restarted, support

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.errors import InputError, MantleError
+from app.foundation.errors import InputError, MantleError
 from app.results.reading import Run
 from tests import restarted, support
 from tests.support import CONFIGS

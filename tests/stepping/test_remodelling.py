@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.case.case import load
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.results.reading import Run
 from app.scene.scene import build_scene
 from app.simulation.intact_femur import interpolated

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from app import files
 from app.cli import main
+from app.foundation import files
 from app.numerics import pointwise
 from app.system import folders, form_cache
 from tests import support

@@ -9,8 +9,8 @@ import sys
 
 import pytest
 
-from app.captured import captured
-from app.errors import GeometryError
+from app.foundation.captured import captured
+from app.foundation.errors import GeometryError
 from meshes.gmsh_child import CROSS, session
 
 log = logging.getLogger("mantle")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from app import __version__
 from app.system import doctor
-from app.version import __version__
 
 MAPS = """\
 7f00-7f01 r-xp 00000000 08:01 123 /usr/lib/x86_64-linux-gnu/openblas-pthread/libblas.so.3

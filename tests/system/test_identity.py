@@ -11,8 +11,8 @@ import dolfinx
 import gmsh
 import pytest
 
+from app import __version__
 from app.system import identity
-from app.version import __version__
 from tests import support
 
 

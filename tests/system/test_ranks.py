@@ -7,7 +7,7 @@ import io
 import pytest
 
 from app.command_line.parser import parser
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.system import ranks
 
 RULE = "-" * 74 + "\n"

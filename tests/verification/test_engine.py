@@ -16,7 +16,7 @@ from app import cli
 from app.campaigns import batch
 from app.campaigns.batch import Options
 from app.campaigns.runs import Job, Result
-from app.errors import InputError, Reason
+from app.foundation.errors import InputError, Reason
 from app.verification import engine, picture
 from app.verification.check import Check, CheckRun, Sample, each
 from app.verification.engine import SUITES

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.arrays import Floats, Ints
 from app.case.case import Case
+from app.foundation.arrays import Floats, Ints
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.stepping.load_steps import LoadStep, LoadStepper
 from app.stepping.stages import run_stages

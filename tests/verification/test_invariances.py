@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import meshes
-from app.arrays import Field, Floats
 from app.case.case import load
 from app.case.gmsh_header import ALLOWED
+from app.foundation.arrays import Field, Floats
 from app.laws.loads import Force, Load
 from app.laws.materials import Elastic
 from app.scene.scene import Interface, Scene, build_scene

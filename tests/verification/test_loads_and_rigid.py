@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.case.case import load
-from app.errors import InputError
+from app.foundation.errors import InputError
 from app.mechanics.constraints import _held_motions
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.case.case import load
-from app.errors import StoppedError
+from app.foundation.errors import StoppedError
 from app.results.reading import Run
 from app.simulation import model as models
 from app.simulation import session as running

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
 from app.case.gmsh_header import ALLOWED
+from app.foundation.arrays import Floats
 from forms.contact import SLIP
 from tests import support
 from tests.support import Solved

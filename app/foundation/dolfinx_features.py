@@ -29,7 +29,7 @@ from dolfinx import fem, mesh
 from dolfinx.cpp import fem as cpp
 from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
+from app.foundation.arrays import Floats, Ints
 
 Entities = NDArray[np.int32]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import GeometryError
+from app.foundation.errors import GeometryError
 
 SECONDS = 3600
 _SERVE = "from {0} import {1}; from meshes.gmsh_child import serve; serve({1}, {2})"
