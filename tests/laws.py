@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from app.foundation.arrays import Floats
 from app.laws.cure import Autocatalytic, Cure, Prescribed
 from app.laws.fibres import Fibre
 from app.laws.heat_conditions import (
@@ -89,3 +90,16 @@ def altered(law: Law, **values: Any) -> Law:
 BALIGA = Autocatalytic.model_construct(
     rate_constant=2.6397e8, activation_energy=62866.0, m=0.98, n=1.064
 )
+
+
+def compliance(E_l: float, E_t: float, ν_l: float, ν_t: float, μ_l: float) -> Floats:
+    """Compliance in Mandel's notation, fibre along z, from the meaning of the constants."""
+    S = np.zeros((6, 6))
+    S[:3, :3] = [
+        [1 / E_t, -ν_t / E_t, -ν_l / E_l],
+        [-ν_t / E_t, 1 / E_t, -ν_l / E_l],
+        [-ν_l / E_l, -ν_l / E_l, 1 / E_l],
+    ]
+    S[3, 3] = S[4, 4] = 1 / (2 * μ_l)
+    S[5, 5] = (1 + ν_t) / E_t
+    return S

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import hashlib
 import json
 import os
 import shutil
@@ -37,8 +38,9 @@ from app.results.stresses import Stresses
 from app.scene.scene import build_scene
 from app.stepping.load_steps import LoadStep, LoadStepper
 from app.stepping.stages import run_stages
-from app.system import form_cache, ranks
+from app.system import folders, form_cache, ranks
 from app.system.timing import Timing
+from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
 
 # Tests compile into the cache that runs of other tests use at the same time.
@@ -185,6 +187,17 @@ def without_origin(case: Case) -> dict[str, Any]:
     return data
 
 
+def build(case: Case) -> MeshData:
+    """The mesh of a case as arrays, from the cache of meshes if it is there."""
+    return meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+
+
+def digest(data: MeshData) -> str:
+    """Digest of a mesh: it tells whether two are the same to the last bit."""
+    arrays = (data.points, data.cells, data.cell_tags, data.facets, data.facet_tags)
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+
+
 def mesh(case: Case, comm: MPI.Comm = MPI.COMM_WORLD) -> TaggedMesh:
     """The mesh of a case."""
     data = meshes.build(case.geometry, case.mesh, None) if comm.rank == 0 else None
@@ -256,6 +269,11 @@ def run(text: str, folder: Path, *overrides: str) -> Results:
     path = folder / "case.yaml"
     path.write_text(text)
     return mantle.run(load(path, overrides), folder / "out")
+
+
+def vector(values: Any, unit: str = "") -> str:
+    """A vector as a case file has it."""
+    return "[" + ", ".join(f"{v:.17g}{unit}" for v in values) + "]"
 
 
 def sets(*changes: str) -> list[str]:

@@ -19,8 +19,7 @@ from app.case.geometries import MeshFile
 from app.foundation.errors import EnvironmentProblem, InputError
 from app.soundness import cost, memory
 from app.system import folders, identity
-from tests.campaigns.conftest import Bench, wait
-from tests.campaigns.test_points import CASE
+from tests.campaigns.bench import CASE, Bench, wait
 from tests.support import CONFIGS
 
 SIDES = "interfaces: {lower_upper: [lower, upper]}"

@@ -19,35 +19,7 @@ from app.case.points import Point
 from app.foundation.errors import InputError
 from app.schema import yaml_file
 from tests import support
-from tests.schema.test_layers import BLOCKS
-
-CASE = (
-    BLOCKS.replace("size: 4 mm}", "size: 4 mm, far_size: 6 mm}")
-    .replace("ratio: 0.3}", "ratio: 0.3, tissue: other}")
-    .replace("  push: {kind: force, boundary: top, force: [3 N, 0 N, -4 N]}\n", "")
-)
-FRICTION = "interfaces.lower_upper.friction_coefficient"
-SWEEP = f"""\
-base: case.yaml
-set: {{regions.upper.poisson_ratio: 0.25}}
-table:
-  soft: {{regions.lower.youngs_modulus: 1 GPa}}
-  hard: {{regions.lower.youngs_modulus: 2 GPa}}
-grid:
-  {FRICTION}: [0.2, 0.4]
-  loads.press.pressure: [1 MPa, 3 MPa]
-"""
-STUDY = """\
-base: case.yaml
-set: {output.condition: true}
-study:
-  quantities: [lower_upper.slip_p99, lower_upper.pressure_p99, solver.condition]
-  lines:
-    P1: {mesh.order: 1, mesh.size: [4 mm, 2 mm, 1 mm]}
-    P2: {mesh.order: 2, mesh.size: [4 mm, 2 mm, 1.5 mm], mesh.far_size: [5 mm, 4 mm, 3 mm]}
-  reference:
-    run: {mesh.order: 2, mesh.size: [0.8 mm, 0.5 mm]}
-"""
+from tests.campaigns.bench import CASE, FRICTION, STUDY, SWEEP
 
 
 @pytest.fixture

@@ -22,9 +22,8 @@ from app.case import quantities
 from app.case import study as study_file
 from app.cli import main
 from app.foundation.errors import MantleError
-from tests.campaigns import test_points as points
-from tests.campaigns.conftest import Bench
-from tests.campaigns.test_points import CASE
+from tests.campaigns import bench as points
+from tests.campaigns.bench import CASE, Bench
 
 STUDY = (
     points.STUDY.replace("set: {output.condition: true}\n", "")

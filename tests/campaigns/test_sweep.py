@@ -30,8 +30,7 @@ from app.foundation.errors import ConvergenceError, StoppedError, gravest
 from app.schema import yaml_file
 from app.soundness import cost
 from tests import support
-from tests.campaigns.conftest import Bench, wait
-from tests.campaigns.test_points import FRICTION, SWEEP
+from tests.campaigns.bench import FRICTION, SWEEP, Bench, wait
 
 
 def run(bench: Bench, *overrides: str) -> None:

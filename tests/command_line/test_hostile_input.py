@@ -19,7 +19,7 @@ from app.schema import yaml_file
 from app.schema.units import LONGEST_VALUE
 from app.soundness import cost, memory
 from tests import support
-from tests.meshes.test_scripts import LAYERS, script
+from tests.cases.gmsh_scripts import LAYERS, script
 from tests.support import CONFIGS
 
 BLOCKS = CONFIGS / "blocks.yaml"

@@ -24,7 +24,7 @@ import pytest
 import mantle
 from app.command_line.parser import parser
 from docs import packages
-from tests.meshes.test_scripts import CASE, LAYERS
+from tests.cases.gmsh_scripts import CASE, LAYERS
 from tests.misleading import mislead
 from tests.support import ROOT, python, started
 

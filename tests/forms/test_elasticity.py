@@ -22,6 +22,7 @@ from app.foundation.arrays import Floats
 from app.numerics.pointwise import Pointwise
 from app.verification.closed_forms import Fibrous
 from forms import elasticity
+from tests.laws import compliance
 
 Stiffness = Callable[[Sequence[float], Sequence[float]], Floats]
 
@@ -59,19 +60,6 @@ def compile_stiffness(coefficients: Callable[..., tuple]) -> Stiffness:
 @pytest.fixture(scope="module")
 def stiffness() -> Stiffness:
     return compile_stiffness(elasticity.transversely_isotropic_coefficients)
-
-
-def compliance(E_l: float, E_t: float, ν_l: float, ν_t: float, μ_l: float) -> Floats:
-    """Compliance in Mandel's notation, fibre along z, from the meaning of the constants."""
-    S = np.zeros((6, 6))
-    S[:3, :3] = [
-        [1 / E_t, -ν_t / E_t, -ν_l / E_l],
-        [-ν_t / E_t, 1 / E_t, -ν_l / E_l],
-        [-ν_l / E_l, -ν_l / E_l, 1 / E_l],
-    ]
-    S[3, 3] = S[4, 4] = 1 / (2 * μ_l)
-    S[5, 5] = (1 + ν_t) / E_t
-    return S
 
 
 def tensor(C: Floats) -> Floats:

@@ -9,7 +9,8 @@ import pytest
 
 from app.campaigns.work_precision import fitted_order
 from app.verification.closed_forms_heat import HalfSpaces
-from tests import coupled, support
+from tests import support
+from tests.cases import coupled
 
 TEXT = (support.CONFIGS / "verification" / "half_spaces.yaml").read_text()
 SPACES = HalfSpaces((0.2, 1.2e-6 * 1.45e6), (0.58, 1.85e-6 * 1.26e6), (100.0, 37.0))

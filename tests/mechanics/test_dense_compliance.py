@@ -15,7 +15,7 @@ from app.foundation.arrays import Floats, Ints
 from app.mechanics import contact
 from app.mechanics.body_forms import assembled_matrix
 from tests import support
-from tests.mechanics.test_sliding import CUP, FORCE, MU, R, cup, solve, stages, turning
+from tests.cases.turning_head import CUP, FORCE, MU, R, cup, solve, stages, turning
 
 STEP = 1e-7  # of differences, in mm and N
 r = 500.0  # N/mm, any

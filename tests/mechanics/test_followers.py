@@ -11,9 +11,11 @@ import meshes
 from app.case.geometries import Block, Blocks, MeshOptions
 from app.foundation.errors import InputError
 from meshes.data import MeshData
-from tests import restarted, support
-from tests.mechanics.test_sliding import CUP, FORCE, FRICTION, R, solve, stages, turning
+from tests import support
+from tests.cases import restarted
+from tests.cases.turning_head import COCR, CUP, DRIVEN, FORCE, FRICTION, R, solve, stages
 
+SOFT = "regions.head={youngs_modulus: 1 GPa, poisson_ratio: 0.4}"
 SIDE, HEIGHT = 12, 6  # mm
 STACK = """
 geometry: {kind: file, path: stack.msh, interfaces: {joint: [lower, upper]}}
@@ -30,9 +32,6 @@ loads:
   weight: {kind: pressure, boundary: upper_top, pressure: 1 MPa}
 solver: {tolerance: 1e-12}
 """
-COCR = "regions.head={youngs_modulus: 210 GPa, poisson_ratio: 0.3}"
-SOFT = "regions.head={youngs_modulus: 1 GPa, poisson_ratio: 0.4}"
-QUARTER = turning((0, 0, 0), (0, 25, 0), boundary="head_bore")
 
 
 def block(size: float) -> MeshData:
@@ -122,7 +121,7 @@ def test_a_turn_without_friction_changes_little(head: str, error: float) -> None
 
     Alike bodies scatter most, by a tenth at first order on this mesh.
     """
-    before, *turned = solve(f"{FRICTION}=0", QUARTER, stages(5), head)
+    before, *turned = solve(f"{FRICTION}=0", DRIVEN, stages(5), head)
     size = np.linalg.norm(FORCE)
     near = before.normal @ FORCE > np.cos(np.radians(20)) * size
     assert len(turned) == 5 and before.iterations <= 12
@@ -137,10 +136,10 @@ def test_a_turn_without_friction_changes_little(head: str, error: float) -> None
 def test_friction_balances_on_a_deformable_head(head: tuple[str, ...], tmp_path: Path) -> None:
     """Force, moment and energy; interrupted and gone on with in the middle of the turn, too."""
     text = CUP.replace("regions:", "stages: []\nregions:")
-    path, files = restarted.whole(text, tmp_path, *head, QUARTER, stages(3))
+    path, files = restarted.whole(text, tmp_path, *head, DRIVEN, stages(3))
     balance = support.summary(tmp_path / "whole")["balance"]
     assert max(balance.values()) < 1e-8
-    output = restarted.on(path, tmp_path, files[1], *head, QUARTER, stages(3))
+    output = restarted.on(path, tmp_path, files[1], *head, DRIVEN, stages(3))
     restarted.assert_same(tmp_path / "whole", output)
 
 
@@ -164,4 +163,4 @@ def test_friction_balances_on_a_deformable_head(head: tuple[str, ...], tmp_path:
 def test_what_cannot_turn_is_refused(changes: list[str], complaint: str) -> None:
     """A slave, forces beside the driven boundary, weight: each names its place and remedy."""
     with pytest.raises(InputError, match=complaint):
-        support.assemble(support.case(CUP, COCR, QUARTER, *changes))
+        support.assemble(support.case(CUP, COCR, DRIVEN, *changes))

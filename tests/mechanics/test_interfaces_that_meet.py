@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from itertools import permutations, product
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import meshes
-from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.results.bond_forces import BondForces
 from app.results.stresses import Stresses
@@ -21,10 +19,10 @@ from app.scene.scene import build_scene
 from meshes import write_msh
 from meshes.data import MeshData, interface_facets
 from tests import support
+from tests.cases.blocks import box
 
 MODULUS, POISSON, PRESSURE = 700.0, 0.25, 3.0  # MPa, -, MPa
 
-Blocks = Callable[[Floats], NDArray[np.bool_]]
 
 # Blocks of a box 4 x 3 x 4 mm by the centres of cells.
 T = {
@@ -53,53 +51,6 @@ THREE_UNDER_ONE = {
     "three": lambda x: (x[:, 2] < 2) & (x[:, 0] > 3),
     "top": lambda x: x[:, 2] > 2,
 }
-
-
-def box(blocks: dict[str, Any], size: Sequence[float], cells: Sequence[int]) -> MeshData:
-    """A box of blocks, each of its cubes in six tetrahedra about a diagonal."""
-    axes = [np.linspace(0, s, n + 1) for s, n in zip(size, cells, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    shape = [n + 1 for n in cells]
-    starts = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3)
-    tets = []
-    for order in permutations(range(3)):
-        corner = [starts]
-        for axis in order:
-            corner.append(corner[-1] + np.eye(3, dtype=int)[axis])
-        if np.linalg.det(np.eye(3)[list(order)]) < 0:
-            corner[1], corner[2] = corner[2], corner[1]
-        tets.append(np.stack([np.ravel_multi_index(tuple(c.T), shape) for c in corner], axis=1))
-    tetrahedra = np.concatenate(tets)
-    middle = points[tetrahedra].mean(axis=1)
-    tags = np.zeros(len(tetrahedra), dtype=np.int32)
-    for tag, inside in enumerate(blocks.values(), 1):
-        tags[inside(middle)] = tag
-    assert tags.all()
-    faces = tetrahedra[:, [(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)]].reshape(-1, 3)
-    facets, facet_tags = [], []
-    sides = {f"{'xyz'[axis]}{end}": (axis, end) for axis in range(3) for end in (0, 1)}
-    boundaries: dict[str, tuple[int, ...]] = {}
-    x = points[faces]
-    low = x[:, :, 2].mean(axis=1) < size[2] / 2
-    for name, (axis, end) in sides.items():
-        on = (np.abs(x[:, :, axis] - end * size[axis]) < 1e-9).all(axis=1)
-        for half, there in (("low", on & low), ("top", on & ~low)):
-            if there.any():
-                tag = len(facets) + 1
-                facets.append(faces[there])
-                facet_tags.append(np.full(there.sum(), tag, dtype=np.int32))
-                boundaries[f"{half}_{name}"] = (tag,)
-                boundaries[name] = (*boundaries.get(name, ()), tag)
-    return MeshData(
-        points=points,
-        cells=tetrahedra,
-        cell_tags=tags,
-        facets=np.concatenate(facets),
-        facet_tags=np.concatenate(facet_tags),
-        regions={name: tag for tag, name in enumerate(blocks, 1)},
-        boundaries=boundaries,
-        interfaces={},
-    )
 
 
 def pairs(data: MeshData) -> list[tuple[str, str]]:
@@ -489,6 +440,7 @@ from pathlib import Path
 from mpi4py import MPI
 sys.path.insert(0, {root!r})
 from tests import support
+from tests.cases.blocks import Blocks, box
 from tests.mechanics.test_interfaces_that_meet import BONDED, T, contact, scene
 folder = Path({folder!r})
 text = scene(folder, T, contact(0.2), contact(0.35), order=2) if MPI.COMM_WORLD.rank == 0 else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,30 +17,9 @@ from app.soundness.well_posedness import judge, look
 from app.verification.changed_meshes import CHANGES, ROTATION
 from meshes.distribute import TaggedMesh, distribute
 from tests import support
+from tests.cases.stems import QUARTER
+from tests.support import vector
 
-QUARTER = """
-geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 6 mm,
-           length: 15 mm, taper: 1.5 deg, sector: quarter}
-mesh: {size: 5 mm}
-regions:
-  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
-  cement: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}
-  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
-interfaces:
-  stem_cement: {kind: contact, friction_coefficient: 0.2, gap: -0.01 mm, gap_history: [1, 1]}
-  cement_bone: {kind: contact, friction_coefficient: 0.3}
-supports:
-  symmetry_x: {kind: roller, boundary: symmetry_x, axis: x}
-  symmetry_y: {kind: roller, boundary: symmetry_y, axis: y}
-  under_bone: {kind: roller, boundary: bone_bottom, axis: z}
-  under_cement: {kind: roller, boundary: cement_bottom, axis: z}
-loads:
-  push: {kind: force, boundary: stem_top, force: [0 N, 0 N, -900 N], history: [0, 1]}
-stages:
-  - {name: press_fit}
-  - {name: push_in, increments: 2}
-solver: {tolerance: 1e-12}
-"""
 BLOCK = """
 geometry: {kind: blocks, blocks: [{name: block, size: [4 mm, 6 mm, 5 mm]}]}
 mesh: {size: 3 mm, far_size: 3 mm}
@@ -56,11 +34,6 @@ PLATE = (
     "geometry.blocks=[{name: block, size: [4 mm, 6 mm, 5 mm]}, "
     "{name: plate, size: [4 mm, 6 mm, 3 mm]}]",
 )
-
-
-def vector(values: Any, unit: str = "") -> str:
-    """A vector as a case file has it."""
-    return "[" + ", ".join(f"{v:.17g}{unit}" for v in values) + "]"
 
 
 def turn(text: str, *overrides: str, face: bool = False) -> tuple[Case, TaggedMesh]:

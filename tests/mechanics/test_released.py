@@ -10,7 +10,7 @@ import pytest
 
 from app.foundation.errors import InputError
 from app.scene.scene import Scene
-from tests.heated import Heated
+from tests.cases.heated import Heated
 
 # A column pushed down at its top while a second support holds the top sideways, or entirely.
 COLUMN = """

@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
-from app.laws.cure import Cure, Prescribed
 from app.results.stresses import Stresses
-from app.scene.scene import Scene
-from tests import laws
-from tests.heated import Heated, expanding
-from tests.mechanics.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
+from tests.cases.heated import (
+    BAR,
+    CLAMPS,
+    CYLINDERS,
+    ORDERS,
+    UNILATERAL,
+    Heated,
+    cure,
+    expanding,
+    setting,
+)
 
 E, α_T = 2200.0, 8e-5
 GRADED = ("regions.cement.youngs_modulus=[[0 mm, 1 GPa], [1 mm, 3 GPa]]",)
-
-
-def cure(region: str, initial: float = 1e-3, **more: float) -> Cure:
-    return laws.cure(region, Prescribed.model_construct(rate=()), initial, **more)
-
-
-def setting(*cures: Cure, **coefficients: float) -> Callable[[Scene], Scene]:
-    """Let regions expand from 300 K, and set."""
-
-    def change(old: Scene) -> Scene:
-        return replace(expanding(**coefficients)(old), cures=cures)
-
-    return change
 
 
 @pytest.mark.parametrize("overrides", [(), UNILATERAL, GRADED])

@@ -10,26 +10,7 @@ from dolfinx import fem
 
 from app.results.bond_forces import BondForces
 from tests import support
-from tests.heated import Heated, expanding
-
-# A bar of two materials, each with a fibre of its own direction; rollers on three faces, so that it
-# is free to grow.
-BAR = """
-geometry: {kind: blocks, blocks: [{name: one, size: [4 mm, 3 mm, 5 mm]},
-                                  {name: two, size: [4 mm, 3 mm, 4 mm]}]}
-mesh: {size: 2 mm, far_size: 2 mm}
-regions:
-  one: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
-  two: {kind: transversely_isotropic, axial_youngs_modulus: 17 GPa,
-    transverse_youngs_modulus: 11.5 GPa, axial_poisson_ratio: 0.31,
-    transverse_poisson_ratio: 0.51, axial_shear_modulus: 3.28 GPa, fibre: [0, 1, 1]}
-supports:
-  floor: {kind: roller, boundary: bottom, axis: z}
-  left: {kind: roller, boundary: x_min, axis: x}
-  front: {kind: roller, boundary: y_min, axis: y}
-"""
-CLAMPS = "supports.ceiling={kind: roller, boundary: top, axis: z}"
-ORDERS = pytest.mark.parametrize("order", [1, 2])
+from tests.cases.heated import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL, Heated, expanding
 
 
 @ORDERS
@@ -78,27 +59,6 @@ def test_a_linear_temperature_bends_a_free_bar() -> None:
     for region in ("one", "two"):
         assert np.abs(bar.stress(region)).max() < 1e-10 * 17e3 * rate * 9
     assert bar.balance.energy < 1e-10
-
-
-# Stem, cement and bone of physics.md 3.2: cooled by 40 K, the cement alone shrinks; plane strain.
-CYLINDERS = """
-geometry: {kind: cylinders, stem_radius: 6 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
-           length: 0.5 mm, sector: quarter}
-mesh: {size: 1 mm, far_size: 1 mm, order: 2, curved: true}
-regions:
-  stem: {youngs_modulus: 200 GPa, poisson_ratio: 0.3}
-  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
-  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
-supports:
-  symmetry_x: {kind: roller, boundary: symmetry_x, axis: x}
-  symmetry_y: {kind: roller, boundary: symmetry_y, axis: y}
-  bottom: {kind: roller, boundary: bottom, axis: z}
-  top: {kind: roller, boundary: top, axis: z}
-"""
-UNILATERAL = (
-    "interfaces.stem_cement={kind: contact, friction_coefficient: 0}",
-    "interfaces.cement_bone={kind: contact, friction_coefficient: 0}",
-)
 
 
 def test_thermal_stiffness_is_the_change_of_the_forces() -> None:

@@ -15,8 +15,7 @@ from app.foundation.errors import GeometryError
 from meshes import bone_frame, bone_surface
 from meshes.bone_surface import BoneSurface
 from tests.meshes.bones import MEASURED, moved, opened, own, write
-
-measured = pytest.mark.skipif(not MEASURED.exists(), reason="no measured femur here")
+from tests.meshes.patients import measured
 
 
 def angle(a: np.ndarray, b: np.ndarray) -> float:

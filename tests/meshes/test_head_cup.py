@@ -19,7 +19,7 @@ from meshes.data import (
     interface_facets,
     region_volumes,
 )
-from tests.meshes.test_meshes import digest
+from tests.support import digest
 
 LINER = {"head_diameter": "28 mm", "radial_clearance": "0.1 mm", "liner_thickness": "8 mm"}
 CUP = HeadCup(**LINER, shell_thickness="4 mm")

@@ -17,7 +17,7 @@ from meshes import femur_bone, images, label_surface
 from meshes.data import region_volumes
 from tests import support
 from tests.meshes.bones import inside, own, own_canal, slices, write
-from tests.meshes.test_patient import as_own, made
+from tests.meshes.patients import as_own, made
 
 VOXEL, LOW = 0.5, -205.0  # mm; the scan ends in the shaft
 SLOPE, OFFSET = 0.0008, 0.004  # g/cm3 of a phantom

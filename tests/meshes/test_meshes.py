@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import re
@@ -37,6 +36,7 @@ from meshes.picture import cut
 from meshes.pieces import parts
 from tests import support
 from tests.robustness.faulty import DAMAGES, damage
+from tests.support import digest
 
 STACK = Blocks(
     blocks=(
@@ -61,11 +61,6 @@ def options(size: float, **more: Any) -> MeshOptions:
 
 def mesh(geometry: Any, size: float, **more: Any) -> MeshData:
     return meshes.build(geometry, options(size, **more))
-
-
-def digest(data: MeshData) -> str:
-    arrays = (data.points, data.cells, data.cell_tags, data.facets, data.facet_tags)
-    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
 @pytest.fixture(scope="module")

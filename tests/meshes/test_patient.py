@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,13 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from app.case.femurs import MUSCLES
-from app.case.geometries import Femur, MeshOptions, Patient
+from app.case.geometries import Femur, Patient
 from app.case.stems import StemFile
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from meshes import _make, bone_surface, femur_bone, femur_stem, quality
 from meshes.bone_surface import BoneSurface
-from meshes.data import MeshData, interface_facets, region_volumes
+from meshes.data import interface_facets, region_volumes
 from meshes.femur_bone import CORTEX
 from meshes.femur_surfaces import LEAST_MANTLE
 from meshes.gruen import Zones
@@ -36,10 +35,7 @@ from tests.meshes.bones import (
     own_canal,
     write,
 )
-from tests.meshes.test_bone import measured
-
-TURNED = Femur.model_validate({"anteversion": f"{VERSION} deg"})
-COARSE = {"size": "8 mm", "order": 1, "around": 14}
+from tests.meshes.patients import TURNED, as_own, made, measured, options, patient
 
 
 @pytest.fixture(scope="module")
@@ -51,31 +47,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write(path / f"{name}.stl", surface)
         write(path / f"{name}_moved.stl", moved(surface, turn, np.array([50.0, -20.0, 900.0])))
     return path
-
-
-def patient(folder: Path, **changes: Any) -> Patient:
-    given: dict[str, Any] = {"kind": "patient", "bone": {"surface": "bone.stl"}}
-    return Patient.model_validate(given | changes, context={"folder": folder})
-
-
-def options(**given: Any) -> MeshOptions:
-    mesh = MeshOptions.model_validate(COARSE | given)
-    return mesh.model_copy(update={"curved": mesh.order == 2})
-
-
-@cache
-def made(geometry: Any) -> MeshData:
-    return _make(geometry, options())
-
-
-def as_own(folder: Path, **changes: Any) -> Patient:
-    """The operation of the parametric femur on its triangles, landmarks given exactly."""
-    normal, level = femur_bone.resection(TURNED)
-    # Depth of the shoulder's edge, at z = 29 mm, below the cut.
-    depth = (level + normal[0] * 9.0789) / normal[2] - 29.0
-    marks = {"lesser_trochanter": [20.0, -5.0, 0.0], "shaft": [[0, 0, -100], [0, 0, -20]]}
-    operation = {"resection": {"height": "5 mm"}, "insertion": {"depth": f"{depth} mm"}}
-    return patient(folder, landmarks=marks, distal_cut_z="-200 mm", **operation | changes)
 
 
 def test_mantles_own_femur_as_triangles_is_the_parametric_one(folder: Path) -> None:

@@ -38,7 +38,7 @@ from meshes.femur import PATCH_RADIUS
 from meshes.femur_surfaces import FemurSurfaces as Surfaces
 from meshes.gmsh_child import session
 from tests import support
-from tests.meshes.test_meshes import digest
+from tests.support import digest
 
 
 def hip(**values: float) -> Femur:

@@ -13,14 +13,14 @@ from mpi4py import MPI
 import numpy as np
 
 from app.simulation import model as models
-from tests.simulation import test_nested
+from tests.cases import nested_stem
 
 if __name__ == "__main__":
     comm = MPI.COMM_WORLD
     found = []
-    for settings in ({}, test_nested.ALWAYS):
+    for settings in ({}, nested_stem.ALWAYS):
         with patch.multiple(models, **settings) if settings else nullcontext():
-            model, steps = test_nested.go()
+            model, steps = nested_stem.go()
         j = model.mechanics.problem.contact
         own = np.hstack([j.state.jump, j.state.force])
         found.append((j.whole(own), steps[0].outcome.residuals[0]))

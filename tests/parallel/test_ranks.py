@@ -18,16 +18,13 @@ import pytest
 from app.results.reading import Run
 from app.system.folders import saved
 from app.verification.changed_meshes import ROTATION, change
-from tests import coupled, restarted, support
-from tests.command_line.test_run import COARSE
-from tests.mechanics.test_followers import COCR
-from tests.mechanics.test_followers import QUARTER as TURN
-from tests.mechanics.test_oblique import QUARTER, vector
-from tests.mechanics.test_sliding import CUP, SWING, stages
-from tests.results import test_bearing
-from tests.simulation import test_variations
-from tests.stepping import test_creep, test_fracture
-from tests.stepping.test_cycle_heat import WARM
+from tests import support
+from tests.cases import coupled, restarted, varied_stem, worn_ball
+from tests.cases.blocks import TORN
+from tests.cases.shipped import COARSE
+from tests.cases.stems import CREEPING, QUARTER, SETTING
+from tests.cases.turning_head import COCR, CUP, DRIVEN, SWING, stages
+from tests.support import vector
 
 pytestmark = pytest.mark.parallel
 # Residuals are below 1e-10 of the force scale (the default of `solver.tolerance`). A jump answers a
@@ -64,7 +61,7 @@ output: {fields: false}
 """
 # Nothing holds the stem that is lifted out.
 VARIATIONS = (
-    test_variations.STEM
+    varied_stem.STEM
     + """
 variations:
   tied: {interfaces.stem_cement: {kind: bonded}}
@@ -76,53 +73,6 @@ variations:
 """
 )
 QUICKLY = ("solver.max_iterations=12", "stages[1].adaptive=false", "stages[1].increments=1")
-# Cement that sets between bone and a stem, held by hand at first: all conditions of heat.
-SETTING = """
-geometry: {kind: cylinders, stem_radius: 6 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
-  length: 6 mm}
-mesh: {size: 3 mm, far_size: 3 mm, order: 1}
-regions:
-  stem:
-    youngs_modulus: 200 GPa
-    poisson_ratio: 0.3
-    thermal: {conductivity: 14.8 W/(m K), density: 4430 kg/m^3, specific_heat: 843 J/(kg K),
-      initial_temperature: 37 degC}
-  cement:
-    youngs_modulus: 2200 MPa
-    poisson_ratio: 0.3
-    thermal: {conductivity: 0.2 W/(m K), density: 1200 kg/m^3, specific_heat: 1460 J/(kg K),
-      initial_temperature: 75 degC, thermal_expansion: 80e-6 1/K, cure: {kinetics: {
-      kind: autocatalytic, rate_constant: 2.6397e8 1/s, activation_energy: 62866 J/mol, m: 0.98,
-      n: 1.064}, heat: 1.55e8 J/m^3, initial: 0.05, gel: 0.2, shrinkage: 0.003}}
-  bone:
-    youngs_modulus: 17 GPa
-    poisson_ratio: 0.3
-    thermal: {axial_conductivity: 0.6 W/(m K), transverse_conductivity: 0.4 W/(m K),
-      density: 2000 kg/m^3, specific_heat: 1260 J/(kg K), initial_temperature: 37 degC,
-      thermal_expansion: 10e-6 1/K}
-interfaces:
-  stem_cement: {kind: contact, friction_coefficient: 0.3, gap: -0.02 mm, gap_history: [1, 1],
-    conductance: 300 W/(m^2 K)}
-  cement_bone: {kind: bonded, conductance: 300 W/(m^2 K)}
-heat:
-  outer: {kind: temperature, boundary: bone_surface, temperature: 37 degC}
-  low: {kind: temperature, boundary: cement_bottom, temperature: 333 + x}
-  under: {kind: temperature, boundary: bone_bottom, temperature: 40 degC}
-  lamp: {kind: flux, boundary: stem_top, flux: 0.1 + 0.01 * x}
-  air: {kind: convection, boundary: bone_top, coefficient: 200 W/(m^2 K), ambient: 20 degC}
-  blood: {kind: perfusion, regions: [bone], rate: 0.002 1/s, blood_density: 1050 kg/m^3,
-    blood_specific_heat: 3800 J/(kg K), temperature: 37 degC}
-  ohmic: {kind: source, regions: [stem], density: 0.01 * z}
-supports:
-  outer: {kind: fixed, boundary: bone_surface}
-  hand: {kind: fixed, boundary: stem_top, stages: [set]}
-loads:
-  push: {kind: force, boundary: stem_bottom, force: [20 N, 10 N, -40 N], history: [0, 1]}
-stages:
-  - {name: set, duration: 80 s, increments: 4, adaptive: false}
-  - {name: push}
-output: {fields: false}
-"""
 # Without sources, in steps so short that conduction has to be corrected.
 SHORT = (
     "heat={outer: {kind: temperature, boundary: bone_surface, temperature: 37 degC}}",
@@ -173,7 +123,7 @@ CASES: dict[str, tuple[str, tuple[str, ...], dict[int, tuple[str, ...]]]] = {
     ),
     "condensed, a deformable head": (
         CUP,
-        (COCR, TURN, stages(3), EXACT, CONDENSED),
+        (COCR, DRIVEN, stages(3), EXACT, CONDENSED),
         {1: (), 2: (), 3: ()},
     ),
     "conductance": (coupled.CASE, ("stages[1].increments=2", EXACT), {1: (), 3: ()}),
@@ -182,12 +132,12 @@ CASES: dict[str, tuple[str, tuple[str, ...], dict[int, tuple[str, ...]]]] = {
     "gruen zones": ("stance.yaml", (*GRUEN, EXACT, "output.fields=false"), {1: (), 2: ()}),
     "setting": (SETTING, (EXACT,), {1: (), 3: ()}),
     "tiring": ("verification/corner.yaml", ("mesh.size=2 mm", TIRING), {1: (), 3: ()}),
-    "torn": ("verification/cohesive_bar.yaml", test_fracture.TORN, {1: (), 2: ()}),
-    "creep": (test_creep.STEM, (EXACT,), {1: (), 2: ()}),
+    "torn": ("verification/cohesive_bar.yaml", TORN, {1: (), 2: ()}),
+    "creep": (CREEPING, (EXACT,), {1: (), 2: ()}),
     "corrected": (SETTING, (*SHORT, EXACT), {1: (), 3: ()}),
     "large slip": (CUP, (SWING, stages(6)), {1: (), 2: (), 3: ()}),
-    "heat of a cycle": (test_bearing.CASE, (*WARM, EXACT), {1: (), 2: (), 3: ()}),
-    "deformable head": (CUP, (COCR, TURN, stages(3), EXACT), {1: (), 2: ()}),
+    "heat of a cycle": (worn_ball.CASE, (*worn_ball.WARM, EXACT), {1: (), 2: (), 3: ()}),
+    "deformable head": (CUP, (COCR, DRIVEN, stages(3), EXACT), {1: (), 2: ()}),
 }
 
 

@@ -7,14 +7,23 @@ import re
 import sys
 import tomllib
 from collections import defaultdict
-from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("app", "configs", "forms", "meshes")
+from tests.project.sources import (
+    FOLDERS,
+    MODULES,
+    ROOT,
+    imported,
+    module,
+    named,
+    sources,
+    top,
+    tree,
+)
+
 LAYERS = ("app", "forms", "meshes")
 
 # Lowest first: a package imports only what stands before its row, and itself. Packages of one row
@@ -44,48 +53,6 @@ HIDDEN = {
     "case": {"forms", "meshes", "numerics"},
 }
 STACK = {"dolfinx", "petsc4py", "ufl", "mpi4py", "basix", "ffcx", "gmsh", "h5py"}
-
-
-def sources(*folders: str) -> list[Path]:
-    return sorted(p for folder in folders for p in (ROOT / folder).rglob("*.py"))
-
-
-def named(path: Path) -> str:
-    return str(path.relative_to(ROOT))
-
-
-@cache
-def tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-def module(path: Path) -> str:
-    parts = path.relative_to(ROOT).with_suffix("").parts
-    return ".".join(part for part in parts if part != "__init__")
-
-
-MODULES = {module(path): path for path in [ROOT / "mantle.py", *sources(*FOLDERS)]}
-
-
-@cache
-def imported(path: Path) -> frozenset[str]:
-    """Modules that a file imports, wherever in it but as a script; for type checkers alone, too."""
-    own = module(path)
-    found = set()
-    body = [n for n in tree(path).body if not (isinstance(n, ast.If) and "__main__" in ast.dump(n))]
-    for node in (inner for outer in body for inner in ast.walk(outer)):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert not node.level, f"{path}:{node.lineno}: a relative import"
-            base = str(node.module)
-            names = {f"{base}.{alias.name}" for alias in node.names}
-            found |= {name if name in MODULES else base for name in names}
-    return frozenset(found - {own})
-
-
-def top(name: str) -> str:
-    return name.split(".")[0]
 
 
 def package_of(name: str) -> str:
@@ -119,6 +86,13 @@ def test_there_is_no_circle() -> None:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
+
+
+@all_of("tests", "docs")
+def test_modules_do_not_import_test_modules(path: Path) -> None:
+    """What tests share is in plain modules and fixtures: see `tests/README.md`."""
+    names = {part for name in imported(path) for part in name.split(".")}
+    assert not {name for name in names if name == "conftest" or name.startswith("test_")}
 
 
 def test_files_of_the_map_exist() -> None:

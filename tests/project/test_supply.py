@@ -12,7 +12,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from docs import packages
-from tests.project.test_layering import MODULES, ROOT, imported, top
+from tests.project.sources import MODULES, ROOT, imported, top
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRA = PROJECT["optional-dependencies"]

@@ -8,10 +8,8 @@ import pytest
 
 import mantle
 from app.results.reading import Run
-from tests.report.sweeps import Maker
+from tests.report.sweeps import FRICTION, Maker
 from tests.support import STEM
-
-FRICTION = "interfaces.stem_cement.friction_coefficient"
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,7 @@ from typing import Any
 from app.report.sweep_results import PERCENTILES, SweepResults, read
 from app.schema import yaml_file
 
+FRICTION = "interfaces.stem_cement.friction_coefficient"
 MODULI = {"titanium": 110, "CoCr": 200}
 
 

@@ -13,7 +13,7 @@ from app.foundation.errors import InputError
 from app.report import compare
 from app.report.sweep_results import Number
 from app.results.reading import Run
-from tests.report.conftest import FRICTION
+from tests.report.sweeps import FRICTION
 
 
 def cells(html: str, anchor: str) -> list[list[str]]:

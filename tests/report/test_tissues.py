@@ -21,7 +21,7 @@ from app.results.thermal_record import ThermalRecord
 from app.system.timing import Timing
 from docs.paper.cases import bone_peak
 from tests import support
-from tests.results.test_thermal_quantities import BODIES, SIDES, Play, constant, two_blocks
+from tests.cases.temperatures import BODIES, SIDES, Play, constant, two_blocks
 
 CONFIGS = support.CONFIGS
 # A nail on a cortex, neither of which is called what it is.

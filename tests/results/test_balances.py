@@ -11,9 +11,7 @@ import pytest
 from app.results.balance import HeatBalance
 from app.results.closing_lines import unbalanced
 from tests import support
-from tests.heated import Heated, expanding
-from tests.mechanics.test_setting import cure, setting
-from tests.mechanics.test_thermoelastic import BAR, CLAMPS, CYLINDERS
+from tests.cases.heated import BAR, CLAMPS, CYLINDERS, Heated, cure, expanding, setting
 
 ORDERS = pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.slow)])
 

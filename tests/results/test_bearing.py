@@ -8,32 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.foundation.arrays import Floats
 from app.report import pictures, run_report
 from app.results import closing_lines
 from app.results.reading import Results, Run
-from meshes.data import exterior_facets
-from tests import restarted, support
-
-RADIUS, FRICTION, WEAR, LOAD = 14.0, 0.06, 1.07e-9, 2000.0  # mm, -, mm2/N, N
-COURSE = '["time [s], rotation y [deg]", "0, 0", "0.3, 20", "0.7, -10", "1, 0"]'
-WORN = "finite, wear_coefficient: 1.07e-6 mm^3/(N m)"
-CASE = f"""{support.HEAD_CUP.replace("finite", WORN)}
-motions:
-  ball: {{region: head, about: [0 mm, 0 mm, 0 mm], rotation: {{axes: yxz, course: {COURSE}}}}}
-loads: {{hip: {{kind: force, boundary: head_surface, force: [0 N, 0 N, {LOAD} N]}}}}
-stages: [{{name: press}}, {{name: turn, increments: 10, cycles: 2}}]
-output: {{report: false}}
-"""
-
-
-def areas(run: Run, name: str) -> Floats:
-    """Area of the nodes (n,) [mm2] of a region's surface that is within 1 mm of the ball's."""
-    cells = run.cells[run.region == run.regions[name]]
-    facets, _ = exterior_facets(cells)
-    x = run.points[facets]
-    facets = facets[(np.abs(np.linalg.norm(x, axis=2) - RADIUS) < 1).all(axis=1)]
-    return run.area_by_node(facets)
+from tests import support
+from tests.cases import restarted
+from tests.cases.worn_ball import CASE, FRICTION, LOAD, RADIUS, WEAR, areas
 
 
 @pytest.fixture(scope="module")

@@ -11,21 +11,9 @@ from app.case import quantities
 from app.case.case import Case
 from app.results import error_estimate
 from tests import support
+from tests.cases.blocks import STACK
 from tests.frozen import frozen
 
-STACK = """
-geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]},
-                                  {name: upper, size: [4 mm, 4 mm, 2 mm]}]}
-mesh: {size: 1 mm, order: 2}
-regions:
-  lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
-  upper: {youngs_modulus: 2 GPa, poisson_ratio: 0.3}
-interfaces: {lower_upper: {kind: contact, friction_coefficient: 0.3}}
-supports: {floor: {kind: fixed, boundary: bottom}}
-loads: {press: {kind: pressure, boundary: top, pressure: 2 MPa}}
-stages: [{name: press}]
-output: {error: true}
-"""
 HEAT = """
 geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]}]}
 mesh: {size: 1 mm}

@@ -25,7 +25,7 @@ from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
 from tests import laws, support
-from tests.results.test_thermal_quantities import SIDES, ZERO, two_blocks
+from tests.cases.temperatures import SIDES, ZERO, two_blocks
 
 H = 0.3  # N/(mm s K): 300 W/(m2 K)
 

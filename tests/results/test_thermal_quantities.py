@@ -13,70 +13,25 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from dolfinx import fem, mesh
+from dolfinx import fem
 from scipy.integrate import quad
 
 from app.foundation.errors import InputError
 from app.heat.heat_forms import HeatForms
-from app.heat.nodes import Probe
 from app.results import closing_lines
 from app.results.cure_record import CureRecord
 from app.results.thermal_record import ThermalRecord
-from app.scene.bodies import Bodies, bodies_of
+from app.scene.bodies import bodies_of
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
-from tests import coupled, frozen, support
-
-ZERO = 273.15
-BODIES = Bodies(("bone", "cement"), {"bone": 0, "cement": 1}, np.array([-1, 0, 1]))
-SIDES = {"bone_cement": (("bone",), ("cement",))}
-State = Callable[[np.ndarray, float], np.ndarray]
-
-
-def two_blocks(comm: MPI.Comm) -> TaggedMesh:
-    """Bone under cement, each 4 x 4 x 2 mm, nodes every half millimetre."""
-    box = mesh.create_box(comm, [[0, 0, 0], [4, 4, 4]], [8, 8, 8])
-    box.topology.create_connectivity(3, 0)
-    box.topology.create_entities(2)
-    box.topology.create_connectivity(2, 3)
-    index_map = box.topology.index_map(3)
-    cells = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
-    above = mesh.compute_midpoints(box, 3, cells)[:, 2] > 2
-    tags = mesh.meshtags(box, 3, cells, above.astype(np.int32) + 1)
-    none = mesh.meshtags(box, 2, np.zeros(0, np.int32), np.zeros(0, np.int32))
-    return TaggedMesh(box, tags, none, {"bone": 1, "cement": 2}, {}, SIDES)
+from tests import frozen, support
+from tests.cases import coupled
+from tests.cases.temperatures import ZERO, Play, constant, two_blocks
 
 
 @pytest.fixture(scope="module")
 def stack() -> TaggedMesh:
     return two_blocks(MPI.COMM_WORLD)
-
-
-class Play:
-    """Plays temperatures in degC, functions of place (n, 3) and time, to a record."""
-
-    def __init__(self, tagged: TaggedMesh, bone: State, cement: State, **probes: Probe) -> None:
-        forms = HeatForms(tagged, BODIES, Timing())
-        self.space = forms.space
-        self.states = (bone, cement)
-        self.functions = [fem.Function(self.space) for _ in self.states]
-        self.record = ThermalRecord(tagged, forms, BODIES.of_region, SIDES, ("bone",), probes)
-        self.record.start(self.at(0.0))
-
-    def at(self, time: float) -> list[fem.Function]:
-        x = self.space.tabulate_dof_coordinates()
-        for function, state in zip(self.functions, self.states, strict=True):
-            function.x.array[:] = state(x, time) + ZERO
-        return self.functions
-
-    def through(self, *times: float) -> dict[str, Any]:
-        for time in times:
-            self.record.update(time, self.at(time))
-        return self.record.summary()
-
-
-def constant(value: float) -> State:
-    return lambda x, t: np.full(len(x), value)
 
 
 def bone_through(tagged: TaggedMesh, celsius: Callable[[float], float], *times: float) -> Any:

@@ -18,7 +18,7 @@ from app.laws.densities import ImageModulus
 from meshes import images
 from meshes.images import Image
 from tests import support
-from tests.scene.test_graded_modulus import PULLED, bar
+from tests.cases.blocks import PULLED, bar
 
 PHANTOM = {"slope": "0.0008 g/cm^3", "offset": "0.004 g/cm^3"}
 

@@ -21,9 +21,8 @@ from app.system.timing import Timing
 from app.verification import closed_forms as exact
 from meshes.distribute import TaggedMesh
 from tests import support
-from tests.heated import Heated
-from tests.mechanics.test_setting import cure, setting
-from tests.soundness.test_soundness import build
+from tests.cases.heated import Heated, cure, setting
+from tests.support import build
 
 RING = support.CONFIGS / "verification" / "fibre_ring.yaml"
 WOOD = exact.Fibrous(E_l=12e3, E_t=2e3, nu_l=0.4, nu_t=0.3, mu_l=1e3)

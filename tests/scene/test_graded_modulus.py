@@ -2,37 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import permutations
-
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 
 from app.results.stresses import Stresses
-from meshes.data import assemble, exterior_facets
-from meshes.distribute import TaggedMesh, distribute
 from tests import support
-
-PULLED = """
-geometry: {kind: blocks, blocks: [{name: bar, size: [1 mm, 1 mm, 10 mm]}]}
-mesh: {size: 1 mm}
-regions: {bar: {youngs_modulus: [[2 mm, 100 MPa], [8 mm, 1 GPa]], poisson_ratio: 0, tissue: bone}}
-supports: {floor: {kind: fixed, boundary: bottom}}
-loads: {pull: {kind: pressure, boundary: top, pressure: -10 MPa}}
-"""
-
-
-def bar(layers: int) -> TaggedMesh:
-    """Layers of one cuboid of six cells."""
-    axes = np.meshgrid([0, 1], [0, 1], np.linspace(0, 10, layers + 1), indexing="ij")
-    points, steps = np.stack(axes, axis=-1).reshape(-1, 3), [2 * layers + 2, layers + 1, 1]
-    paths = np.cumsum([(0, *p) for p in permutations(steps)], axis=1)
-    cells = (np.arange(layers)[:, None, None] + paths).reshape(-1, 4)
-    facets, _ = exterior_facets(cells)
-    ends = {k: (points[facets, 2] == z).all(axis=1) for k, z in (("bottom", 0), ("top", 10))}
-    data = assemble(points, cells, np.ones(6 * layers), {"bar": 1}, {}, ends, facets)
-    return distribute(data, MPI.COMM_WORLD)
+from tests.cases.blocks import PULLED, bar
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -17,24 +17,9 @@ from app.case.case import dump, load
 from app.foundation.errors import InputError
 from app.schema import yaml_file
 from tests import support
+from tests.cases.blocks import BLOCKS
 from tests.support import CONFIGS
 
-BLOCKS = """\
-geometry:
-  kind: blocks
-  blocks: [{name: lower, size: [4 mm, 4 mm, 4 mm]}, {name: upper, size: [4 mm, 4 mm, 4 mm]}]
-mesh: {order: 1, size: 4 mm}
-regions:
-  lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
-  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
-interfaces:
-  lower_upper: {kind: contact, friction_coefficient: 1.0}
-supports:
-  base: {kind: fixed, boundary: bottom}
-loads:
-  push: {kind: force, boundary: top, force: [3 N, 0 N, -4 N]}
-  press: {kind: pressure, boundary: top, pressure: 2 MPa}
-"""
 HEATED = """\
 geometry: {kind: blocks, blocks: [{name: body, size: [4 mm, 4 mm, 4 mm]}]}
 mesh: {order: 1, size: 4 mm}

@@ -15,7 +15,7 @@ from app.foundation.errors import InputError
 from app.simulation import accuracy
 from app.soundness import cost, memory
 from tests import support
-from tests.results.test_error import STACK
+from tests.cases.blocks import STACK
 
 ASKED = STACK.replace("error: true", "accuracy: 5 %")
 

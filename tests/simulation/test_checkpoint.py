@@ -25,7 +25,8 @@ from app.simulation import checkpoint
 from app.simulation.checkpoint import DamagedError
 from app.system import stopping
 from app.system.folders import saved
-from tests import restarted, support
+from tests import support
+from tests.cases import restarted
 
 COMM = MPI.COMM_SELF
 FIELDS = "output.fields=false"

@@ -17,7 +17,7 @@ from app.soundness.loose_bodies import pulled_off
 from meshes import write_msh
 from meshes.distribute import distribute
 from tests import support
-from tests.mechanics.test_interfaces_that_meet import box
+from tests.cases.blocks import box
 
 # A block on another, which is fixed; what holds the upper one is drawn.
 BLOCKS = """

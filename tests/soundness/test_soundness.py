@@ -23,12 +23,11 @@ from app.simulation.model import Model
 from app.soundness import preview, well_posedness
 from app.soundness.loose_bodies import BodiesOnMesh, pulled_off
 from app.soundness.mesh_parts import gaps_of, groups_of
-from app.system import folders
 from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.pieces import coincident
 from tests import support
-from tests.support import CONFIGS
+from tests.support import CONFIGS, build
 
 TWO = """
 geometry: {kind: blocks, blocks: [{name: bone, size: [10 mm, 10 mm, 5 mm]},
@@ -63,10 +62,6 @@ motions:
     {region: metal, boundary: top, about: [5 mm, 5 mm, 5 mm], translation: held,
      rotation: {axes: xyz, course: ["time [s], rotation z [deg]", "0, 0", "1, 0.4"]}}
 """
-
-
-def build(case: Case) -> MeshData:
-    return meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
 
 
 def judge(case: Case, data: MeshData) -> list[str]:

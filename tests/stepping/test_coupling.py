@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from app.campaigns.work_precision import fitted_order
-from tests import coupled
+from tests.cases import coupled
 from tests.support import difference
 
 OPEN, STICK, SLIP = 0, 1, 2

@@ -13,35 +13,13 @@ from scipy.optimize import brentq
 from app.foundation.errors import StoppedError
 from app.mechanics.creep import CreepState, deviator, von_mises
 from app.numerics.newton import Solver
-from tests import restarted, support
-from tests.command_line.test_run import COARSE
+from tests import support
+from tests.cases import restarted
+from tests.cases.shipped import COARSE
+from tests.cases.stems import CREEPING
 from tests.support import CONFIGS, TWO_BLOCKS
 
 LAW = {"A": 7.985e-7, "p": 1.9063, "m0": 0.4113, "m1": -0.1160}
-# A stem that is pushed into creeping cement, unloaded for the rest: friction, contact and history.
-STEM = """
-geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
-  length: 24 mm, taper: 1.5 deg, sector: quarter}
-mesh: {order: 2, size: 6 mm, far_size: 8 mm}
-regions:
-  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
-  cement: {material: creeping_PMMA}
-  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
-interfaces:
-  stem_cement: {kind: contact, friction_coefficient: 0.1}
-supports:
-  symmetry_x: {kind: roller, boundary: symmetry_x, axis: x}
-  symmetry_y: {kind: roller, boundary: symmetry_y, axis: y}
-  table: {kind: roller, boundary: bone_bottom, axis: z}
-loads:
-  push: {kind: force, boundary: stem_top, force: [0 N, 0 N, -400 N], history: [1, 1, 0.1, 1]}
-stages:
-  - {name: stand}
-  - {name: walk, creep_cycles: 1.0e+5}
-  - {name: rest, creep_cycles: 1.0e+5}
-  - {name: stance}
-output: {fields: false}
-"""
 # A block on another of the same material, between rollers and a load.
 BAR = (
     TWO_BLOCKS
@@ -97,7 +75,7 @@ def test_the_equation_of_a_point_is_solved(strain: float, cycles: float) -> None
 
 def test_a_run_goes_on_within_its_creep(tmp_path: Path) -> None:
     """From within and between stages that creep, on to a stance; balances close; work is lost."""
-    path, checkpoints = restarted.whole(STEM, tmp_path)
+    path, checkpoints = restarted.whole(CREEPING, tmp_path)
     s = support.summary(tmp_path / "whole")
     assert max(s["balance"].values()) < 1e-9 and s["solver"]["rejected_steps"] is not None
     table = restarted.rows(tmp_path / "whole")
@@ -134,7 +112,7 @@ def test_a_stop_within_a_step_that_creeps_is_a_stop(
 
     monkeypatch.setattr(Solver, "_monitor", stopping)
     with pytest.raises(StoppedError, match="stopped by a test"):
-        support.run(STEM, tmp_path)
+        support.run(CREEPING, tmp_path)
 
 
 def test_time_in_any_unit(tmp_path: Path) -> None:

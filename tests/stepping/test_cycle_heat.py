@@ -9,31 +9,28 @@ import pytest
 
 import meshes
 from app.results.reading import Results, Run
-from tests import restarted, support
-from tests.results.test_bearing import CASE, LOAD, RADIUS, areas
+from tests import support
+from tests.cases import restarted
+from tests.cases.worn_ball import (
+    CASE,
+    LOAD,
+    NECK,
+    OUTSIDE,
+    RADIUS,
+    SHARE,
+    SHELL,
+    WARM,
+    areas,
+    heated,
+)
 
 ELASTIC = (
     "regions.head={youngs_modulus: 200 GPa, poisson_ratio: 0.3}",
     "motions.ball.boundary=head_bore",
     "loads.hip.boundary=head_bore",
 )
-SHARE, NECK, SHELL, OUTSIDE = 0.7, 0.05, 0.02, 20.0  # of the head, mW/(mm2 K) twice, degC
 PRESSED = "{kind: pressure, open: 0 W/(m^2 K), per_pressure: 10 W/(m^2 K MPa)}"
 STEADY = "stages=[{name: press}, {name: turn, increments: 6}, {name: warm, steady: true}]"
-
-
-def heated(k: tuple[float, float], conductance: str, *changes: str) -> list[str]:
-    """Changes of CASE for conductivities of head and liner [W/(m K)], with surroundings."""
-    given = "density: 1000 kg/m^3, specific_heat: 1000 J/(kg K), initial_temperature: 37 degC"
-    out = "{{kind: convection, boundary: {}, coefficient: {} W/(m^2 K), ambient: {} degC}}"
-    return [
-        *changes,
-        f"regions.head.thermal={{conductivity: {k[0]} W/(m K), {given}}}",
-        f"regions.liner.thermal={{conductivity: {k[1]} W/(m K), {given}}}",
-        f"interfaces.bearing.conductance={conductance}",
-        f"heat.neck={out.format('head_bore', 1e3 * NECK, OUTSIDE)}",
-        f"heat.shell={out.format('liner_outer', 1e3 * SHELL, OUTSIDE)}",
-    ]
 
 
 def area(boundary: str) -> float:
@@ -104,18 +101,6 @@ def test_a_ball_that_spins_is_as_warm_all_around(tmp_path: Path) -> None:
         fit = np.linalg.lstsq(np.stack(parts, 1)[ring], T[nodes[ring]])[0]
         first.append(float(np.hypot(*fit[-2:])))
     assert first[0] < 0.01 * first[1]
-
-
-# Three steps of turning and a minute of warming.
-WARM = heated(
-    (14, 0.4),
-    "5000 W/(m^2 K)",
-    "stages=[{name: press}, {name: turn, increments: 3}, {name: warm, duration: 60 s}]",
-    "loads.hip.force=[300 N, 200 N, 2000 N]",
-    "motions.ball.largest_step=20 deg",
-    "time={first_step: 5 s, tolerance: 1 K}",
-    f"interfaces.bearing.friction_heating={SHARE}",
-)
 
 
 def test_a_restart_while_the_bodies_warm(tmp_path: Path) -> None:

@@ -10,7 +10,9 @@ import pytest
 
 from app.foundation.errors import InputError, MantleError
 from app.results.reading import Run
-from tests import restarted, support
+from tests import support
+from tests.cases import restarted
+from tests.cases.blocks import TORN
 from tests.support import CONFIGS
 
 BAR = (CONFIGS / "verification/cohesive_bar.yaml").read_text()
@@ -20,12 +22,6 @@ loads:
   up: {kind: force, boundary: top, force: "[0, 0, 0] N"}
 stages: [{name: pull, increments: 4}]
 """
-# Torn from one side.
-TORN = (
-    *(f"geometry.blocks.{k}.size=[4 mm, 4 mm, 2 mm]" for k in (0, 1)),
-    *("mesh.size=2 mm", "supports.pull.z=0.015 + 0.005 * (x - 2)"),
-    *("stages.0.increments=2", "stages.0.fracture_step=0.1 N mm", "solver.tolerance=1e-12"),
-)
 
 
 def test_a_bar_snaps_back_without_a_failed_step(tmp_path: Path) -> None:

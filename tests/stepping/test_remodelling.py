@@ -14,8 +14,9 @@ from app.scene.scene import build_scene
 from app.simulation.intact_femur import interpolated
 from app.simulation.session import run
 from app.soundness.preview import warnings
-from tests import restarted, support
-from tests.scene.test_graded_modulus import PULLED, bar
+from tests import support
+from tests.cases import restarted
+from tests.cases.blocks import PULLED, bar
 
 CASE = support.CONFIGS / "verification" / "remodelling.yaml"
 SHORT = "stages.1.remodels=2 s"

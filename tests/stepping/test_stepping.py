@@ -13,7 +13,8 @@ from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.stepping import load_steps
 from app.verification.heat_measures import WALLS
-from tests import coupled, support
+from tests import support
+from tests.cases import coupled
 
 
 def test_a_step_that_is_cut_back_ends_where_its_increment_would(

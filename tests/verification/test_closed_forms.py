@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +15,10 @@ from ruamel.yaml import YAML
 
 from app.schema.expressions import evaluate
 from app.verification import closed_forms as exact
+from tests.verification.differences import STEP, slope
 
 CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
 CEMENT, STEM = (2200.0, 0.3), (110e3, 0.3)
-STEP = 1e-3
 
 Field = Callable[[np.ndarray], np.ndarray]
 
@@ -52,11 +51,6 @@ def boussinesq(x: np.ndarray, load: float, material: exact.Elastic) -> np.ndarra
     side = k * (depth / ρ**3 - (1 - 2 * ν) / (ρ * (ρ + depth)))
     down = k * (depth**2 / ρ**3 + 2 * (1 - ν) / ρ)
     return np.column_stack([side * x[:, 0], side * x[:, 1], -down])
-
-
-def slope(f: Callable[[float], Any], x: float, h: float = STEP) -> Any:
-    """Central difference of fourth order."""
-    return (8 * (f(x + h) - f(x - h)) - f(x + 2 * h) + f(x - 2 * h)) / (12 * h)
 
 
 def strain(u: Field, x: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from scipy.integrate import quad
 from app.verification import closed_forms_coupled as coupled
 from app.verification import closed_forms_heat as exact
 from app.verification.closed_forms import lame_pressure
-from tests.verification.test_closed_forms import slope
+from tests.verification.differences import slope
 
 CEMENT, CORTICAL = (0.2, 1.74), (0.58, 2.331)
 PMMA = exact.ExactKinetics(2.6397e8, 62866.0, 0.98, 1.064)

@@ -23,8 +23,8 @@ from forms.contact import OPEN, SLIP, STICK
 from meshes.data import MeshData
 from meshes.distribute import distribute
 from tests import support
+from tests.cases.stems import PEG, PEG_MESH
 from tests.support import Solved
-from tests.verification.test_second_law import PEG, PEG_MESH
 
 # A tapered stem pushed in and sideways and partly back, with fixed steps.
 STEM = f"""{support.stem("24 mm", "size: 3.5 mm, far_size: 5 mm")}{support.CONTACT}

@@ -15,9 +15,9 @@ from app.simulation import model as models
 from app.simulation import session as running
 from app.simulation.session import run
 from app.system.folders import saved
-from tests import coupled, restarted, support
-from tests.parallel import test_ranks
-from tests.simulation import test_nested
+from tests import support
+from tests.cases import coupled, nested_stem, restarted
+from tests.cases.stems import SETTING
 
 FIELDS = "output.fields=false"
 
@@ -52,10 +52,10 @@ def test_kinds_of_mechanics(tmp_path: Path, kind: str, steps: slice) -> None:
 
 
 def test_nested_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in test_nested.ALWAYS.items():
+    for name, value in nested_stem.ALWAYS.items():
         monkeypatch.setattr(models, name, value)
-    options = (FIELDS, *test_nested.TURNS)
-    case, files = restarted.whole(test_nested.STEM, tmp_path, *options)
+    options = (FIELDS, *nested_stem.TURNS)
+    case, files = restarted.whole(nested_stem.STEM, tmp_path, *options)
     # Before the turn, which is where a cheaper model is asked.
     part = restarted.on(case, tmp_path, files[0], *options)
     # Loads of 900 N are balanced to 1e-7 N.
@@ -142,7 +142,7 @@ def test_mechanics_that_have_not_been_solved_yet(linear: str, tmp_path: Path) ->
     """
     steps = "time={tolerance: 0.5 K, mechanical_step: 10 K}"
     options = ("stages.0.adaptive=true", steps, f"solver.linear={linear}")
-    case, files = restarted.whole(test_ranks.SETTING, tmp_path, *options)
+    case, files = restarted.whole(SETTING, tmp_path, *options)
     restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, files[0], *options))
 
 

@@ -17,6 +17,7 @@ from app.case.gmsh_header import ALLOWED
 from app.foundation.arrays import Floats
 from forms.contact import SLIP
 from tests import support
+from tests.cases.stems import PEG, PEG_MESH
 from tests.support import Solved
 
 # Of the largest increment.
@@ -126,39 +127,6 @@ def test_friction_dissipates_at_every_point_in_every_step(
     slip = tangential(increments(solved, "motion"))
     expected = solved.last.weight * np.einsum("sni,sni->sn", friction, slip)
     assert np.abs(increments(solved, "dissipation") - expected).max() < 1e-9 * expected.max()
-
-
-# A square peg in a square socket: points with one, two and three faces.
-PEG = """
-mesh: {order: 1, size: 1.5 mm}
-regions:
-  socket: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3, tissue: other}
-  peg: {youngs_modulus: 300 MPa, poisson_ratio: 0.3, tissue: other}
-interfaces:
-  peg_socket: {kind: contact, friction_coefficient: 0.4, gap: -2e-3 mm}
-supports:
-  floor: {kind: fixed, boundary: floor}
-loads:
-  push: {kind: force, boundary: head, force: [0 N, 0 N, -30 N]}
-  x: {kind: force, boundary: head, force: [12 N, 0 N, 0 N]}
-  y: {kind: force, boundary: head, force: [0 N, 12 N, 0 N]}
-"""
-
-
-# The peg, 4 x 4 x 5 mm, 3 mm deep in its socket.
-PEG_MESH = """
-SetFactory("OpenCASCADE");
-DefineConstant[ size = 1.5 ];
-Box(1) = {-4, -4, 0, 8, 8, 6};
-Box(2) = {-2, -2, 3, 4, 4, 3};
-BooleanDifference(3) = { Volume{1}; Delete; }{ Volume{2}; Delete; };
-Box(4) = {-2, -2, 3, 4, 4, 5};
-Coherence;
-Physical Volume("socket") = {3};
-Physical Volume("peg") = {4};
-Physical Surface("floor") = Surface In BoundingBox {-5, -5, -0.1, 5, 5, 0.1};
-Physical Surface("head") = Surface In BoundingBox {-5, -5, 7.9, 5, 5, 8.1};
-"""
 
 
 @LAWS

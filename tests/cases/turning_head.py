@@ -1,0 +1,124 @@
+"""A head that turns in its cup as it is told, by finite sliding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+from mpi4py import MPI
+
+import numpy as np
+
+import meshes
+from app.foundation.arrays import Floats
+from app.mechanics.contact import TrialState
+from app.numerics.rigid_motions import rotation_vector
+from app.stepping.load_steps import LoadStep, LoadStepper
+from app.stepping.stages import run_stages
+from meshes.data import MeshData
+from meshes.distribute import TaggedMesh, distribute
+from tests import support
+
+R = 14.0  # radius of the head [mm]
+MU = 0.06  # friction coefficient
+FORCE = np.array([300.0, 100.0, 2000.0])  # on the head [N]
+
+CUP = support.HEAD_CUP.replace("inclination: 0 deg, version: 0", "inclination: 20 deg, version: 10")
+CUP = CUP.replace("size: 5 mm, far_size: 8", "size: 4.5 mm, far_size: 7")
+CUP += f"""
+loads:
+  hip: {{kind: force, boundary: head_bore, force: {support.vector(FORCE, " N")}}}
+solver: {{tolerance: 1e-12}}
+output: {{fields: false, report: false}}
+"""
+FRICTION = "interfaces.bearing.friction_coefficient"
+
+
+def course(column: str, rows: Sequence[Sequence[float]]) -> list[str]:
+    """The lines of a course: three components at equal times."""
+    lines = [[f"{v:.17g}" for v in (k, *row)] for k, row in enumerate(rows)]
+    return [", ".join(line) for line in [["time [s]", *map(column.format, "xyz")], *lines]]
+
+
+def turning(*angles: tuple[float, float, float], axes: str = "yxz", **more: str) -> str:
+    """An override: the head turns through angles about x, y, z [deg], at equal times."""
+    keys = "".join(f", {key}: {value}" for key, value in more.items())
+    rotation = f"rotation: {{axes: {axes}, course: {course('rotation {} [deg]', angles)}}}"
+    return f"motions.ball={{region: head, about: head_centre, {rotation}{keys}}}"
+
+
+def stages(increments: int, cycles: int = 1, press: int = 1) -> str:
+    """An override: a stage that presses the head in, and one in which it turns."""
+    first = f"{{name: press, increments: {press}}}, " if press else ""
+    return f"stages=[{first}{{name: turn, increments: {increments}, cycles: {cycles}}}]"
+
+
+QUARTER = turning((0, 0, 0), (0, 25, 0))
+# To and fro, with stops at both ends.
+SWING = turning((0, 0, 0), (0, 25, 0), (0, 0, 0), (0, -25, 0), (0, 0, 0), largest_step="25 deg")
+
+
+class Step(NamedTuple):
+    """A step of a turn, of n points."""
+
+    iterations: int
+    load: Floats  # normal forces of the points (n,) [N]
+    normal: Floats  # out of the head (n, 3)
+    force: Floats  # of the head on the liner (3,) [N]
+    torque: Floats  # of friction on the head about its centre, on arms R n (3,) [N mm]
+    turn: Floats  # rotation vector of the step (3,)
+    dissipated: float  # so far [N mm]
+    place: Floats  # way of the head's centre (3,) [mm]
+
+    @property
+    def spends(self) -> float:
+        """Work of the torque in the turn [N mm]."""
+        return float(-self.torque @ self.turn)
+
+
+@cache
+def built() -> MeshData:
+    case = support.case(CUP)
+    return meshes.build(case.geometry, case.mesh, None)
+
+
+@cache
+def cup() -> TaggedMesh:
+    return distribute(built(), MPI.COMM_WORLD)
+
+
+def solve(*overrides: str, tagged: TaggedMesh | None = None) -> list[Step]:
+    """The steps of a case, on the mesh of the cup or its own."""
+    problem, solver = support.assemble(support.case(CUP, *overrides), tagged or cup())
+    cells = problem.tagged.cell_tags.find(problem.tagged.regions["head"])
+    node = problem.space.dofmap.list[cells[0], 0]
+    found, before = list[Step](), [np.eye(3)]
+
+    def keep(step: LoadStep, trial: TrialState | None) -> None:
+        assert trial is not None
+        own, state, scene = trial.contact.own, trial.contact.state, problem.scene
+        normal, turned = own.normals[:, 0].copy(), scene.rotation(scene.motions[0], step.time)
+        moved = problem.displacements()[problem.bodies.of_region["head"]].x.array
+        friction = own.weight[:, None] * state.friction
+        found.append(
+            Step(
+                step.outcome.iterations,
+                own.weight * trial.law.pressures[:, 0],
+                normal,
+                own.weight @ -state.force,
+                np.cross(R * normal, friction).sum(axis=0),
+                rotation_vector(turned @ before.pop().T),
+                float(state.dissipation.sum()),
+                moved.reshape(-1, 3)[node].copy(),
+            )
+        )
+        before.append(turned)
+
+    run_stages(problem.scene.stages, LoadStepper(problem, solver, keep, print), None)
+    return found
+
+
+# A deformable head, and the quarter turn that is given at its bore.
+COCR = "regions.head={youngs_modulus: 210 GPa, poisson_ratio: 0.3}"
+DRIVEN = turning((0, 0, 0), (0, 25, 0), boundary="head_bore")

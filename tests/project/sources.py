@@ -1,0 +1,57 @@
+"""The source of the program: its modules, and what each of them imports."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = ("app", "configs", "forms", "meshes")
+
+
+def sources(*folders: str) -> list[Path]:
+    """Return all modules in folders."""
+    return sorted(p for folder in folders for p in (ROOT / folder).rglob("*.py"))
+
+
+def named(path: Path) -> str:
+    """Return the path of a file from the top folder."""
+    return str(path.relative_to(ROOT))
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def module(path: Path) -> str:
+    """Return the name of the module in a file."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(part for part in parts if part != "__init__")
+
+
+MODULES = {module(path): path for path in [ROOT / "mantle.py", *sources(*FOLDERS)]}
+
+
+@cache
+def imported(path: Path) -> frozenset[str]:
+    """Modules that a file imports, wherever in it but as a script; for type checkers alone, too."""
+    own = module(path)
+    found = set()
+    body = [n for n in tree(path).body if not (isinstance(n, ast.If) and "__main__" in ast.dump(n))]
+    for node in (inner for outer in body for inner in ast.walk(outer)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{path}:{node.lineno}: a relative import"
+            base = str(node.module)
+            names = {f"{base}.{alias.name}" for alias in node.names}
+            found |= {name if name in MODULES else base for name in names}
+    return frozenset(found - {own})
+
+
+def top(name: str) -> str:
+    """Return the top package of a module."""
+    return name.split(".")[0]
