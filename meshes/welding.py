@@ -1,11 +1,12 @@
-"""Joining of loose triangles to a surface, without a change of its shape.
+"""Joining of loose triangles to a surface, and division of polygons into triangles.
 
-Corners that agree up to rounding become one. Repeated facets are kept once. An edge that is divided
-on one side only is divided on both.
+The shape does not change. Corners that agree up to rounding become one. Repeated facets are kept
+once. An edge that is divided on one side only is divided on both.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +14,8 @@ from scipy.spatial import cKDTree
 
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes.data import connected
-from meshes.polygons import divided
+
+Polygon = Sequence[int]
 
 # Nearer corners are one [mm], and the same as a part of the largest coordinate.
 WELD = 1e-4
@@ -215,3 +217,71 @@ def _divided_edges(surface: Welded) -> Welded:
     triangles = np.concatenate([surface.triangles[whole], divided(x, rows)])
     note = f"{len(between):,} edges that were divided on one side only are divided on both"
     return _without_repeats(Welded(x, triangles, [*surface.notes, note]))
+
+
+def divided(points: Floats, polygons: Sequence[Polygon]) -> Ints:
+    """Return the triangles (m, 3) of polygons, in the order of their numbers of corners."""
+    sizes = np.array([len(polygon) for polygon in polygons])
+    parts: list[Ints] = []
+    for size in np.unique(sizes):
+        rows: Ints = np.array([polygons[k] for k in np.flatnonzero(sizes == size)], dtype=np.int64)
+        parts.append(rows if size == 3 else _fans(points, rows))
+    return np.concatenate(parts)
+
+
+def _fans(points: Floats, rows: Ints) -> Ints:
+    """Return the triangles (m, 3) of polygons of one size (n, k).
+
+    A polygon is a fan from one corner if no triangle of the fan is turned over, otherwise `_ears`
+    divides it.
+    """
+    with np.errstate(all="ignore"):  # of corners that are too far for a bone
+        x = points[rows]
+        out = x[:, 1:] - x[:, :1]
+        normal = np.cross(out[:, :-1], out[:, 1:]).sum(axis=1)
+        least = []
+        for start in range(rows.shape[1]):
+            turned = np.roll(x, -start, axis=1)
+            out = turned[:, 1:] - turned[:, :1]
+            areas = np.einsum("nki,ni->nk", np.cross(out[:, :-1], out[:, 1:]), normal)
+            least.append(areas.min(axis=1))
+        areas = np.array(least)
+        best = areas.argmax(axis=0)
+        convex = areas.max(axis=0) > 0
+        turn = (best[:, None] + np.arange(rows.shape[1])) % rows.shape[1]
+        fans = np.take_along_axis(rows, turn, axis=1)[convex]
+        first = np.repeat(fans[:, :1], rows.shape[1] - 2, axis=1)
+        made = np.stack([first, fans[:, 1:-1], fans[:, 2:]], axis=2).reshape(-1, 3)
+        clipped = [
+            row[_ears(corners, up)]
+            for row, corners, up in zip(rows[~convex], x[~convex], normal[~convex], strict=True)
+        ]
+    return np.concatenate([made, *clipped])
+
+
+def _ears(x: Floats, normal: Floats) -> Ints:
+    """Return the triangles (k - 2, 3) of a polygon with corners (k, 3), by ear clipping."""
+    drop = int(np.abs(normal).argmax())
+    xy = np.delete(x, drop, axis=1) * ([1, -1] if drop == 1 else [1, 1])
+    if normal[drop] < 0:
+        xy = xy * [1, -1]
+
+    def twice_area(a: Floats, b: Floats, c: Floats) -> Floats:
+        (p, q), (r, s) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
+        return np.asarray(p * s - q * r)
+
+    left, found = list(range(len(x))), []
+    while len(left) > 3:
+        best = 0  # a polygon that crosses itself may have no ear: any corner is cut off
+        for k in range(len(left)):
+            a, b, c = (xy[left[(k + step) % len(left)]] for step in (-1, 0, 1))
+            if twice_area(a, b, c) <= 0:
+                continue
+            rest = xy[[i for i in left if not ((xy[i] == [a, b, c]).all(axis=1)).any()]]
+            sides = [twice_area(rest, *side) for side in ((a, b), (b, c), (c, a))]
+            if not (np.array(sides) >= 0).all(axis=0).any():
+                best = k
+                break
+        found.append([left[best - 1], left[best], left[(best + 1) % len(left)]])
+        del left[best]
+    return np.array([*found, left])

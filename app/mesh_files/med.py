@@ -1,4 +1,7 @@
-"""Reader of ``.med`` files of Salome: groups of volumes, faces and nodes of one mesh or several."""
+"""Reader of ``.med`` files of Salome: groups of volumes, faces and nodes of one mesh or several.
+
+meshio is right for one mesh with families; what it does not read is prepared for it.
+"""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from app.case.geometries import MeshFile, MeshOptions
 from app.case.gmsh_header import content
 from app.foundation.errors import GeometryError, MantleError
 from app.mesh_files import named
-from app.mesh_files.lz4_block import decompress
+from app.mesh_files.vtu import lz4_decompress
 from app.soundness.well_posedness import judge, look
 from meshes.data import region_volumes
 from meshes.gmsh_child import session
@@ -972,4 +972,4 @@ def test_damaged_files_are_refused_in_words(tmp_path: Path) -> None:
 
 def test_lz4_blocks_with_copies() -> None:
     """Three letters, six more from three before (they overlap), and a last letter."""
-    assert decompress(b"\x32abc\x03\x00\x10x") == b"abcabcabcx"
+    assert lz4_decompress(b"\x32abc\x03\x00\x10x") == b"abcabcabcx"

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from app.case.geometries import Patient
 from app.foundation.errors import GeometryError, InputError
-from meshes import bone_frame, bone_surface, polygons, surface_files
+from meshes import bone_frame, bone_surface, surface_files, welding
 from meshes.bone_surface import BoneSurface
 from tests.meshes.bones import opened, own, write
 from tests.meshes.surface_text import (
@@ -259,7 +259,7 @@ def test_concave_polygons_are_divided_within_their_outline() -> None:
     for seed in range(6):
         turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
         x = np.column_stack([xy, np.ones(len(xy))]) @ turn.T
-        triangles = polygons.divided(x, [list(range(len(x)))])
+        triangles = welding.divided(x, [list(range(len(x)))])
         a, b, c = np.moveaxis(x[triangles], 1, 0)
         areas = 0.5 * np.cross(b - a, c - a) @ turn[:, 2] * np.linalg.det(turn)
         assert len(triangles) == len(x) - 2
