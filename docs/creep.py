@@ -9,8 +9,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from app.plots.figures import COLOURS, MARKERS, grid, panels
 from app.results.reading import Results
-from app.system.style import COLOURS, MARKERS, grid, panels
 
 FIGURE = Path(__file__).with_name("creep.png")
 # Mean subsidence of polished stems of patients [mm] by years (Baryeh 2021), at 1e6 cycles a year.

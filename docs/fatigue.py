@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from app.case.quantities import STRESSED
-from app.system.style import COLOURS, MARKERS, grid, panels
+from app.plots.figures import COLOURS, MARKERS, grid, panels
 
 FIGURE = Path(__file__).with_name("fatigue.png")
 

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from app.plots.curves import curve
+from app.plots.figures import grid, panels
 from app.results.reading import Run
-from app.system.style import curve, grid, panels
 
 FIGURE = Path(__file__).with_name("head_cup.png")
 PLACE = "bearing"

@@ -15,7 +15,6 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch
 
-from app import figures
 from app.campaigns import study, study_picture
 from app.campaigns.runs import Result
 from app.campaigns.study_report import Report
@@ -23,7 +22,9 @@ from app.case import quantities
 from app.case import study as study_file
 from app.case.case import load
 from app.foundation.arrays import Floats, Ints
-from meshes import picture, reference_body, swept
+from app.plots import figures
+from app.plots import sections as picture
+from meshes import reference_body, swept
 from meshes.femur_surfaces import FemurSurfaces
 
 DOCS = Path(__file__).resolve().parent

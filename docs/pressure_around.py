@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from app.foundation.arrays import Floats
+from app.plots.figures import COLOURS, grid, panels
 from app.results.interface_numbers import ContactSamples
-from app.system.style import COLOURS, grid, panels
 from tests import support
 
 FIGURE = Path(__file__).with_name("pressure_around.png")

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from app import figures
+from app.plots import figures
+from app.plots.figures import COLOURS, grid
 from app.results.reading import Run
-from app.system.style import COLOURS, grid
 
 FIGURE = Path(__file__).with_name("remodelling.png")
 STEMS = {"ti": "titanium", "cocr": "cobalt-chromium"}

@@ -21,9 +21,9 @@ from mpi4py import MPI
 
 from app.case.case import load
 from app.numerics.choice import SolverChoice
+from app.plots.figures import COLOURS, grid, panels
 from app.simulation.model import Model
 from app.system.layout import table
-from app.system.style import COLOURS, grid, panels
 from app.system.timing import Timing
 from app.verification.benchmarks import STANCE, STEPS
 from app.verification.check import CONFIGS

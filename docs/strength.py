@@ -13,8 +13,8 @@ import numpy as np
 
 import mantle
 from app.foundation.arrays import Floats
+from app.plots.figures import COLOURS, grid, panels
 from app.results.reading import Run
-from app.system.style import COLOURS, grid, panels
 
 FIGURE = Path(__file__).with_name("interface_strength.png")
 MOST = 6.0  # times the stance, at the end

@@ -1,7 +1,7 @@
 """Geometry to mesh: blocks, cylinders, a head in its cup, a femur, or a file of another program.
 
 ``build`` runs on one rank and returns plain arrays; ``meshes.distribute.distribute`` makes
-the dolfinx mesh of them, ``meshes.picture`` draws them. gmsh, scipy and dolfinx are
+the dolfinx mesh of them, ``app.plots.sections`` draws them. gmsh, scipy and dolfinx are
 imported when used, so that checking a configuration needs none of them.
 
 ``docs/mesh.md`` tells how femurs are meshed. Radii may come from any function of angle and height,

@@ -11,9 +11,9 @@ from typing import Any
 from app.campaigns.study_report import Measured, Report, exponent_text
 from app.campaigns.work_precision import NOT_CONVERGING
 from app.case.quantities import in_words, titled
-from app.system import style
+from app.plots import curves, figures
+from app.plots.figures import COLOURS, MARKERS
 from app.system.layout import percent
-from app.system.style import COLOURS, MARKERS
 
 NAMES = ("study.png", "study_parameters.png")
 MOST_PANELS = 6
@@ -61,11 +61,11 @@ def _draw(
     columns: int,
     size: tuple[float, float],
 ) -> None:
-    figure, every = style.panels(len(shown), columns, *size)
+    figure, every = figures.panels(len(shown), columns, *size)
     for axes, m in zip(every, shown, strict=True):
-        style.grid(axes)
+        figures.grid(axes)
         panel(axes, m)
-    handles = style.handles(every)
+    handles = figures.handles(every)
     if "failed" in handles:
         handles["failed"] = handles.pop("failed")  # last
     columns = min(len(handles), 5)
@@ -143,7 +143,7 @@ def _line(
         for i in own
         if (e := error[i]) is not None and (time := report.runs[i].time) is not None
     }
-    style.curve(axes, [t for t, _ in good.values()], [e for _, e in good.values()], k, name)
+    curves.curve(axes, [t for t, _ in good.values()], [e for _, e in good.values()], k, name)
     halo = [withStroke(linewidth=2.0, foreground="white")]
     look = {"textcoords": "offset points", "fontsize": 7, "path_effects": halo, "zorder": 5}
     for i, at in good.items():
@@ -158,7 +158,7 @@ def _line(
         told = f"{name.replace('_', ' ')}: {order}"
         axes.text(0.02, row, told, transform=axes.transAxes, color=colour, fontsize=8)
     failed = [r.result for r in (report.runs[i] for i in own) if r.result.exit_code]
-    style.crosses(axes, [max(result.seconds, 1e-2) for result in failed], k, 0.97)
+    curves.crosses(axes, [max(result.seconds, 1e-2) for result in failed], k, 0.97)
 
 
 def _limits(axes: Any, report: Report, error: list[float | None]) -> None:
@@ -186,9 +186,9 @@ def _over_number(report: Report, lines: dict[str, list[int]], axes: Any, m: Meas
     for k, (name, own) in enumerate(lines.items()):
         known = {i: factor * v for i in own if (v := m.points[i].value) is not None}
         drawn += known.values()
-        style.curve(axes, [report.runs[i].x for i in known], list(known.values()), k, name)
+        curves.curve(axes, [report.runs[i].x for i in known], list(known.values()), k, name)
         failed = [report.runs[i].x for i in own if report.runs[i].result.exit_code]
-        style.crosses(axes, failed, k, 0.93 - 0.08 * k)  # two lines may fail at the same number
+        curves.crosses(axes, failed, k, 0.93 - 0.08 * k)  # two lines may fail at the same number
     set_scale(axes, drawn)
 
 

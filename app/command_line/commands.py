@@ -157,13 +157,13 @@ def _mesh(options: argparse.Namespace) -> int:
             print(painted(f"note: {line}", "doubtful", sys.stderr), file=sys.stderr)
         print(deck)
         return 0
+    from app.plots import sections
     from app.report import case_picture
-    from meshes import picture
 
     draw_case = partial(case_picture.draw, case.config)
     drawings: dict[Path, Callable[..., None]] = {path.with_suffix(".png"): draw_case}
     if case.config.geometry.mantles:
-        for draw in (picture.sections, picture.interfaces):
+        for draw in (sections.sections, sections.interfaces):
             drawings[path.with_name(f"{path.stem}_{draw.__name__}.png")] = draw
     try:
         meshes.write_msh(data, path)

@@ -14,28 +14,49 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
 
-from app import figures
 from app.case.case import Case
 from app.foundation.arrays import Floats, Ints
 from app.laws.loads import BodyForce, Pressure
+from app.plots import figures, sections
+from app.plots.figures import COLOURS, PNG, handles
+from app.plots.sections import AXES
 from app.soundness import preview
 from app.system.layout import plain
-from app.system.style import COLOURS, handles
-from meshes import picture
 from meshes.data import MeshData, boundary_facets, cell_volumes, exterior_facets, interface_facets
-from meshes.picture import AXES
 
-WAYS = (("lateral", "medial"), ("posterior", "anterior"), ("distal", "proximal"))  # x, y, z
-LOAD, SUPPORT, HEAT = "#b2182b", "#1b7837", "#d9660a"
-BETWEEN = tuple(COLOURS[k] for k in (0, 3, 7, 5)) * 9  # of the interfaces
-# Inches: the body at most, the room around it, arrows, labels and the gap before them.
-TALL, WIDE, SIDE, TOP, BOTTOM = 5.0, 3.4, 2.3, 2.2, 1.45
-LINE = 0.23  # of a title or legend [inch]; TOP and BOTTOM have room for two lines of each
-LETTERS = 9.5  # letters of a title per inch
-ENTRIES = 5  # entries of the legend per line
-LONGEST, SHORTEST, LABEL, GAP = 0.95, 0.35, 0.3, 0.65
-SEVERAL = 5  # arrows of a pressure
+# Directions of the ends of the axes x, y, z in a femur.
+WAYS = (("lateral", "medial"), ("posterior", "anterior"), ("distal", "proximal"))
+# Colours of loads, supports and heat conditions.
+LOAD = "#b2182b"
+SUPPORT = "#1b7837"
+HEAT = "#d9660a"
+# Colours of the interfaces, one after the other.
+BETWEEN = tuple(COLOURS[k] for k in (0, 3, 7, 5)) * 9
+# Largest height and width of the body [inch].
+TALL = 5.0
+WIDE = 3.4
+# Room beside, above and below the body [inch]; the last two hold a title and legend of two lines.
+SIDE = 2.3
+TOP = 2.2
+BOTTOM = 1.45
+# Height of a further line of the title or legend [inch].
+LINE = 0.23
+# Letters of a title per inch.
+LETTERS = 9.5
+# Entries of the legend per line.
+ENTRIES = 5
+# Length of the longest and the shortest arrow [inch].
+LONGEST = 0.95
+SHORTEST = 0.35
+# Distance of labels from each other, and from the body [inch].
+LABEL = 0.3
+GAP = 0.65
+# Number of arrows of a pressure.
+SEVERAL = 5
 # Text, places (n, 3) [mm], and the force of each arrow (n, 3) [N].
 Force = tuple[str, Floats, Floats]
 
@@ -44,7 +65,7 @@ Force = tuple[str, Floats, Floats]
 class View:
     """A view of the model between ``low`` and ``high`` (3,); ``inch`` is one on paper [mm]."""
 
-    ax: Any
+    ax: Axes
     across: int
     toward: int
     at: float  # of the section
@@ -55,15 +76,8 @@ class View:
 
     def lines(self, x: Floats, **style: Any) -> Floats:
         """Draw the section of triangles (n, 3, 3); returns the middles of its lines (k, 2)."""
-        from matplotlib.collections import LineCollection
-
-        height = x[:, :, self.toward] - self.at
-        after = np.roll(height, -1, axis=1)
-        met = (height >= 0) != (after >= 0)
-        part = (height[met] / (height[met] - after[met]))[:, None]
-        ends = (1 - part) * x[met] + part * np.roll(x, -1, axis=1)[met]
-        flat = ends[:, [self.across, 2]].reshape(-1, 2, 2)
-        self.ax.add_collection(LineCollection(flat, **style))
+        flat = sections.section_lines(x, self.toward, self.at)[..., [self.across, 2]]
+        self.ax.add_collection(LineCollection(list(flat), **style))
         return flat.mean(axis=1)
 
 
@@ -82,11 +96,11 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
     figure = figures.new(wide.sum(), tall)
     figure.set_layout_engine("none")
     outside = exterior_facets(data.cells)
-    for name in picture.FRONT_AND_SIDE:
-        across, leftward, toward = picture.VIEWS[name]
+    for name in sections.FRONT_AND_SIDE:
+        across, leftward, toward = sections.VIEWS[name]
         ax = figure.add_axes((left / wide.sum(), 0.0, wide[across] / wide.sum(), 1.0))
         left += wide[across]
-        at = picture.middle_plane(low[toward], high[toward])
+        at = sections.middle_plane(low[toward], high[toward])
         if case.geometry.is_around_z and low[toward] > -1e-6 * size[toward]:
             at = low[toward] + 1e-6 * size[toward]  # a sector: its plane of symmetry
         view = View(ax, across, toward, at, low, high, inch)
@@ -102,27 +116,25 @@ def draw(case: Case, data: MeshData, path: Path) -> None:
         ax.set(xlim=ends, ylim=(low[2] - bottom * inch, high[2] + top * inch))
         ax.set_axis_off()
     words = "\n".join([*title, f"{len(data.cells):,} cells"])
-    place = {"ha": "center", "va": "top", "parse_math": False}
+    place: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
     figure.text(0.5, 1 - 0.1 / tall, words, fontsize=12, **place)
     words = f"{len(forces)} loads, {next(preview.resultant(case), '')}" if len(forces) > 1 else ""
     figure.text(0.5, 1 - (0.62 + more[0]) / tall, words, color=LOAD, **place)
     legend = handles(figure.axes)
     figure.legend(legend.values(), legend, loc="lower center", ncols=ENTRIES, frameon=False)
-    figure.savefig(path, dpi=110, format="png")
+    figures.save(figure, path, 110, PNG)
 
 
 def _bodies(view: View, data: MeshData, name: str, facets: Ints, cells: Ints) -> None:
     """Draw the outside, of which facets and their cells are given, and the section."""
-    from matplotlib.colors import to_rgb
-
-    colours = picture.colours_of(data.regions)
+    colours = sections.colours_of(data.regions)
     for region, colour in colours.items():
         view.ax.plot([], [], color=colour, lw=7.0, label=region.replace("_", " "))
     pale = 0.5 + 0.5 * np.array([(0, 0, 0), *map(to_rgb, colours.values())])
     x = data.points[facets]
     grey = np.full((len(x), 3), 0.7)
-    picture.surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], grey, name)
-    picture.fill(view.ax, data, view.toward, view.at)
+    sections.surface(view.ax, x, x[:, :3], pale[data.cell_tags[cells]], grey, name)
+    sections.fill(view.ax, data, view.toward, view.at)
 
 
 def _lines(view: View, case: Case, data: MeshData) -> None:
@@ -189,7 +201,7 @@ def _arrows(view: View, forces: Sequence[Force]) -> None:
             out = (2 * places[row] - view.low - view.high) @ each[row] > 0
             start, end = (at, at + step) if out else (at - step, at)
             style = {"arrowstyle": "-|>", "color": LOAD, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
-            view.ax.annotate("", end, start, arrowprops=style)
+            view.ax.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=style)
             view.ax.plot(*at, "o", color=LOAD, ms=3.5, label="load")
         view.labels.append((text, LOAD, end if out else start))
 
@@ -209,8 +221,16 @@ def _labels(view: View) -> None:
         right = (side < 0) == view.ax.xaxis_inverted()
         for (text, colour, place), height in zip(own, spread, strict=True):
             line = {"arrowstyle": "-", "color": colour, "lw": 0.6, "relpos": (1 - right, 0.5)}
-            style = {"va": "center", "ha": "left" if right else "right", "color": colour}
-            view.ax.annotate(text, place, (x, height), fontsize=8, arrowprops=line, **style)
+            view.ax.annotate(
+                text,
+                (place[0], place[1]),
+                (x, height),
+                fontsize=8,
+                arrowprops=line,
+                va="center",
+                ha="left" if right else "right",
+                color=colour,
+            )
 
 
 def _scale(view: View, names: Sequence[tuple[str, str]]) -> None:

@@ -6,13 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from app import figures
 from app.case.quantities import TABLE
+from app.plots import figures
 from app.report import page
 from app.report.page import Blocks, Figure
 from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase, magnitude
-from app.system import style
-from app.system.style import COLOURS
 
 FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
 BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
@@ -101,12 +99,12 @@ def shielding_picture(
             values = by_bone.get(bone, {})
             at = [int(z) + (k - 0.5 * (len(changes) - 1)) * width for z in values]
             percent = [100 * v for v in values.values()]
-            axes.bar(at, percent, 0.94 * width, color=COLOURS[k], label=stem)
+            axes.bar(at, percent, 0.94 * width, color=figures.colour(k), label=stem)
         axes.axhline(0, color="0.2", lw=0.8)
         axes.axvline(FRONTAL + 0.5, color="0.6", lw=0.8, ls=":")
-        axes.set_title(BONES[bone], fontsize=11, loc="left")
+        figures.title(axes, BONES[bone])
         axes.set_ylabel("change of strain\nenergy density (%)")
-        style.grid(axes, "y")
+        figures.grid(axes, "y")
         axes.set_xticks(range(1, 15))
     grid[-1].set_xlabel("Gruen zone (1 to 7 frontal, 8 to 14 lateral view)")
     handles, labels = grid[0].get_legend_handles_labels()

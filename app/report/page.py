@@ -11,15 +11,12 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from app.figures import SUFFIXES
+from app.plots.figures import SUFFIXES
 
 # Parts of a section: kind, as the template names it, and content.
 Blocks = list[tuple[str, dict[str, Any]]]
-T = TypeVar("T")
-MOST = 400  # rows of a table, points of a curve
-
 CLASSES = {
     **{"converged": "good", "stopped": "open", "note": "open"},
     **dict.fromkeys(("failed", "not converged", "do not use"), "bad"),
@@ -97,9 +94,3 @@ def _smaller(path: Path) -> str:
 def folded(title: str, content: Blocks) -> Blocks:
     """Blocks that open on a click; nothing if there are none."""
     return [("folded", {"title": title, "blocks": content})] if content else []
-
-
-def sparse(items: Sequence[T]) -> Sequence[T]:
-    """The first, the last and every n-th item between, so that a page stays small."""
-    n = -(-len(items) // MOST)
-    return items if n < 2 else [*items[:-1:n], items[-1]]

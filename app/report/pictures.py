@@ -16,12 +16,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 
-from app import figures
 from app.case.case import read_geometry
 from app.case.geometries import Sides
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import MantleError
+from app.plots import figures
+from app.plots import maps as plane
+from app.plots.sections import VIEWS, surface
 from app.report import sentence
 from app.report.page import Figure
 from app.report.sweep_figures import headlines
@@ -29,7 +34,6 @@ from app.report.sweep_results import WORDS, SweepResults, SweptCase, named
 from app.report.viewer import INTERFACE, cells_of, lengths, outsides, quartered
 from app.results.reading import Run
 from meshes.data import FACES
-from meshes.picture import VIEWS, surface
 
 Chosen = list[tuple[str, SweptCase]]
 
@@ -267,7 +271,7 @@ def draw(
             if v is None:
                 axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color="0.4")
                 continue
-            shade = figures.shaded(axes, own.corners, v[own.nodes], colours, (low, most))
+            shade = plane.shaded(axes, own.corners, v[own.nodes], colours, (low, most))
         extend = "max" if every.max() > most * (1 + 1e-6) else "neither"
         figure.colorbar(shade, ax=list(axes_row), label=label, extend=extend, pad=0.04)
     for axes, title in zip(grid[0], titles, strict=False):
@@ -278,7 +282,7 @@ def draw(
     return [label for label, *_ in rows]
 
 
-def _axes(axes: Any, own: Sheet) -> None:
+def _axes(axes: Axes, own: Sheet) -> None:
     axes.set_facecolor("0.93")
     low, high = own.corners.reshape(-1, 2).min(axis=0), own.corners.reshape(-1, 2).max(axis=0)
     axes.set_ylim(low[1], high[1])
@@ -294,7 +298,7 @@ def _axes(axes: Any, own: Sheet) -> None:
     # The outer names stay inside the frame, so that those of the next map have room.
     for end, side in ((ticks[:1], "left"), (ticks[1:][-1:], "right")):
         for tick in end:
-            tick.label1.set_ha(side)
+            tick.label1.set_horizontalalignment(side)
     for angle in (0.0, 90.0, 180.0):
         axes.axvline(angle, color="0.5", lw=0.5, ls=":")
 
@@ -304,9 +308,6 @@ def _axes(axes: Any, own: Sheet) -> None:
 
 def sides(run: Run, folder: Path) -> list[Figure]:
     """Draw slip, gap and pressure of every interface on its inner body; nothing without contact."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     bodies = outsides(run, curved=True)
     slip = [
         name for name in sorted(run.contacts, reverse=True) if f"{name}_slip" in run.point_fields

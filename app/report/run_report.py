@@ -16,13 +16,15 @@ from typing import Any
 
 from mpi4py import MPI
 
+import matplotlib as mpl
+
 import meshes
-from app import figures
 from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.foundation.errors import InputError, StoppedError, dealt, on_root
-from app.report import case_picture, curves, gruen, page, pictures, sentence, sweep_figures, viewer
+from app.plots import curves, figures
+from app.report import case_picture, gruen, history, page, pictures, sentence, sweep_figures, viewer
 from app.report.input_spread import HEAD, InputSpread, of_run
 from app.report.page import Blocks, Figure, bullets, table
 from app.report.sweep_results import CONVERGED, SweptCase
@@ -72,8 +74,6 @@ def after_run(folder: Path, comm: MPI.Comm | None) -> None:
     """
     if comm is None and rank() != 0:
         return
-    import matplotlib as mpl
-
     every = comm or MPI.COMM_SELF
     node = every.Split_type(MPI.COMM_TYPE_SHARED)
     try:
@@ -158,12 +158,12 @@ def _run(
     summary = UNFINISHED | _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     over = of_run(spread, case) if spread else None
-    panels, x = curves.of_history(case.history)
-    drawn = [curves.drawing(panel, x) for panel in panels]
-    stressed = [curves.drawing(p, "tension (MPa)") for p in curves.of_tension(summary)]
+    panels = history.over_time(case.history)
+    drawn = [curves.drawing(panel) for panel in panels]
+    stressed = [curves.drawing(panel) for panel in history.tension(summary)]
     if share == math.inf and panels:
         (folder / PICTURES).mkdir(exist_ok=True)
-        files = curves.draw(folder / PICTURES / "curves.png", panels, x, 3) + files
+        files = curves.draw(folder / PICTURES / "curves.png", panels, 3) + files
     case_file = _text(folder / "case.yaml")
     verbatim: Blocks = [("verbatim", {"text": case_file})] if case_file else []
     sections = [
@@ -330,7 +330,7 @@ def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
 
 def _solver(case: SweptCase, summary: dict[str, Any]) -> Blocks:
     """Iterations and balances of each step, and seconds by phase."""
-    parts = curves.of_solver(case.history)
+    parts = history.steps(case.history)
     parts += page.titled("Sizes", _pairs(summary.get("solver", {})))
     parts += page.titled("Seconds", _pairs(summary.get("timing", {})))
     return page.folded("each step, sizes, times", parts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
@@ -12,20 +12,27 @@ from urllib.parse import quote
 
 from app.campaigns.uncertainty import correlation
 from app.case import keys, quantities
+from app.plots.curves import ROUNDED, Line, Panel, draw, drawing
 from app.report import page
-from app.report.curves import ROUNDED, Line, Panel, draw, drawing
 from app.report.page import Blocks
-from app.report.sweep_results import PERCENTILES, SweptCase, by_part, magnitude, named
+from app.report.sweep_results import PERCENTILES, Number, SweptCase, by_part, magnitude, named
 from app.schema.units import NUMBER, conversion
 from app.system import layout
 
+# Panels of a picture.
 MOST_PANELS = 12
-MOST_NUMBERS = 11  # in the table of cases
+# Numbers in the table of cases.
+MOST_NUMBERS = 11
+# Curves of a panel.
 MOST_SERIES = 8
+# Levels of a varied key that are written one by one.
 MOST_LEVELS = 8
-# Stands for the keys of the geometry: what they make of the mantle.
-ACHIEVED, THICKNESS = "geometry.achieved_mean_thickness", "geometry.cement_thickness"
-FEWEST = 6  # cases, below which rank correlations say little
+# Stands for the keys of the geometry: the mean thickness of the mantle that they make.
+ACHIEVED = "geometry.achieved_mean_thickness"
+# Key of the thickness of the mantle.
+THICKNESS = "geometry.cement_thickness"
+# Cases below which rank correlations say little.
+FEWEST = 6
 
 
 def headlines(cases: Sequence[SweptCase]) -> list[str]:
@@ -129,29 +136,36 @@ def multiples(cases: Sequence[SweptCase], folder: Path | None) -> tuple[Blocks, 
         keys = [ACHIEVED, *keys]
     for key in keys:
         groups = _groups(done, key)
+        words, unit_of_x = title(key), levels(done, key)[0]
+        x = f"{words} ({unit_of_x})" if unit_of_x else words
         panels = []
         for name in headlines([c for _, own in groups for c in own.values()]):
             text, unit = quantities.in_words(name)
             lines = []
             for k, (common, own) in enumerate(groups[:MOST_SERIES]):
-                values = {x: n for x, c in own.items() if (n := c.number(name))}
-                lines.append(Line(common or "mantle", k, values))
-            if any(_varies([n.value for n in line.numbers.values()]) for line in lines):
-                panels.append(Panel(text, unit or "value", lines))
+                numbers = {at: c.number(name) for at, c in own.items()}
+                lines.append(line_of(common or "mantle", k, numbers))
+            if any(_varies(line.y) for line in lines):
+                panels.append(Panel(text, unit or "value", lines, x))
         panels = panels[:MOST_PANELS]
-        if all(len(line.numbers) < 2 for panel in panels for line in panel.lines):
+        if all(len(line.x) < 2 for panel in panels for line in panel.lines):
             continue
-        words, unit = title(key), levels(done, key)[0]
-        x = f"{words} ({unit})" if unit else words
         if folder:
             file = f"over_{''.join(c if c.isalnum() else '_' for c in key)}.png"
-            files += draw(folder / file, panels, x, 3)[:1]
+            files += draw(folder / file, panels, 3)[:1]
         left = len(groups) - MOST_SERIES
         more = f" {left} further curves are left out." if left > 0 else ""
         caption = f"Bars: estimated errors, where they are known.{more}"
-        drawings = {"drawings": [drawing(p, x, from_zero=True) for p in panels], "caption": caption}
+        drawings = {"drawings": [drawing(p, from_zero=True) for p in panels], "caption": caption}
         found += page.titled(f"Numbers over {words}", [("drawings", drawings)])
     return found, files
+
+
+def line_of(label: str, style: int, numbers: Mapping[float, Number | None]) -> Line:
+    """Return a curve of the numbers that are known, with their errors."""
+    known = {x: n for x, n in numbers.items() if n is not None}
+    errors = [n.error or 0.0 for n in known.values()]
+    return Line(label, style, list(known), [n.value for n in known.values()], errors)
 
 
 def varied(cases: Sequence[SweptCase]) -> list[str]:

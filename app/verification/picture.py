@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from app import figures
-from app.system import style
-from app.system.style import COLOURS
+from app.plots import figures
+from app.plots.figures import COLOURS
 from app.verification.check import CheckResult, by_group
 
 # Of each outcome colour and marker.
@@ -56,7 +55,7 @@ def _ladder(axes: Any, outcomes: Sequence[CheckResult]) -> None:
     axes.set(xlabel=outcomes[0].check.rung, ylabel="relative error")
     axes.set_title(outcomes[0].check.what, fontsize=9, loc="left")
     axes.legend(fontsize=8, frameon=False)
-    style.grid(axes)
+    figures.grid(axes)
 
 
 def _margins(axes: Any, groups: dict[str, list[CheckResult]]) -> None:
@@ -81,4 +80,4 @@ def _margins(axes: Any, groups: dict[str, list[CheckResult]]) -> None:
             axes.plot([], [], marker, color=colour, label=f"{outcome} ({counts[outcome]})")
     above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": len(counts)}
     axes.legend(fontsize=8, frameon=False, **above)
-    style.grid(axes)
+    figures.grid(axes)

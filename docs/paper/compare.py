@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from app.case.quantities import numbers_of, printed
+from app.plots import figures as style
+from app.plots.figures import COLOURS, MARKERS
 from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named, read
-from app.system import style
-from app.system.style import COLOURS, MARKERS
 from docs.paper import cases as paper
 from docs.paper.cases import READINGS, REFERENCE, STEMS, Cases, labels
 from docs.paper.claims import CLAIMS, judge

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from app import figures
 from app.campaigns import study, study_picture
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
@@ -22,6 +21,7 @@ from app.case import quantities
 from app.case import study as study_file
 from app.cli import main
 from app.foundation.errors import MantleError
+from app.plots import figures
 from tests.campaigns import bench as points
 from tests.campaigns.bench import CASE, Bench
 

@@ -11,8 +11,9 @@ import pytest
 import meshes
 from app.case.femurs import Femur
 from app.case.geometries import Blocks, Cylinders, MeshOptions
+from app.plots import sections
 from app.soundness import cost
-from meshes import mantle, picture
+from meshes import mantle
 from meshes.data import MeshData
 from meshes.gruen import Zones
 
@@ -105,7 +106,7 @@ def test_what_is_below_the_tip_is_a_plug() -> None:
 
 @pytest.mark.parametrize("curved", [True, False])
 def test_a_section_is_filled_and_its_outlines_are_closed(curved: bool) -> None:
-    polygons, outlines, owner = picture.section(mesh(curved=curved), 2, 0.37 * LENGTH)
+    polygons, outlines, owner = sections.section(mesh(curved=curved), 2, 0.37 * LENGTH)
     area = 0.0
     for x, _ in polygons:
         u, v = x[:, :, 0], x[:, :, 1]

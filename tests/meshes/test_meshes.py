@@ -19,6 +19,7 @@ import meshes
 from app.campaigns.work_precision import fitted_order
 from app.case.geometries import Block, Blocks, Cylinders, MeshFile, MeshOptions
 from app.foundation.errors import GeometryError
+from app.plots.sections import cut
 from meshes import cache, cylinders, quality
 from meshes.data import (
     MeshData,
@@ -32,7 +33,6 @@ from meshes.data import (
     region_volumes,
 )
 from meshes.gmsh_child import MILLIMETRES, session
-from meshes.picture import cut
 from meshes.pieces import parts
 from tests import support
 from tests.robustness.faulty import DAMAGES, damage

@@ -32,7 +32,7 @@ ROWS = (
     ("foundation",),
     ("mesh_files",),
     ("configs", "forms", "meshes", "system"),
-    ("schema", "numerics"),
+    ("schema", "numerics", "plots"),
     ("laws",),
     ("case",),
     ("scene",),
@@ -140,7 +140,7 @@ def test_forms_import_only_ufl(path: Path) -> None:
 @all_of("meshes")
 def test_meshes_know_nothing_of_the_application(path: Path) -> None:
     own = {m for m in imported(path) if top(m) == "app"}
-    assert {package_of(m) for m in own - {"app.figures"}} <= {"foundation", "mesh_files"}
+    assert {package_of(m) for m in own} <= {"foundation", "mesh_files"}
 
 
 @all_of("app")

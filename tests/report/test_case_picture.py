@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from app import figures
 from app.case.case import load
+from app.plots import figures
 from app.report import case_picture
 from app.system import folders
 from meshes import build

@@ -17,7 +17,8 @@ import mantle
 from app.campaigns import uncertainty
 from app.case.quantities import TABLE
 from app.cli import main
-from app.report import curves, pictures, run_report, sentence, viewer
+from app.plots import curves
+from app.report import history, pictures, run_report, sentence, viewer
 from app.report.input_spread import InputSpread
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.schema import yaml_file
@@ -183,9 +184,10 @@ def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm"
 
 
 def test_cycles_after_cooling_are_all_drawn() -> None:
-    history = {"time [-]": [1, 1.5, 2], "seconds [s]": [9] * 3, "stem subsidence [mm]": [1, 2, 3]}
-    panels, label = curves.of_history({key: np.array(own) for key, own in history.items()})
-    assert list(panels[0].lines[0].numbers) == [1, 1.5, 2] and "stage" in label
+    written = {"time [-]": [1, 1.5, 2], "seconds [s]": [9] * 3, "stem subsidence [mm]": [1, 2, 3]}
+    columns = {key: np.array(own) for key, own in written.items()}
+    panel = history.over_time(columns)[0]
+    assert panel.lines[0].x == [1, 1.5, 2] and "stage" in panel.x
 
 
 def test_dead_bone_has_a_spread(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from app.case.case import load
 from app.foundation.arrays import Floats
 from app.laws.failure import Fatigue, Murphy, Power, Verdonschot, Weibull
-from app.report import curves
+from app.report import history
 from app.results import closing_lines
 from app.results.cement_risk import NEAR, distance, tensions, turning_in
 from app.soundness import preview, well_posedness
@@ -122,8 +122,8 @@ def test_damage_is_told_as_a_band(tmp_path: Path) -> None:
     # Over 5 MPa nothing is left at 6.6 MPa but the whole; the curve falls to zero behind it.
     volumes = [s["regions"]["bar"][f"volume_over_{p}_MPa"] for p in (3, 5, 7, 9, 11)]
     assert volumes == pytest.approx([16, 16, 0, 0, 0])
-    (panel,) = curves.of_tension(s)
-    assert [n.value for n in panel.lines[0].numbers.values()] == pytest.approx(volumes)
+    (panel,) = history.tension(s)
+    assert panel.lines[0].y == pytest.approx(volumes)
 
 
 def test_growing_risk_is_told() -> None:

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app import figures
-from app.report import curves, pictures
-from app.report.sweep_results import Number
+from app.plots import curves, figures, maps
+from app.report import pictures
 from app.results.reading import Run
 
 N, LAYERS, RADIUS, LENGTH = 12, 3, 5.0, 30.0
@@ -127,13 +126,13 @@ def test_a_picture_has_the_rows_that_there_are(
 
 def test_points_and_bars_keep_off_the_frame() -> None:
     """Of numbers far from zero and alike, whose axis begins at zero; inside a page as well."""
-    values = {0.2: Number(98.8, 2.0), 0.8: Number(91.0, 2.0)}
-    panel = curves.Panel("slip", "µm", [curves.Line("a", 0, values)])
+    line = curves.Line("a", 0, [0.2, 0.8], [98.8, 91.0], [2.0, 2.0])
+    panel = curves.Panel("slip", "µm", [line], "friction")
     axes = figures.new(4.0, 3.0).subplots()
-    curves._draw(axes, panel)
+    curves.draw_panel(axes, panel)
     low, high = axes.get_ylim()
     assert low == 0 and high > 1.04 * 100.8
-    drawn = curves.drawing(panel, "friction", from_zero=True)
+    drawn = curves.drawing(panel, from_zero=True)
     assert drawn["up"][0] == (0.0, "0") and drawn["columns"] == 2
     for _, middle, least, most in drawn["lines"][0][2]:
         assert 0 < least < middle < most <= 1 and middle == pytest.approx((least + most) / 2)
@@ -153,7 +152,7 @@ def test_a_linear_field_is_shaded_without_streaks(way: int) -> None:
     axes = figure.subplots()
     axes.set(xlim=(0.0, 320.0), ylim=(0.0, 60.0), facecolor="w")
     axes.set_axis_off()
-    figures.shaded(axes, plane, u[triangles], "gray", (0.0, 480.0))
+    maps.shaded(axes, plane, u[triangles], "gray", (0.0, 480.0))
     figure.canvas.draw()
     box = axes.get_window_extent()
     pixels = np.asarray(figure.canvas.buffer_rgba())[:, :, 0].astype(float)

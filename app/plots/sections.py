@@ -1,4 +1,4 @@
-"""A mesh as pictures: sections through it, and its surfaces."""
+"""Sections through cells and surfaces, surfaces as seen from a side, and pictures of a mesh."""
 
 from __future__ import annotations
 
@@ -7,16 +7,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.patches import Patch
 
-from app import figures
 from app.foundation.arrays import Floats, Ints
+from app.plots import figures
+from app.plots.figures import PNG
+from app.plots.maps import joined
 from meshes.data import EDGES, MeshData, boundary_facets, interface_facets
+from meshes.mantle import distance, triangles
 
 # The straight cells that share the nodes of a curved one: its corners, and four around a diagonal.
 PARTS = (
     *((0, 4, 6, 7), (4, 1, 5, 9), (6, 5, 2, 8), (7, 9, 8, 3)),
     *((4, 8, 6, 7), (4, 8, 7, 9), (4, 8, 9, 5), (4, 8, 5, 6)),
 )
+# Colour of a region by its name; others take the next of `OTHERS`.
 COLOURS = {
     "stem": "#7f8fa6",
     "cement": "#e8a0a8",
@@ -27,13 +37,21 @@ COLOURS = {
 OTHERS = ("#8fb7d9", "#f2b880", "#a8cf9b", "#c7a7d8", "#d9d07c", "#88c9c3")
 AXES = "xyz"
 INTERFACES = ("stem_cement", "cement_bone")
-INSIDE = 1.0  # mm of the sections from the tip and from the lowest point of the neck cut
+# Distance of the sections from the tip and from the lowest point of the neck cut [mm].
+INSIDE = 1.0
 # The horizontal axis, whether it points to the left, and the axis along which one looks.
 VIEWS = {"lateral": (1, True, 0), "anterior": (0, True, 1), "medial": (1, False, 0)}
 FRONT_AND_SIDE = ("anterior", "medial")
-LIGHT = np.array([-0.5, 0.4, 0.77])  # from the left, from above, from the viewer
+# Direction to the light: from the left, from above, from the viewer.
+LIGHT = np.array([-0.5, 0.4, 0.77])
+# Brightness of a facet that faces away from the light.
 DARKEST = 0.7
-METAL, PLUG, CORTEX = "#b8c0cc", "0.85", "#d62728"  # the last: edges of what touches it
+# Colour of a stem's surface.
+METAL = "#b8c0cc"
+# Colour of the cement below the tip.
+PLUG = "0.85"
+# Colour of the edges of facets on cortical bone.
+CORTEX = "#d62728"
 # Edges cut by a plane, in order around the section, by the signs of the four vertices: bit v is
 # set where vertex v is on the positive side. Edges are numbered as in data.EDGES.
 _RINGS = {
@@ -95,10 +113,18 @@ def outlines(polygons: Iterable[tuple[Floats, Ints]]) -> tuple[Floats, Ints]:
     return ends[outer], owner[outer]
 
 
+def section_lines(x: Floats, axis: int, at: float) -> Floats:
+    """Lines (n, 2, 3) in which the plane x_axis = at [mm] cuts triangles (m, 3, 3)."""
+    height = x[:, :, axis] - at
+    after = np.roll(height, -1, axis=1)
+    crossed = (height >= 0) != (after >= 0)
+    share = (height[crossed] / (height[crossed] - after[crossed]))[:, None]
+    ends = (1 - share) * x[crossed] + share * np.roll(x, -1, axis=1)[crossed]
+    return ends.reshape(-1, 2, 3)
+
+
 def sections(data: MeshData, path: Path) -> None:
     """Write a PNG with sections near the neck cut, in the middle of the stem and above its tip."""
-    from matplotlib.patches import Patch
-
     stem = data.points[interface_facets(data, "stem_cement")[0], 2]
     top = stem.max()
     if "resection" in data.boundaries:
@@ -117,18 +143,16 @@ def sections(data: MeshData, path: Path) -> None:
         ax.set_title(f"{place}, z = {at:.4g} mm")
     handles = [Patch(fc=c, ec="k", label=n) for n, c in colours_of(data.regions).items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=6)
-    figure.savefig(path, dpi=110, format="png")
+    figures.save(figure, path, 110, PNG)
 
 
-def fill(ax: Any, data: MeshData, axis: int, at: float) -> None:
+def fill(ax: Axes, data: MeshData, axis: int, at: float) -> None:
     """Draw a section: filled cells, and their outlines."""
-    from matplotlib.collections import LineCollection, PathCollection
-
     u, v = (i for i in range(3) if i != axis)
     polygons, edges, _ = section(data, axis, at)
     for name, colour in colours_of(data.regions).items():
         own = [x[data.cell_tags[cell] == data.regions[name]][..., [u, v]] for x, cell in polygons]
-        area = PathCollection([figures.joined(own)], color=colour, linewidths=0)
+        area = PathCollection([joined(own)], color=colour, linewidths=0)
         ax.add_collection(area, autolim=False)
     ax.add_collection(LineCollection(list(edges[..., [u, v]]), colors="#00000060", lw=0.25))
     ax.autoscale_view()
@@ -153,12 +177,6 @@ def interfaces(data: MeshData, path: Path) -> None:
     The bone interface is coloured by the thickness of the cement, which is undefined below the tip,
     where the plug is; facets on cortical bone have red edges.
     """
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize, to_rgb
-
-    from meshes.mantle import distance, triangles  # imports scipy
-
     stem, bone = (interface_facets(data, name) for name in INTERFACES)
     patches = [triangles(data.points, facets) for facets, _, _ in (stem, bone)]
     middle = patches[1].mean(axis=1)
@@ -182,11 +200,11 @@ def interfaces(data: MeshData, path: Path) -> None:
             ax.set_title(f"{INTERFACES[k]}\nfrom {view}")
     figure.axes[0].set_ylabel("z (mm)")
     figure.colorbar(shown, ax=figure.axes, label="thickness of the cement (mm)", shrink=0.5)
-    figure.savefig(path, dpi=95, format="png")
+    figures.save(figure, path, 95, PNG)
 
 
 def surface(
-    ax: Any, facets: Floats, pieces: Floats, colours: Floats, edges: Any, view: str
+    ax: Axes, facets: Floats, pieces: Floats, colours: Floats, edges: Any, view: str
 ) -> None:
     """Draw a surface as a viewer sees it, lit from the upper left, with the edges of its facets.
 
@@ -198,8 +216,6 @@ def surface(
         edges: Colour of the edges of each facet (k,) or (k, 3); None draws none.
         view: One of `VIEWS`.
     """
-    from matplotlib.collections import PolyCollection
-
     across, leftward, toward = VIEWS[view]
     eye = 1 if leftward == (toward == 1) else -1
 

@@ -1,0 +1,108 @@
+"""Panels of a run: numbers over time, cement under tension, and the steps of the solver."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from app.case.quantities import FACTORS, STRESSED, TABLE, printed
+from app.foundation.arrays import Floats
+from app.plots.curves import Line, Panel, sparse
+from app.report import page
+from app.report.page import Blocks
+from app.system.layout import plain
+
+# Quantities drawn, by key in history.csv: title, unit for people.
+_INTERFACE = {
+    key: (q.label, q.shown)
+    for key, q in TABLE["interfaces"].items()
+    if q.history and ((q.headline and not q.exact) or key == "dissipation")
+}
+SHOWN = {
+    "temperature_max": ("highest temperature", "degC"),
+    "temperature_max_second": ("highest temperature, second side", "degC"),
+    "degree_min": ("least degree of cure", "%"),
+    "": ("temperature at probes", "degC"),
+    **_INTERFACE,
+    "torque_along": ("friction torque along the motion", "N mm"),
+    **{f"force.{axis}": (f"force in {axis}", "N") for axis in "xyz"},
+    "eccentricity": ("shift of the centre", "um"),
+    "subsidence": ("subsidence", "um"),
+    "retroversion": ("retroversion", "deg"),
+    **{f"displacement.{axis}": (f"displacement in {axis} at probes", "um") for axis in "xyz"},
+}
+# Columns of time in history.csv.
+SECONDS = "seconds [s]"
+TIME = "time [-]"
+# Beginnings of the columns that belong to the solver.
+SOLVER = (SECONDS, TIME, "step", "newton", "krylov", "residual", "augmentation", "wall")
+# Values below which a quantity is zero, in its unit for people.
+ROUNDING = 1e-9
+History = Mapping[str, Floats]
+
+
+def over_time(history: History) -> list[Panel]:
+    """Return panels of the quantities that change.
+
+    Loads come at no time of a history of heat: then all is drawn over stages.
+    """
+    seconds = history.get(SECONDS, np.empty(0))
+    timed = 0 < len(seconds) == len(np.unique(seconds))
+    times = history.get(SECONDS if timed else TIME, np.empty(0))
+    if len(times) < 2:
+        return []
+    lines: dict[str, dict[str, tuple[list[float], list[float]]]] = {}
+    for column, values in history.items():
+        place, key, unit = _parts(column)
+        if key not in SHOWN or not place or (not key and unit != "degC"):
+            continue
+        shown = SHOWN[key][1]
+        scaled = FACTORS.get(shown, 1.0) * values
+        known = np.isfinite(values)
+        if np.abs(scaled[known]).max(initial=0.0) > ROUNDING:
+            points = times[known].tolist(), scaled[known].tolist()
+            lines.setdefault(key, {})[place] = points
+    places = list(dict.fromkeys(place for by_place in lines.values() for place in by_place))
+    x = "time (s)" if timed else "time (each stage takes 1)"
+    panels = []
+    for key, (title, unit) in SHOWN.items():
+        if key in lines:
+            curves = [
+                Line(place.replace("_", " "), places.index(place), *points)
+                for place, points in lines[key].items()
+            ]
+            panels.append(Panel(title, printed(unit), curves, x))
+    return panels
+
+
+def tension(summary: Mapping[str, Any]) -> list[Panel]:
+    """Return the panel of the volume of cement over levels of tension, if any exceeds the first."""
+    lines: list[Line] = []
+    levels = [float(level) for level in STRESSED]
+    keys = [f"volume_over_{level}_MPa" for level in STRESSED]
+    for region, q in summary.get("regions", {}).items():
+        if q.get(keys[0]):
+            volumes = [q[key] for key in keys]
+            errors = [q.get(f"{key}_error") or 0.0 for key in keys]
+            lines.append(Line(region, len(lines), levels, volumes, errors))
+    if not lines:
+        return []
+    return [Panel("volume over a tension", printed("mm^3"), lines, "tension (MPa)")]
+
+
+def _parts(column: str) -> tuple[str, str, str]:
+    """Place, key and unit of a column; no place for numbers of the whole run."""
+    head, _, unit = column.removesuffix("]").partition(" [")
+    place, _, key = head.partition(" ")
+    whole = column.startswith(SOLVER) or key == "balance"
+    return ("" if whole else place), key, unit
+
+
+def steps(history: History) -> Blocks:
+    """Return a table of the solver's columns, by step."""
+    columns = {c: v for c, v in history.items() if not _parts(c)[0] and np.isfinite(v).any()}
+    rows = sparse([*zip(*columns.values(), strict=True)])
+    texts = [[plain(float(f"{value:.3g}")) for value in row] for row in rows]
+    return page.table([*columns], texts)
