@@ -296,9 +296,10 @@ def _axes(axes: Axes, own: Sheet) -> None:
     names = [SHORT[way] for way in shown.values()]
     ticks = axes.set_xticks(list(shown), names, fontsize=8)
     # The outer names stay inside the frame, so that those of the next map have room.
-    for end, side in ((ticks[:1], "left"), (ticks[1:][-1:], "right")):
-        for tick in end:
-            tick.label1.set_horizontalalignment(side)
+    for tick in ticks[:1]:
+        tick.label1.set_horizontalalignment("left")
+    for tick in ticks[1:][-1:]:
+        tick.label1.set_horizontalalignment("right")
     for angle in (0.0, 90.0, 180.0):
         axes.axvline(angle, color="0.5", lw=0.5, ls=":")
 
