@@ -24,7 +24,7 @@ from app.case.quantities import TABLE
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (ROOT / "README.md", ROOT / "docs" / "tutorial.md")
-FROZEN = ROOT / "tests" / "reference" / "frozen"
+FROZEN = ROOT / "tests" / "reference" / "frozen.json"
 BLOCK = re.compile(r"(?:<!-- file: (\S+) -->\n)?```(sh|yaml|text)\n(.*?)```\n", re.DOTALL)
 # The launcher's own commands, and the README's large run, whose table the frozen numbers give.
 SKIPPED = re.compile(r"\./mantle (setup|doctor|test|explain)|.*configs/stance.yaml|mpirun")
@@ -88,7 +88,7 @@ def _row(found: re.Match[str]) -> str:
 
 def _cell(case: str, interface: str, quantity: str) -> str:
     """Maximum, and percentile with its error, of an interface of a frozen case."""
-    numbers = json.loads((FROZEN / f"{case}.json").read_text("utf-8"))
+    numbers = json.loads(FROZEN.read_text("utf-8"))[case]
     start = f".:summary.interfaces.{interface}."
     own = {key.removeprefix(start): n for key, n in numbers.items() if key.startswith(start)}
     peak, percentile = (TABLE["interfaces"][key] for key in QUANTITIES[quantity])

@@ -1,12 +1,15 @@
-"""Results of the shipped cases, frozen: a change that should move no number is compared with them.
+"""Ten numbers of each shipped case, frozen: a change that should move none is compared with them.
 
-    python3 -m tests.frozen write           run the shipped cases and freeze their numbers
-    python3 -m tests.frozen compare 1e-10   run them again and print what moved by more
+    python3 -m tests.frozen compare 1e-10   run the shipped cases, print the numbers that moved
+    python3 -m tests.frozen write           run them and freeze their numbers anew
+    python3 -m tests.frozen all DIR         run them and write all of their numbers to DIR
 
-Names of cases after that choose some of them. `tests/verification/test_frozen.py` compares with a
-tolerance that holds on every processor.
+Names of cases after these words choose some of them. `tests/reference/frozen.json` holds the
+numbers of each case: to freeze one more, add its name with any value and write. The two stances
+have the numbers of the table of the README, which `docs/outputs.py` reads.
+`tests/verification/test_frozen.py` compares with a tolerance that holds on every processor.
 
-Frozen numbers are not known answers (`mantle verify` has those): they tell that something moved.
+Frozen numbers are not known answers (`mantle verify` has those): they show that a result moved.
 A change that moves them on purpose writes them anew and says in its commit which and why.
 """
 
@@ -23,13 +26,13 @@ from typing import Any
 
 from tests import support
 
-FROZEN = support.ROOT / "tests" / "reference" / "frozen"
+FROZEN = support.ROOT / "tests" / "reference" / "frozen.json"
 CASES = ("blocks", "cylinders", "thermal_rings", "intact", "stance", "stance_cocr", "cure")
 LONG = ("thermal_100C", "residual", "variations")
-# What depends on the machine, on its load, or on rounding alone.
+# Numbers that depend on the machine, on its load, or on rounding alone.
 VOLATILE = ("timing", "cpu", "memory", "balance", "force_error", "solver", "mantle")
 SECONDS = ("wall [s]", "step [s]")
-TINY = 1e-9  # in the units of the summary: what is smaller is rounding
+TINY = 1e-9  # rounding, in the units of the summary
 
 
 def numbers(folder: Path) -> dict[str, float]:
@@ -62,13 +65,16 @@ def leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 
 def moved(old: dict[str, float], new: dict[str, float], tolerance: float) -> list[str]:
-    """Name the numbers that differ by more than a relative tolerance, or that only one side has."""
-    lines = [f"{name}: only before" for name in sorted(old.keys() - new.keys())]
-    lines += [f"{name}: only now" for name in sorted(new.keys() - old.keys())]
-    for name in sorted(old.keys() & new.keys()):
-        a, b = old[name], new[name]
-        if not abs(a - b) <= TINY + tolerance * max(abs(a), abs(b)):
-            lines.append(f"{name}: {a!r} became {b!r}")
+    """Name the old numbers that are missing or differ by more than a relative tolerance."""
+    lines = []
+    for name, before in sorted(old.items()):
+        if name not in new:
+            lines.append(f"{name}: missing")
+            continue
+        now = new[name]
+        limit = TINY + tolerance * max(abs(before), abs(now))
+        if not abs(before - now) <= limit:  # also if one of them is not a number
+            lines.append(f"{name}: {before!r} became {now!r}")
     return lines
 
 
@@ -81,10 +87,10 @@ def solve(name: str) -> dict[str, float]:
         return numbers(output)
 
 
-def frozen(name: str) -> dict[str, float]:
-    """Read the frozen numbers of a shipped case."""
-    found: dict[str, float] = json.loads((FROZEN / f"{name}.json").read_text("utf-8"))
-    return found
+def frozen() -> dict[str, dict[str, float]]:
+    """Read the frozen numbers of the shipped cases."""
+    cases: dict[str, dict[str, float]] = json.loads(FROZEN.read_text("utf-8"))
+    return cases
 
 
 def _volatile(path: str) -> bool:
@@ -94,21 +100,28 @@ def _volatile(path: str) -> bool:
     return volatile or path.endswith(SECONDS)
 
 
-def main(arguments: list[str]) -> int:
-    """Write or compare; the exit code tells whether a number moved."""
+def main(action: str, arguments: list[str]) -> int:
+    """Write or compare; the exit code tells if a number moved."""
+    given = "" if action == "write" else arguments.pop(0)
+    cases = frozen()
     bad = 0
-    for name in arguments[1 + (arguments[0] == "compare") :] or (*CASES, *LONG):
+    for name in arguments or (*CASES, *LONG):
         found = solve(name)
-        if arguments[0] == "write":
-            text = json.dumps(found, indent=0, sort_keys=True)
-            (FROZEN / f"{name}.json").write_text(text + "\n", "utf-8")
-            print(f"{name}: {len(found)} numbers", flush=True)
-            continue
-        lines = moved(frozen(name), found, float(arguments[1]))
-        print(f"{name}: {len(found)} numbers, {len(lines)} moved", *lines, sep="\n  ", flush=True)
-        bad += len(lines)
+        if action == "all":
+            folder = Path(given)
+            folder.mkdir(parents=True, exist_ok=True)
+            text = json.dumps(found, indent=1, sort_keys=True)
+            (folder / f"{name}.json").write_text(text + "\n", "utf-8")
+        elif action == "write":
+            cases[name] = {key: found[key] for key in cases[name]}
+            FROZEN.write_text(json.dumps(cases, indent=1) + "\n", "utf-8")
+            print(f"{name}: {len(cases[name])} numbers", flush=True)
+        else:
+            lines = moved(cases[name], found, float(given))
+            print(f"{name}: {len(lines)} of {len(cases[name])} numbers moved", *lines, sep="\n  ")
+            bad += len(lines)
     return int(bad > 0)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(sys.argv[1], sys.argv[2:]))

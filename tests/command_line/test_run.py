@@ -110,10 +110,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
 
 
 def test_summary_means_what_it_says(done: tuple[Path, Path, str]) -> None:
-    """Interfaces carry the load to the table, and the stem goes down.
-
-    Names of numbers are those of the frozen ones; here is what these leave out.
-    """
+    """Interfaces carry the load to the table, and the stem goes down."""
     summary = support.summary(done[1])
     assert (summary["status"], summary["solver"]["steps"]) == ("converged", 3)
     assert summary["units"]["length"] == "mm" and summary["units"]["stress"] == "MPa"
@@ -547,7 +544,6 @@ def check_bone(s: dict[str, Any]) -> None:
     )
 
 
-# Numbers of the first two are those of the frozen ones, and of the patch tests.
 def check_fatigue(summary: dict[str, Any]) -> None:
     """Rim and tip of the mantle tire first; a stumble is no threat to its strength."""
     assert summary["regions"]["cement"]["failure_probability"] < 1e-3
@@ -641,17 +637,6 @@ CHECKS: dict[str, Callable[[dict[str, Any]], None]] = {
 
 def test_every_shipped_configuration_is_run() -> None:
     assert {p.name for p in support.CONFIGS.glob("*.yaml")} == COARSE.keys()
-
-
-def test_a_stiffer_stem_bends_less() -> None:
-    """All else is equal: in the frozen numbers its ends move less against each other."""
-    bent = []
-    for name in ("stance", "stance_cocr"):
-        q = {k.removeprefix(".:summary.stem."): v for k, v in frozen.frozen(name).items()}
-        top, tip = ([q[f"{end}_displacement.{k}"] for k in range(3)] for end in ("top", "tip"))
-        bent.append(float(np.linalg.norm(np.subtract(top, tip))))
-        assert q["subsidence"] > 0
-    assert 0 < bent[1] < bent[0]
 
 
 QUICK = ("blocks.yaml", "cylinders.yaml", "stance.yaml")

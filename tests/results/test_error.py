@@ -281,19 +281,30 @@ def test_digits_go_by_the_error(value: float | None, error: float | None, text: 
     assert q.text({"gap_p99": value, "gap_p99_error": error}) == text
 
 
-def test_the_stances_errors_cover_the_truth() -> None:
-    """Of 6 mm against 3.2 mm: of 53 numbers most, and none is off by far more."""
-    stated = frozen("stance")
-    truth = json.loads(
-        (support.ROOT / "tests" / "reference" / "stance_fine.json").read_text("utf-8")
-    )
+# Numbers of the stance at 3.2 mm, which 6 mm of the shipped case is compared with.
+FINE = {
+    "interfaces.stem_cement.gap_p99": 0.012550757986773763,
+    "interfaces.stem_cement.slip_p99": 0.037195056656912286,
+    "interfaces.stem_cement.motion_p99": 0.043119016753416964,
+    "interfaces.stem_cement.pressure_p95": 2.843618287465198,
+    "interfaces.stem_cement.shear_p95": 1.1438726068938057,
+    "interfaces.cement_bone.gap_p99": 0.017140529255418528,
+    "interfaces.cement_bone.slip_p99": 0.017449361712497613,
+    "interfaces.cement_bone.motion_p99": 0.029126118700084108,
+    "interfaces.cement_bone.pressure_p95": 1.341730849338463,
+    "interfaces.cement_bone.shear_p95": 0.790792046503162,
+}
+
+
+def test_error_estimate_of_the_stance_covers_a_finer_mesh() -> None:
+    """Each of ten numbers lies within its error."""
+    stance = frozen()["stance"]
     off = []
-    for name, exact in truth.items():
-        value, error = (stated[f".:summary.{name}{end}"] for end in ("", "_error"))
-        off.append(abs(value - exact) / error)
-    assert len(off) > 50
-    assert sum(x <= 1 for x in off) >= 0.85 * len(off), sorted(off)
-    assert max(off) < 2.5
+    for name, fine in FINE.items():
+        value = stance[f".:summary.{name}"]
+        error = stance[f".:summary.{name}_error"]
+        off.append(abs(value - fine) / error)
+    assert max(off) <= 1, sorted(off)
 
 
 def test_numbers_that_are_zero_set_no_error() -> None:
