@@ -7,20 +7,22 @@
     >>> results.summary["interfaces"]["stem_cement"]["slip_p99"]  # mm
 
 All numbers are in mm, N, MPa, s and degC. The errors are here, and what an extension needs:
-`Traction`, `InterfaceLaw`, `Load`, `Quantity`, `add_quantity`. ``import mantle`` loads
-neither numpy nor pydantic nor the solver stack: the functions that need them do.
+`Traction`, `InterfaceLaw`, `Load`, `Quantity`, `add_quantity`. ``import mantle`` does not start
+MPI and PETSc: the functions that need them do.
 """
 
 from __future__ import annotations
 
-import os
 import sys
-from collections.abc import Callable, Sequence
-from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from app import __version__ as __version__
+from app.case.quantities import Quantity as Quantity
+from app.case.quantities import add_quantity as add_quantity
+from app.command_line.actions import check as check
+from app.command_line.actions import load as load
+from app.command_line.actions import mesh as mesh
+from app.command_line.actions import read as read
+from app.command_line.actions import run as run
 from app.foundation.errors import ConvergenceError as ConvergenceError
 from app.foundation.errors import EnvironmentProblem as EnvironmentProblem
 from app.foundation.errors import GeometryError as GeometryError
@@ -28,196 +30,9 @@ from app.foundation.errors import InputError as InputError
 from app.foundation.errors import MantleError as MantleError
 from app.foundation.errors import StoppedError as StoppedError
 from app.foundation.errors import UnusableError as UnusableError
-from app.foundation.errors import stack_needed
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
-
-    from app.case.case import LoadedCase
-    from app.results.reading import Results
-    from app.simulation.recorder import AcceptedStep
-    from app.soundness.preview import CheckedCase
-    from meshes import MeshData
-
-# Names for extensions, and the modules that define them.
-_EXTENSIONS = {
-    "InterfaceLaw": "app.laws.interface_laws",
-    "Load": "app.laws.loads",
-    "Quantity": "app.case.quantities",
-    "Traction": "app.laws.interface_laws",
-    "add_quantity": "app.case.quantities",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Import the classes and functions for extensions on demand."""
-    if name not in _EXTENSIONS:
-        raise AttributeError(f"module 'mantle' has no attribute '{name}'")
-    return getattr(import_module(_EXTENSIONS[name]), name)
-
-
-def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
-    """Read a case file and check all that can be checked without a mesh.
-
-    Args:
-        path: The YAML file.
-        overrides: Values that replace those of the file, by their keys as after ``--set``:
-            ``**{"mesh.size": "5 mm"}``. In a key without dots two underscores are a dot, so that
-            ``mesh__size="5 mm"`` is the same. Values are as in the file: text with a unit,
-            numbers, lists, mappings.
-
-    Returns:
-        The case; ``case.config`` has its checked parts.
-
-    Raises:
-        InputError: The file cannot be read or is wrong; lists every defect, one line each.
-    """
-    from app.case import case, points
-
-    keys = {key: key if "." in key else key.replace("__", ".") for key in overrides}
-    changes = points.as_overrides({keys[key]: value for key, value in overrides.items()})
-    return case.load(Path(path), changes, option="")
-
-
-def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
-    """Describe a case as understood, its size, and doubtful values in it.
-
-    With ``meshed``, or with probes, the mesh is made: sizes are counted instead of estimated, and
-    loose parts, unsolvable problems and probes outside their regions are found.
-
-    Returns:
-        Texts on the case: its ``description``, its ``size`` and its ``notes``; print it.
-
-    Raises:
-        InputError: The case cannot be solved, or does not fit this machine.
-        GeometryError: It cannot be meshed.
-        EnvironmentProblem: A package for meshing is missing.
-    """
-    from app.soundness import cost, memory, preview
-
-    memory.check(case.file, case.config)
-    size = cost.estimated_size(case.config, memory.available())
-    notes = preview.warnings(case.config)
-    if meshed or case.config.output.probes:
-        data = mesh(case)
-        with stack_needed():
-            from app.soundness import well_posedness
-        with case.file.placing():
-            notes += well_posedness.judge(case.config, well_posedness.look(case.config, data))
-        size = cost.exact_size(case.config, data, memory.available())
-    text = preview.describe(case.config, case.file.data)
-    return preview.CheckedCase(text, size, tuple(n for n in notes if n not in text))
-
-
-def mesh(case: LoadedCase) -> MeshData:
-    """Make the mesh of a case, or take it from the cache.
-
-    Returns:
-        Plain arrays: ``points`` (n, 3) [mm], ``cells`` (m, 4) or (m, 10) in gmsh's order,
-        ``cell_tags`` (m,), names of regions, boundaries and interfaces, and notes of the mesher.
-
-    Raises:
-        InputError: The mesh does not fit this machine.
-        GeometryError: The geometry cannot be built, or its mesh is not good enough.
-        EnvironmentProblem: A package for meshing is missing.
-    """
-    import meshes
-    from app.soundness import memory
-    from app.system import folders
-
-    memory.check(case.file, case.config)
-    with stack_needed(petsc=False):
-        import gmsh  # noqa: F401  (only to tell early that it is missing)
-    with case.file.placing():
-        return meshes.build(case.config.geometry, case.config.mesh, folders.cache("meshes"))
-
-
-def run(
-    case: LoadedCase,
-    output: str | os.PathLike[str] | None = None,
-    *,
-    progress: Callable[[AcceptedStep], None] = lambda step: None,
-    force: bool = False,
-    restart: str = "",
-    walltime: float | None = None,
-    signals: bool = False,
-    petsc_options: Sequence[str] = (),
-) -> Results:
-    """Solve a case in this process and write its results; under mpirun, all ranks call it together.
-
-    Args:
-        case: As `load` returns it.
-        output: The folder for the results; ``out/<name of the case file>`` by default.
-        progress: Called on every rank after each accepted step: number, time, row of history.csv.
-        force: Replace results in the folder, which otherwise stay if they are finished with this
-            very configuration; take a checkpoint of another configuration.
-        restart: Go on from a checkpoint: ``auto`` for the newest in the folder, or a file.
-        walltime: Stop in time with the state saved [s].
-        signals: The process is ours: signals save the state and stop, option files are ignored.
-        petsc_options: Raw options, as after ``--`` on the command line.
-
-    Returns:
-        What `read` gives of the folder.
-
-    Raises:
-        InputError: The case cannot be solved, or the folder holds something already.
-        GeometryError: The case cannot be meshed.
-        ConvergenceError: It could not be solved; the last converged state is in the folder.
-        UnusableError: Solved, but the numbers are not to be used; everything is in the folder.
-        StoppedError: By a signal, ``walltime`` or a full disk; the state is saved in the folder.
-        EnvironmentProblem: A package, a compiler or MPI is missing or unusable.
-    """
-    from app.simulation import finished_runs
-    from app.system import ranks
-
-    folder = Path(output) if output is not None else case.output
-    if not finished_runs.prepare(case, folder, force=force, restart=restart):
-        with ranks.mpi_settings():
-            with stack_needed():
-                from app.simulation import session
-            try:
-                comm = session.run(
-                    case,
-                    folder,
-                    petsc_options,
-                    restart=restart,
-                    force=force,
-                    walltime=walltime,
-                    signals=signals,
-                    progress=progress,
-                )
-            except (ConvergenceError, StoppedError, UnusableError):
-                _report(case, folder, None)
-                raise
-            _report(case, folder, comm)
-    return read(folder)
-
-
-def read(folder: str | os.PathLike[str]) -> Results:
-    """Read the results of a run from its folder.
-
-    Returns:
-        Its numbers (``summary``), its histories as arrays by column (``history``), its ``fields``
-        on points and cells, and the results of its ``variations`` by name.
-
-    Raises:
-        InputError: No run has written into the folder.
-        EnvironmentProblem: A package for reading is missing.
-    """
-    path = Path(folder)
-    if not any((path / name).exists() for name in ("case.yaml", "variations.json")):
-        raise InputError(f"{path}: holds no results of a run")
-    with stack_needed():
-        from app.results.reading import Results
-    return Results(path)
-
-
-def _report(case: LoadedCase, folder: Path, comm: MPI.Comm | None) -> None:
-    if case.config.output.report:
-        from app.report import run_report
-
-        run_report.after_run(folder, comm)
-
+from app.laws.interface_laws import InterfaceLaw as InterfaceLaw
+from app.laws.interface_laws import Traction as Traction
+from app.laws.loads import Load as Load
 
 if __name__ == "__main__":
     from app.cli import main

@@ -44,9 +44,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         argcomplete.autocomplete(parser())  # prints what may follow, and ends this process
     os.environ["OMP_NUM_THREADS"] = os.environ.get("OMP_NUM_THREADS") or "1"
-    # Switch off pydantic's search for plugins and its check of schemas at import.
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")
     ranks.find_program()
     ranks.use_one_node()
     ranks.end_with_parent()

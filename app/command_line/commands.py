@@ -1,12 +1,13 @@
 """One function for each command. The one module that prints to standard output.
 
-It imports what a command needs when it needs it, so that ``check`` works without MPI and starts at
-once.
+A command imports what only it needs: pictures take half a second to import, campaigns and suites
+one, the solver two, and every run would wait for them.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import os
 import shlex
@@ -14,20 +15,24 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import mantle
-from app.case import gmsh_header
+import meshes
+from app.case import gmsh_header, keys, new_case, overlay
+from app.case.case import LoadedCase
+from app.case.case import load as load_case
+from app.command_line import actions
 from app.command_line.parser import parser
 from app.command_line.streams import configure_log, painted, pass_colours
 from app.foundation.errors import InputError, stack_needed
-from app.system import ranks
+from app.simulation import finished_runs
+from app.soundness import cost, memory
+from app.system import doctor, ranks, stopping
 from app.system.folders import prepare_run
 from app.system.ranks import rank
 
 if TYPE_CHECKING:
     from app.campaigns.batch import Options
-    from app.case.case import LoadedCase
 
 CHECK_FAILED = 1
 
@@ -49,9 +54,6 @@ def dispatch(arguments: list[str]) -> int:
 
 
 def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[str]) -> int:
-    from app.simulation import finished_runs
-    from app.system import stopping
-
     size, count = ranks.world_size(), options.n
     configure_log("debug" if options.verbose else "info")
     # The input is checked before ranks are started: its errors come at once, and once.
@@ -74,7 +76,7 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
         return ranks.launch(count, [sys.executable, "-m", "mantle", *arguments])
     if size is not None and count not in (1, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
-    mantle.run(
+    actions.run(
         case,
         output,
         force=options.force,
@@ -88,20 +90,15 @@ def _run(options: argparse.Namespace, petsc_options: list[str], arguments: list[
 
 def _load(options: argparse.Namespace) -> LoadedCase:
     """Load the case of a command: a file, or a shipped case by its name alone."""
-    from app.case import overlay
-    from app.case.case import load
-
     path = options.case
     if not path.exists():
         path = overlay.found(path.parent, str(path))
         path = path if path.exists() else options.case
-    return load(path, options.overrides)
+    return load_case(path, options.overrides)
 
 
 def _init(options: argparse.Namespace) -> int:
-    from app.case import new_case
-
-    path = new_case.write(options.name, options.kind, options.stem, _meeting)
+    path = new_case.write(options.name, options.kind, options.stem, meshes.meeting)
     name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
     program = shlex.quote(os.environ.get("MANTLE_CALLED", "mantle"))
     print(f"{path} is written; next:")
@@ -111,26 +108,20 @@ def _init(options: argparse.Namespace) -> int:
     return 0
 
 
-def _meeting(geometry: Any, mesh: Any) -> Any:
-    import meshes
-
-    return meshes.meeting(geometry, mesh)
-
-
 def _check(options: argparse.Namespace) -> int:
     case = _load(options)
-    found = mantle.check(case)
+    found = actions.check(case)
     print(found.description)
     if options.mesh or options.output:
         configure_log("info", sys.stderr)
-        found = mantle.check(case, meshed=True)
+        found = actions.check(case, meshed=True)
     print(found.size)
     if options.output:
         from app.report import case_picture
 
         prepare_run(options.output, force=True)
         path = options.output / f"{options.case.stem}.png"
-        case_picture.draw(case.config, mantle.mesh(case), path)
+        case_picture.draw(case.config, actions.mesh(case), path)
         print(path)
     for message in found.notes:
         print(painted(f"note: {message}", "doubtful", sys.stderr), file=sys.stderr)
@@ -139,9 +130,6 @@ def _check(options: argparse.Namespace) -> int:
 
 def _mesh(options: argparse.Namespace) -> int:
     case = _load(options)
-    import meshes
-    from app.soundness import cost, memory
-
     memory.check(case.file, case.config)
     deck = options.output if options.output and options.output.suffix == ".inp" else None
     folder = deck.parent if deck else options.output or Path("out")
@@ -149,7 +137,7 @@ def _mesh(options: argparse.Namespace) -> int:
     path = deck or folder / f"{options.case.stem}.msh"
     configure_log("info", sys.stderr)
     log.info("meshing")
-    data = mantle.mesh(case)
+    data = actions.mesh(case)
     if deck:
         with stack_needed():
             from app.simulation import calculix
@@ -240,10 +228,6 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _explain(options: argparse.Namespace) -> int:
-    import json
-
-    from app.case import keys
-
     if options.schema:
         print(json.dumps(keys.json_schema(), indent=2, ensure_ascii=False))
     else:
@@ -252,8 +236,6 @@ def _explain(options: argparse.Namespace) -> int:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    from app.system import doctor
-
     print(doctor.report())
     return 0
 

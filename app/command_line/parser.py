@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 from app import __version__
 from app.foundation.errors import InputError
+from app.schema.section import did_you_mean
 from app.system.ranks import rank
 
 EXIT_CODES = (
@@ -163,8 +164,6 @@ class Parser(argparse.ArgumentParser):
         if message.startswith("unrecognized arguments: -n"):
             message += "; only mantle run starts ranks, --cores N uses N cores"
         if found := re.search(r"COMMAND: invalid choice: '(.*?)'", message):
-            from app.schema.section import did_you_mean  # imported late: brings pydantic
-
             message += did_you_mean(found[1], list(COMMANDS))
         raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
 

@@ -37,11 +37,10 @@ MODULES = {module(path): path for path in [ROOT / "mantle.py", *sources(*FOLDERS
 
 @cache
 def imported(path: Path) -> frozenset[str]:
-    """Modules that a file imports, wherever in it but as a script; for type checkers alone, too."""
+    """Return the modules that a file imports, wherever in it; for type checkers alone, too."""
     own = module(path)
     found = set()
-    body = [n for n in tree(path).body if not (isinstance(n, ast.If) and "__main__" in ast.dump(n))]
-    for node in (inner for outer in body for inner in ast.walk(outer)):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

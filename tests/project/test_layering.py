@@ -77,7 +77,7 @@ def test_imports_point_down(path: Path) -> None:
     row = next(k for k, packages in enumerate(ROWS) if own in packages)
     below = {package for packages in ROWS[:row] for package in packages} - HIDDEN.get(own, set())
     assert seen <= below
-    assert not {*TOP} & imported(path) or own == "command_line"
+    assert not {*TOP} & imported(path)
 
 
 def test_there_is_no_circle() -> None:
