@@ -25,7 +25,8 @@ from app.command_line.commands import dispatch
 from app.command_line.parser import parser
 from app.command_line.streams import painted, silence
 from app.foundation.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
-from app.system import ranks
+from app.soundness import memory
+from app.system import form_cache, ranks
 from app.system.folders import settle_cache
 from app.system.ranks import rank
 
@@ -79,9 +80,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _explain(error: Exception) -> EnvironmentProblem | None:
-    from app.soundness import memory
-    from app.system import form_cache
-
     if (problem := memory.explain(error) or form_cache.explain(error)) is not None:
         return problem
     if type(error).__name__ == "LinAlgError":

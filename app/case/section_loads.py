@@ -5,13 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from app.case.case import Case
 from app.laws.loads import Force
 from app.laws.values import amplitude
 from app.system import layout
 
-# The highest level [mm], below the insertions at the greater trochanter, and the number of levels.
-TOP, LEVELS = 25.0, 10
+# The highest level [mm], below the insertions at the greater trochanter.
+TOP = 25.0
+# Number of levels.
+LEVELS = 10
 # Level of the knee [mm], 404 mm below the head; its centre is about on the axis of the shaft.
 KNEE = -350.0
 
@@ -38,8 +42,6 @@ class SectionLoad:
 
 def section_loads(case: Case, time: float) -> list[SectionLoad]:
     """Section loads at ten levels and at the knee, where all loads act; none without such loads."""
-    import numpy as np
-
     geometry: Any = case.geometry
     loads = [load for load in case.loads.values() if isinstance(load, Force) and load.at]
     if not (geometry.has_gruen_zones and loads):

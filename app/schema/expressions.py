@@ -11,15 +11,14 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
 from app.schema.section import Scalar, did_you_mean, fail
 from app.schema.units import LARGEST, NUMBER, Dimension
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 OPERATORS = {
     ast.Add: "add",
@@ -47,8 +46,6 @@ def calculate(expression: str, names: Mapping[str, Any]) -> Any:
     Raises:
         ValueError: It is no valid expression; the argument names the error and what is allowed.
     """
-    import numpy as np
-
     if len(expression) > LONGEST:
         raise ValueError(f"expression of {len(expression)} characters; at most {LONGEST}")
     try:
@@ -62,8 +59,6 @@ def calculate(expression: str, names: Mapping[str, Any]) -> Any:
 
 def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
     """Value of a node; nodes outside the language are refused."""
-    import numpy as np
-
     match node:
         case ast.Constant(value=bool()):
             raise ValueError("true and false are not numbers")
@@ -98,14 +93,12 @@ def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
     )
 
 
-def evaluate(expression: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
+def evaluate(expression: str, x: Floats) -> Floats:
     """Values (n,) of an expression at points (n, 3) [mm].
 
     Raises:
         InputError: The expression is malformed or not finite at a point.
     """
-    import numpy as np
-
     points = np.asarray(x, dtype=np.float64).reshape(-1, 3)
     try:
         found = calculate(expression, dict(zip("xyz", points.T, strict=True), pi=np.pi))
