@@ -35,7 +35,6 @@ notebook
 paper
 joss/paper
 mesh
-developer
 glossary
 """,
     "howto/README": """
