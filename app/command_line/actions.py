@@ -24,6 +24,7 @@ from app.foundation.errors import (
 )
 from app.simulation import finished_runs
 from app.soundness import cost, memory, preview
+from app.soundness.preview import CheckedCase
 from app.system import folders, ranks
 from meshes import MeshData
 
@@ -55,7 +56,7 @@ def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
     return load_case(Path(path), changes, option="")
 
 
-def check(case: LoadedCase, *, meshed: bool = False) -> preview.CheckedCase:
+def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
     """Describe a case as understood, its size, and doubtful values in it.
 
     With ``meshed``, or with probes, the mesh is made: sizes are counted instead of estimated, and
@@ -80,7 +81,7 @@ def check(case: LoadedCase, *, meshed: bool = False) -> preview.CheckedCase:
             notes += well_posedness.judge(case.config, well_posedness.look(case.config, data))
         size = cost.exact_size(case.config, data, memory.available())
     text = preview.describe(case.config, case.file.data)
-    return preview.CheckedCase(text, size, tuple(n for n in notes if n not in text))
+    return CheckedCase(text, size, tuple(n for n in notes if n not in text))
 
 
 def mesh(case: LoadedCase) -> MeshData:
