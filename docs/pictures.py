@@ -115,8 +115,7 @@ def stance() -> Report:
             owner, _, key = name.partition(".")
             part = summary if owner == "stem" else summary["interfaces"]
             part.setdefault(owner, {})[key] = values[name]
-        job = study._job(plan)
-        runs.append(study._study_run(plan, Result(job, DOCS, 0, values["cpu"], summary, "")))
+        runs.append(study._study_run(Result(plan, DOCS, 0, values["cpu"], summary, "")))
     return study.evaluate(wanted, runs)
 
 

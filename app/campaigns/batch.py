@@ -13,8 +13,9 @@ failed or changed one is::
     folder/jobs.json            the jobs for Snakemake
     folder/snakemake.log        the output of Snakemake
 
-Runs that may share a stiffness (`Job.share`) are variations of one process, or of as many as keep
-the cores busy. The last of these files bear its id, and the run directories stand inside its own.
+Runs that may share a stiffness (`PlannedRun.share`) are variations of one process, or of as many as
+keep the cores busy. The last of these files bear its id, and the run directories stand inside its
+own.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.campaigns import engine
-from app.campaigns.runs import BatchRun, Job, Result, result_of, runs_of, tail
-from app.case.case import dump, plain
+from app.campaigns.runs import BatchRun, Result, result_of, runs_of, tail
+from app.case.case import PlannedRun, dump, plain
 from app.case.variations import split
 from app.foundation.errors import EnvironmentProblem, InputError, StoppedError
 from app.schema import yaml_file
@@ -72,16 +73,16 @@ class Options:
 
 
 def run(
-    jobs: Sequence[Job],
+    planned: Sequence[PlannedRun],
     folder: Path,
     cores: int,
     slurm: Sequence[str] | None = None,
     so_far: Callable[[Sequence[Result]], object] = lambda results: None,
 ) -> list[Result]:
-    """Run the jobs that are not done yet; return a result for each, failed ones included.
+    """Make the runs that are not done yet; return a result for each, failed ones included.
 
     Args:
-        jobs: The runs wanted.
+        planned: The runs wanted.
         folder: Folder of the batch; used by one batch at a time.
         cores: Most cores of this machine to use.
         slurm: Options of sbatch, to make each run a Slurm job; all nodes see the folder. None:
@@ -89,19 +90,20 @@ def run(
         so_far: Called with the results so far as runs end, and if interrupted.
 
     Raises:
-        InputError: Every error of the jobs, before anything runs; or the folder cannot be
-            written or is in use.
+        InputError: The folder cannot be written or is in use.
         StoppedError: Interrupted; the same call continues.
         EnvironmentProblem: Snakemake or Slurm is missing or failed.
     """
     engine.check(slurm is not None)
     here = cores if slurm is None else None
-    runs = runs_of(jobs, folder, here)
-    total, due, pending = len({r.id for r in runs}), 0.0, dict[str, BatchRun]()
+    runs = runs_of(planned, folder, here)
+    total = len({r.id for r in runs})
+    due = 0.0
+    pending: dict[str, BatchRun] = {}
 
     def results() -> list[Result]:
-        both = zip(jobs, runs, strict=True)
-        return [result_of(job, r, over=r.id not in pending) for job, r in both]
+        both = zip(planned, runs, strict=True)
+        return [result_of(r, wanted, over=r.id not in pending) for wanted, r in both]
 
     def watch() -> None:
         nonlocal due
@@ -114,8 +116,9 @@ def run(
     with claim(folder):
         pending = {r.id: r for r in runs if r.summary() is None}
         log.info("%d runs: %d done already, in %s", total, total - len(pending), folder)
-        alone = any(r.job.alone for r in pending.values())
-        if alone and (load := os.getloadavg()[0]) > BUSY:
+        alone = any(r.planned.alone for r in pending.values())
+        load = os.getloadavg()[0]
+        if alone and load > BUSY:
             log.warning("the machine is busy (load %.1f): measured times will be too long", load)
         if pending:
             _write(pending.values(), folder, here)
@@ -128,34 +131,32 @@ def run(
             # Those that began without ending have failed.
             _log_ended(pending, total, lambda r: r.ended or r.file("status").exists())
         if pending:
-            jobs_said = (r.file("slurm") for r in pending.values())
-            said = next((path for path in jobs_said if path.exists()), folder / "snakemake.log")
-            raise EnvironmentProblem(f"Snakemake failed, see {said}:\n{tail(said)}")
+            logs = [r.file("slurm") for r in pending.values()]
+            known = next((path for path in logs if path.exists()), folder / "snakemake.log")
+            raise EnvironmentProblem(f"Snakemake failed, see {known}:\n{tail(known)}")
     return results()
 
 
-def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
-    """Table of the runs with size, cost and what is done, below a title; runs nothing.
-
-    Raises:
-        InputError: Any job is wrong.
-    """
-    runs = runs_of(jobs, options.folder, options.cores)
-    rows, wall, seen = [], 0.0, set[object]()
-    for job, r in zip(jobs, runs, strict=True):
-        seconds = cost.seconds(r.case, r.process not in seen)  # of one core
-        alone = seconds / min(job.ranks, options.cores)
+def plan(title: str, planned: Sequence[PlannedRun], options: Options) -> str:
+    """Titled table of planned runs: size, estimated cost, status. Runs nothing."""
+    runs = runs_of(planned, options.folder, options.cores)
+    rows = []
+    wall = 0.0
+    seen: set[object] = set()
+    for wanted, r in zip(planned, runs, strict=True):
+        seconds = cost.seconds(wanted.case, r.process not in seen)  # of one core
+        alone = seconds / min(wanted.ranks, options.cores)
         about = duration(alone)
         note = f"shares the matrices of {r.process}" if r.process in seen else ""
         if r.path in seen:
             note, about = "the same as one above", "-"
         elif r.summary() is not None:
-            note, about = f"done in {duration(result_of(job, r).seconds)}", "-"
+            note, about = f"done in {duration(result_of(r).seconds)}", "-"
         seen |= {r.process, r.path}
         if about != "-":
-            wall += alone if job.alone else seconds / options.cores
-        size = layout.count(round(cost.unknowns(r.case), -2))
-        rows.append((job.name, job.ranks, size, about, note))
+            wall += alone if wanted.alone else seconds / options.cores
+        size = layout.count(round(cost.unknowns(wanted.case), -2))
+        rows.append((wanted.name, wanted.ranks, size, about, note))
     listed = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
     about = duration(IDLE * wall)
     return f"{title}\n\n{listed}\n\nabout {about} for what is not done, on {options.cores} cores"
@@ -166,10 +167,10 @@ def _log_ended(pending: dict[str, BatchRun], total: int, over: Callable[[BatchRu
     ended = [r for r in pending.values() if over(r)]
     for r in ended:
         del pending[r.id]
-        result = result_of(r.job, r)
+        result = result_of(r)
         code = result.exit_code
         how = f"failed with exit code {code}" if code else f"done in {duration(result.seconds)}"
-        log.info("[%d/%d] %s %s", total - len(pending), total, r.job.name, how)
+        log.info("[%d/%d] %s %s", total - len(pending), total, r.planned.name, how)
     return bool(ended)
 
 
@@ -204,14 +205,21 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
                     (r.path / "DONE").unlink(missing_ok=True)
             for kind in ("ok", "slurm", "status"):
                 runs[0].file(kind).unlink(missing_ok=True)
-            ranks = runs[0].job.ranks
+            ranks = runs[0].planned.ranks
             command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--restart", "auto"]
-            command += ["-n", ranks] if ranks > 1 else []
-            alone = any(r.job.alone for r in runs)
+            if ranks > 1:
+                command += ["-n", ranks]
+            if not cores:
+                threads = ranks
+            elif any(r.planned.alone for r in runs):
+                threads = cores
+            else:
+                threads = min(ranks, cores)
+            needed = max(memory.needed(r.planned.case) for r in runs)
             jobs[id] = {
                 "command": shlex.join(map(str, ["env", *_environment(cores), *command])),
-                "threads": ranks if not cores else cores if alone else min(ranks, cores),
-                "memory": math.ceil(max(memory.needed(r.case) for r in runs) / engine.MEGABYTE),
+                "threads": threads,
+                "memory": math.ceil(needed / engine.MEGABYTE),
             }
         write_json(folder / "jobs.json", jobs)
 
@@ -220,12 +228,12 @@ def _text(runs: Sequence[BatchRun]) -> str:
     """Case file of a process: its run, or its runs as variations."""
     first = runs[0]
     if not first.shares:
-        return dump(first.case)
-    data = plain(first.case)
+        return dump(first.planned.case)
+    data = plain(first.planned.case)
     _, base = split(data)
     variations = {}
     for r in runs:
-        _, own = split(plain(r.case))
+        _, own = split(plain(r.planned.case))
         keys = [key for key in base | own if base.get(key) != own.get(key)]
         variations[r.id] = {key: own.get(key) for key in keys}
     return yaml_file.to_yaml(data | {"variations": variations})

@@ -9,12 +9,12 @@ import re
 import signal
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from app.case.case import Case, dump, load, plain
+from app.case.case import Case, PlannedRun, dump, plain
 from app.case.variations import CHANGED, split
 from app.foundation.errors import ConvergenceError, EnvironmentProblem, StoppedError, UnusableError
 from app.results.closing_lines import reasons_not_to_use
@@ -32,33 +32,11 @@ LOST = 70  # exit code of a run that left none
 
 
 @dataclass(frozen=True)
-class Job:
-    """A run wanted.
-
-    Attributes:
-        name: Shown to users; need not be unique.
-        file: The file of its case.
-        overrides: ``key=value`` each, as after ``--set``.
-        ranks: Number of MPI ranks.
-        alone: Whether nothing else runs beside it, so that its time can be compared.
-        share: Whether it may share a process with runs of the same mesh and stiffness.
-        case: The case with the overrides; None if it has not been read.
-    """
-
-    name: str
-    file: Path
-    overrides: tuple[str, ...] = ()
-    ranks: int = 1
-    alone: bool = False
-    share: bool = False
-    case: Case | None = field(default=None, compare=False, repr=False)
-
-
-@dataclass(frozen=True)
 class Result:
-    """Result of a job.
+    """Result of a run.
 
     Attributes:
+        planned: The run as planned.
         folder: Run directory.
         exit_code: 0 if done, else that of ``mantle run``; not 0 for an unusable result either.
         seconds: Wall time of the process, or of the run if it shared one.
@@ -66,7 +44,7 @@ class Result:
         message: Why it failed or is unusable, with the last lines of its log; else empty.
     """
 
-    job: Job
+    planned: PlannedRun
     folder: Path
     exit_code: int
     seconds: float
@@ -76,16 +54,15 @@ class Result:
 
 @dataclass(frozen=True)
 class BatchRun:
-    """A run directory and its case; several jobs may share it.
+    """A run directory and its run; several planned runs of equal content share it.
 
     Attributes:
-        job: The first job that wants it; alone if any of them is.
+        planned: The first of them; alone if any of them is.
         path: Run directory: that of its process, or within that of a shared process.
     """
 
     id: str
-    job: Job
-    case: Case
+    planned: PlannedRun
     path: Path
 
     @property
@@ -127,38 +104,45 @@ class BatchRun:
             return None
 
 
-def runs_of(jobs: Sequence[Job], folder: Path, cores: int | None) -> list[BatchRun]:
-    """The run of each job, the same for jobs of equal content.
+def runs_of(planned: Sequence[PlannedRun], folder: Path, cores: int | None) -> list[BatchRun]:
+    """The run directory of each planned run, the same for equal content.
 
     Runs that share a stiffness are split over several processes, each with the same matrices, so
     that all ``cores`` of this machine are busy; None on a cluster.
-
-    Raises:
-        InputError: The case of a job that was not read before is wrong.
     """
-    found: dict[str, BatchRun] = {}
-    ids, groups = list[str](), dict[str, dict[str, None]]()
-    for job in jobs:
-        case = job.case or load(job.file, job.overrides).config
-        # Equal cases may have different titles.
-        own = case.model_copy(update={"title": case.title.partition(CHANGED)[0]})
-        id = CASE + _digest(dump(own), case, job.ranks)
+    unique: dict[str, PlannedRun] = {}
+    ids: list[str] = []
+    groups: dict[str, list[str]] = {}
+    for run in planned:
+        id = CASE + _digest(_content(run.case), run)
         ids.append(id)
-        first = found[id].job if id in found else job
-        first = replace(first, alone=first.alone or job.alone)
-        found[id] = BatchRun(id, first, case, folder / "runs" / id)
-        if job.share:
-            shared = json.dumps(split(plain(case))[0], sort_keys=True)
-            groups.setdefault(_digest(shared, case, job.ranks), {})[id] = None
-    longest, begun = len(found), _begun(folder)
-    if cores and not any(job.alone for job in jobs):  # runs alone share one process
-        longest = math.ceil(sum(r.job.ranks for r in found.values()) / cores)
-    for partner, group in groups.items():
-        number = math.ceil(len(group) / longest)
-        for i, id in enumerate(group if len(group) > 1 else ()):
-            process = f"{SHARED}{partner}-{i * number // len(group) + 1}"
-            begun.setdefault(id, folder / "runs" / process / id)
-    return [replace(found[id], path=begun.get(id, found[id].path)) for id in ids]
+        first = unique.setdefault(id, run)
+        unique[id] = replace(first, alone=first.alone or run.alone)
+        if run.share:
+            shared, _ = split(plain(run.case))
+            group = groups.setdefault(_digest(json.dumps(shared, sort_keys=True), run), [])
+            if id not in group:
+                group.append(id)
+    longest = len(unique)
+    alone = any(run.alone for run in planned)  # such runs share one process
+    if cores and not alone:
+        longest = math.ceil(sum(run.ranks for run in unique.values()) / cores)
+    paths = {id: folder / "runs" / id for id in unique}
+    for digest, group in groups.items():
+        if len(group) == 1:
+            continue
+        processes = math.ceil(len(group) / longest)
+        for i, id in enumerate(group):
+            process = f"{SHARED}{digest}-{i * processes // len(group) + 1}"
+            paths[id] = folder / "runs" / process / id
+    paths |= _begun(folder)
+    return [BatchRun(id, unique[id], paths[id]) for id in ids]
+
+
+def _content(case: Case) -> str:
+    """A case as YAML without the changes in its title, which equal cases may word differently."""
+    title, _, _ = case.title.partition(CHANGED)
+    return dump(case.model_copy(update={"title": title}))
 
 
 def _begun(folder: Path) -> dict[str, Path]:
@@ -170,18 +154,23 @@ def _begun(folder: Path) -> dict[str, Path]:
     return {path.name: path for path in ours if saved(path)} | done
 
 
-def _digest(text: str, case: Case, ranks: int) -> str:
-    """Hexadecimal digest of everything that the result depends on."""
-    parts = [text, str(ranks), identity.text(), getattr(case.geometry, "content", "")]
+def _digest(text: str, run: PlannedRun) -> str:
+    """Hexadecimal digest of a case as text and of all else that its result depends on."""
+    mesh = getattr(run.case.geometry, "content", "")  # of geometries that are files
+    parts = [text, str(run.ranks), identity.text(), mesh]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:DIGITS]
 
 
-def result_of(job: Job, run: BatchRun, *, over: bool = True) -> Result:
-    """Result of a run; one that is not over counts as stopped, whatever it ends with."""
+def result_of(run: BatchRun, planned: PlannedRun | None = None, *, over: bool = True) -> Result:
+    """Result of a run, or of another planned run of the same content.
+
+    A run that is not over counts as stopped, whatever it ends with.
+    """
     status = run.status()
     code, seconds = status or (LOST, 0.0)
-    result = partial(Result, job, run.path)
-    if (summary := run.summary()) is not None:
+    result = partial(Result, planned or run.planned, run.path)
+    summary = run.summary()
+    if summary is not None:
         if run.shares or status is None:  # it was killed before its time was written
             seconds = summary.get("timing", {}).get("total", 0.0)
         why = "; ".join(reasons_not_to_use(summary))
@@ -207,13 +196,13 @@ def result_of(job: Job, run: BatchRun, *, over: bool = True) -> Result:
 def _killed(run: BatchRun) -> str:
     """Message on a run that the system killed, with the needed and the available memory."""
     have = memory.available()
-    need = cost.gigabytes(run.case, have)
+    need = cost.gigabytes(run.planned.case, have)
     text = "killed, probably out of memory: "
     if need:
         text += f"each run needs about {need:.1f} GB, "
     text += f"{have / 1e9:.1f} GB are available"
     at_once = max(1, int(have / 1e9 / need)) if need else 1
-    fewer = f"--cores {at_once * run.job.ranks} runs at most {at_once} at once"
+    fewer = f"--cores {at_once * run.planned.ranks} runs at most {at_once} at once"
     return f"{text}; {fewer}, and the same command continues"
 
 

@@ -12,13 +12,12 @@ from app import __version__
 from app.campaigns import batch, study_picture, study_report
 from app.campaigns import work_precision as wp
 from app.campaigns.batch import Options
-from app.campaigns.runs import Job, Result
+from app.campaigns.runs import Result
 from app.campaigns.study_report import Measured, Report, StudyRun
 from app.case import quantities
 from app.case import study as study_file
-from app.case.case import Case
+from app.case.case import Case, PlannedRun
 from app.case.study import Study
-from app.case.sweep import PlannedRun
 from app.foundation.errors import InputError, gravest
 from app.schema.yaml_file import key_parts
 from app.system import folders
@@ -43,13 +42,11 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     """
     wanted, planned, common = study_file.read(path, overrides)
     chosen = _chosen(planned, options)
-    jobs = [_job(p) for p in chosen]
     if options.dry_run:
-        log.info("%s", batch.plan(f"{path}: {len(jobs)} runs", jobs, options))
+        log.info("%s", batch.plan(f"{path}: {len(chosen)} runs", chosen, options))
         return
-    results = batch.run(jobs, options.folder, options.cores, options.slurm)
-    runs = [_study_run(p, result) for p, result in zip(chosen, results, strict=True)]
-    report = evaluate(wanted, runs)
+    results = batch.run(chosen, options.folder, options.cores, options.slurm)
+    report = evaluate(wanted, [_study_run(result) for result in results])
     with batch.writable(options.folder):
         # A stale picture would not match the new numbers.
         folders.remove(options.folder / name for name in study_picture.NAMES)
@@ -77,7 +74,7 @@ def _chosen(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]
     """
     lines: dict[str, list[PlannedRun]] = {}
     for r in planned:
-        lines.setdefault(_line(r), []).append(r)
+        lines.setdefault(study_file.line_of(r), []).append(r)
     if not any(name and options.pattern in name for name in lines):
         names = ", ".join(filter(None, lines))
         raise InputError(f"-k {options.pattern}: no line has this in its name; allowed: {names}")
@@ -86,27 +83,19 @@ def _chosen(planned: Sequence[PlannedRun], options: Options) -> list[PlannedRun]
     return [r for runs in own for r in runs]
 
 
-def _line(run: PlannedRun) -> str:
-    """Name of the line of a run; empty for the reference."""
-    return "" if run.path == study_file.REFERENCE else run.part
-
-
-def _job(run: PlannedRun) -> Job:
-    name = run.name if _line(run) else f"reference/{run.name.partition('/')[2]}"
-    return Job(name.rstrip("/"), run.file, run.overrides, run.ranks, alone=True, case=run.case)
-
-
-def _study_run(planned: PlannedRun, result: Result) -> StudyRun:
-    lists = [key for key in planned.varied if isinstance(planned.places[key][-1], int)]
+def _study_run(result: Result) -> StudyRun:
+    planned = result.planned
+    point = planned.point
+    lists = [key for key in point.varied if isinstance(point.places[key][-1], int)]
     key = next((k for k in lists if k == "mesh.size"), lists[0] if lists else "")
-    value = planned.changes.get(key, "")
-    number = int(planned.places[key][-1]) + 1 if key else 0
+    value = point.changes.get(key, "")
+    number = int(point.places[key][-1]) + 1 if key else 0
     label = f"#{number}" if isinstance(value, dict | list) else str(value)
     timing = result.summary.get("timing")
     cached = ("mesh", "compile", "error")
     time = timing["total"] - sum(timing.get(k, 0.0) for k in cached) if timing else None
     x, unit = _number(planned.case, key, planned.ranks)
-    return StudyRun(_line(planned), planned, result, key, label, x, unit, time)
+    return StudyRun(study_file.line_of(planned), result, key, label, x, unit, time)
 
 
 def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
@@ -148,7 +137,7 @@ def _measure(
     points = []
     for r in curve:
         value, estimate = (quantities.read(r.result.summary, name, s) for s in ("", "_error"))
-        point = wp.ErrorPoint(value, estimate, r.planned.case.solver.tolerance)
+        point = wp.ErrorPoint(value, estimate, r.result.planned.case.solver.tolerance)
         points.append(wp.compare(point, reference))
     exponents = {}
     for line in dict.fromkeys(r.line for r in curve):
@@ -176,7 +165,7 @@ def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.Refere
         x if len(x) == len(found) else [],
         [v for _, v in found],
         last.highest_order,
-        last.planned.case.solver.tolerance,
+        last.result.planned.case.solver.tolerance,
     )
 
 

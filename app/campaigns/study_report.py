@@ -10,7 +10,6 @@ from typing import Any
 from app.campaigns.runs import Result
 from app.campaigns.work_precision import HIGHEST_ORDER, NOT_CONVERGING, ErrorPoint, ReferenceValue
 from app.case.quantities import Quantity
-from app.case.sweep import PlannedRun
 from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 from app.system.layout import duration, percent
@@ -33,7 +32,6 @@ class StudyRun:
     """
 
     line: str
-    planned: PlannedRun
     result: Result
     key: str
     label: str
@@ -45,7 +43,7 @@ class StudyRun:
     def highest_order(self) -> float:
         """Highest order that errors can have in the key; in mesh size twice the elements'."""
         of_mesh = self.key == "mesh.size"
-        return 2.0 * self.planned.case.mesh.order if of_mesh else HIGHEST_ORDER
+        return 2.0 * self.result.planned.case.mesh.order if of_mesh else HIGHEST_ORDER
 
     @property
     def status(self) -> str:
@@ -214,7 +212,7 @@ def _point_record(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
 def _run_record(r: StudyRun) -> dict[str, Any]:
     return {
         "line": r.line,
-        "overrides": r.planned.changes,
+        "overrides": r.result.planned.point.changes,
         "status": r.status,
         "message": r.result.message,
         "folder": str(r.result.folder),
@@ -249,5 +247,5 @@ def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
         "time [s]": r.time,
         **{f"{key} [s]": timing.get(key) for key in ("mesh", "compile", "error", "total")},
         **{title: solver.get(key) for title, key in counts.items()},
-        "ranks": r.result.job.ranks,
+        "ranks": r.result.planned.ranks,
     }

@@ -17,13 +17,12 @@ from typing import Any
 
 from app.campaigns import batch, uncertainty
 from app.campaigns.batch import Options
-from app.campaigns.runs import Job, Result
+from app.campaigns.runs import Result
 from app.case import sweep as sweep_file
-from app.case.sweep import PlannedRun
 from app.foundation.errors import gravest
+from app.results import run_table
 from app.results.closing_lines import UNUSABLE
 from app.schema import yaml_file
-from app.simulation import variations
 from app.system import identity, layout
 from app.system.folders import write_json, write_text
 
@@ -46,15 +45,14 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     """
     sweep, planned = sweep_file.read(path, overrides)
     folder, name = options.folder, sweep.title or path.stem
-    jobs = [Job(p.name, p.file, p.overrides, p.ranks, share=True, case=p.case) for p in planned]
     if options.dry_run:
-        log.info("%s", batch.plan(f"{name}: {len(jobs)} cases", jobs, options))
+        log.info("%s", batch.plan(f"{name}: {len(planned)} cases", planned, options))
         return
-    keys = list(dict.fromkeys(key for p in planned for key in p.varied))
+    keys = list(dict.fromkeys(key for p in planned for key in p.point.varied))
     log.info("%s: %d cases", name, len(planned))
 
     def write(results: Sequence[Result]) -> dict[str, Any]:
-        rows = [_row(p, r, folder) for p, r in zip(planned, results, strict=True)]
+        rows = [_row(result, folder) for result in results]
         record = {
             "title": name,
             "file": str(path),
@@ -66,33 +64,36 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
         }
         with batch.writable(folder):
             write_json(folder / "sweep.json", record)
-            write_text(folder / "sweep.csv", variations.csv(rows, keys, "case"))
+            write_text(folder / "sweep.csv", run_table.csv(rows, keys, "case"))
             # The file may have changed since.
             data = sweep.model_dump(mode="json", exclude_unset=True)
             write_text(folder / "sweep.yaml", yaml_file.to_yaml(data))
         return record
 
-    record = write(batch.run(jobs, folder, options.cores, options.slurm, write))
+    record = write(batch.run(planned, folder, options.cores, options.slurm, write))
     rows = record["cases"]
-    log.info("%s", variations.table(rows))
+    log.info("%s", run_table.text(rows))
     for text in layout.noted([(r["name"], r["notes"]) for r in rows]):
         log.warning("note: %s", text)
-    if spread := uncertainty.table(record["uncertainty"]):
+    spread = uncertainty.table(record["uncertainty"])
+    if spread:
         log.info("\n%s", spread)
     made = "sweep.csv, sweep.json; mantle report %s makes figures and tables"
     log.info(f"written in %s: {made}", folder, folder)
-    if failed := [row for row in rows if row["exit_code"]]:
+    failed = [row for row in rows if row["exit_code"]]
+    if failed:
         reasons = [f"{r['name']}: {_reason(r['message'])} (in {r['folder']})" for r in failed]
         head = f"{len(failed)} of {len(rows)} cases failed or are not to be used:"
         raise gravest([r["exit_code"] for r in failed], "\n".join([head, *reasons]))
 
 
-def _row(p: PlannedRun, result: Result, folder: Path) -> dict[str, Any]:
+def _row(result: Result, folder: Path) -> dict[str, Any]:
     status = STATUS.get(result.exit_code, FAILED)
-    return variations.row(p, result.summary, status, result.seconds) | {
-        "part": p.part,
+    planned = result.planned
+    return run_table.row(planned.point, result.summary, status, result.seconds) | {
+        "part": planned.point.part,
         "folder": os.path.relpath(result.folder, folder),
-        "ranks": p.ranks,
+        "ranks": planned.ranks,
         "exit_code": result.exit_code,
         "message": result.message,
     }

@@ -10,7 +10,7 @@ and takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,6 +20,7 @@ from pydantic.config import JsonDict
 
 from app.case import checks, overlay, points
 from app.case.geometries import Geometry, MeshFile, MeshOptions
+from app.case.points import Point
 from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
 from app.case.variations import Variations, expand, title_with_changes
 from app.foundation.errors import InputError
@@ -145,13 +146,52 @@ class Case(Section):
 
 
 @dataclass(frozen=True)
-class Varied:
-    """A variation of a case, in a folder of its name; changes as after ``--set``, and as values."""
+class PlannedRun:
+    """A run to be made: of a case alone, or one of many.
 
-    name: str
+    Lists of them come from the variations of a case, sweeps, studies and suites.
+
+    Attributes:
+        file: The file of its case.
+        overrides: ``key=value`` each, as after ``--set``.
+        case: The case with the overrides.
+        point: Its name, which need not be unique, and what it changes compared with other runs.
+        ranks: Number of MPI ranks.
+        alone: Whether no other run may be active at the same time, so that its time can be
+            compared.
+        share: Whether it may share a process with runs of the same mesh and stiffness.
+    """
+
+    file: Path
     overrides: tuple[str, ...]
-    changes: dict[str, Any]
-    case: Case
+    case: Case = field(compare=False, repr=False)
+    point: Point
+    ranks: int = 1
+    alone: bool = False
+    share: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of its point; of a variation also its folder."""
+        return self.point.name
+
+    @classmethod
+    def load(
+        cls,
+        name: str,
+        file: Path,
+        overrides: Sequence[str] = (),
+        ranks: int = 1,
+        alone: bool = False,
+        share: bool = False,
+    ) -> PlannedRun:
+        """Plan a run of a file with overrides.
+
+        Raises:
+            InputError: As `load`.
+        """
+        case = load(file, overrides).config
+        return cls(file, tuple(overrides), case, Point(name), ranks, alone, share)
 
 
 @dataclass(frozen=True, repr=False)
@@ -171,7 +211,7 @@ class LoadedCase:
     path: Path
     overrides: tuple[str, ...]
     file: CaseFile
-    variations: list[Varied]
+    variations: list[PlannedRun]
 
     def __repr__(self) -> str:
         """Title, file, geometry, mesh, interfaces and stages in five lines."""
@@ -190,6 +230,15 @@ class LoadedCase:
         """Default folder of the results: ``out/<name of the file>``."""
         return Path("out") / self.path.stem
 
+    @property
+    def itself(self) -> PlannedRun:
+        """The run of the case without its variations."""
+        return PlannedRun(self.path, self.overrides, self.config, Point(self.path.stem))
+
+    def runs(self, output: Path) -> dict[Path, PlannedRun]:
+        """Run directories in a folder with their runs: of the variations, else of the case."""
+        return {output / v.name: v for v in self.variations} or {output: self.itself}
+
 
 def load(path: Path, overrides: Sequence[str] = (), option: str = "--set ") -> LoadedCase:
     """Read, check and resolve a case.
@@ -204,20 +253,22 @@ def load(path: Path, overrides: Sequence[str] = (), option: str = "--set ") -> L
     """
     file = overlay.read(path, overrides, option)
     case = resolve(file, path.parent)
-    return LoadedCase(case, path, tuple(overrides), file, _varied(file, path.parent, case))
+    loaded = LoadedCase(case, path, tuple(overrides), file, [])
+    return replace(loaded, variations=_variations(loaded))
 
 
-def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
-    """The variations of a case.
+def _variations(loaded: LoadedCase) -> list[PlannedRun]:
+    """The runs of the variations of a case.
 
     Raises:
         InputError: Every error of any of them, at its place in the section.
     """
-    found: list[Varied] = []
+    file = loaded.file
+    runs: list[PlannedRun] = []
     # The place of a value set by an option is the key of the option.
     options = [place for place in file.places.values() if isinstance(place, str)]
     faults: list[Fault] = []
-    for name, changes in case.variations.items():
+    for name, changes in loaded.config.variations.items():
         keys = {full: key for key in changes for full in expand(key, file.data)}
         places: dict[str, yaml_file.Path] = {
             full: ("variations", name, key) for full, key in keys.items()
@@ -227,14 +278,17 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
         copy = overlay.changed(file, overrides)
         del copy.data["variations"]
         try:
-            found.append(Varied(name, overrides, changes, resolve(copy, folder)))
+            case = resolve(copy, loaded.path.parent)
         except InputError as error:
             faults += [
                 points.at_override(message, places) or Fault(("variations",), f"{name}: {message}")
                 for message in error.messages
             ]
+            continue
+        point = Point(name, changes, places, ("variations", name), varied=tuple(changes))
+        runs.append(PlannedRun(loaded.path, (*loaded.overrides, *overrides), case, point))
     file.raise_all(faults)
-    return found
+    return runs
 
 
 def resolve(file: CaseFile, folder: Path) -> Case:

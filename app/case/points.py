@@ -7,7 +7,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -25,11 +25,11 @@ LABEL = re.compile(r"[A-Za-z0-9_.+-]{1,24}")
 
 @dataclass(frozen=True)
 class Point:
-    """Overrides of a case: of one case of a sweep or study, or of one value of an axis.
+    """Overrides of a case: of a variation, of a case of a sweep or study, or of a value of an axis.
 
     Attributes:
         name: Unique in its file: ``part/value_value``.
-        changes: The overrides, including ``ranks``.
+        changes: The overrides as values by key, including ``ranks``.
         places: Path of each override in the file.
         path: Path of its part or line in the file; empty if there is only one.
         base: The case as written.
@@ -37,8 +37,8 @@ class Point:
     """
 
     name: str
-    changes: dict[str, Any]
-    places: dict[str, Path]
+    changes: dict[str, Any] = field(default_factory=dict)
+    places: dict[str, Path] = field(default_factory=dict)
     path: Path = ()
     base: str = ""
     varied: tuple[str, ...] = ()

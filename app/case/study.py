@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,9 +12,8 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from app.case import checks, overlay, points, quantities, sweep
-from app.case.case import Case
+from app.case.case import Case, PlannedRun
 from app.case.points import Changes, Lists, Point, Runs
-from app.case.sweep import PlannedRun
 from app.schema import yaml_file
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
 from app.schema.units import PositiveNumber
@@ -102,7 +102,7 @@ class StudyFile(Section):
     """Lines of runs and the numbers measured in each."""
 
     def points(self) -> Iterator[Point]:
-        """Every run, in the order of the file; runs of the reference last, in a part ``run``."""
+        """Every run, in the order of the file; runs of the reference last."""
         lines: dict[tuple[str, ...], dict[str, Any]] = {
             ("study", "lines", name): line for name, line in self.study.lines.items()
         }
@@ -111,10 +111,20 @@ class StudyFile(Section):
         common = [points.overriding(self.set, ("set",))]
         for path, line in lines.items():
             axis = points.along(line, path, points.short_keys(list(line)))
-            yield from points.combine(path, self.base, common, [axis])
+            for point in points.combine(path, self.base, common, [axis]):
+                if path == REFERENCE:
+                    yield replace(point, name="reference" + point.name.removeprefix("run"))
+                else:
+                    yield point
 
 
+# Path of the reference runs in a study file.
 REFERENCE = ("study", "reference", "run")
+
+
+def line_of(run: PlannedRun) -> str:
+    """Name of the line of a run; empty for the reference."""
+    return "" if run.point.path == REFERENCE else run.point.part
 
 
 def _density(case: Case) -> tuple[float, str]:
@@ -127,20 +137,22 @@ def _density(case: Case) -> tuple[float, str]:
 
 def _shared_meshes(study: Study, runs: Sequence[PlannedRun]) -> Iterator[Fault]:
     """Faults of a reference of several meshes: one that is judged too, or none that is finer."""
-    ladder = [r for r in runs if r.path == REFERENCE]
-    judged = {_density(r.case): r for r in reversed(runs) if r.path != REFERENCE}
+    ladder = [r for r in runs if not line_of(r)]
+    judged = {_density(r.case): r for r in reversed(runs) if line_of(r)}
     if not judged or all(r.case.mesh == ladder[0].case.mesh for r in ladder):
         return
     key = points.varying(study.reference.run or {})[0]
     below = f"below {min(r.case.mesh.size for r in judged.values()):g} mm"
     for r in ladder:
-        if (own := _density(r.case)) in judged:
-            text = f"has the mesh of {judged[own].name} ({own[1]}), whose error it cannot "
+        density = _density(r.case)
+        if density in judged:
+            text = f"has the mesh of {judged[density].name} ({density[1]}), whose error it cannot "
             text += f"tell; expected sizes that no line has, the last {below}"
-            yield Fault(r.places[key], text)
-    if (finest := max(judged)) > _density(ladder[-1].case):
+            yield Fault(r.point.places[key], text)
+    finest = max(judged)
+    if finest > _density(ladder[-1].case):
         text = f"is not finer than {judged[finest].name} ({finest[1]}); expected a last size"
-        yield Fault(ladder[-1].places[key], f"{text} {below}")
+        yield Fault(ladder[-1].point.places[key], f"{text} {below}")
 
 
 def read(
@@ -173,4 +185,4 @@ def read(
     file.raise_all(problems)
     keys = {o.partition("=")[0].strip() for o in others}
     common = points.as_overrides({k: v for k, v in content.set.items() if k not in keys})
-    return study, runs, (*common, *others)
+    return study, [replace(run, alone=True) for run in runs], (*common, *others)

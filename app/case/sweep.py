@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
 from app.case import overlay, points
-from app.case.case import Case, load
+from app.case.case import PlannedRun, load
 from app.case.points import MOST_CASES, Point, SweepPart
 from app.foundation.errors import InputError
 from app.schema import section, yaml_file
@@ -62,16 +62,6 @@ class Sweep(SweepPart):
         return {name: list(cube.inputs) for name, cube in parts.items() if cube}
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlannedRun(Point):
-    """A checked case of a sweep or a study; its changes and overrides include ``--set`` options."""
-
-    file: Path
-    overrides: tuple[str, ...]
-    ranks: int
-    case: Case
-
-
 def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[PlannedRun]]:
     """Read a sweep, with ``--set`` options that replace values under ``set``; check every case.
 
@@ -85,7 +75,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
     sweep = content(file, Sweep)
     planned, problems = plan(file, path.parent, sweep.points(), overrides)
     file.raise_all(problems)
-    return sweep, planned
+    return sweep, [replace(run, share=True) for run in planned]
 
 
 def content(file: CaseFile, model: type[Content]) -> Content:
@@ -104,9 +94,10 @@ def content(file: CaseFile, model: type[Content]) -> Content:
 def plan(
     file: CaseFile, folder: Path, every: Sequence[Point], overrides: Sequence[str]
 ) -> tuple[list[PlannedRun], list[Fault]]:
-    """Check the case of each point; return the cases and the faults.
+    """Check the case of each point; return the runs and the faults.
 
-    Bases are relative to a folder. ``--set`` options replace values under ``set``.
+    Bases are relative to a folder. ``--set`` options replace values under ``set``, and are among
+    the changes of each run.
     """
     problems = points.clashes(overrides, ((p.places[k], k) for p in every for k in p.varied))
     keys = [o.partition("=")[0].strip() for o in overrides]
@@ -135,8 +126,7 @@ def plan(
                 else:
                     failed.setdefault((base, message), []).append(point)
             continue
-        fields = vars(point) | {"changes": used}
-        planned.append(PlannedRun(**fields, file=base, overrides=changes, ranks=ranks, case=case))
+        planned.append(PlannedRun(base, changes, case, replace(point, changes=used), ranks))
     for (base, message), of in failed.items():
         at = (*of[0].path, "base")
         if len(of) < bases[base]:

@@ -1,7 +1,7 @@
 """The ``variations`` section of a case: runs on one mesh with changed loads and laws.
 
 Only changes that keep mesh and bonded stiffness, which the runs share
-(`app/simulation/variations.py`).
+(`app/simulation/session.py`).
 """
 
 from __future__ import annotations

@@ -182,7 +182,11 @@ class Writer:
 
 
 def provenance(
-    ranks: int, digests: Mapping[str, str], overrides: list[str], mesh_hash: str, started: datetime
+    ranks: int,
+    digests: Mapping[str, str],
+    overrides: Sequence[str],
+    mesh_hash: str,
+    started: datetime,
 ) -> dict[str, Any]:
     """Provenance of a result.
 

@@ -1,42 +1,96 @@
-"""Mesh and order for an accuracy that is asked for (``output.accuracy``).
+"""Runs beside a run, without folders of their own: for its errors, and to choose its mesh.
 
-Cheap runs of both orders have their errors estimated. On cells of size h the error of a number is
-taken as :math:`e(h_0) (h / h_0)^p`, with the order p of its class (`case.quantities`).
+``output.error``: companions (`results.error_estimate`) of a run, solved by models that share its
+meshes and matrices.
+
+``output.accuracy``: the mesh and order for an accuracy that is asked for. Cheap runs of both orders
+have their errors estimated. On cells of size h the error of a number is taken as
+:math:`e(h_0) (h / h_0)^p`, with the order p of its class (`case.quantities`).
 """
 
 from __future__ import annotations
 
 import logging
+import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from mpi4py import MPI
+
 from app.case.case import Case
 from app.case.quantities import TABLE
-from app.results.error_estimate import Orders, is_zero, largest_of_units
+from app.foundation.errors import ConvergenceError, GeometryError, StoppedError, agree
+from app.results import error_estimate
+from app.results.error_estimate import Companion, Orders, is_zero, largest_of_units
+from app.simulation.model import Model
 from app.soundness import cost, memory
 from app.system.layout import duration, percent
+from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
 
-FINER = 1.1  # ratio of the mesh sizes that are considered
-# A run's memory over the least that is certain, and its time over that estimated, at most.
-MEMORY, TIME = 1.5, 2.0
+# Ratio of the mesh sizes that are considered.
+FINER = 1.1
+# Factor on the least memory of a run: its largest memory use.
+MEMORY = 1.5
+# Factor on the estimated time of a run: its longest time.
+TIME = 2.0
 # Part of the largest number of the same unit that a smaller one counts as.
 NEGLIGIBLE = 0.1
 
 
-def shares(summary: Mapping[str, Any]) -> list[tuple[float, str, Orders]]:
-    """Relative error, name and orders of each number that counts: the headlines of interfaces."""
-    found = [
-        (f"{name}.{key}", q.unit, q.order, abs(numbers[key]), numbers[f"{key}_error"])
-        for name, numbers in summary["interfaces"].items()
-        for key, q in TABLE["interfaces"].items()
-        if q.headline and q.order and numbers.get(f"{key}_error") is not None
-    ]
-    largest = largest_of_units(dict(summary))
-    found = [row for row in found if not is_zero(row[3], row[4], largest[row[1]])]
-    sizes = [max(value, NEGLIGIBLE * largest[unit]) for _, unit, _, value, _ in found]
-    return [(e / size, n, p) for (n, _, p, _, e), size in zip(found, sizes, strict=True) if size]
+def add_errors(
+    summary: dict[str, Any], case: Case, companions: Sequence[Companion], model: Model
+) -> dict[str, Any]:
+    """Solve the companions of a run and put errors beside the numbers of its summary; collective.
+
+    A companion that cannot be solved is left out.
+
+    Returns:
+        Section ``error`` of the summary.
+
+    Raises:
+        StoppedError: A signal stopped a companion.
+    """
+    solved: list[tuple[Companion, dict[str, Any]]] = []
+    failed: list[str] = []
+    for companion in companions:
+        begin = clock.perf_counter()
+        try:
+            numbers = model.relative(companion.case)
+        except (ConvergenceError, GeometryError) as failure:
+            agree(model.tagged.mesh.comm, failure)
+            why = str(failure).splitlines()[0]
+            log.warning("error estimate: the companion run on %s failed: %s", companion, why)
+            failed.append(str(companion))
+            continue
+        except StoppedError as stop:
+            raise StoppedError(f"{stop}, in its companions") from stop
+        solved.append((companion, numbers))
+        seconds = clock.perf_counter() - begin
+        log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
+    return {
+        "companions": [str(companion) for companion, _ in solved],
+        "within": error_estimate.WITHIN[case.mesh.order - 1],
+        "of": error_estimate.error_sources([companion for companion, _ in solved]),
+        "failed": failed,
+        "unsettled": error_estimate.estimate(summary, case, solved),
+    }
+
+
+def numbers_with_errors(
+    comm: MPI.Comm, options: dict[str, str], stop: Callable[[], str], case: Case
+) -> dict[str, Any]:
+    """Solve a case and its companions; return its numbers with their errors; collective.
+
+    Raises:
+        ConvergenceError: The case or one of its companions cannot be solved.
+    """
+    model = Model(case, comm, options, Timing("choosing"), stop)
+    numbers = model.relative(case)
+    if add_errors(numbers, case, error_estimate.companions(case), model)["failed"]:
+        raise ConvergenceError("output.accuracy: the errors of cheap runs are unknown")
+    return numbers
 
 
 def choose(case: Case, solve: Callable[[Case], Any], longest: float | None) -> tuple[Case, str]:
@@ -45,51 +99,89 @@ def choose(case: Case, solve: Callable[[Case], Any], longest: float | None) -> t
     ``solve`` returns the numbers of a case with their errors. Cheap runs begin at twice the mesh
     size, as far as that can be meshed. The run may take ``longest`` [s].
     """
-    asked, choices = case.output.accuracy or 0.0, list[tuple[float, float, str, Case]]()
+    target = case.output.accuracy or 0.0
     start = max(case.mesh.size, min(2 * case.mesh.size, case.geometry.coarsest_size / 2))
+    # By error, time, words and case.
+    choices: list[tuple[float, float, str, Case]] = []
     for order in (2, 1):
-        size, choice = start, None
+        size = start
+        choice = None
         while choice is None or choice[3].mesh.size < size:
-            now, limit = _on(case, size, order), ""
-            known = [(e, p[order - 1]) for e, _, p in shares(solve(now))]
-            while (error := _largest(known, now.mesh.size / size)) > asked and not limit:
-                finer = _on(now, float(f"{now.mesh.size / FINER:.2g}"), order)
-                if MEMORY * memory.needed(finer) > (available := memory.available()):
-                    limit = f"; {available / memory.GIGABYTE:.3g} GB of memory allow no finer"
-                elif longest and TIME * cost.seconds(finer) > longest:
-                    limit = f"; a walltime of {duration(longest)} allows no finer"
-                else:
-                    now = finer
-            told = f"{percent(error)} expected, about {duration(cost.seconds(now))}{limit}"
-            told = f"{percent(asked)} asked for: {now.mesh.size:g} mm at order {order} ({told})"
-            log.info("accuracy: %s, by a run on %g mm", told, size)
-            choice = (max(error, asked), cost.seconds(now), told, now)
+            cheap = _on(case, size, order)
+            errors = [(e, p[order - 1]) for e, _, p in relative_errors(solve(cheap))]
+            error, best, limit = _coarsest_within(target, cheap, errors, longest)
+            words = f"{percent(error)} expected, about {duration(cost.seconds(best))}{limit}"
+            words = f"{percent(target)} asked for: {best.mesh.size:g} mm at order {order} ({words})"
+            log.info("accuracy: %s, by a run on %g mm", words, size)
+            choice = (max(error, target), cost.seconds(best), words, best)
             if choices and choice > choices[0]:
                 break
             size *= 0.5  # errors are extrapolated over a factor of two
         choices.append(choice)
-    *_, told, best = min(choices)
-    return best, told
+    *_, words, best = min(choices)
+    return best, words
 
 
-def _largest(known: Sequence[tuple[float, float]], finer: float) -> float:
-    """Largest of errors with their orders, on cells whose size is multiplied."""
-    return max((error * finer**p for error, p in known), default=0.0)
+def _coarsest_within(
+    target: float, cheap: Case, errors: Sequence[tuple[float, float]], longest: float | None
+) -> tuple[float, Case, str]:
+    """Refine a case until it meets a target, as far as memory and time allow.
+
+    Args:
+        target: Relative error wanted.
+        cheap: The case on the mesh that was solved.
+        errors: Errors of its numbers with their orders.
+        longest: Longest time [s], if there is a limit.
+
+    Returns:
+        The largest error expected, the case, and the limit that was met, in words.
+    """
+    best = cheap
+    while True:
+        finer = best.mesh.size / cheap.mesh.size
+        error = max((e * finer**p for e, p in errors), default=0.0)
+        if error <= target:
+            return error, best, ""
+        next_best = _on(best, float(f"{best.mesh.size / FINER:.2g}"), best.mesh.order)
+        available = memory.available()
+        if MEMORY * memory.needed(next_best) > available:
+            text = f"; {available / memory.GIGABYTE:.3g} GB of memory allow no finer"
+            return error, best, text
+        if longest and TIME * cost.seconds(next_best) > longest:
+            return error, best, f"; a walltime of {duration(longest)} allows no finer"
+        best = next_best
 
 
 def _on(case: Case, size: float, order: int) -> Case:
     """The case with errors, on cells of another size and order."""
-    changed = {"size": size, "order": order, "curved": case.mesh.curved if order > 1 else None}
+    curved = case.mesh.curved if order > 1 else None
+    changed = {"size": size, "order": order, "curved": curved}
     mesh = case.mesh.coarser(size / case.mesh.size).model_copy(update=changed)
     output = case.output.model_copy(update={"accuracy": None, "error": True})
     return case.model_copy(update={"mesh": mesh, "output": output})
 
 
+def relative_errors(summary: Mapping[str, Any]) -> list[tuple[float, str, Orders]]:
+    """Relative error, name and orders of each number that counts: the headlines of interfaces."""
+    largest = largest_of_units(dict(summary))
+    errors: list[tuple[float, str, Orders]] = []
+    for interface, numbers in summary["interfaces"].items():
+        for key, q in TABLE["interfaces"].items():
+            error = numbers.get(f"{key}_error")
+            if not q.headline or not q.order or error is None:
+                continue
+            value = abs(numbers[key])
+            size = max(value, NEGLIGIBLE * largest[q.unit])
+            if size and not is_zero(value, error, largest[q.unit]):
+                errors.append((error / size, f"{interface}.{key}", q.order))
+    return errors
+
+
 def reached(chosen: str, summary: Mapping[str, Any]) -> str:
     """A sentence on what was asked for, chosen and reached."""
-    found = shares(summary)
-    if not found:
+    errors = relative_errors(summary)
+    if not errors:
         return f"accuracy: {chosen}; what was reached is unknown"
-    error, worst, _ = max(found)
-    counted = ", ".join(dict.fromkeys(name.partition(".")[2] for _, name, _ in found))
-    return f"accuracy: {chosen}; {percent(error)} reached, by {worst}, the least sure of {counted}"
+    error, worst, _ = max(errors)
+    keys = ", ".join(dict.fromkeys(name.partition(".")[2] for _, name, _ in errors))
+    return f"accuracy: {chosen}; {percent(error)} reached, by {worst}, the least sure of {keys}"

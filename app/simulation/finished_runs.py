@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from app.case.case import Case, LoadedCase, Varied, dump
+from app.case.case import Case, LoadedCase, PlannedRun, dump
 from app.case.geometries import MeshFile
 from app.foundation.errors import InputError
 from app.results.closing_lines import check_usable
@@ -32,17 +32,17 @@ def finished(folder: Path, case: Case) -> bool:
     return same and not newer
 
 
-def summaries(output: Path, varied: Sequence[Varied]) -> dict[int, dict[str, Any]]:
-    """Summaries of the finished variations in folders below ``output``, by position."""
+def summaries(runs: Mapping[Path, PlannedRun]) -> dict[Path, dict[str, Any]]:
+    """Summaries of the finished ones among some runs, by folder."""
     return {
-        i: folders.read_json(output / v.name / "summary.json")
-        for i, v in enumerate(varied)
-        if finished(output / v.name, v.case)
+        folder: folders.read_json(folder / "summary.json")
+        for folder, run in runs.items()
+        if finished(folder, run.case)
     }
 
 
 def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str = "") -> bool:
-    """Make the folder of a run, before anything is started; whether its results are there and stay.
+    """Make the folder of a run, before anything is started; return True if it is finished already.
 
     ``force`` replaces results, also those of this very case; ``restart`` is a checkpoint to restart
     from, ``auto`` or "".
@@ -54,9 +54,13 @@ def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str
     if restart not in ("", "auto") and case.config.variations:
         raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")
     memory.check(case.file, case.config)
-    runs = {output / v.name: v.case for v in case.variations} or {output: case.config}
-    done = not force and restart in ("", "auto") and (output / "DONE").exists()
-    done = done and all(finished(folder, one) for folder, one in runs.items())
+    runs = case.runs(output)
+    done = (
+        not force
+        and restart in ("", "auto")
+        and (output / "DONE").exists()
+        and all(finished(folder, run.case) for folder, run in runs.items())
+    )
     folders.prepare_run(output, force or done or bool(restart))
     for folder in runs:
         folders.raise_if_taken(folder)

@@ -14,12 +14,11 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app.case.case import Case, LoadedCase, Varied, dump
+from app.case.case import LoadedCase, PlannedRun, dump
 from app.case.run_options import CheckpointOptions
 from app.foundation.errors import (
     ConvergenceError,
     EnvironmentProblem,
-    GeometryError,
     StoppedError,
     agree,
     on_root,
@@ -28,9 +27,9 @@ from app.numerics import lifetime
 from app.numerics.krylov import condition_number
 from app.numerics.newton import raw_options, unused
 from app.results import closing_lines as text
-from app.results import error_estimate
+from app.results import error_estimate, run_table
 from app.results.run_folder import Writer, provenance
-from app.simulation import accuracy, checkpoint, finished_runs, variations
+from app.simulation import accuracy, checkpoint, finished_runs
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
@@ -115,38 +114,35 @@ def run(
     if signals:  # the process is ours: a host's functions and options are left as they are
         form_cache.guard()
     late = str if walltime is None else stopping.WallTime(begin, walltime)
-    options, asked = raw_options(petsc_options), (progress, restart, force)
-    setup = Setup(comm, case, options, lambda: signalled() or late(), *asked, begin, started)
+    setup = Setup(
+        comm,
+        case,
+        raw_options(petsc_options),
+        stop=lambda: signalled() or late(),
+        progress=progress,
+        restart=restart,
+        force=force,
+        begin=begin,
+        started=started,
+    )
     setup.note(preview.warnings(case.config))
     with case.file.placing(), ExitStack() as held:
         on_root(comm, lambda: held.enter_context(claim(output)), share=False)
         if case.config.variations:
-            _vary(setup, output)
+            _solve_variations(setup, output)
         else:
             if case.config.output.accuracy:
-                _choose(setup, walltime)
-            summary = _CaseRun(setup, setup.loaded.config, (), output).run()
+                solve = partial(accuracy.numbers_with_errors, comm, setup.options, setup.stop)
+                config, setup.chosen = accuracy.choose(case.config, solve, walltime)
+                setup.loaded = replace(case, config=config)
+            summary = _CaseRun(setup, setup.loaded.itself, output).run()
             text.report(summary)
             text.check_usable({output: summary})
     log.info("results in %s", output)
     return comm
 
 
-def _choose(setup: Setup, longest: float | None) -> None:
-    """Choose mesh and order for the accuracy that the case asks for; collective."""
-
-    def solve(case: Case) -> dict[str, Any]:
-        model = Model(case, setup.comm, setup.options, Timing("choosing"), setup.stop)
-        numbers = model.relative(case)
-        if _errors(error_estimate.companions(case), model, numbers, case)["failed"]:
-            raise ConvergenceError("output.accuracy: the errors of cheap runs are unknown")
-        return numbers
-
-    config, setup.chosen = accuracy.choose(setup.loaded.config, solve, longest)
-    setup.loaded = replace(setup.loaded, config=config)
-
-
-def _vary(setup: Setup, output: Path) -> None:
+def _solve_variations(setup: Setup, output: Path) -> None:
     """Solve the variations of the case, each in a folder below ``output``; collective.
 
     Finished ones are not solved again, unless ``--force`` asks for it.
@@ -156,51 +152,58 @@ def _vary(setup: Setup, output: Path) -> None:
         UnusableError: All did, but the numbers of some are not to be used.
         StoppedError: Those before are done.
     """
-    comm, varied = setup.comm, setup.loaded.variations
+    comm = setup.comm
+    runs = setup.loaded.runs(output)
     mark = output / "DONE"
     on_root(comm, lambda: mark.unlink(missing_ok=True), share=False)
-    solved: dict[int, dict[str, Any]] = {}
+    summaries: dict[Path, dict[str, Any]] = {}
     if not setup.force and setup.restart in ("", "auto"):
-        solved = on_root(comm, lambda: finished_runs.summaries(output, varied)) or {}
-        log.info("%d of %d variations are finished already", len(solved), len(varied))
+        summaries = on_root(comm, lambda: finished_runs.summaries(runs)) or {}
+        log.info("%d of %d variations are finished already", len(summaries), len(runs))
     rows = {
-        i: variations.row(varied[i], old, old["status"], old["timing"]["total"])
-        for i, old in solved.items()
+        folder: run_table.row(runs[folder].point, old, old["status"], old["timing"]["total"])
+        for folder, old in summaries.items()
     }
-    for i, v in enumerate(varied):
-        if i in rows:
+
+    def write() -> list[run_table.Row]:
+        return run_table.write_variations([rows[f] for f in runs if f in rows], output)
+
+    for number, (folder, run) in enumerate(runs.items(), start=1):
+        if folder in rows:
             continue
-        log.info("variation %d of %d: %s", i + 1, len(varied), v.name)
+        log.info("variation %d of %d: %s", number, len(runs), run.name)
         try:
-            solved[i] = _variation(setup, v, output / v.name)
+            summary = _solve_variation(setup, run, folder)
         except StoppedError as stop:
-            place = f"variation {v.name} (number {i + 1} of {len(varied)})"
+            place = f"variation {run.name} (number {number} of {len(runs)})"
             raise StoppedError(f"{place}: {stop}") from stop
-        status = solved[i].get("status", "not converged")
-        rows[i] = variations.row(v, solved[i], status, clock.perf_counter() - setup.begin)
-        on_root(comm, partial(variations.write, rows, output), share=False)
+        summaries[folder] = summary
+        status = summary.get("status", "not converged")
+        seconds = clock.perf_counter() - setup.begin
+        rows[folder] = run_table.row(run.point, summary, status, seconds)
+        on_root(comm, write, share=False)
         lifetime.release(comm)  # models on meshes that no later variation shares
         setup.begin, setup.started = clock.perf_counter(), datetime.now(UTC)
         setup.timing.clear()
-    done = on_root(comm, partial(variations.write, rows, output)) or []
-    log.info("%s", variations.table(done))
-    if failed := [v.name for i, v in enumerate(varied) if not solved[i]]:
+    log.info("%s", run_table.text(on_root(comm, write) or []))
+    failed = [run.name for folder, run in runs.items() if not summaries[folder]]
+    if failed:
         raise ConvergenceError(
-            f"{len(failed)} of {len(varied)} variations did not converge: {', '.join(failed)} "
+            f"{len(failed)} of {len(runs)} variations did not converge: {', '.join(failed)} "
             f"(in {output})"
         )
     on_root(comm, partial(write_text, mark, ""), share=False)
-    text.check_usable({output / varied[i].name: summary for i, summary in solved.items()})
+    text.check_usable(summaries)
 
 
-def _variation(setup: Setup, varied: Varied, folder: Path) -> dict[str, Any]:
+def _solve_variation(setup: Setup, run: PlannedRun, folder: Path) -> dict[str, Any]:
     """Solve a variation; returns its summary, empty if it does not converge; collective."""
     on_root(setup.comm, partial(prepare_run, folder, force=True), share=False)
     on_root(setup.comm, partial(remove, [folder / FAILED]), share=False)
     try:
-        summary = _CaseRun(setup, varied.case, varied.overrides, folder).run()
+        summary = _CaseRun(setup, run, folder).run()
     except ConvergenceError as failure:
-        log.warning("%s: %s", varied.name, failure)
+        log.warning("%s: %s", run.name, failure)
         why = partial(write_text, folder / FAILED, f"{failure}\n")
         on_root(setup.comm, why, share=False)
         return {}
@@ -209,23 +212,31 @@ def _variation(setup: Setup, varied: Varied, folder: Path) -> dict[str, Any]:
 
 
 class _CaseRun:
-    """The run of one case: its model, its records and its checkpoints; made on all ranks.
+    """One run: its model, its records and its checkpoints; made on all ranks."""
 
-    ``case`` is the case of the file or a variation of it with overrides ``changes``.
-    """
-
-    def __init__(self, setup: Setup, case: Case, changes: Sequence[str], output: Path) -> None:
-        self._setup, self._case, self._folder = setup, case, output
+    def __init__(self, setup: Setup, run: PlannedRun, output: Path) -> None:
+        case = run.case
+        self._setup = setup
+        self._case = case
+        self._folder = output
         comm, loaded = setup.comm, setup.loaded
-        found = None
+        saved_state = None
         if setup.restart:
-            found = checkpoint.find(comm, setup.restart, output, case, setup.force)
-        common = setup.options, setup.timing, setup.stop, setup.model
-        model = Model(case, comm, *common, runs=max(1, len(loaded.variations)))
+            saved_state = checkpoint.find(comm, setup.restart, output, case, setup.force)
+        model = Model(
+            case,
+            comm,
+            setup.options,
+            setup.timing,
+            setup.stop,
+            reuse=setup.model,
+            runs=max(1, len(loaded.variations)),
+        )
         self._model = setup.model = model
         self._notes = [*preview.warnings(case), *model.notes]
         setup.note(self._notes)
-        if lost := unused(case.solver.petsc | setup.options):
+        lost = unused(case.solver.petsc | setup.options)
+        if lost:
             setup.note([f"PETSc has no use for {', '.join(lost)} here: misspelt?"])
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
@@ -234,13 +245,26 @@ class _CaseRun:
             ", ".join(f"{n} {name}" for name, n in model.sizes().items()),
             comm.size,
         )
-        overrides, digests = [*loaded.overrides, *changes], loaded.file.digests
-        record = partial(provenance, comm.size, digests, overrides, model.mesh_hash, setup.started)
-        again, fields = found is not None, case.output.fields
-        writer = Writer(model.tagged, model.layers(), output, dump(case), fields, record, again)
-        self._writer = writer
-        self._recorder = Recorder(case, model, writer, setup.timing, setup.begin, setup.progress)
-        self._checkpoints = CheckpointWriter(case, model, self._recorder, output, found)
+        self._writer = Writer(
+            model.tagged,
+            model.layers(),
+            output,
+            dump(case),
+            case.output.fields,
+            partial(
+                provenance,
+                comm.size,
+                loaded.file.digests,
+                run.overrides,
+                model.mesh_hash,
+                setup.started,
+            ),
+            saved_state is not None,
+        )
+        self._recorder = Recorder(
+            case, model, self._writer, setup.timing, setup.begin, setup.progress
+        )
+        self._checkpoints = CheckpointWriter(case, model, self._recorder, output, saved_state)
 
     @contextmanager
     def _last_state_kept(self) -> Iterator[None]:
@@ -253,7 +277,8 @@ class _CaseRun:
             if isinstance(failure, ConvergenceError):
                 self._recorder.close("not converged", lines[0])
                 raise ConvergenceError("\n".join(lines)) from failure
-            if path := self._checkpoints.save():
+            path = self._checkpoints.save()
+            if path:
                 lines.append(f"state saved in {path}: --restart auto goes on from there")
             self._recorder.close("stopped", lines[0])
             raise StoppedError("\n".join(lines)) from failure
@@ -275,7 +300,7 @@ class _CaseRun:
                 self._checkpoints.mark,
                 self._checkpoints.resume,
             )
-        blas_check.check(setup.comm)  # once more: what has converged by wrong sums is no result
+        blas_check.check(setup.comm)  # again: a faulty BLAS makes a converged result meaningless
         if clock.perf_counter() - setup.begin > LONG:
             log.info("     computing and writing results")
         with setup.timing.phase("output"):
@@ -288,46 +313,17 @@ class _CaseRun:
         if case.output.condition and model.mechanics:
             A = model.mechanics.solver.snes.getJacobian()[0]
             summary["solver"]["condition"] = condition_number(A)
-        if companions := error_estimate.companions(case):
-            # The numbers are safe before their errors are looked for.
+        companions = error_estimate.companions(case)
+        if companions:
+            # The numbers are on disk before their errors are computed.
             self._writer.finish(summary, done=False)
             with setup.timing.phase("error"), self._last_state_kept():
-                summary["error"] = _errors(companions, model, summary, case)
+                summary["error"] = accuracy.add_errors(summary, case, companions, model)
             if setup.chosen:
                 summary["accuracy"] = accuracy.reached(setup.chosen, summary)
             summary["timing"] = self._recorder.seconds()
         self._writer.finish(summary, done=True)
         if case.output.checkpoint == CheckpointOptions():
-            # Those of interruptions are of no more use.
+            # No periodic checkpoints: those of interruptions are no longer needed.
             on_root(setup.comm, partial(remove, saved(self._folder)), share=False)
         return summary
-
-
-def _errors(
-    companions: Sequence[error_estimate.Companion],
-    model: Model,
-    summary: dict[str, Any],
-    case: Case,
-) -> dict[str, Any]:
-    solved, failed = [], []
-    for companion in companions:
-        begin = clock.perf_counter()
-        try:
-            solved.append((companion, model.relative(companion.case)))
-        except (ConvergenceError, GeometryError) as failure:
-            agree(model.tagged.mesh.comm, failure)
-            why = str(failure).splitlines()[0]
-            log.warning("error estimate: the companion run on %s failed: %s", companion, why)
-            failed.append(str(companion))
-            continue
-        except StoppedError as stop:
-            raise StoppedError(f"{stop}, in its companions") from stop
-        seconds = clock.perf_counter() - begin
-        log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
-    return {
-        "companions": [str(c) for c, _ in solved],
-        "within": error_estimate.WITHIN[case.mesh.order - 1],
-        "of": error_estimate.error_sources([c for c, _ in solved]),
-        "failed": failed,
-        "unsettled": error_estimate.estimate(summary, case, solved),
-    }

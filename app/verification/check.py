@@ -243,7 +243,11 @@ class CheckResult:
             "message": self.message,
             "seconds": round(self.seconds, 2),
             "runs": [
-                {"folder": str(r.folder), "case": str(r.job.file), "overrides": r.job.overrides}
+                {
+                    "folder": str(r.folder),
+                    "case": str(r.planned.file),
+                    "overrides": r.planned.overrides,
+                }
                 for r in self.results
             ],
         }

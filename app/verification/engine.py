@@ -15,9 +15,9 @@ from typing import Any
 
 from app.campaigns import batch
 from app.campaigns.batch import Options
-from app.campaigns.runs import Job, Result
+from app.campaigns.runs import Result
 from app.campaigns.work_precision import fitted_order
-from app.case.case import load
+from app.case.case import PlannedRun
 from app.foundation.errors import ConvergenceError, GeometryError, InputError, Reason, UnusableError
 from app.results.reading import Run
 from app.system import layout
@@ -82,19 +82,18 @@ def run(suite: str, options: Options) -> bool:
     checks = _chosen(suite, options)
     planned = {c.name: list(_planned(c, options.folder)) for c in checks}
     if options.dry_run:
-        jobs = [job for runs in planned.values() for job, _, why in runs if not why]
+        jobs = [job for runs in planned.values() for job, _, _ in runs if job]
         log.info("%s", batch.plan(f"{suite}: {len(checks)} checks", jobs, options))
         return True
     found = _run(checks, planned, options)
     outcomes = []
     for check in checks:
         results: list[Result] = []
-        for job, times, why in planned[check.name]:
-            if why:
-                results.append(Result(job, options.folder, InputError.exit_code, 0.0, {}, why))
-            else:
+        for job, times, _ in planned[check.name]:
+            if job:
                 results += [found[_same(job), k] for k in range(times)]
-        outcomes.append(judge(check, results))
+        reasons = [why for _, _, why in planned[check.name]]
+        outcomes.append(_refused(check, reasons) if any(reasons) else judge(check, results))
     log.info("%s", table(outcomes))
     _write(suite, options, outcomes)
     log.info("%s\nresults in %s", verdict(outcomes), options.folder)
@@ -117,36 +116,47 @@ def _chosen(suite: str, options: Options) -> list[Check]:
     return chosen
 
 
-def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, int, str]]:
-    """The job of each run, how often, and the reason to refuse it before it begins, or ""."""
+Planned = tuple[PlannedRun | None, int, str]
+# A run without its name.
+Same = tuple[Path, tuple[str, ...], int, bool, bool]
+
+
+def _planned(check: Check, folder: Path) -> Iterator[Planned]:
+    """Each run as planned and how often; None with the reason if it is refused before it begins."""
     for k, run in enumerate(check.runs, start=1):
         name = f"{check.name}_{k}" if len(check.runs) > 1 else check.name
-        job = Job(name, CONFIGS / run.case, run.overrides, run.ranks, check.timed, run.share)
-        why = ""
+        options = run.ranks, check.timed, run.share
         try:
-            case = load(job.file, job.overrides).config
+            planned = PlannedRun.load(name, CONFIGS / run.case, run.overrides, *options)
             if run.mesh:
-                mesh = change(case, run.mesh, folder / "meshes")
-                job = replace(job, overrides=(*mesh, *job.overrides))
-            else:
-                job = replace(job, case=case)
+                mesh = change(planned.case, run.mesh, folder / "meshes")
+                overrides = (*mesh, *run.overrides)
+                planned = PlannedRun.load(name, planned.file, overrides, *options)
         except InputError as error:
-            why = str(error)
-        yield job, run.times, why
+            yield None, run.times, str(error)
+        else:
+            yield planned, run.times, ""
+
+
+def _refused(check: Check, reasons: Sequence[str]) -> CheckResult:
+    """Judge a check by the reasons why its runs were refused before they began, or ""."""
+    if reasons[0] and check.refusal in Reason.within(reasons[0]):
+        return CheckResult(check, REFUSED, reasons[0])
+    return CheckResult(check, FAILED, "\n".join(filter(None, reasons)))
 
 
 def _run(
-    checks: Sequence[Check], planned: Mapping[str, list[tuple[Job, int, str]]], options: Options
-) -> dict[tuple[Job, int], Result]:
+    checks: Sequence[Check], planned: Mapping[str, list[Planned]], options: Options
+) -> dict[tuple[Same, int], Result]:
     """Results by `_same` job and number of earlier runs of it; failed jobs are not repeated.
 
     Timed checks go one after the other, their runs in turn, so that disturbances on the machine
     affect them all.
     """
-    found: dict[tuple[Job, int], Result] = {}
+    found: dict[tuple[Same, int], Result] = {}
     together = [[c for c in checks if not c.timed], *([c] for c in checks if c.timed)]
     for some in together:
-        wanted = [(job, times) for c in some for job, times, why in planned[c.name] if not why]
+        wanted = [(job, times) for c in some for job, times, _ in planned[c.name] if job]
         for k in range(max((times for _, times in wanted), default=0)):
             folder = options.folder / f"again-{k}" if k else options.folder
             asked = {_same(job): job for job, times in wanted if times > k}
@@ -157,8 +167,8 @@ def _run(
     return found
 
 
-def _same(job: Job) -> Job:
-    return replace(job, name="")
+def _same(job: PlannedRun) -> Same:
+    return job.file, job.overrides, job.ranks, job.alone, job.share
 
 
 def judge(check: Check, results: Sequence[Result]) -> CheckResult:
@@ -170,7 +180,7 @@ def judge(check: Check, results: Sequence[Result]) -> CheckResult:
         explained = first is results[0] and first.exit_code in REFUSALS
         if explained and check.refusal in Reason.within(first.message):
             return CheckResult(check, REFUSED, first.message, results)
-        why = "\n".join(f"{r.job.name}: exit code {r.exit_code}: {r.message}" for r in failed)
+        why = "\n".join(f"{r.planned.name}: exit code {r.exit_code}: {r.message}" for r in failed)
         return CheckResult(check, FAILED, why, results)
     if check.judge is None:
         return CheckResult(check, MISSED, "converged, though there is no answer", results)
@@ -247,8 +257,8 @@ def costs(outcomes: Iterable[CheckResult]) -> Iterator[dict[str, Any]]:
     for r in done.values():
         solver, timing = r.summary.get("solver", {}), r.summary.get("timing", {})
         yield {
-            "run": r.job.name,
-            "ranks": r.job.ranks,
+            "run": r.planned.name,
+            "ranks": r.planned.ranks,
             "unknowns": solver.get("dofs"),
             "newton": solver.get("newton_iterations"),
             "krylov": solver.get("linear_iterations"),

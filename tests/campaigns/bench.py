@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from app.campaigns import batch
-from app.campaigns.runs import Job, Result
+from app.campaigns.runs import Result
+from app.case.case import PlannedRun
 from tests.cases.blocks import BLOCKS
 
 CASE = (
@@ -67,10 +68,11 @@ class Bench:
         """The mesh sizes of the calls since the last time."""
         return [float(line.split()[0]) for line in self.told("calls")]
 
-    def job(self, size: float, *more: str, **options: object) -> Job:
-        return Job(f"size-{size}", self.case, (f"mesh.size={size} mm", *more), **options)  # type: ignore[arg-type]
+    def job(self, size: float, *more: str, ranks: int = 1, alone: bool = False) -> PlannedRun:
+        overrides = (f"mesh.size={size} mm", *more)
+        return PlannedRun.load(f"size-{size}", self.case, overrides, ranks, alone)
 
-    def run(self, *jobs: Job) -> list[Result]:
+    def run(self, *jobs: PlannedRun) -> list[Result]:
         return batch.run(jobs, self.out, 2)
 
     def finished(self) -> list[Path]:

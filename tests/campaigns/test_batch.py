@@ -13,8 +13,8 @@ import pytest
 
 import meshes
 from app.campaigns import batch, engine
-from app.campaigns.runs import Job, result_of, runs_of
-from app.case.case import load
+from app.campaigns.runs import Result, result_of, runs_of
+from app.case.case import PlannedRun, load
 from app.case.geometries import MeshFile
 from app.foundation.errors import EnvironmentProblem, InputError
 from app.soundness import cost, memory
@@ -32,7 +32,7 @@ def test_failures_are_isolated_and_alone_run_again(
     bench.tell(broken="2.0")
     jobs = [bench.job(1.0), bench.job(2.0), bench.job(3.0)]
     results = bench.run(*jobs)
-    assert [r.job for r in results] == jobs
+    assert [r.planned for r in results] == jobs
     assert [r.exit_code for r in results] == [0, 1, 0]
     assert [r.summary.get("size") for r in results] == [1.0, None, 3.0]
     assert results[1].message == "the mesh is bad\nthe block slides away"
@@ -61,14 +61,17 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
     """Also under another name or written otherwise, but not for another number of ranks."""
     first = bench.run(bench.job(1.0), bench.job(2.0))
     assert bench.sizes() == [1.0, 2.0]
-    jobs = [
-        Job("another name" * 30, bench.case, ("mesh.size=0.1 cm",)),
-        bench.job(2.0, "regions.upper.poisson_ratio=0.2"),
-        bench.job(2.0, ranks=2),
-        bench.job(3.0),
-        Job("twin", bench.case, ("mesh.size=3000 um",), alone=True),
-    ]
-    results = bench.run(*jobs)
+
+    def run() -> list[Result]:
+        return bench.run(
+            PlannedRun.load("another name" * 30, bench.case, ("mesh.size=0.1 cm",)),
+            bench.job(2.0, "regions.upper.poisson_ratio=0.2"),
+            bench.job(2.0, ranks=2),
+            bench.job(3.0),
+            PlannedRun.load("twin", bench.case, ("mesh.size=3000 um",), alone=True),
+        )
+
+    results = run()
     assert bench.told("calls") == [
         f"{run} 1" for run in ("2 --restart auto -n 2", "2 --restart auto", "3 --restart auto")
     ]
@@ -79,7 +82,7 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
     assert len({r.folder for r in results}) == 4
     # Comments in the case file are not content.
     bench.case.write_text(CASE + "# a comment\n")
-    bench.run(*jobs)
+    run()
     assert not bench.sizes()
 
 
@@ -104,7 +107,7 @@ def test_what_another_stack_has_done_is_not_done(
     part: str, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def exit_code() -> int:
-        return result_of(job, runs_of([job], bench.out, 1)[0], over=False).exit_code
+        return result_of(runs_of([job], bench.out, 1)[0], over=False).exit_code
 
     job = bench.job(1.0)
     known = dict.fromkeys(identity.parts(), "1")
@@ -202,7 +205,10 @@ def test_real_runs(tmp_path: Path) -> None:
     """``mantle run`` itself, on two ranks beside a block that is pulled off."""
     case = tmp_path / "case.yaml"
     case.write_text(CASE)
-    jobs = [Job("two", case, ranks=2), Job("off", case, ("loads.press.pressure=-2 MPa",))]
+    jobs = [
+        PlannedRun.load("two", case, ranks=2),
+        PlannedRun.load("off", case, ("loads.press.pressure=-2 MPa",)),
+    ]
     two, off = batch.run(jobs, tmp_path / "out", 2)
     assert two.exit_code == 0 and two.summary["status"] == "converged"
     assert two.summary["solver"]["ranks"] == 2 and (two.folder / "fields.vtkhdf").exists()
@@ -227,7 +233,7 @@ WICKED = [
 def test_names_values_and_folders_are_never_commands(bench: Bench) -> None:
     """Neither those of cases nor what is in them, by Snakemake, the shell or Python."""
     bench.out = bench.folder / "out ;$(touch PWNED) '{x}"
-    jobs = [Job(word, bench.case, (f"title={json.dumps(word)}",)) for word in WICKED]
+    jobs = [PlannedRun.load(word, bench.case, (f"title={json.dumps(word)}",)) for word in WICKED]
     results = bench.run(*jobs)
     assert [r.exit_code for r in results] == [0] * len(jobs), results
     for word, result in zip(WICKED, results, strict=True):
@@ -245,16 +251,16 @@ def test_a_run_killed_for_memory_names_what_it_needs_and_how_many_fit(
     case = load(stance).config
     need = cost.gigabytes(case)
     monkeypatch.setattr(memory, "available", lambda: 2.4e9 * need)
-    job = Job("stance", stance, case=case, ranks=3)
+    job = PlannedRun.load("stance", stance, ranks=3)
     (run,) = runs_of([job], tmp_path, 6)
     run.path.parent.mkdir(parents=True)
     run.file("status").write_text("100.0 130.0 137\n")
-    result = result_of(job, run)
+    result = result_of(run)
     assert result.exit_code == EnvironmentProblem.exit_code
     memories = f"each run needs about {need:.1f} GB, {2.4 * need:.1f} GB are available"
     assert f"killed, probably out of memory: {memories}" in result.message
     assert "--cores 6 runs at most 2 at once" in result.message
     # Another signal is reported as it is.
     run.file("status").write_text("100.0 130.0 139\n")
-    other = result_of(job, run)
+    other = result_of(run)
     assert other.exit_code == 139 and other.message == "killed by SIGSEGV"

@@ -30,7 +30,7 @@ def path(tmp_path: Path) -> Path:
 
 def expand(path: Path, text: str) -> list[Point]:
     path.write_text(text)
-    return list(sweep_file.read(path)[1])
+    return [run.point for run in sweep_file.read(path)[1]]
 
 
 def refused(path: Path, text: str, *overrides: str) -> list[str]:
@@ -132,7 +132,7 @@ def test_a_study_has_its_lines_and_then_its_reference(path: Path) -> None:
     study, runs, common = study_file.read(path, ["mesh.curved=false", "study.target=0.05"])
     names = [r.name for r in runs]
     assert names[0] == "P1/size=4mm" and names[3] == "P2/size=4mm_far_size=5mm"
-    assert [r.path for r in runs[-2:]] == [study_file.REFERENCE] * 2
+    assert [r.point.path for r in runs[-2:]] == [study_file.REFERENCE] * 2
     assert [r.case.mesh.order for r in runs] == [1] * 3 + [2] * 5
     assert [r.case.mesh.size for r in runs] == [4, 2, 1, 4, 2, 1.5, 0.8, 0.5]
     assert study.target == 0.05
@@ -294,7 +294,7 @@ def test_overrides_hold_for_every_case(path: Path) -> None:
     path.write_text(SWEEP)
     for r in sweep_file.read(path, ["regions.upper.poisson_ratio=0.4", "ranks=2"])[1]:
         assert r.case.regions["upper"].poisson_ratio == 0.4 and r.ranks == 2
-        assert r.changes["regions.upper.poisson_ratio"] == 0.4
+        assert r.point.changes["regions.upper.poisson_ratio"] == 0.4
     with pytest.raises(InputError, match="--set ranks: 'none' is not a number of ranks"):
         sweep_file.read(path, ["ranks=none"])
 
@@ -348,15 +348,15 @@ def test_the_shipped_study_of_the_paper_is_all_there() -> None:
             p.case.interfaces["cement_bone"].friction_coefficient,
         )
         for p in planned
-        if p.part in ("thickness", "friction")
+        if p.point.part in ("thickness", "friction")
     }
     assert stances == {(t, e, 1.0) for t in (2, 3, 4, 5, 7) for e in (110e3, 200e3)} | {
         (4.0, e, friction) for e in (110e3, 200e3) for friction in (0.4, 0.6, 0.8, 1.0)
     }
-    hot = [p.case for p in planned if p.part == "hot"]
+    hot = [p.case for p in planned if p.point.part == "hot"]
     assert {c.geometry.cement_thickness for c in hot} == {2, 3, 4, 5}
     assert {"held" in c.heat for c in hot} == {True, False}
-    assert {p.part for p in planned} >= {"limits", "residual", "intact"}
+    assert {p.point.part for p in planned} >= {"limits", "residual", "intact"}
 
 
 def test_patients_of_the_shipped_cohort_have_the_mean_of_the_library() -> None:

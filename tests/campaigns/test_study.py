@@ -263,15 +263,11 @@ study:
   reference: {values: {lower_upper.slip_p99: 0.04 mm}}
 """)
     planned = study_file.read(file)[1]
-    jobs = [study._job(p) for p in planned]
-    runs = [
-        study._study_run(p, Result(job, file, 4, 0.0, {}, ""))
-        for p, job in zip(planned, jobs, strict=True)
-    ]
+    runs = [study._study_run(Result(p, file, 4, 0.0, {}, "")) for p in planned]
     assert [r.label for r in runs] == ["#1", "#2", "1e3 MPa/mm", "1e4 MPa/mm", *"1212"]
     assert [r.x for r in runs] == [None, None, 1e3, 1e4, 1, 2, 1, 2]
     assert [r.unit for r in runs] == ["", "", "MPa/mm", "MPa/mm", "", "", "", ""]
-    assert [j.ranks for j in jobs] == [1, 1, 1, 1, 1, 2, 1, 1] and all(j.alone for j in jobs)
+    assert [p.ranks for p in planned] == [1, 1, 1, 1, 1, 2, 1, 1] and all(p.alone for p in planned)
     laws = [p.case.interfaces["lower_upper"] for p in planned]
     assert [getattr(law, "penalty", None) for law in laws[:5]] == [1e3, 1e4, 1e3, 1e4, None]
     assert laws[0] == laws[2] and laws[1] == laws[3]

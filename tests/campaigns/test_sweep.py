@@ -22,9 +22,9 @@ import pytest
 
 from app.campaigns import batch, sweep, uncertainty
 from app.campaigns.batch import Options
-from app.campaigns.runs import Job, runs_of
+from app.campaigns.runs import runs_of
 from app.case import sweep as sweep_file
-from app.case.case import load, plain
+from app.case.case import PlannedRun, load, plain
 from app.cli import main
 from app.foundation.errors import ConvergenceError, StoppedError, gravest
 from app.schema import yaml_file
@@ -197,9 +197,10 @@ def test_a_dry_run_tells_what_cores_take_together(
     assert [float(found[1]) for found in shown if found] == [each] * 8
 
 
-def shared_jobs(bench: Bench, number: int, ranks: int = 1) -> list[Job]:
+def shared_jobs(bench: Bench, number: int, ranks: int = 1) -> list[PlannedRun]:
     return [
-        Job(f"{i}", bench.case, (f"{FRICTION}={i + 1}",), ranks, share=True) for i in range(number)
+        PlannedRun.load(f"{i}", bench.case, (f"{FRICTION}={i + 1}",), ranks, share=True)
+        for i in range(number)
     ]
 
 

@@ -20,7 +20,8 @@ from pathlib import Path
 import pytest
 
 from app.campaigns import batch
-from app.campaigns.runs import Job, Result
+from app.campaigns.runs import Result
+from app.case.case import PlannedRun
 from app.foundation.errors import EnvironmentProblem, StoppedError
 from tests import support
 
@@ -165,7 +166,7 @@ def batch_of(folder: Path, cases: int, *options: str) -> list[Result]:
     (folder / "counted.py").write_text(COUNTED)
     batch.MANTLE_RUN = (sys.executable, str(folder / "counted.py"))
     jobs = [
-        Job(
+        PlannedRun.load(
             f"blocks {i}",
             support.CONFIGS / "blocks.yaml",
             ("mesh.size=4 mm", f"interfaces.cement_metal.friction_coefficient={0.3 + 0.1 * i}"),

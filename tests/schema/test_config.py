@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.campaigns.runs import Job, runs_of
+from app.campaigns.runs import runs_of
 from app.case import keys
 from app.case import sweep as sweep_file
-from app.case.case import dump, load
+from app.case.case import PlannedRun, dump, load
 from app.case.femurs import Femur
 from app.case.run_options import Stage
 from app.foundation.errors import InputError
@@ -240,6 +240,6 @@ def test_titles_of_variations_and_sweeps_tell_them_apart(tmp_path: Path) -> None
 def test_a_title_makes_no_other_run(tmp_path: Path) -> None:
     """A value that is the file's own, given as an option, is the same case."""
     own = ("geometry.cement_thickness=4 mm",)
-    jobs = [Job("a", STANCE), Job("b", STANCE, own)]
+    jobs = [PlannedRun.load("a", STANCE), PlannedRun.load("b", STANCE, own)]
     one, two = runs_of(jobs, tmp_path, 1)
     assert one.id == two.id

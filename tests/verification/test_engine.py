@@ -15,10 +15,11 @@ import pytest
 from app import cli
 from app.campaigns import batch
 from app.campaigns.batch import Options
-from app.campaigns.runs import Job, Result
+from app.campaigns.runs import Result
+from app.case.case import PlannedRun
 from app.foundation.errors import InputError, Reason
 from app.verification import engine, picture
-from app.verification.check import Check, CheckRun, Sample, each
+from app.verification.check import CONFIGS, Check, CheckRun, Sample, each
 from app.verification.engine import SUITES
 
 LOOSE = "no convergence: it is loose [loose-body]"
@@ -41,7 +42,8 @@ def check(error: Any, refusal: Reason | None = None, runs: int = 1) -> Check:
 @pytest.fixture
 def done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Result:
     monkeypatch.setattr(engine, "Run", lambda folder: folder)
-    return Result(Job("one", tmp_path), tmp_path, 0, 1.5, {"status": "converged"}, "")
+    planned = PlannedRun.load("one", CONFIGS / "blocks.yaml")
+    return Result(planned, tmp_path, 0, 1.5, {"status": "converged"}, "")
 
 
 OK = (0, "")
@@ -185,7 +187,7 @@ def test_timed_checks_run_in_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     """One after the other, each of their runs as often as it says; a judge sees them by run."""
     called, seen = [], []
 
-    def run(jobs: Sequence[Job], folder: Path, *rest: object) -> list[Result]:
+    def run(jobs: Sequence[PlannedRun], folder: Path, *rest: object) -> list[Result]:
         called.append([job.name for job in jobs])
         assert all(job.alone for job in jobs)
         summary = {"solver": {"dofs": 7}, "cpu": {"solve": 2.0, "mesh": 9.0}}
@@ -208,4 +210,4 @@ def test_a_run_that_cannot_begin_is_judged_too(tmp_path: Path) -> None:
     """As one that ended with that error."""
     run = CheckRun("blocks.yaml", ("mesh.size=-1 mm",))
     job, _, why = next(engine._planned(Check("a", "", (run,), None), tmp_path))
-    assert job.name == "a" and "must be positive" in why
+    assert job is None and "must be positive" in why

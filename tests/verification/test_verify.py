@@ -14,8 +14,8 @@ import pytest
 
 import mantle
 from app.campaigns.batch import Options
-from app.campaigns.runs import Job, Result
-from app.case.case import load
+from app.campaigns.runs import Result
+from app.case.case import PlannedRun, load
 from app.verification import engine
 from app.verification.check import CONFIGS
 from app.verification.problems import problems
@@ -85,7 +85,7 @@ def test_the_answer_is_the_known_one(name: str, tmp_path: Path) -> None:
     for k, run in enumerate(problem.runs):
         path, folder = CONFIGS / run.case, tmp_path / str(k)
         mantle.run(load(path, run.overrides), folder)
-        results.append(Result(Job(name, path), folder, 0, 0.0, {}, ""))
+        results.append(Result(PlannedRun.load(name, path, run.overrides), folder, 0, 0.0, {}, ""))
     result = engine.judge(problem, results)
     assert result.outcome == ("missed" if name in OUTSIDE else "passed"), result.as_json()
 

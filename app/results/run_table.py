@@ -1,0 +1,105 @@
+"""Table of many runs: of the variations of a case, or of a sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from app.case import quantities
+from app.case.points import Point
+from app.system import layout
+from app.system.folders import csv_text, write_json, write_text
+
+Row = dict[str, Any]
+
+# Quantities that the text table shows, the first that a run has, and words around the unit.
+MOST = {"slip_p99": "slip, p99, on", "temperature_max": "in"}
+
+
+def row(point: Point, summary: Mapping[str, Any], status: str, seconds: float) -> Row:
+    """Row of the table.
+
+    Args:
+        point: Name of the run, and what it changes.
+        summary: Its ``summary.json``; empty if there is none.
+        status: Such as converged, not converged or stopped.
+        seconds: Wall time.
+    """
+    solver = summary.get("solver", {})
+    # Numbers by which runs are compared, named as in a study.
+    numbers = {
+        f"{owner}.{key}": values[key]
+        for section, owner, values in quantities.numbers_of(summary)
+        for key, q in quantities.TABLE[section].items()
+        if q.headline and key in values
+    }
+    errors = {name: quantities.read(summary, name, "_error") for name in numbers}
+    return {
+        "name": point.name,
+        "overrides": point.changes,
+        "status": status,
+        "numbers": numbers,
+        "errors": {name: error for name, error in errors.items() if error is not None},
+        "notes": summary.get("notes", []),
+        "unknowns": solver.get("dofs"),
+        "newton_iterations": solver.get("newton_iterations"),
+        "linear_iterations": solver.get("linear_iterations"),
+        "seconds": round(seconds, 3),
+        "folder": point.name,
+    }
+
+
+def csv(rows: Sequence[Row], keys: Sequence[str], first: str) -> str:
+    """Table as CSV, with the overrides of some keys; ``first`` is the title of the names."""
+    return csv_text([_flat(r, keys, first) for r in rows])
+
+
+def _flat(row: Row, keys: Sequence[str], first: str) -> dict[str, Any]:
+    numbers = {}
+    for name, value in row["numbers"].items():
+        unit = quantities.find(name).unit
+        numbers[f"{name} [{unit}]"] = value
+        if name in row["errors"]:
+            numbers[f"{name} error [{unit}]"] = row["errors"][name]
+    return {
+        first: row["name"],
+        "status": row["status"],
+        "notes": "; ".join(row["notes"]),
+        **{key: row["overrides"].get(key, "") for key in keys},
+        **numbers,
+        "unknowns [-]": row["unknowns"],
+        "newton [-]": row["newton_iterations"],
+        "krylov [-]": row["linear_iterations"],
+        "wall [s]": row["seconds"],
+        "folder": row["folder"],
+    }
+
+
+def write_variations(rows: Sequence[Row], folder: Path) -> list[Row]:
+    """Write ``variations.json`` and ``variations.csv``; return the rows."""
+    keys = list(dict.fromkeys(key for r in rows for key in r["overrides"]))
+    write_json(folder / "variations.json", rows)
+    write_text(folder / "variations.csv", csv(rows, keys, "name"))
+    return [*rows]
+
+
+def text(rows: Sequence[Row]) -> str:
+    """Table as text: one line per run with its most informative number."""
+    lines = []
+    for r in rows:
+        counts = [r[key] for key in ("unknowns", "newton_iterations", "linear_iterations")]
+        result = most(r["numbers"]) if r["status"] == "converged" else r["status"]
+        lines.append((r["name"], *counts, layout.duration(r["seconds"]), result))
+    return layout.table(("case", "unknowns", "newton", "krylov", "wall", "most"), lines)
+
+
+def most(numbers: Mapping[str, float]) -> str:
+    """Largest slip of a run, or its highest temperature, as text."""
+    for key, words in MOST.items():
+        values = {name: value for name, value in numbers.items() if name.endswith(f".{key}")}
+        if values:
+            name = max(values, key=lambda name: values[name])
+            q = quantities.find(name)
+            return f"{q.factor * values[name]:.1f} {q.shown} {words} {name.partition('.')[0]}"
+    return ""
