@@ -24,7 +24,7 @@ from typing import Any
 from app.command_line.commands import dispatch
 from app.command_line.parser import parser
 from app.command_line.streams import painted, silence
-from app.foundation.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
+from app.foundation.errors import AloneError, InputError, MantleError, together
 from app.soundness import memory
 from app.system import form_cache, ranks
 from app.system.folders import settle_cache
@@ -67,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         silence(sys.stdout)
         return 0
     except Exception as error:
-        if (problem := _explain(error)) is not None:
+        problem = memory.explain(error) or form_cache.explain(error)
+        if problem is not None:
             return _leave(problem)
         print(
             f"mantle: internal error on rank {rank()}; please report it with what follows\n"
@@ -77,16 +78,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         _abort(INTERNAL_ERROR)
         return INTERNAL_ERROR
-
-
-def _explain(error: Exception) -> EnvironmentProblem | None:
-    if (problem := memory.explain(error) or form_cache.explain(error)) is not None:
-        return problem
-    if type(error).__name__ == "LinAlgError":
-        from app.system import blas_check
-
-        return blas_check.problem()
-    return None
 
 
 def _leave(error: MantleError) -> int:

@@ -24,7 +24,7 @@ from app.case.case import load as load_case
 from app.command_line import actions
 from app.command_line.parser import parser
 from app.command_line.streams import configure_log, painted, pass_colours
-from app.foundation.errors import InputError, stack_needed
+from app.foundation.errors import EnvironmentProblem, InputError, stack_needed
 from app.simulation import finished_runs
 from app.soundness import cost, memory
 from app.system import doctor, ranks, stopping
@@ -182,6 +182,11 @@ def _suite(options: argparse.Namespace) -> int:
     configure_log("info")
     from app.verification import engine
 
+    if options.command == "verify":
+        with stack_needed():
+            problem = doctor.wrong_blas()
+        if problem:
+            raise EnvironmentProblem(problem)
     many = _many(options, Path("out") / options.command)
     return 0 if engine.run(options.command, many) else CHECK_FAILED
 

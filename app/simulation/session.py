@@ -34,7 +34,7 @@ from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
 from app.soundness import preview, well_posedness
-from app.system import blas_check, form_cache, ranks, stopping
+from app.system import form_cache, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.system.timing import Timing
 
@@ -109,7 +109,6 @@ def run(
             "another MPI; use the one of this installation, or mantle run -n"
         )
     lifetime.begin_run(comm)
-    blas_check.check(comm)
     signalled = stopping.signals() if signals else str
     if signals:  # the process is ours: a host's functions and options are left as they are
         form_cache.guard()
@@ -300,7 +299,6 @@ class _CaseRun:
                 self._checkpoints.mark,
                 self._checkpoints.resume,
             )
-        blas_check.check(setup.comm)  # again: a faulty BLAS makes a converged result meaningless
         if clock.perf_counter() - setup.begin > LONG:
             log.info("     computing and writing results")
         with setup.timing.phase("output"):

@@ -1,6 +1,6 @@
-"""Check the BLAS of this machine in a few milliseconds at each start.
+"""Known results of the BLAS and LAPACK operations that the solvers use, in a few milliseconds.
 
-A wrong kernel (there are some for single models of processors) or a broken installation would go
+A wrong kernel (there are some for single models of processors) or a broken installation may go
 unnoticed otherwise: it may make residuals small.
 """
 
@@ -8,41 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from app.foundation.errors import EnvironmentProblem
-from app.system import doctor
+from app.foundation.arrays import Floats, Ints
 
 # Larger than the blocks of usual kernels, and no multiple of them.
 SIZE = 131
+# Largest relative error of a right result.
 ROUNDING = 1e-10
 
 
-def check(comm: MPI.Comm) -> None:
-    """Compute known results; collective.
-
-    Raises:
-        EnvironmentProblem: A result is wrong, on any rank.
-    """
-    for found in comm.allgather(problem()):
-        if found is not None:
-            raise found
-
-
-def problem() -> EnvironmentProblem | None:
-    """Error that names the wrong BLAS results on this rank, or None."""
-    wrong = [name for name, error in _errors() if not error <= ROUNDING]
-    if not wrong:
-        return None
-    return EnvironmentProblem(
-        f"the BLAS of this machine ({', '.join(doctor.loaded_blas()) or 'unknown'}) computes "
-        f"wrong numbers: {', '.join(wrong)}\nchoose another (update-alternatives --config "
-        "libblas.so.3-x86_64-linux-gnu), or of OpenBLAS other kernels, e.g. "
-        "OPENBLAS_CORETYPE=Haswell"
-    )
+def wrong_results() -> list[str]:
+    """Names of the operations that give wrong results on this machine."""
+    return [name for name, error in _errors() if not error <= ROUNDING]
 
 
 def _errors() -> Iterator[tuple[str, float]]:
@@ -70,7 +50,7 @@ def _errors() -> Iterator[tuple[str, float]]:
     yield "eigenvalues of LAPACK (dnrm2)", _eigenvalues(i[:20, :20])
 
 
-def _eigenvalues(A: np.ndarray) -> float:
+def _eigenvalues(A: Ints) -> float:
     """Error of the sums of eigenvalues and of their squares, relative to the largest."""
     try:
         λ = np.linalg.eigvals(A.astype(float))
@@ -80,7 +60,7 @@ def _eigenvalues(A: np.ndarray) -> float:
     return _most(sums / np.array([_most(λ), _most(λ) ** 2]))
 
 
-def _factored(definite: np.ndarray, b: np.ndarray) -> float:
+def _factored(definite: Ints, b: Ints) -> float:
     """Residual of a system solved by factors, summed without BLAS, over its largest entry."""
     n = len(b)
     K = PETSc.Mat().createDense((n, n), array=definite.astype(float), comm=PETSc.COMM_SELF)
@@ -97,5 +77,5 @@ def _factored(definite: np.ndarray, b: np.ndarray) -> float:
     return _most((definite * y.array).sum(axis=1) - b) / _most(definite)
 
 
-def _most(values: np.ndarray) -> float:
+def _most(values: Floats | Ints) -> float:
     return float(np.abs(values).max())

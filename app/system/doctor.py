@@ -69,6 +69,7 @@ def problems() -> list[str]:
     slow = next(filter(is_reference_blas, loaded_blas()), "")
     shared = _try(lambda: str(shutil.disk_usage("/dev/shm").total))
     room = int(shared) if shared.isdigit() else 0
+    wrong = "" if missing else _try(wrong_blas)
     found = {
         f"not installed: {', '.join(missing)}; `./mantle setup` or the packages in packages.txt": (
             bool(missing)
@@ -94,11 +95,27 @@ def problems() -> list[str]:
         f"/dev/shm has only {_size(room)}: give a container --shm-size=2g": (
             0 < room < _SHARED_MEMORY
         ),
+        wrong: bool(wrong),
         f"{form_cache()} is not writable: forms are compiled anew; set XDG_CACHE_HOME": (
             not _is_writable(form_cache())
         ),
     }
     return [text for text, applies in found.items() if applies]
+
+
+def wrong_blas() -> str:
+    """Message that names wrong results of the BLAS, and the cure; empty if all are right."""
+    from app.system import blas_check  # which needs numpy and PETSc: they may be missing
+
+    wrong = blas_check.wrong_results()
+    if not wrong:
+        return ""
+    return (
+        f"the BLAS of this machine ({', '.join(loaded_blas()) or 'unknown'}) computes wrong "
+        f"numbers: {', '.join(wrong)}; choose another (update-alternatives --config "
+        "libblas.so.3-x86_64-linux-gnu), or of OpenBLAS other kernels, e.g. "
+        "OPENBLAS_CORETYPE=Haswell"
+    )
 
 
 def loaded_blas() -> list[str]:

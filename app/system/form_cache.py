@@ -91,20 +91,21 @@ def _mark(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     if not _told:
         log.info("     compiling forms, which later runs find")
         _told.append(name)
-    code = compile(*arguments, **options)
+    with captured("compiler") as written:
+        try:
+            code = compile(*arguments, **options)
+        except Exception as error:
+            error.add_note("\n".join(written()))
+            raise
     size = (folder / (name + EXTENSION_SUFFIXES[0])).stat().st_size
     (folder / f"{name}.c.cached").write_text(str(size))
     return code
 
 
 def _compile(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    """Compile forms, and release the lock in the end."""
     try:
-        with captured("compiler") as written:
-            try:
-                return compile(*arguments, **options)
-            except Exception as error:
-                error.add_note("\n".join(written()))
-                raise
+        return compile(*arguments, **options)
     finally:
         while _compiling:
             os.close(_compiling.pop())

@@ -12,23 +12,25 @@ from types import FrameType
 from app.foundation.errors import InputError
 from app.system import ranks
 
-# Fraction of the time reserved for saving, and its limit [s].
-LEFT, MOST = 0.05, 60.0
+# Fraction of the wall time that is reserved for saving.
+RESERVED = 0.05
+# The longest time that is reserved [s].
+MOST_RESERVED = 60.0
 FORMS = "H:MM:SS, MM:SS, D-H:MM:SS, or a number with s, min, h or d"
 UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400}
 
 
 def seconds(text: str) -> float:
     """Seconds of a duration: as in batch systems, ``[D-]H:MM:SS`` or ``MM:SS``, or ``90 min``."""
-    plain = re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h|d)", text.strip())
-    found = re.fullmatch(r"(?:(?:(\d+)-)?(\d+):)?(\d+):(\d\d)", text.strip())
-    days, hours, minutes, rest = (int(part or 0) for part in found.groups()) if found else [0] * 4
-    total: float = ((24 * days + hours) * 60 + minutes) * 60 + rest
-    if plain:
-        total = float(plain[1]) * UNITS[plain[2]]
+    total = 0.0
+    if with_unit := re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h|d)", text.strip()):
+        total = float(with_unit[1]) * UNITS[with_unit[2]]
+    elif clock_time := re.fullmatch(r"(?:(?:(\d+)-)?(\d+):)?(\d+):(\d\d)", text.strip()):
+        days, hours, minutes, rest = (int(part or 0) for part in clock_time.groups())
+        total = float(((24 * days + hours) * 60 + minutes) * 60 + rest)
     if not total:
         raise InputError(f"--walltime {text}: not a duration; allowed: {FORMS}, e.g. 2:00:00")
-    return float(total)
+    return total
 
 
 def signals() -> Callable[[], str]:
@@ -71,7 +73,7 @@ class WallTime:
 
     def __init__(self, begin: float, limit: float) -> None:
         self._limit = limit
-        self._end = begin + limit - min(LEFT * limit, MOST)
+        self._end = begin + limit - min(RESERVED * limit, MOST_RESERVED)
         self._last: float | None = None
         self._longest = 0.0
 

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.cli import main
 from app.foundation.errors import EnvironmentProblem
 from app.soundness import memory
-from app.system import blas_check, form_cache
+from app.system import blas_check, doctor, form_cache
 from tests import support
 from tests.robustness.faulty import DAMAGES, arguments, command, damage, start
 
@@ -64,14 +65,17 @@ def test_no_case_fits_hardly_any_memory(tmp_path: Path) -> None:
 
 
 def test_the_blas_here_is_right() -> None:
-    assert all(error <= blas_check.ROUNDING for _, error in blas_check._errors())
-    assert blas_check.problem() is None
+    assert blas_check.wrong_results() == [] and doctor.wrong_blas() == ""
 
 
-def test_a_wrong_number_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    for error in (1e-3, np.nan, np.inf):
-        monkeypatch.setattr(blas_check, "_errors", lambda e=error: iter([("dxyz", e)]))
-        assert "computes wrong numbers: dxyz" in str(blas_check.problem())
+@pytest.mark.parametrize("error", [1e-3, np.nan, np.inf])
+def test_doctor_and_verify_tell_of_a_wrong_number(
+    error: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(blas_check, "_errors", lambda: iter([("dxyz", error)]))
+    assert any("computes wrong numbers: dxyz" in problem for problem in doctor.problems())
+    assert main(["verify", "--dry-run"]) == EnvironmentProblem.exit_code
+    assert "computes wrong numbers: dxyz" in capsys.readouterr().err
 
 
 # ------------------------------------------------------------------------------- compilations
