@@ -1,4 +1,4 @@
-"""The numbers that a run publishes: one table, and a slot for more.
+"""The numbers that a run publishes: one table with a row for each, and a slot for more.
 
 A quantity stands in a section of ``summary.json`` below the name of its interface or region. Its
 row here serves the summary, history.csv, the closing tables, the estimate of errors, studies and
@@ -18,16 +18,21 @@ from typing import Any
 from app.schema.section import did_you_mean, fail, show
 from app.schema.units import Dimension, Plain
 
-# Orders of convergence of P1 and P2 for estimates of errors (docs/verification.md): of
-# displacements, of slip, of tractions, of stress, of temperature, of doses, times and cure.
+# Orders of convergence of P1 and P2 for estimates of errors (docs/verification.md).
+# Displacements.
 MOTION = (0.8, 1.3)
+# Slip.
 SLIP = (0.8, 1.2)
+# Contact pressure, shear stress and what they wear.
 TRACTION = (0.8, 0.8)
+# Stress in regions.
 STRESS = (0.8, 1.0)
-HEAT = (1.5, 1.5)
-DOSE = (1.0, 1.0)
-# Of what follows a power of stress, or is where it exceeds a level.
+# Powers of stress, and volumes in which it exceeds a level.
 RISK = (0.8, 0.99)
+# Temperature.
+HEAT = (1.5, 1.5)
+# Thermal doses, times and cure.
+DOSE = (1.0, 1.0)
 # Dimension of each unit in summary.json, with its article.
 UNITS = {
     "mm": "a length",
@@ -129,7 +134,8 @@ class Quantity:
 
         Errors show one digit at least; one below two decimals more than usual is left out.
         """
-        value, error = numbers.get(self.key), self.factor * (numbers.get(f"{self.key}_error") or 0)
+        value = numbers.get(self.key)
+        error = self.factor * (numbers.get(f"{self.key}_error") or 0)
         if value is None:
             return "-"
         if error < 10.0 ** -(self.digits + 2):
@@ -171,171 +177,320 @@ def add_quantity(*quantities: Quantity) -> None:
         TABLE[q.section][q.key] = q
 
 
-_interface, _region = partial(Quantity, "interfaces"), partial(Quantity, "regions")
-_damage = partial(Quantity, "fatigue", digits=4)
-for _key, _word, _unit, _shown, _digits, _order in (
-    ("gap", "debonding", "mm", "um", 1, MOTION),
-    ("slip", "slip", "mm", "um", 1, SLIP),
-    ("slip_path", "path of slip", "mm", "um", 1, SLIP),
-    ("motion", "motion", "mm", "um", 1, MOTION),
-    ("pressure", "pressure", "MPa", "", 2, TRACTION),
-    ("shear", "shear stress", "MPa", "", 2, TRACTION),
-):
-    _how = partial(_interface, unit=_unit, shown=_shown, digits=_digits)
-    # Tractions at edges grow with refinement.
-    _main = "p95" if _order is TRACTION else "p99"
-    add_quantity(
-        _how(f"{_key}_max", label=f"{_word}, max", peak=True, history=_key != "slip_path"),
-        *(
-            _how(
-                f"{_key}_{part}",
-                label=f"{_word}, {part}",
-                order=_order,
-                history=part == _main and _key != "slip_path",
-                headline=part == _main and _key != "slip_path",
-            )
-            for part in ("p95", "p99")
-        ),
-        _how(f"{_key}_mean", label=f"{_word}, mean", order=SLIP if _order is SLIP else MOTION),
-    )
+# The table, one row for each number: key, unit, unit in tables, digits there.
+_interface = partial(Quantity, "interfaces")
+_region = partial(Quantity, "regions")
+_fatigue = partial(Quantity, "fatigue")
+_stem = partial(Quantity, "stem")
+_femur = partial(Quantity, "femur")
+_bond = partial(Quantity, "bonds")
+_heated_region = partial(Quantity, "thermal.regions")
+_heated_interface = partial(Quantity, "thermal.interfaces")
+_cure = partial(Quantity, "cure")
+_solver = partial(Quantity, "solver")
+_balance = partial(Quantity, "balance")
+_timing = partial(Quantity, "timing")
+
 add_quantity(
+    # Tractions at edges grow with refinement: their 95th percentile is the headline.
+    _interface("gap_max", "mm", "um", 1, label="debonding, max", peak=True, history=True),
+    _interface("gap_p95", "mm", "um", 1, label="debonding, p95", order=MOTION),
+    _interface(
+        "gap_p99", "mm", "um", 1, label="debonding, p99", order=MOTION, history=True, headline=True
+    ),
+    _interface("gap_mean", "mm", "um", 1, label="debonding, mean", order=MOTION),
+    _interface("slip_max", "mm", "um", 1, label="slip, max", peak=True, history=True),
+    _interface("slip_p95", "mm", "um", 1, label="slip, p95", order=SLIP),
+    _interface(
+        "slip_p99", "mm", "um", 1, label="slip, p99", order=SLIP, history=True, headline=True
+    ),
+    _interface("slip_mean", "mm", "um", 1, label="slip, mean", order=SLIP),
+    _interface("slip_path_max", "mm", "um", 1, label="path of slip, max", peak=True),
+    _interface("slip_path_p95", "mm", "um", 1, label="path of slip, p95", order=SLIP),
+    _interface("slip_path_p99", "mm", "um", 1, label="path of slip, p99", order=SLIP),
+    _interface("slip_path_mean", "mm", "um", 1, label="path of slip, mean", order=SLIP),
+    _interface("motion_max", "mm", "um", 1, label="motion, max", peak=True, history=True),
+    _interface("motion_p95", "mm", "um", 1, label="motion, p95", order=MOTION),
+    _interface(
+        "motion_p99", "mm", "um", 1, label="motion, p99", order=MOTION, history=True, headline=True
+    ),
+    _interface("motion_mean", "mm", "um", 1, label="motion, mean", order=MOTION),
+    _interface("pressure_max", "MPa", label="pressure, max", peak=True, history=True),
+    _interface(
+        "pressure_p95", "MPa", label="pressure, p95", order=TRACTION, history=True, headline=True
+    ),
+    _interface("pressure_p99", "MPa", label="pressure, p99", order=TRACTION),
+    _interface("pressure_mean", "MPa", label="pressure, mean", order=MOTION),
+    _interface("shear_max", "MPa", label="shear stress, max", peak=True, history=True),
+    _interface(
+        "shear_p95", "MPa", label="shear stress, p95", order=TRACTION, history=True, headline=True
+    ),
+    _interface("shear_p99", "MPa", label="shear stress, p99", order=TRACTION),
+    _interface("shear_mean", "MPa", label="shear stress, mean", order=MOTION),
+    # Contact: overlap of the sides, state of the points, forces and energies.
     _interface("penetration_max", "mm", "um", exact=True, history=True, headline=True),
     _interface("penetration_sampled", "mm", "um", exact=True),
     _interface("penetration_mean", "mm", "um", exact=True),
     _interface("open_fraction", "-", "%", 0, history=True, headline=True),
     _interface("stick_fraction", "-", "%", 0, history=True),
     _interface("slip_fraction", "-", "%", 0, history=True, headline=True),
-    *(
-        _interface(f"area_{key}_over_30um", "mm^2", label=f"area of {word} over 30 µm")
-        for key, word in (("gap", "debonding"), ("slip", "slip"), ("motion", "motion"))
-    ),
+    _interface("area_gap_over_30um", "mm^2", label="area of debonding over 30 µm"),
+    _interface("area_slip_over_30um", "mm^2", label="area of slip over 30 µm"),
+    _interface("area_motion_over_30um", "mm^2", label="area of motion over 30 µm"),
     _interface("force", "N", order=MOTION, vector=True),
     _interface("dissipation", "N mm", order=SLIP, history=True),
     _interface("dissipation_min", "N mm", history=True),
     _interface("contact_work", "N mm", history=True),
-    # Of sides that slide far, at the end and over a cycle.
-    _interface("torque", "N mm", vector=True, order=MOTION),
-    *(
-        _interface(
-            f"torque_{key}",
-            "N mm",
-            digits=1,
-            label=f"torque{words}",
-            order=MOTION,
-            headline=key == "max",
-        )
-        for key, words in (("size", ""), ("along", " along the motion"), ("max", ", max"))
-    ),
-    _interface("centre", "mm", vector=True, order=MOTION),
+    # Finite sliding, at the end and over a cycle.
+    _interface("torque", "N mm", order=MOTION, vector=True),
+    _interface("torque_size", "N mm", digits=1, label="torque", order=MOTION),
+    _interface("torque_along", "N mm", digits=1, label="torque along the motion", order=MOTION),
+    _interface("torque_max", "N mm", digits=1, label="torque, max", order=MOTION, headline=True),
+    _interface("centre", "mm", order=MOTION, vector=True),
     _interface("eccentricity", "mm", "um", 1, order=MOTION),
-    _interface("pressure_max_at", "mm", vector=True, exact=True),
+    _interface("pressure_max_at", "mm", exact=True, vector=True),
     _interface("dissipation_cycle", "N mm", label="dissipation in a cycle", order=MOTION),
-    *(
-        _interface(f"slid_{key}", "mm", label=f"slid in a cycle, {words}", order=MOTION)
-        for key, words in (("max", "max"), ("mean", "mean"), ("max_master", "max, master"))
+    _interface("slid_max", "mm", label="slid in a cycle, max", order=MOTION),
+    _interface("slid_mean", "mm", label="slid in a cycle, mean", order=MOTION),
+    _interface("slid_max_master", "mm", label="slid in a cycle, max, master", order=MOTION),
+    # Wear by a cycle, and by a million of them.
+    _interface("wear_volume", "mm^3", digits=9, label="wear in a cycle, volume", order=MOTION),
+    _interface(
+        "wear_depth_max",
+        "mm",
+        digits=9,
+        label="wear in a cycle, depth, max",
+        order=TRACTION,
+        peak=True,
     ),
-    *(
-        _interface(
-            f"wear_{key}{times}",
-            unit,
-            digits=digits,
-            label=f"wear in {of}, {words}",
-            order=TRACTION if unit == "mm" else MOTION,
-            peak="max" in key,
-            headline=f"{key}{times}" in ("volume_million", "depth_p99_million"),
-        )
-        for times, of, digits in (("", "a cycle", 9), ("_million", "a million cycles", 2))
-        for key, words, unit in (
-            ("volume", "volume", "mm^3"),
-            *(
-                (f"depth_{how}{side}", f"depth, {how}{side.replace('_', ', ')}", "mm")
-                for side in ("", "_master")
-                for how in ("max", "p99")
-            ),
-        )
+    _interface(
+        "wear_depth_p99", "mm", digits=9, label="wear in a cycle, depth, p99", order=TRACTION
     ),
+    _interface(
+        "wear_depth_max_master",
+        "mm",
+        digits=9,
+        label="wear in a cycle, depth, max, master",
+        order=TRACTION,
+        peak=True,
+    ),
+    _interface(
+        "wear_depth_p99_master",
+        "mm",
+        digits=9,
+        label="wear in a cycle, depth, p99, master",
+        order=TRACTION,
+    ),
+    _interface(
+        "wear_volume_million",
+        "mm^3",
+        label="wear in a million cycles, volume",
+        order=MOTION,
+        headline=True,
+    ),
+    _interface(
+        "wear_depth_max_million",
+        "mm",
+        label="wear in a million cycles, depth, max",
+        order=TRACTION,
+        peak=True,
+    ),
+    _interface(
+        "wear_depth_p99_million",
+        "mm",
+        label="wear in a million cycles, depth, p99",
+        order=TRACTION,
+        headline=True,
+    ),
+    _interface(
+        "wear_depth_max_master_million",
+        "mm",
+        label="wear in a million cycles, depth, max, master",
+        order=TRACTION,
+        peak=True,
+    ),
+    _interface(
+        "wear_depth_p99_master_million",
+        "mm",
+        label="wear in a million cycles, depth, p99, master",
+        order=TRACTION,
+    ),
+    # Coverage and heat of finite sliding.
     _interface("uncovered_fraction", "-", "%", 1, exact=True),
     _interface("friction_power", "W", digits=3, order=MOTION),
     _interface("temperature_swing", "K", label="swing of the temperature", order=TRACTION),
+    # Layers and cohesive interfaces.
+    # Layers, and cohesive interfaces that break.
     _interface("stored_energy", "N mm", history=True),
     _interface("unbonded_fraction", "-", "%", 1, exact=True),
-    *(_interface(f"area_{how}", "mm^2", digits=1, history=True) for how in ("damaged", "broken")),
+    _interface("area_damaged", "mm^2", digits=1, history=True),
+    _interface("area_broken", "mm^2", digits=1, history=True),
     _interface("damage_mean", "-", digits=4, order=MOTION, history=True),
-    _interface("pressure_by_facets", "MPa", digits=2, exact=True),
-    _interface("pressure_mean_max", "MPa", digits=2, label="pressure, largest mean at a point"),
+    _interface("pressure_by_facets", "MPa", exact=True),
+    _interface("pressure_mean_max", "MPa", label="pressure, largest mean at a point"),
     _interface("zone_length", "mm", digits=1, history=True),
     _interface("zone_elements", "-", digits=1),
+    # Against the strength of the interface.
+    _interface("strength_fraction", "-", "%", 0, history=True),
+    _interface("failure_index_max", "-", digits=3, label="failure index, max", peak=True),
+    _interface(
+        "failure_index_p99", "-", digits=3, label="failure index, p99", order=TRACTION, history=True
+    ),
+    _interface(
+        "failure_load_factor", "-", digits=3, label="load factor of failure", order=TRACTION
+    ),
+)
+add_quantity(
     _region("von_mises_max", "MPa", label="von Mises max", peak=True),
     _region("von_mises_p99", "MPa", label="von Mises p99", order=STRESS, headline=True),
     _region("hoop_p99", "MPa", order=STRESS),
     _region("principal_max", "MPa", peak=True),
     _region("principal_p99", "MPa", order=STRESS),
     _region("principal_min", "MPa", peak=True),
-    *(_region(f"mean_stress_{end}", "MPa") for end in ("min", "max")),
+    _region("mean_stress_min", "MPa"),
+    _region("mean_stress_max", "MPa"),
     _region("creep_strain_max", "-", "%", peak=True),
     _region("creep_strain_mean", "-", "%", order=STRESS, headline=True),
-    *(_region(f"volume_over_{p}_MPa", "mm^3", digits=1, order=RISK) for p in STRESSED),
+    # Volume under tension above each of `STRESSED`.
+    _region("volume_over_3_MPa", "mm^3", digits=1, order=RISK),
+    _region("volume_over_5_MPa", "mm^3", digits=1, order=RISK),
+    _region("volume_over_7_MPa", "mm^3", digits=1, order=RISK),
+    _region("volume_over_9_MPa", "mm^3", digits=1, order=RISK),
+    _region("volume_over_11_MPa", "mm^3", digits=1, order=RISK),
     _region("failure_risk", "-", digits=4, order=RISK, peak=True, headline=True),
     _region("failure_probability", "-", "%", order=RISK),
-    _damage("damage_p99", "1/year", label="damage, p99", order=RISK, headline=True),
-    _damage("damage_max", "1/year", label="damage, max", peak=True),
-    _damage("stress_p99", "MPa", digits=2, label="equivalent stress, p99", order=STRESS),
-    Quantity("stem", "subsidence", "mm", "um", 1, order=MOTION, history=True, headline=True),
-    Quantity("stem", "retroversion", "deg", digits=3, order=MOTION, history=True, headline=True),
-    Quantity("stem", "varus", "deg", digits=3, order=MOTION, history=True, headline=True),
-    *(
-        Quantity("stem", f"{end}_displacement", "mm", "um", 1, order=MOTION, vector=True)
-        for end in ("tip", "top")
-    ),
-    Quantity("femur", "head_displacement", "mm", order=MOTION, vector=True),
-    *(
-        Quantity("femur", f"strain_{side}_{level}", "-", "um/m", 0, order=STRESS)
-        for side in ("lateral", "medial")
-        for level in GAUGES
-    ),
-    Quantity("bonds", "strength_fraction", "-", "%", 0, history=True),
-    *(Quantity("bonds", f"normal_{how}", "MPa") for how in ("mean", "max")),
-    *(Quantity("bonds", f"shear_{how}", "MPa") for how in ("mean", "max")),
-    _interface("strength_fraction", "-", "%", 0, history=True),
 )
-for _section in ("interfaces", "bonds"):
-    _index = partial(Quantity, _section, unit="-", digits=3)
-    add_quantity(
-        _index("failure_index_max", label="failure index, max", peak=True),
-        _index("failure_index_p99", label="failure index, p99", order=TRACTION, history=True),
-        _index("failure_load_factor", label="load factor of failure", order=TRACTION),
-    )
-_heated = partial(Quantity, "thermal.regions", order=HEAT, digits=1)
-_dose = partial(Quantity, "thermal.regions", order=DOSE, digits=1)
-_between = partial(Quantity, "thermal.interfaces", order=HEAT, digits=1)
-_cure = partial(Quantity, "cure", order=DOSE, digits=4)
 add_quantity(
-    _heated("temperature_max", "degC", headline=True),
-    *(_heated(f"temperature_{what}", "degC") for what in ("min", "mean", "end_max")),
-    _dose("temperature_max_time", "s"),
-    *(_dose(f"seconds_over_{level}", "s") for level in (47, 50, 56)),
-    *(_dose(f"volume_over_{level}", "mm^3") for level in (47, 50, 56)),
-    _dose("cem43_max", "min"),
-    _dose("henriques_moritz_max", "-"),
-    *(
-        _dose(
-            f"necrosis_{rule}_{key}", unit, digits=digits, label=f"dead by {in_print(words)}, {key}"
-        )
-        for key, unit, digits in (("volume", "mm^3", 1), ("depth", "mm", 2))
-        for rule, words in NECROSIS.items()
+    _fatigue("damage_p99", "1/year", digits=4, label="damage, p99", order=RISK, headline=True),
+    _fatigue("damage_max", "1/year", digits=4, label="damage, max", peak=True),
+    _fatigue("stress_p99", "MPa", label="equivalent stress, p99", order=STRESS),
+)
+add_quantity(
+    _stem("subsidence", "mm", "um", 1, order=MOTION, history=True, headline=True),
+    _stem("retroversion", "deg", digits=3, order=MOTION, history=True, headline=True),
+    _stem("varus", "deg", digits=3, order=MOTION, history=True, headline=True),
+    _stem("tip_displacement", "mm", "um", 1, order=MOTION, vector=True),
+    _stem("top_displacement", "mm", "um", 1, order=MOTION, vector=True),
+)
+add_quantity(
+    _femur("head_displacement", "mm", order=MOTION, vector=True),
+    # Strains of the cortex at each of `GAUGES`.
+    _femur("strain_lateral_10", "-", "um/m", 0, order=STRESS),
+    _femur("strain_lateral_40", "-", "um/m", 0, order=STRESS),
+    _femur("strain_lateral_80", "-", "um/m", 0, order=STRESS),
+    _femur("strain_lateral_113", "-", "um/m", 0, order=STRESS),
+    _femur("strain_medial_10", "-", "um/m", 0, order=STRESS),
+    _femur("strain_medial_40", "-", "um/m", 0, order=STRESS),
+    _femur("strain_medial_80", "-", "um/m", 0, order=STRESS),
+    _femur("strain_medial_113", "-", "um/m", 0, order=STRESS),
+)
+add_quantity(
+    _bond("strength_fraction", "-", "%", 0, history=True),
+    _bond("normal_mean", "MPa"),
+    _bond("normal_max", "MPa"),
+    _bond("shear_mean", "MPa"),
+    _bond("shear_max", "MPa"),
+    _bond("failure_index_max", "-", digits=3, label="failure index, max", peak=True),
+    _bond(
+        "failure_index_p99", "-", digits=3, label="failure index, p99", order=TRACTION, history=True
     ),
-    *(_between(f"temperature_max_{s}", "degC", headline=True) for s in ("first", "second")),
-    *(_between(f"temperature_max_{side}_time", "s", order=DOSE) for side in ("first", "second")),
-    _between("temperature_jump_max", "K"),
-    _between("heat_flux_max", "W/m^2", digits=0),
-    *(_between(f"entropy_production_{end}", "W/(m^2 K)", order=None) for end in ("min", "max")),
-    *(_cure(f"degree_{end}", "-") for end in ("min", "max")),
-    *(_cure(f"time_{p}", "s", digits=1, label=f"{p} % set everywhere") for p in (50, 90)),
-    _cure("rate_max", "1/s"),
-    *(Quantity("solver", f"{of}_iterations", "-", exact=True) for of in ("newton", "linear")),
-    Quantity("solver", "condition", "-", exact=True),
-    *(Quantity("balance", key, "-", exact=True) for key in ("heat", "heat_quadrature")),
-    *(Quantity("timing", key, "s", exact=True) for key in ("solve", "total")),
+    _bond("failure_load_factor", "-", digits=3, label="load factor of failure", order=TRACTION),
+)
+add_quantity(
+    _heated_region("temperature_max", "degC", digits=1, order=HEAT, headline=True),
+    _heated_region("temperature_min", "degC", digits=1, order=HEAT),
+    _heated_region("temperature_mean", "degC", digits=1, order=HEAT),
+    _heated_region("temperature_end_max", "degC", digits=1, order=HEAT),
+    _heated_region("temperature_max_time", "s", digits=1, order=DOSE),
+    _heated_region("seconds_over_47", "s", digits=1, order=DOSE),
+    _heated_region("seconds_over_50", "s", digits=1, order=DOSE),
+    _heated_region("seconds_over_56", "s", digits=1, order=DOSE),
+    _heated_region("volume_over_47", "mm^3", digits=1, order=DOSE),
+    _heated_region("volume_over_50", "mm^3", digits=1, order=DOSE),
+    _heated_region("volume_over_56", "mm^3", digits=1, order=DOSE),
+    _heated_region("cem43_max", "min", digits=1, order=DOSE),
+    _heated_region("henriques_moritz_max", "-", digits=1, order=DOSE),
+    # Dead bone by each rule of `NECROSIS`.
+    _heated_region(
+        "necrosis_47C_1min_volume",
+        "mm^3",
+        digits=1,
+        label="dead by 47 °C for 1 min, volume",
+        order=DOSE,
+    ),
+    _heated_region(
+        "necrosis_cem43_16_volume",
+        "mm^3",
+        digits=1,
+        label="dead by CEM43 of 16 min, volume",
+        order=DOSE,
+    ),
+    _heated_region(
+        "necrosis_cem43_60_volume",
+        "mm^3",
+        digits=1,
+        label="dead by CEM43 of 60 min, volume",
+        order=DOSE,
+    ),
+    _heated_region(
+        "necrosis_cem43_240_volume",
+        "mm^3",
+        digits=1,
+        label="dead by CEM43 of 240 min, volume",
+        order=DOSE,
+    ),
+    _heated_region(
+        "necrosis_henriques_moritz_volume",
+        "mm^3",
+        digits=1,
+        label="dead by Henriques-Moritz, volume",
+        order=DOSE,
+    ),
+    _heated_region(
+        "necrosis_47C_1min_depth", "mm", label="dead by 47 °C for 1 min, depth", order=DOSE
+    ),
+    _heated_region(
+        "necrosis_cem43_16_depth", "mm", label="dead by CEM43 of 16 min, depth", order=DOSE
+    ),
+    _heated_region(
+        "necrosis_cem43_60_depth", "mm", label="dead by CEM43 of 60 min, depth", order=DOSE
+    ),
+    _heated_region(
+        "necrosis_cem43_240_depth", "mm", label="dead by CEM43 of 240 min, depth", order=DOSE
+    ),
+    _heated_region(
+        "necrosis_henriques_moritz_depth", "mm", label="dead by Henriques-Moritz, depth", order=DOSE
+    ),
+)
+add_quantity(
+    _heated_interface("temperature_max_first", "degC", digits=1, order=HEAT, headline=True),
+    _heated_interface("temperature_max_second", "degC", digits=1, order=HEAT, headline=True),
+    _heated_interface("temperature_max_first_time", "s", digits=1, order=DOSE),
+    _heated_interface("temperature_max_second_time", "s", digits=1, order=DOSE),
+    _heated_interface("temperature_jump_max", "K", digits=1, order=HEAT),
+    _heated_interface("heat_flux_max", "W/m^2", digits=0, order=HEAT),
+    _heated_interface("entropy_production_min", "W/(m^2 K)", digits=1),
+    _heated_interface("entropy_production_max", "W/(m^2 K)", digits=1),
+)
+add_quantity(
+    _cure("degree_min", "-", digits=4, order=DOSE),
+    _cure("degree_max", "-", digits=4, order=DOSE),
+    _cure("time_50", "s", digits=1, label="50 % set everywhere", order=DOSE),
+    _cure("time_90", "s", digits=1, label="90 % set everywhere", order=DOSE),
+    _cure("rate_max", "1/s", digits=4, order=DOSE),
+)
+add_quantity(
+    _solver("newton_iterations", "-", exact=True),
+    _solver("linear_iterations", "-", exact=True),
+    _solver("condition", "-", exact=True),
+)
+add_quantity(
+    _balance("heat", "-", exact=True),
+    _balance("heat_quadrature", "-", exact=True),
+)
+add_quantity(
+    _timing("solve", "s", exact=True),
+    _timing("total", "s", exact=True),
 )
 
 
@@ -361,7 +516,8 @@ def find(name: str) -> Quantity:
     Raises:
         PydanticCustomError: There is no such key.
     """
-    if (q := get(name)) is not None:
+    q = get(name)
+    if q is not None:
         return q
     owner, _, key = name.partition(".")
     if owner in RUN:
@@ -375,7 +531,8 @@ def in_words(name: str) -> tuple[str, str]:
     """A number's label, e.g. stem-cement slip, p99, and its unit as printed."""
     place, _, key = name.partition(".")
     words = PLACES.get(place, place.replace("_", " "))
-    if (q := get(name)) is None:
+    q = get(name)
+    if q is None:
         return f"{words} {key}".replace("_", " "), ""
     return f"{words} {key.replace(q.key, q.label)}", printed(q.shown)
 
@@ -393,8 +550,11 @@ def known_value(name: str, value: object) -> float:
         PydanticCustomError: It has another dimension.
     """
     unit = find(name).unit
-    plain, offset = unit == "-", unit != "K"
-    kind = Plain() if plain else Dimension(unit, UNITS[unit], f"1 {unit}", offset)
+    kind: Plain | Dimension
+    if unit == "-":
+        kind = Plain()
+    else:
+        kind = Dimension(unit, UNITS[unit], f"1 {unit}", unit != "K")
     return float(kind.read(value))
 
 
@@ -403,8 +563,8 @@ def numbers_of(
 ) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Section, owner (with ``parts`` also ``stem_cement_rim``) and numbers in a summary."""
     for section in TABLE:
-        found: Any = reduce(lambda part, key: part.get(key, {}), section.split("."), summary)
-        named: dict[str, Any] = {section: found} if section in WHOLE else found
+        content: Any = reduce(lambda part, key: part.get(key, {}), section.split("."), summary)
+        named: dict[str, Any] = {section: content} if section in WHOLE else content
         for name, numbers in named.items():
             if numbers:
                 yield section, name, numbers
@@ -421,8 +581,8 @@ def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | Non
     """Number of ``summary.json`` in its unit, by name as in `get`; None if it is missing."""
     owner, _, key = name.partition(".")
     key, _, axis = key.partition(".")
-    for _, found, numbers in numbers_of(summary, parts=True):
-        value = numbers.get(key + suffix) if found == owner else None
+    for _, name_of_part, numbers in numbers_of(summary, parts=True):
+        value = numbers.get(key + suffix) if name_of_part == owner else None
         if axis and isinstance(value, list):
             value = value["xyz".index(axis)]
         if isinstance(value, int | float):
