@@ -274,6 +274,17 @@ study:
     assert [p.case.stages[0].increments for p in planned[6:]] == [1, 2]
 
 
+def test_quantities_have_a_row_for_each_level_gauge_and_rule() -> None:
+    rows = {section: set(table) for section, table in quantities.TABLE.items()}
+    assert rows["regions"] >= {f"volume_over_{level}_MPa" for level in quantities.STRESSED}
+    assert rows["femur"] >= {
+        f"strain_{side}_{level}" for side in ("lateral", "medial") for level in quantities.GAUGES
+    }
+    assert rows["thermal.regions"] >= {
+        f"necrosis_{rule}_{key}" for rule in quantities.NECROSIS for key in ("volume", "depth")
+    }
+
+
 def test_quantities_are_found_in_a_summary() -> None:
     summary = {
         "interfaces": {"a_b": {"slip_p99": 0.1, "force": [1, 2, 3], "force_error": [4, 5, 6]}},
