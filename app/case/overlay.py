@@ -7,7 +7,7 @@ of a value that is gone; nothing asks for it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
@@ -32,12 +32,8 @@ OF_REGION = ("thermal", "tissue", "eigenstrains")
 OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
 # Keys of a region or a load that its status and source do not tell of.
 OF_USE = {*OF_REGION, *library.ORIGIN, "material", "kind", "boundary", "at", "history"}
-# Key that names an entry of the library, and its kind, by section.
-NAMED = {
-    "regions": ("material", "materials"),
-    "interfaces": ("finish", "finishes"),
-    "loads": ("library", "loads"),
-}
+# Key that names an entry of the library, by section.
+NAMED = {"regions": "material", "interfaces": "finish", "loads": "library"}
 # Files that a case names relative to its own folder; a course without a suffix is of the library.
 FILES = "geometry.path geometry.stem.step geometry.bone.surface geometry.canal.surface".split()
 FILES += ["loads.*.course", "motions.*.rotation.course"]
@@ -70,7 +66,7 @@ def read(path: FilePath, overrides: Sequence[str] = (), option: str = "--set ") 
             _from(FilePath(file.name).parent, file.data, keys.split("."))
         below = None if file is chain[-1] else case.data
         upper = {k: v for k, v in file.data.items() if k not in ("base", "library")}
-        case.data = _over(case, below, upper, ())
+        case.data = _merged(case, below, upper, ())
         case.places |= file.places
         place = file.places.get(("loads", "history"))
         if place:
@@ -145,63 +141,169 @@ def _named_file(file: CaseFile, key: str) -> FilePath:
 
 # ---------------------------------------------------------------------------------- merging
 
+# Turns what stands above at a path into plain values, and takes away what they replace below:
+# (case, lower, upper, path) -> (lower, upper).
+Rule = Callable[[CaseFile, Any, Any, Path], tuple[Any, Any]]
 
-def _over(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
-    """Merge one value over another; faults become complaints of the case."""
-    match path:
-        case ("loads", _, "force"):
-            return _force(case, lower, upper, path)
-        case ("loads", _, "course") | ("motions", _, "rotation", "course"):
-            if isinstance(upper, str) and "." not in upper:
-                return _entry(case, "courses", upper, path, path) or lower
-        case ("regions" | "interfaces", _) | ("loads",) if isinstance(upper, dict):
-            lower, upper = _named_entry(case, lower, upper, path)
+
+def _merged(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
+    """Merge one value over another; faults become complaints of the case.
+
+    Mappings merge key by key, of another kind they replace; null removes an entry; all else
+    replaces. `_rule` tells what is resolved at a path before.
+    """
+    if rule := _rule(path):
+        lower, upper = rule(case, lower, upper, path)
     if not isinstance(upper, dict):
         return upper
-    if path == ("loads",) and MEASURED.keys() & upper:
-        lower = _measured(case, lower or {}, upper)
-        upper = {k: v for k, v in upper.items() if k not in MEASURED}
-    if path == ("loads",) and isinstance(upper.get("history"), list):
-        lower = _with_history(case, lower or {}, upper["history"])
-        upper = {k: v for k, v in upper.items() if k != "history"}
-    if isinstance(lower, dict) and _kind(lower, path) != _kind(upper, path) and "kind" in upper:
+    if isinstance(lower, dict) and "kind" in upper and _kind(lower, path) != _kind(upper, path):
         lower = None
-    if path[:1] == ("regions",) and len(path) == 2 and upper.get("kind") == "rigid":
-        upper = {k: v for k, v in upper.items() if k != "kind"} | {"rigid": True}
     known = lower if isinstance(lower, dict) else {}
-    if len(path) == 2 and path[0] in ("regions", "loads") and not upper.keys() <= OF_USE:
-        known = {k: v for k, v in known.items() if k not in library.ORIGIN}
-    result = {
-        key: _over(case, value, upper[key], (*path, key)) if key in upper else value
-        for key, value in known.items()
-        if key not in upper or upper[key] is not None
-    }
-    for key in [key for key in upper if key not in known]:
+    result = {}
+    for key, value in known.items():
+        if key not in upper:
+            result[key] = value
+        elif upper[key] is not None:
+            result[key] = _merged(case, value, upper[key], (*path, key))
+    for key in upper:
+        if key in known:
+            continue
         if upper[key] is None and lower is not None:
             text = f"there is nothing to remove{did_you_mean(key, list(known))}"
             case.complaints.append(Fault((*path, key), text))
         else:
-            result[key] = _over(case, None, upper[key], (*path, key))
+            result[key] = _merged(case, None, upper[key], (*path, key))
     return result
 
 
-def _force(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
-    """The upper force; a magnitude alone keeps the direction of the lower one."""
+def _rule(path: Path) -> Rule | None:
+    """Rule of a path of a case; most paths have none."""
+    match path:
+        case ("regions", _):
+            return _region
+        case ("interfaces", _):
+            return _interface
+        case ("loads",):
+            return _loads
+        case ("loads", _):
+            return _load
+        case ("loads", _, "force"):
+            return _force
+        case ("loads", _, "course") | ("motions", _, "rotation", "course"):
+            return _course
+    return None
+
+
+def _region(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+    """Resolve ``material: NAME`` and ``kind: rigid``; drop the origin of changed constants."""
+    if not isinstance(upper, dict):
+        return lower, upper
+    name = upper.get("material")
+    if isinstance(name, str):
+        upper = {k: v for k, v in upper.items() if k != "material"}
+        entry = _entry(case, "materials", name, (*path, "material"), path)
+        if entry:
+            _check_kind(case, name, _kind(entry, path), ("conductor",), upper, path)
+            case.tissues.pop(str(path[1]), None)
+            tissue = entry.pop("tissue", None)
+            if isinstance(tissue, str):
+                case.tissues[str(path[1])] = tissue
+            region = lower if isinstance(lower, dict) else {}
+            lower = _material(region, entry, upper)
+    if isinstance(lower, dict) and "kind" in upper and _kind(lower, path) != _kind(upper, path):
+        lower = None
+    if upper.get("kind") == "rigid":
+        upper = {k: v for k, v in upper.items() if k != "kind"} | {"rigid": True}
+    return _without_origin(lower, upper), upper
+
+
+def _interface(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+    """Resolve ``finish: NAME``."""
+    name = upper.get("finish") if isinstance(upper, dict) else None
+    if not isinstance(name, str):
+        return lower, upper
+    upper = {k: v for k, v in upper.items() if k != "finish"}
+    entry = _entry(case, "finishes", name, (*path, "finish"), path)
+    if not entry:
+        return lower, upper
+    _check_kind(case, name, entry["kind"], (), upper, path)
+    same = isinstance(lower, dict) and lower.get("kind") == entry["kind"]
+    return (lower if same else {}) | entry, upper
+
+
+def _loads(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+    """Resolve ``library: NAME``, a body weight, a tilt and a history of all loads."""
+    if not isinstance(upper, dict):
+        return lower, upper
+    name = upper.get("library")
+    if isinstance(name, str):
+        upper = {k: v for k, v in upper.items() if k != "library"}
+        entry = _entry(case, "loads", name, (*path, "library"), path)
+        if entry:
+            case.measured = {"sagittal_tilt": 0.0}
+            if "body_weight" in entry:
+                _measure(case, "body_weight", entry.pop("body_weight"))
+            lower = entry or lower
+    if MEASURED.keys() & upper:
+        lower = _measured(case, lower or {}, upper)
+        upper = {k: v for k, v in upper.items() if k not in MEASURED}
+    if isinstance(upper.get("history"), list):
+        lower = _with_history(case, lower or {}, upper["history"])
+        upper = {k: v for k, v in upper.items() if k != "history"}
+    return lower, upper
+
+
+def _load(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+    """Drop the origin of a load that is changed, as that is another's."""
+    return _without_origin(lower, upper) if isinstance(upper, dict) else lower, upper
+
+
+def _course(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+    """Resolve the name of a course of the library; a file has a point in its name."""
+    if isinstance(upper, str) and "." not in upper:
+        return None, _entry(case, "courses", upper, path, path) or lower
+    return lower, upper
+
+
+def _without_origin(lower: Any, upper: Mapping[str, Any]) -> Any:
+    """A region or load without its status and source, unless what changes has none."""
+    if not isinstance(lower, dict) or upper.keys() <= OF_USE:
+        return lower
+    return {key: value for key, value in lower.items() if key not in library.ORIGIN}
+
+
+def _check_kind(
+    case: CaseFile,
+    name: str,
+    kind: Any,
+    others: Sequence[str],
+    upper: Mapping[str, Any],
+    path: Path,
+) -> None:
+    """Complain of a kind that is neither that of the entry of the library nor one of others."""
+    if upper.get("kind", kind) not in (kind, *others):
+        text = f"{name} is of kind {kind}; leave kind out"
+        case.complaints.append(Fault((*path, "kind"), text))
+
+
+def _force(case: CaseFile, lower: Any, upper: Any, path: Path) -> tuple[Any, Any]:
+    """Resolve a magnitude, which keeps the direction of the force below."""
     magnitude = isinstance(upper, str | int | float) and not VECTOR.fullmatch(str(upper))
     vector = isinstance(lower, list) or (isinstance(lower, str) and VECTOR.fullmatch(lower))
     if not (magnitude and vector):
-        return upper
+        return lower, upper
     try:
         parts = _vector(lower)
-        size, length = FORCE.read(upper), hypot(*parts)
+        size = FORCE.read(upper)
+        length = hypot(*parts)
         if length > 0.0 and size >= 0.0:
-            return [f"{part * size / length!r} N" for part in parts]
+            return None, [f"{part * size / length!r} N" for part in parts]
         why = "a magnitude is not negative" if length else "a force of zero has no direction"
         text = f"{show(upper)}: {why}; expected a vector"
     except PydanticCustomError as error:
         text = (error.context or {})["text"]
     case.complaints.append(Fault(path, text))
-    return lower
+    return None, lower
 
 
 def _vector(force: Any) -> list[float]:
@@ -261,36 +363,6 @@ def _measure(case: CaseFile, key: str, value: Any) -> None:
         case.measured[key] = MEASURED[key].read(value)
     except PydanticCustomError as error:
         case.complaints.append(Fault(("loads", key), (error.context or {})["text"]))
-
-
-def _named_entry(
-    case: CaseFile, lower: Any, upper: dict[str, Any], path: Path
-) -> tuple[Any, dict[str, Any]]:
-    """Replace the lower value by the library entry that `upper` names."""
-    key, kind = NAMED[str(path[0])]
-    name = upper.get(key)
-    if not isinstance(name, str):
-        return lower, upper
-    rest = {k: v for k, v in upper.items() if k != key}
-    entry = _entry(case, kind, name, (*path, key), path)
-    if kind == "loads" and entry:
-        case.measured = {"sagittal_tilt": 0.0}
-        if "body_weight" in entry:
-            _measure(case, "body_weight", entry.pop("body_weight"))
-    if kind == "loads" or not entry:
-        return entry or lower, rest
-    own, kinds = _kind(entry, path), ("conductor",) if kind == "materials" else ()
-    if rest.get("kind", own) not in (*kinds, own):
-        text = f"{name} is of kind {own}; leave kind out"
-        case.complaints.append(Fault((*path, "kind"), text))
-    known = lower if isinstance(lower, dict) else {}
-    if kind == "finishes":
-        return (known if known.get("kind") == entry["kind"] else {}) | entry, rest
-    case.tissues.pop(str(path[1]), None)
-    tissue = entry.pop("tissue", None)
-    if isinstance(tissue, str):
-        case.tissues[str(path[1])] = tissue
-    return _material(known, entry, rest), rest
 
 
 def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dict[str, Any]:
@@ -444,13 +516,13 @@ def _put(case: CaseFile, holder: Any, path: Path, value: Any) -> None:
         for key in library.ORIGIN:
             case.data[str(path[0])][path[1]].pop(key, None)
     own = {p: place for p, place in case.places.items() if p[: len(path)] == path}
-    of_entry = step in ("material", "finish", "library") and path[0] in NAMED
+    of_entry = step == NAMED.get(str(path[0]))
     if (of_entry and isinstance(value, str)) or (
         path == ("loads", step) and (step in MEASURED or step == "history")
     ):
-        new = _over(case, holder, {step: value}, path[:-1])
+        new = _merged(case, holder, {step: value}, path[:-1])
     else:
-        new = {step: _over(case, old if step == "force" else None, value, path)}
+        new = {step: _merged(case, old if step == "force" else None, value, path)}
     case.places |= own  # over those of the entry
     if len(case.complaints) > complaints:
         return
