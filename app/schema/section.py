@@ -118,8 +118,8 @@ def _has(kind: Any, key: str | int) -> bool:
 def docstrings(model: type) -> dict[str, str]:
     """Docstrings of the fields of a class and of its bases.
 
-    Pydantic's own ``use_attribute_docstrings`` reads the source of all classes at each start: 0.085 s
-    more than the 0.33 s that the schema takes.
+    Pydantic's own ``use_attribute_docstrings`` reads the source of every class at each start, for
+    0.085 s beside the 0.33 s that the schema takes.
     """
     found: dict[str, str] = {}
     for base in reversed(model.__mro__):

@@ -205,7 +205,7 @@ def made(tmp_path: Path, mmdebstrap: str, *arguments: str) -> tuple[Path, str]:
     return tree, said
 
 
-as_root = pytest.mark.skipif(os.geteuid() != 0, reason="others unpack an archive instead")
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root sets up a tree")
 MS_BIND, MNT_DETACH = 4096, 2
 UNMOUNT = "import ctypes, sys; sys.exit(ctypes.CDLL(None).umount2(sys.argv[1].encode(), 2))"
 EMPTY_TREE = 'mkdir -p "$TARGET/etc" "$TARGET/mnt"\n'
@@ -307,6 +307,13 @@ def test_a_tree_is_made_again_if_it_is_older_than_asked(tmp_path: Path) -> None:
     assert "slurm-wlm" not in (tree / "etc/mantle-tree").read_text().split()
     tree, _ = made(tmp_path, EMPTY_TREE, "--all")
     assert "slurm-wlm" in (tree / "etc/mantle-tree").read_text().split()
+
+
+def test_a_tree_is_set_up_by_root_alone(tmp_path: Path) -> None:
+    program(tmp_path / "bin" / "id", "echo 1000")
+    _, said = set_up(tmp_path, EMPTY_TREE).communicate(timeout=60)
+    assert "only root can set up a tree" in said and "--wheels" in said
+    assert trees(tmp_path) == []
 
 
 def test_a_tree_that_is_named_is_never_set_up(tmp_path: Path) -> None:
