@@ -15,7 +15,7 @@ from typing import Any
 
 import mantle
 from app.case.case import load
-from meshes import femur_bone, femur_stem
+from meshes import femur_stem
 from tests.meshes.bones import own, write
 
 LENGTH, ANGLE, CUT = 130.0, -10.0, "-173.1 mm"  # of the stem; its version to the neck; distal
@@ -54,7 +54,7 @@ def main(bone: Path, canal: Path, folder: Path) -> None:
 
     broached = {"surface": str(canal), "ream": "broach"}
     real = load(case("the patient", patient(bone, None, 1.0, canal=broached))).config
-    neck = math.degrees(real.geometry.placement.frame.azimuth)
+    neck = math.degrees(real.geometry.femur.neck)
     version, around = round(neck + ANGLE, 2), 14
     azimuth = f"{version} deg"
     upright = case("canal", patient(bone, azimuth, canal=broached), None, around)
@@ -64,9 +64,9 @@ def main(bone: Path, canal: Path, folder: Path) -> None:
         for name, on in load(case("base", {"kind": "femur"})).config.loads.items()
     }
     femur = load(case("base", parametric(version, -101.0))).config.geometry
-    normal, level = femur_bone.resection(femur)
+    placed = femur.placement
     half = float(femur_stem.body(femur).section(LENGTH - 101.0)[0])
-    tip = round((level + normal[0] * half) / normal[2] - LENGTH, 3)
+    tip = round(placed.top + placed.slopes[0] * half - LENGTH, 3)
     triangles = write(folder / "own.stl", own(round(neck, 2), 32))
     cases = [
         case("parametric", parametric(version, tip)),

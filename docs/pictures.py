@@ -25,7 +25,7 @@ from app.foundation.arrays import Floats, Ints
 from app.plots import figures
 from app.plots import sections as picture
 from meshes import reference_body, swept
-from meshes.femur_surfaces import FemurSurfaces
+from meshes.layered_surfaces import LayeredSurfaces
 
 DOCS = Path(__file__).resolve().parent
 STANCE, NUMBERS = DOCS.parent / "configs/studies/stance.yaml", DOCS / "study_stance.json"
@@ -65,7 +65,7 @@ def draw(ax: Any, title: str, x: Floats, cells: Ints, tets: Ints, colours: Float
 def reference_body_and_image() -> None:
     """Draw ``reference_body.png``."""
     case = load(DOCS.parent / "configs" / "stance.yaml").config
-    surfaces = FemurSurfaces(case.geometry, case.mesh)
+    surfaces = LayeredSurfaces(case.geometry, case.mesh)
     body = reference_body.make(surfaces.outline(), surfaces.through, surfaces.segments)
     image = swept.mesh(surfaces, curved=False)
     column, z = body.at, image.nodes.x[:, 2]

@@ -2,7 +2,7 @@
 
 The mantle has the prescribed thickness where the canal has room for it and ends at the endosteal
 surface elsewhere. Both surfaces, and those of stem and bone, are functions on one grid
-(`femur_surfaces`), along which a cross-section is swept (`swept`).
+(`layered_surfaces`), along which a cross-section is swept (`swept`).
 """
 
 from __future__ import annotations
@@ -15,9 +15,6 @@ import numpy as np
 from app.foundation.arrays import Floats, Ints
 from meshes import swept
 from meshes.data import MeshData, assemble, facet_areas, number
-from meshes.femur_bone import turned
-from meshes.femur_surfaces import FemurSurfaces
-from meshes.patient_surfaces import InsertedSurfaces
 
 PATCH_RADIUS = 8.0  # of a muscle's attachment [mm]
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
@@ -37,10 +34,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         GeometryError: The stem does not fit the canal (with the place), or its neck or shoulder
             does not go with the neck cut.
     """
-    if geometry.kind == "patient":
-        surfaces: FemurSurfaces = geometry.surfaces(mesh)
-    else:
-        surfaces = (InsertedSurfaces if geometry.insertion else FemurSurfaces)(geometry, mesh)
+    surfaces = geometry.surfaces(mesh)
     made = swept.mesh(surfaces, mesh.curved)
     facets, owner = made.facets
     bone = np.array([name.endswith("bone") for name in made.names])[made.region[owner]]
@@ -50,12 +44,9 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "stem_trunnion": made.on(facets, s=surfaces.cut + surfaces.segments[-1].steps),
         "resection": bone & made.on(facets, s=surfaces.cut),
     }
-    if geometry.insertion:
-        x = geometry.placement.to_model(made.nodes.x)
-    else:
-        x = turned(made.nodes.x, geometry.anteversion)
+    x = geometry.placement.to_model(made.nodes.x)
     data = assembled(geometry, made, x, REGIONS, INTERFACES, masks)
-    told = [*(f"{k}: {v}" for k, v in geometry.told.items()), *surfaces.told]
+    told = [*(f"{k}: {v}" for k, v in geometry.told.items()), *surfaces.bone.notes]
     return replace(data, notes={**data.notes, "told": told}) if told else data
 
 

@@ -13,11 +13,10 @@ at z = -113 is 12.3 by 12.5 mm. Cortex and trochanter are assumed.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -110,13 +109,11 @@ class Tube:
         table: Rows z, lateral, medial, antero-posterior half-width, exponent.
         bump: Height, angle, angular spread, axial spread of a Gaussian bump at z = 0.
         offset: Added to the radius [mm].
-        turn: Angle that is added to theta: theta is 0 where the bone has this angle.
     """
 
     table: Floats
     bump: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
     offset: float = 0.0
-    turn: float = 0.0
 
     @property
     def top(self) -> float:
@@ -130,7 +127,7 @@ class Tube:
 
     def radius(self, theta: Floats, z: Floats) -> Floats:
         """Distance from the z axis [mm]; beyond the table the end sections continue."""
-        theta, level = theta + self.turn, np.clip(z, self.table[:, 0].min(), self.top)
+        level = np.clip(z, self.table[:, 0].min(), self.top)
         lateral, medial, depth, n = np.moveaxis(self._sections(level), -1, 0)
         width = np.where(np.cos(theta) > 0, medial, lateral)
         r = ((np.abs(np.cos(theta)) / width) ** n + (np.abs(np.sin(theta)) / depth) ** n) ** (
@@ -144,39 +141,45 @@ class Tube:
 PERIOSTEUM = Tube(OUTER, TROCHANTER)
 
 
-def endosteum(geometry: Any) -> Callable[[Floats, Floats], Floats]:
-    """Distance of the endosteum from the z axis [mm], in axes that turn with the stem.
+@dataclass(frozen=True)
+class FemurBone:
+    """The bone of the table, in the model's axes.
 
-    Reaming leaves `CORTEX` of the bone. A thickness of the cortex that is asked for goes over to
-    that of the table within `SHAFT`.
+    Attributes:
+        neck: Azimuth of the neck, its anteversion [rad].
+        widening: Reaming: distance by which the endosteum is moved outwards [mm].
+        cortex: Thickness of the cortex above `SHAFT` [mm]; None: as in the table.
     """
-    turn, widening = geometry.anteversion, geometry.canal_widening
-    inside, outside = Tube(CANAL, offset=widening, turn=turn), replace(PERIOSTEUM, turn=turn)
-    cortex = geometry.metaphyseal_cortex
 
-    def radius(theta: Floats, z: Floats) -> Floats:
-        bone = outside.radius(theta, z)
-        canal = np.minimum(inside.radius(theta, z), bone - CORTEX)
-        if cortex is None:
+    neck: float = 0.0
+    widening: float = 0.0
+    cortex: float | None = None
+    has_condyles: ClassVar[bool] = True  # they are along x
+    mirrored: ClassVar[bool] = False
+
+    @cached_property
+    def _canal(self) -> Tube:
+        """The reamed canal."""
+        return Tube(CANAL, offset=self.widening)
+
+    def reach(self, azimuth: float, height: float) -> float:
+        """Distance of the periosteum from the shaft's axis [mm]."""
+        return float(self.periosteum(np.array(azimuth), np.array(height)))
+
+    def periosteum(self, theta: Floats, z: Floats) -> Floats:
+        """Distance of the periosteum from the z axis [mm]."""
+        return PERIOSTEUM.radius(theta, z)
+
+    def endosteum(self, theta: Floats, z: Floats) -> Floats:
+        """Distance of the endosteum from the z axis [mm].
+
+        Reaming leaves `CORTEX` of the bone. A thickness of the cortex that is asked for goes over
+        to that of the table within `SHAFT`.
+        """
+        bone = self.periosteum(theta, z)
+        canal = np.minimum(self._canal.radius(theta, z), bone - CORTEX)
+        if self.cortex is None:
             return canal
         t = np.clip((z - SHAFT[0]) / (SHAFT[1] - SHAFT[0]), 0.0, 1.0)
         share = t * t * (3 - 2 * t)
-        return np.asarray((1 - share) * canal + share * (bone - cortex))
-
-    return radius
-
-
-def resection(geometry: Any) -> tuple[Floats, float]:
-    """Unit normal n and level c of the resection in axes of the stem: n.x < c is kept."""
-    angle = geometry.resection_angle
-    normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
-    edge = PERIOSTEUM.radius(np.array(geometry.anteversion), np.array(geometry.resection_height))
-    return normal, float(normal @ [float(edge), 0.0, geometry.resection_height])
-
-
-def turned(x: Floats, angle: float) -> Floats:
-    """Points (n, 3) turned about z, from x towards y."""
-    if not angle:
-        return x
-    c, s = math.cos(angle), math.sin(angle)
-    return np.asarray(x @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+        return np.asarray((1 - share) * canal + share * (bone - self.cortex))

@@ -1,7 +1,7 @@
 """A proximal femur before the operation: cortical bone around cancellous bone, with head and neck.
 
 Shaft, trochanters, canal and muscle patches are those of the femur with a stem, cell by cell: the
-lines are those of the stem that is planned (`femur_surfaces`). What the operation would take away
+lines are those of the stem that is planned (`layered_surfaces`). What the operation would take away
 is a blend from the neck cut to a round neck, and a sphere about the head's centre, whose nodes are
 on no lines: a ball of sections that bulge, in a shell that a lid closes at its end. Assumed, for
 want of a published set that goes with this shaft: a neck of 0.70 of the head's diameter in
@@ -22,8 +22,7 @@ from app.foundation.arrays import Floats, Ints
 from meshes import swept
 from meshes.data import MeshData
 from meshes.femur import assembled
-from meshes.femur_bone import turned
-from meshes.femur_surfaces import SPREAD, FemurSurfaces
+from meshes.layered_surfaces import SPREAD, LayeredSurfaces
 from meshes.layers import DIGITS, Lines, Nodes
 from meshes.reference_body import ReferenceBody, Segment
 
@@ -41,10 +40,11 @@ CLEAR = 6.0  # mm that the first ring of the neck is above the cut
 RISE = 6.0  # mm that the trochanter rises beyond the cut, across the shaft
 
 
-class Intact(FemurSurfaces):
+class Intact(LayeredSurfaces):
     """Surfaces of the intact bone; beyond station ``neck``, in the head, nodes are on no line."""
 
-    def _continue(self, geometry: Any) -> None:
+    def _continue(self, implant: Any) -> None:
+        geometry, placed = self._geometry, self._placed
         sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)
         self._radius = geometry.head_radius
         self._axis = np.array([sine, 0.0, cosine])
@@ -54,10 +54,11 @@ class Intact(FemurSurfaces):
         # The neck's cone meets the sphere at this distance from its centre.
         ring = NECK[1] * self._radius
         self._meet = math.sqrt(self._radius**2 - ring**2)
-        normal = np.array([self._steepest, 0.0, 1.0]) / math.hypot(self._steepest, 1.0)
+        steepest = placed.slopes[0]
+        normal = np.array([steepest, 0.0, 1.0]) / math.hypot(steepest, 1.0)
         rise = float(self._axis @ normal)
         dip = NECK[0] * self._radius * math.sqrt(max(0.0, 1.0 - rise**2))
-        above = float(normal @ (self._centre - [0.0, 0.0, self._top])) / rise
+        above = float(normal @ (self._centre - [0.0, 0.0, placed.top])) / rise
         # From the head's centre back to where a ring is clear of the cut.
         self._back = max(self._meet, above - (CLEAR + dip) / rise)
         blend = above - self._meet
@@ -177,5 +178,5 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     facets, _ = made.facets
     distal, head = made.on(facets, s=0), made.above(facets, surfaces.neck)
     masks = {"distal_cut": distal, "bone_surface": ~distal, "head": head}
-    x = turned(made.nodes.x, geometry.anteversion)
+    x = geometry.placement.to_model(made.nodes.x)
     return assembled(geometry, made, x, REGIONS, {}, masks)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from app.foundation.arrays import Floats, Ints
-from meshes import femur_bone, femur_stem
+from meshes import femur_stem
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
 RIM = 10.0  # mm below the neck cut whose interfaces are reported apart
@@ -78,13 +78,14 @@ class Zones:
 
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
-        g, x = self._geometry, self._local(x)
+        g = self._geometry
+        canal = g.femur.endosteum(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
+        x = self._local(x)
         if getattr(g, "stem", None):  # bone around a stem of its own is what it leaves
             return np.ones(len(x), dtype=bool)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
         cavity = femur_stem.body(g).outside(self._thickness, theta, z)
-        canal = femur_bone.endosteum(g)(theta, z)
         # The mantle ends at the endosteum.
         cavity = np.minimum(cavity, canal)
         below_plug = z < self.tip - g.plug_length + EDGE

@@ -1,4 +1,7 @@
-"""Lines across the layers of a femur, and nodes along them.
+"""Sections of a femur, lines across its layers in them, and nodes along the lines.
+
+Sections are planes z = zeta - slope(zeta) (x + lean y) of the stem's axes. They are level along the
+stem and turn over the last `TURN` millimetres to the neck cut.
 
 A node has three coordinates: `phi` around and `s` along the line, in half steps, and `rho` across.
 Whole values of `rho` are surfaces: 1 the stem or whatever is innermost, 2 the outer side of the
@@ -7,13 +10,76 @@ mantle, 3 the endosteum, 4 the periosteum; 0 stands for the nodes inside the inn
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize.elementwise import find_root
 
 from app.foundation.arrays import Bools, Floats, Ints
+from meshes.placement import Placement
 
 DIGITS = 6  # decimals [mm] that nodes are rounded to: processors differ far behind these
+
+TURN = 60.0  # mm below the neck cut, or the shoulder, over which sections turn to it
+CORE_OVER = 30.0  # mm below the plug over which lines go over to the bone's own shape
+EXACT = 1e-11  # of roots, absolute and relative
+
+
+def root(function: Callable[[Floats, Ints], Floats], high: Floats) -> Floats:
+    """Zeros between 0 and `high` (n,) of functions that fall through zero; shape (n,).
+
+    Args:
+        function: Takes positions and numbers of the functions, both (k,); returns (k,).
+        high: Upper ends (n,); the result where a function is positive there.
+    """
+    number = np.arange(len(high))
+    zeros = high.copy()
+    falls = function(high, number) < 0
+    if falls.any():
+        zeros[falls] = find_root(
+            lambda x, k: function(x, k.astype(np.int64)),
+            (np.zeros(int(falls.sum())), high[falls]),
+            args=(number[falls].astype(float),),
+            tolerances={"xatol": EXACT, "xrtol": EXACT},
+        ).x
+    return zeros
+
+
+@dataclass(frozen=True)
+class Sections:
+    """The sections of a mesh, in the stem's axes.
+
+    Attributes:
+        placed: Where the stem is in the bone.
+        shoulder: Height at the axis of the section at the stem's shoulder, or of the cut [mm].
+        plug: Height of the end of the cement plug [mm].
+        zeta: Heights at the axis of the sections up to the cut (n,) [mm].
+    """
+
+    placed: Placement
+    shoulder: float
+    plug: float
+    zeta: Floats
+
+    def slope(self, zeta: Floats) -> Floats:
+        """Slope of the sections at heights on the axis."""
+        t = np.clip((zeta - self.shoulder + TURN) / TURN, 0.0, 1.0)
+        return np.asarray(self.placed.slopes[0] * t * t * (2 - t))
+
+    def rise(self, x: Floats) -> Floats:
+        """Distance by which a slope of 1 lowers points (..., 2 or 3) [mm]."""
+        return np.asarray(x[..., 0] + self.placed.slopes[1] * x[..., 1])
+
+    def in_plane(self, xy: Floats, zeta: Floats) -> Floats:
+        """Points of sections over places (..., 2) of the plane z = 0 (..., 3) [mm]."""
+        z = zeta - self.slope(zeta) * self.rise(xy)
+        return np.concatenate([xy, z[..., None]], axis=-1)
+
+    def below_plug(self, zeta: Floats) -> Floats:
+        """Part from 0 at the plug to 1 at `CORE_OVER` below it, smooth at both ends."""
+        part = np.clip((self.plug - zeta) / CORE_OVER, 0.0, 1.0)
+        return np.asarray(part * part * (3 - 2 * part))
 
 
 @dataclass(frozen=True)

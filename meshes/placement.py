@@ -1,20 +1,26 @@
 """The neck cut, and where the stem is in the bone.
 
 The model's axes: z along the shaft, proximal positive, 0 at the lesser trochanter; x medial; y
-anterior. The stem's own axes have their origin at the middle of its shoulder, z up its axis and x
-towards its head: placing the stem is moving the bone, and sections are taken in the stem's axes.
+anterior. The stem's axes have their origin on its axis, at the level that its keys count from, z up
+its axis and x towards its head. Sections of the mesh are planes of the stem's axes.
+
+A bone says where its neck is (`neck`, the angle about z from x to y), whether it has condyles, and
+how far its surface is from z (`reach`). It is a table (`femur_bone.FemurBone`) or a surface from a
+file (`patient_bone.PatientBone`).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from app.foundation.arrays import Floats
-from meshes import femur_bone, femur_stem
+from app.foundation.errors import GeometryError
+from meshes import femur_stem
 
 EXACT = 1e-12  # of a cut's normal: rounded off
 
@@ -24,35 +30,41 @@ class Placement:
     """The neck cut and the stem, in the model's axes.
 
     Attributes:
-        normal: Unit normal of the neck cut (3,): what is below is kept.
+        normal: Unit normal of the neck cut (3,): the bone below it is kept.
         turn: Axes of the stem as columns (3, 3).
-        foot: Where its axis meets the cut (3,) [mm].
-        top: The same on its axis: height in the stem's axes [mm].
+        foot: Point in which its axis meets the cut (3,) [mm].
+        top: Height of that point in the stem's axes [mm].
+        mirrored: True if the model is the mirror image of the bone: a right femur.
     """
 
     normal: Floats
     turn: Floats
     foot: Floats
     top: float
+    mirrored: bool = False
+
+    @cached_property
+    def origin(self) -> Floats:
+        """Origin of the stem's axes (3,) [mm]."""
+        return np.asarray(self.foot - self.top * self.turn[:, 2])
 
     def to_stem(self, x: Any) -> Floats:
         """Points of the model (..., 3) in the stem's axes [mm]."""
-        return np.asarray((x - self.foot) @ self.turn + [0.0, 0.0, self.top])
+        return np.asarray((x - self.origin) @ self.turn)
 
     def to_model(self, x: Any) -> Floats:
         """Points in the stem's axes (..., 3) in those of the model [mm]."""
-        return np.asarray(np.subtract(x, [0.0, 0.0, self.top]) @ self.turn.T + self.foot)
+        return np.asarray(np.asarray(x) @ self.turn.T + self.origin)
 
-    @property
+    def along(self, z: float) -> float:
+        """Height in the stem's axes at which its axis is at a level of the model [mm]."""
+        return float(self.top + (z - self.foot[2]) / self.turn[2, 2])
+
+    @cached_property
     def slopes(self) -> tuple[float, float]:
         """Slope of the cut along x of the stem, and along y over that along x."""
         x, y, z = self.normal @ self.turn
         return x / z, y / x if abs(y) > EXACT else 0.0
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether the model is the mirror image of what is operated on."""
-        return False
 
     def where(self, x: Floats) -> str:
         """A point of the model (3,) in words."""
@@ -61,32 +73,36 @@ class Placement:
         return "({:.0f}, {:.0f}, {:.0f}) mm".format(*x) + f", {abs(below)} mm {side} the cut"
 
 
-def of_femur(geometry: Any) -> Placement:
-    """The placement in the parametric femur: by default its stem is turned by its anteversion."""
-    (x, _, z), level = femur_bone.resection(geometry)
-    angle, given = geometry.anteversion, getattr(geometry, "insertion", None)
-    way = np.array([math.cos(angle), math.sin(angle)])
-    if given:
-        angle = given.version.angle + (angle if given.version.relative_to == "neck" else 0.0)
-    placed = Placement(*put(given, angle, way, np.r_[x * way, z], level), level / z)
-    return deep(placed, geometry) if given and given.depth is not None else placed
+def place(geometry: Any) -> Placement:
+    """Cut the neck of a bone and place the stem in it.
 
+    Without ``insertion`` the stem is along the shaft's axis, turned to the neck. Without
+    ``shoulder_depth`` its height is the one that its keys give.
 
-def put(
-    insertion: Any, version: float, way: Floats, normal: Floats, level: float
-) -> tuple[Floats, Floats, Floats]:
-    """Normal of a cut, its level and azimuth (2,) given, axes of a stem, and where it meets it."""
-    varus, aside = 0.0, np.zeros(2)
+    Raises:
+        GeometryError: The cut is beside the bone, or condyles are asked for that are not there.
+    """
+    femur, cut, insertion = geometry.femur, geometry.resection, geometry.insertion
+    azimuth = femur.neck if cut.azimuth is None else cut.azimuth
+    way = np.array([math.cos(azimuth), math.sin(azimuth)])
+    normal = np.r_[math.sin(cut.angle) * way, math.cos(cut.angle)]
+    level = float(normal @ [*(femur.reach(azimuth, cut.height) * way), cut.height])
+    version, varus, aside = femur.neck, 0.0, np.zeros(2)
     if insertion:
-        varus = insertion.varus
-        medial, anterior = insertion.medial_offset, insertion.anterior_offset
-        aside = medial * way + anterior * np.array([-way[1], way[0]])
-    c, s, cv, sv = (f(v) for v in (version, varus) for f in (math.cos, math.sin))
+        version, varus = insertion.version.angle, insertion.varus
+        if insertion.version.relative_to == "neck":
+            version += femur.neck
+        elif not femur.has_condyles:
+            text = "is against the condyles, which this surface does not have"
+            raise GeometryError(f"geometry.insertion.version: {text}; give relative_to: neck")
+        anterior = np.array([-way[1], way[0]])
+        aside = insertion.medial_offset * way + insertion.anterior_offset * anterior
+    c, s = math.cos(version), math.sin(version)
+    cv, sv = math.cos(varus), math.sin(varus)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ [[cv, 0, sv], [0, 1, 0], [-sv, 0, cv]]
-    return normal, turn, np.r_[aside, (level - float(normal[:2] @ aside)) / normal[2]]
-
-
-def deep(placed: Any, geometry: Any) -> Any:
-    """The same with the lateral edge of the stem's shoulder at its depth below the cut."""
+    foot = np.r_[aside, (level - float(normal[:2] @ aside)) / normal[2]]
+    placed = Placement(normal, turn, foot, level / normal[2], femur.mirrored)
+    if geometry.shoulder_depth is None:
+        return placed
     edge = femur_stem.edge(geometry.implant, placed.slopes[0])
-    return replace(placed, top=edge + (geometry.insertion.depth or 0.0))
+    return replace(placed, top=edge + geometry.shoulder_depth)

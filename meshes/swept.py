@@ -17,7 +17,7 @@ import numpy as np
 from app.foundation.arrays import Bools, Floats, Ints
 from meshes import reference_body
 from meshes.data import EDGES, cell_volumes, faces_of, match_faces
-from meshes.femur_surfaces import VOID, FemurSurfaces
+from meshes.layered_surfaces import VOID, LayeredSurfaces
 from meshes.layers import DIGITS, Nodes
 from meshes.quality import check, relaxed, sicn, untangle
 from meshes.reference_body import ReferenceBody
@@ -44,7 +44,7 @@ class Swept:
         names: Regions.
     """
 
-    surfaces: FemurSurfaces
+    surfaces: LayeredSurfaces
     nodes: Nodes
     cells: Ints
     region: Ints
@@ -89,7 +89,7 @@ class Swept:
         }
 
 
-def mesh(surfaces: FemurSurfaces, curved: bool) -> Swept:
+def mesh(surfaces: LayeredSurfaces, curved: bool) -> Swept:
     """Mesh the layers; cells are curved if asked.
 
     Raises:
@@ -107,7 +107,7 @@ def mesh(surfaces: FemurSurfaces, curved: bool) -> Swept:
 
 
 def _mended(
-    surfaces: FemurSurfaces, body: ReferenceBody, nodes: Nodes, number: Ints
+    surfaces: LayeredSurfaces, body: ReferenceBody, nodes: Nodes, number: Ints
 ) -> tuple[Ints, Ints]:
     """As `_split`, with other diagonals across the rings where cells are poor and get better.
 
@@ -138,7 +138,7 @@ def _mended(
     return split(np.where(better[quad, None], turned, body.columns))[0]
 
 
-def _split(surfaces: FemurSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:
+def _split(surfaces: LayeredSurfaces, body: ReferenceBody, number: Ints) -> tuple[Ints, Ints]:
     """Tetrahedra (m, 4) of distinct nodes, and their prisms (m,).
 
     Those that are not inverted have positive volumes.
@@ -168,7 +168,7 @@ def _split(surfaces: FemurSurfaces, body: ReferenceBody, number: Ints) -> tuple[
     return tets[kept], kept // 3
 
 
-def _grid(surfaces: FemurSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
+def _grid(surfaces: LayeredSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     """Nodes of all columns at all stations, and the one that stands for each."""
     n, r, c = surfaces.around, len(body.rho), len(body.at)
     levels = sum(segment.steps for segment in surfaces.segments) + 1
@@ -222,7 +222,7 @@ def _grid(surfaces: FemurSurfaces, body: ReferenceBody) -> tuple[Nodes, Ints]:
     return surfaces.ended(nodes, number, body)
 
 
-def _place(surfaces: FemurSurfaces, nodes: Nodes) -> Nodes:
+def _place(surfaces: LayeredSurfaces, nodes: Nodes) -> Nodes:
     """Put all nodes on lines onto the surfaces, or between them by their coordinates."""
     on = np.flatnonzero(nodes.rho > 0)
     turn = 2 * surfaces.around
@@ -245,7 +245,7 @@ def _place(surfaces: FemurSurfaces, nodes: Nodes) -> Nodes:
     return replace(nodes, x=np.round(x, DIGITS), error=error)
 
 
-def _floor(surfaces: FemurSurfaces, bone: Floats) -> Floats:
+def _floor(surfaces: LayeredSurfaces, bone: Floats) -> Floats:
     """Least thickness of the layer within the endosteum, by line and station [mm]."""
     apart = np.sqrt(((np.roll(bone, -1, axis=0) - bone) ** 2).sum(axis=2))
     apart = np.maximum(apart, np.roll(apart, 1, axis=0))
@@ -259,7 +259,7 @@ def _floor(surfaces: FemurSurfaces, bone: Floats) -> Floats:
 
 
 def _packed(
-    surfaces: FemurSurfaces, nodes: Nodes, cells: Ints, region: Ints, names: tuple[str, ...]
+    surfaces: LayeredSurfaces, nodes: Nodes, cells: Ints, region: Ints, names: tuple[str, ...]
 ) -> Swept:
     used, cells = np.unique(cells, return_inverse=True)
     cells = cells.reshape(-1, 4)
@@ -324,6 +324,7 @@ def _middles(made: Swept, a: Ints, b: Ints) -> Nodes:
     )
     tip = 2 * made.surfaces.tip
     bowl = inner & ~shell & (nodes.s[a] == tip) & (nodes.s[b] == tip)
-    middle.x[bowl] = made.surfaces.hung(middle.x[bowl], made.surfaces.plane(middle.s[bowl] / 2)[0])
+    heights = made.surfaces.heights(middle.s[bowl] / 2)
+    middle.x[bowl] = made.surfaces.stem.hung(middle.x[bowl], heights)
     middle.x[shell] = made.surfaces.arc(nodes.x[a[shell]], nodes.x[b[shell]])
     return _place(made.surfaces, middle)

@@ -108,6 +108,20 @@ class Version(Section):
     """The turn, the head to anterior (rad)."""
 
 
+class Resection(Section):
+    """The cut across the neck."""
+
+    height: Length = 8.0
+    """Height above the lesser trochanter at which it leaves the medial cortex."""
+    angle: Annotated[float, Dimension("rad", "an angle", "38 deg", at_least=0.0, below=1.2)] = (
+        math.radians(38.0)
+    )
+    """Its angle to the transverse plane (rad), below 1.2."""
+    azimuth: Angle | None = None
+    """Direction of its normal about the shaft, from medial to anterior (rad); by default the
+    neck's."""
+
+
 class Insertion(Section):
     """Where the stem is put in the femur."""
 
@@ -266,9 +280,35 @@ class _Femur(Shape):
         return self
 
     @property
+    def femur(self) -> Any:
+        """The bone before the operation (`meshes.femur_bone.FemurBone`)."""
+        bone = import_module("meshes.femur_bone").FemurBone
+        return bone(self.anteversion, self.canal_widening, self.metaphyseal_cortex)
+
+    @property
+    def resection(self) -> Resection:
+        """The cut across the neck."""
+        return Resection.model_construct(height=self.resection_height, angle=self.resection_angle)
+
+    @property
+    def shoulder_depth(self) -> float | None:
+        """Depth of the stem's shoulder below the cut (mm); None: as `stem_tip_z` says."""
+        return None
+
+    @property
+    def more_room(self) -> tuple[str, str]:
+        """The key that says where the stem is, and what to change where it has no room."""
+        text = "widen the canal (canal_widening), narrow the stem or move it proximally"
+        return "geometry", f"{text} (stem_tip_z)"
+
+    @property
     def placement(self) -> Any:
         """Cut and stem in the model's axes (`meshes.placement.Placement`)."""
-        return import_module("meshes.placement").of_femur(self)  # by name: it needs scipy
+        return import_module("meshes.placement").place(self)
+
+    def surfaces(self, mesh: MeshOptions) -> Any:
+        """The nested surfaces that are meshed (`meshes.layered_surfaces.LayeredSurfaces`)."""
+        return import_module("meshes.layered_surfaces").LayeredSurfaces(self, mesh)
 
     @property
     def tip_height(self) -> float:
@@ -379,6 +419,19 @@ class Femur(_Femur):
     """Where the stem is put, other than along the shaft's axis, turned by `anteversion`."""
 
     @property
+    def shoulder_depth(self) -> float | None:
+        """Depth of the stem's shoulder below the cut (mm); None: as `stem_tip_z` says."""
+        return self.insertion.depth if self.insertion else None
+
+    @property
+    def more_room(self) -> tuple[str, str]:
+        """The key that says where the stem is, and what to change where it has no room."""
+        if not self.insertion:
+            return super().more_room
+        text = "change insertion, widen the canal (canal_widening), or take a smaller or shorter"
+        return "geometry.insertion", f"{text} stem"
+
+    @property
     def head_centre(self) -> Point3:
         """Centre of the femoral head in the model's axes (mm)."""
         return placed_head(self) if self.insertion else super().head_centre
@@ -446,6 +499,9 @@ class IntactFemur(_Femur):
 
     tissues: ClassVar[dict[str, str]] = OF_BONE
     boundary_names: ClassVar[tuple[str, ...]] = ("distal_cut", "bone_surface", "head", *MUSCLES)
+
+    insertion: ClassVar[None] = None
+    stem: ClassVar[None] = None
 
     kind: Literal["intact_femur"] = "intact_femur"
     head_radius: Annotated[float, _length("23 mm", at_least=18.0, at_most=30.0)] = 23.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from app.case import femurs
-from app.case.femurs import BONE, INSIDE, MUSCLES, Femur, Insertion
+from app.case.femurs import BONE, INSIDE, MUSCLES, Femur, Insertion, Resection
 from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
 from app.case.stems import StemFile
 from app.foundation.errors import GeometryError, InputError
@@ -146,20 +145,6 @@ class Stem(Section):
         return known | levels
 
 
-class Resection(Section):
-    """The cut across the neck."""
-
-    height: Length = 8.0
-    """Height above the lesser trochanter at which it leaves the medial cortex."""
-    angle: Annotated[float, Dimension("rad", "an angle", "38 deg", at_least=0.0, below=1.2)] = (
-        math.radians(38.0)
-    )
-    """Its angle to the transverse plane (rad), below 1.2."""
-    azimuth: Angle | None = None
-    """Direction of its normal about the shaft, from medial to anterior (rad); by default the
-    neck's."""
-
-
 class Patient(Shape):
     """A patient's proximal femur with a cemented stem.
 
@@ -210,7 +195,7 @@ class Patient(Shape):
                     fail(str(error), at=(part,))
             key, _, text = str(error).removeprefix("geometry.").partition(": ")
             fail(text, at=tuple(key.split(".")))
-        low = float(placed.bone.points[:, 2].min())
+        low = float(self.femur.surface.points[:, 2].min())
         plug = self.implant.stem_tip_z - self.plug_length
         plug = float(placed.to_model([0.0, 0.0, plug])[2])
         level = self.distal_cut_z
@@ -250,10 +235,26 @@ class Patient(Shape):
         return tuple((k, v) for k, v in [("side", self.bone.side), *self.landmarks] if v)
 
     @cached_property
-    def placement(self) -> Any:
-        """Bone, cut and stem in the model's axes (`meshes.patient_placement.PatientPlacement`)."""
+    def femur(self) -> Any:
+        """The bone before the operation (`meshes.patient_bone.PatientBone`)."""
         # By name: no other case needs most of scipy, which takes 0.11 s.
-        return import_module("meshes.patient_placement").place(self)
+        return import_module("meshes.patient_bone").read(self)
+
+    @cached_property
+    def placement(self) -> Any:
+        """Cut and stem in the model's axes (`meshes.placement.Placement`)."""
+        return import_module("meshes.placement").place(self)
+
+    @property
+    def shoulder_depth(self) -> float:
+        """Depth of the stem's shoulder below the cut (mm)."""
+        return self.insertion.depth or 0.0
+
+    @property
+    def more_room(self) -> tuple[str, str]:
+        """The key that says where the stem is, and what to change where it has no room."""
+        text = "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and"
+        return "geometry.insertion", f"{text} offsets"
 
     def grid(self, mesh: MeshOptions) -> dict[str, Any]:
         """Cells through the layers."""
@@ -263,7 +264,7 @@ class Patient(Shape):
     def surfaces(self, mesh: MeshOptions) -> Any:
         """The nested surfaces that are checked and meshed, kept by the content of its files."""
         files = self.content, getattr(self.stem, "content", "")
-        return import_module("meshes.patient_surfaces").kept(self, mesh, files)
+        return import_module("meshes.layered_surfaces").kept(self, mesh, files)
 
     def check_fit(self, mesh: MeshOptions) -> None:
         """Raise InputError, with the place, if the stem does not fit into the bone."""
@@ -280,37 +281,40 @@ class Patient(Shape):
     @cached_property
     def points(self) -> dict[str, Point3]:
         """Centre of the implant's head and muscles' insertions on this bone (mm)."""
-        found, _ = self.placement.projected(MUSCLES)
+        found, _ = self.femur.projected(MUSCLES, self.placement)
         return {"head_centre": self.head_centre} | {k: femurs.point(x) for k, x in found.items()}
 
     @property
     def skin(self) -> Any:
         """Points of the bone's surface between the cuts (n, 3) (mm)."""
-        x, placed = self.placement.bone.points, self.placement
+        x, placed = self.femur.surface.points, self.placement
         return x[((x - placed.foot) @ placed.normal < 0) & (x[:, 2] > self.distal_cut_z)]
 
     def in_image(self, x: Any, depth: float) -> Any:
         """Points (n, 3) in the axes of the bone's file, at a depth below its surface at least."""
-        return self.placement.in_file(x, depth)
+        return self.femur.in_file(x, depth)
 
     @property
     def told(self) -> dict[str, Any]:
         """What was found and done, in words."""
-        placed = self.placement
-        found = dict(placed.frame.told)
-        for name, surface in (("surface", placed.bone), ("surface of the canal", placed.canal)):
+        femur = self.femur
+        found = dict(femur.frame.told)
+        for name, surface in (("surface", femur.surface), ("surface of the canal", femur.canal)):
             if surface and surface.notes:
                 found[name] = ", ".join(surface.notes)
-        if (lost := placed.trochanter_lost) > 0.5:
+        lost = femur.trochanter_lost(self.placement)
+        if lost > 0.5:
             found["left out"] = f"the greater trochanter's tip, {lost:.0f} mm above the cut"
         if isinstance(self.stem, StemFile):
             found |= self.stem.told
-        return found | {"muscles moved (mm)": ", ".join(placed.projected(MUSCLES)[1])}
+        return found | {
+            "muscles moved (mm)": ", ".join(femur.projected(MUSCLES, self.placement)[1])
+        }
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Doubts about the bone: its size, its shape, an open end."""
-        return tuple(f"geometry.bone: {text}" for text in self.placement.notes)
+        return tuple(f"geometry.bone: {text}" for text in self.femur.notes)
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:

@@ -16,7 +16,7 @@ from app.foundation.errors import GeometryError, InputError
 from app.laws.creep import Creep
 from app.schema.section import Section
 from app.soundness import preview
-from meshes.femur_surfaces import FemurSurfaces, _rounded_up
+from meshes.layered_surfaces import LayeredSurfaces, _rounded_up
 from tests.support import CONFIGS, ROOT
 
 
@@ -120,7 +120,7 @@ def test_a_stem_without_room_says_by_how_much(half_width: float, words: str) -> 
     """At the last the cells between stem and cortex would have no volume."""
     geometry = Femur.model_validate({"stem_half_width": f"{half_width} mm"})
     with pytest.raises(GeometryError, match=words):
-        FemurSurfaces(geometry, MeshOptions.model_validate({"size": "6 mm"}))
+        LayeredSurfaces(geometry, MeshOptions.model_validate({"size": "6 mm"}))
 
 
 def test_notes_on_input_without_effect() -> None:

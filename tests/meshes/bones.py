@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -154,3 +155,17 @@ def inside(surface: BoneSurface, x: Floats, y: Floats, z: Floats) -> Bools:
         row, column = np.nonzero(met)
         times[np.searchsorted(x, at[met]), j[row], k[column]] ^= 1
     return np.asarray(np.bitwise_xor.accumulate(times, axis=0)[:-1], dtype=bool)
+
+
+def turned(x: Floats, angle: float) -> Floats:
+    """Points (n, 3) turned about z, from x towards y [rad]."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.asarray(x @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+
+
+def cut(geometry: Any) -> tuple[Floats, float]:
+    """Unit normal n and level c of the parametric femur's cut, in axes that turn with its neck."""
+    angle, height = geometry.resection_angle, geometry.resection_height
+    normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
+    edge = femur_bone.PERIOSTEUM.radius(np.array(geometry.anteversion), np.array(height))
+    return normal, float(normal @ [float(edge), 0.0, height])

@@ -10,9 +10,8 @@ import pytest
 
 import meshes
 from app.case.geometries import Femur, MeshOptions, Patient
-from meshes import femur_bone
 from meshes.data import MeshData
-from tests.meshes.bones import MEASURED, VERSION
+from tests.meshes.bones import MEASURED, VERSION, cut
 
 TURNED = Femur.model_validate({"anteversion": f"{VERSION} deg"})
 
@@ -39,7 +38,7 @@ def made(geometry: Any) -> MeshData:
 
 def as_own(folder: Path, **changes: Any) -> Patient:
     """The operation of the parametric femur on its triangles, landmarks given exactly."""
-    normal, level = femur_bone.resection(TURNED)
+    normal, level = cut(TURNED)
     # Depth of the shoulder's edge, at z = 29 mm, below the cut.
     depth = (level + normal[0] * 9.0789) / normal[2] - 29.0
     marks = {"lesser_trochanter": [20.0, -5.0, 0.0], "shaft": [[0, 0, -100], [0, 0, -20]]}

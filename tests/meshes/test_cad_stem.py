@@ -16,8 +16,8 @@ from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError, InputError
 from meshes import quality
 from meshes.data import exterior_facets, interface_facets
-from meshes.femur_surfaces import FemurSurfaces
 from meshes.gmsh_child import session
+from meshes.layered_surfaces import LayeredSurfaces
 from tests.meshes import cad_stems
 
 # Levels of the tip that put the shoulder at the neck cut, or below, where that is not the default.
@@ -74,14 +74,14 @@ def test_corners_are_on_the_faces(name: str, tmp_path: Path) -> None:
 def test_lines_stand_on_the_corners_of_sections_at_every_height(name: str, tmp_path: Path) -> None:
     """On the ends of the arcs of round corners, on sharp corners: as the stem was drawn."""
     known = load(case(cad_stems.write(name, tmp_path), "{size: 6 mm}")).config
-    surfaces = FemurSurfaces(known.geometry, known.mesh)
+    surfaces = LayeredSurfaces(known.geometry, known.mesh)
     phi = np.arange(surfaces.around) / surfaces.around
     sections = np.array(cad_stems.STEMS[name]["sections"])
     low = known.geometry.stem_tip_z
     numbers = set()
     for height in np.linspace(3.0, min(sections[-1, 4], 120.0), 25):
         a, b, r, _, _ = (np.interp(height, sections[:, 4], v) for v in sections.T)
-        x = surfaces._body.point(phi, low + height, 0.0)[:, :2]
+        x = surfaces.stem.body.point(phi, low + height, 0.0)[:, :2]
         x -= 0.5 * (x.max(axis=0) + x.min(axis=0))  # the axis is not the middle of sections
         ends = [(a, b - r), (a - r, b)] if r else [(a, b)]
         for u, v in product((1, -1), repeat=2):

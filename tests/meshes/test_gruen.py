@@ -12,6 +12,7 @@ from app.results.stresses import Stresses
 from meshes import femur_bone, femur_stem
 from meshes.gruen import BELOW, Zones
 from tests import support
+from tests.meshes.bones import cut
 
 GEOMETRY = Femur()
 ZONES = Zones(GEOMETRY)
@@ -38,7 +39,7 @@ def test_thirds_are_of_the_length_in_the_bone() -> None:
 
     Zones 4 and 11 begin where the stem's end is rounded.
     """
-    normal, level = femur_bone.resection(GEOMETRY)
+    normal, level = cut(GEOMETRY)
     assert normal @ [0.0, 0.0, ZONES.top] == pytest.approx(level)
     assert ZONES.tip == -118.0 and 20.0 < ZONES.top < 25.0
     end = ZONES.tip + GEOMETRY.tip_height
@@ -67,7 +68,7 @@ def test_rounding_moves_no_point_between_zones() -> None:
     """Layered meshes put points on the planes between zones; another BLAS rounds otherwise."""
     third = (ZONES.top - ZONES.tip) / 3
     levels = ZONES.tip + np.array([-BELOW, 0.0, third, 2 * third])
-    normal, level = femur_bone.resection(GEOMETRY)
+    normal, level = cut(GEOMETRY)
     x = np.array([(side, 0.0, z) for side in (-12.0, 12.0) for z in levels])
     x = np.concatenate([x, x[:, [1, 0, 2]], x + np.array([0.0, 0.0, 1.0]), level * normal[None]])
     plug = np.array([(1.0, 1.0, ZONES.tip - GEOMETRY.plug_length)])

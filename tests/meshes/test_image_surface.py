@@ -126,7 +126,7 @@ def test_moduli_at_points_of_the_cortex(scan: Path) -> None:
     r = low + part * (femur_bone.PERIOSTEUM.radius(angle, z) - low)
     x = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
     expected = modulus(E.law, E.densities((density(z) - OFFSET) / SLOPE)["apparent"])
-    off = E.at(geometry.placement.frame.to_model(x), geometry.in_image) / expected - 1.0
+    off = E.at(geometry.femur.frame.to_model(x), geometry.in_image) / expected - 1.0
     assert np.percentile(np.abs(off), 95) < 0.03
     assert abs(off.mean()) < 0.003
     assert list(E.told(geometry))[-1].startswith("E 1.5 mm below")

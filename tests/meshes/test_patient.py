@@ -21,18 +21,19 @@ from meshes import _make, bone_surface, femur_bone, femur_stem, quality
 from meshes.bone_surface import BoneSurface
 from meshes.data import interface_facets, region_volumes
 from meshes.femur_bone import CORTEX
-from meshes.femur_surfaces import LEAST_MANTLE
 from meshes.gruen import Zones
-from meshes.patient_surfaces import PatientSurfaces
+from meshes.layered_surfaces import LEAST_MANTLE, LayeredSurfaces
 from tests.meshes import cad_stems
 from tests.meshes.bones import (
     LINES,
     MEASURED,
     MEASURED_CANAL,
     VERSION,
+    cut,
     moved,
     own,
     own_canal,
+    turned,
     write,
 )
 from tests.meshes.patients import TURNED, as_own, made, measured, options, patient
@@ -60,14 +61,14 @@ def test_mantles_own_femur_as_triangles_is_the_parametric_one(folder: Path) -> N
     assert volumes["cement"] == pytest.approx(expected["cement"], rel=0.01)
     assert set(here.boundaries) == set(there.boundaries)
     assert here.notes["quality"]["sicn_min"] > 0.05
-    head = femur_bone.turned(np.array([here.notes["head_centre"]]), math.radians(VERSION))
+    head = turned(np.array([here.notes["head_centre"]]), math.radians(VERSION))
     assert head[0] == pytest.approx(there.notes["head_centre"], abs=0.3)
 
 
 def test_zones_are_those_of_the_parametric_femur(folder: Path) -> None:
     x = np.random.default_rng(0).uniform((-15, -15, -150), (15, 15, 5), (4000, 3))
     here, there = Zones(as_own(folder)), Zones(TURNED)
-    y = femur_bone.turned(x, math.radians(VERSION))
+    y = turned(x, math.radians(VERSION))
     assert (here.at(x) == there.at(y)).mean() > 0.98
     assert here.depth(x) == pytest.approx(there.depth(y), abs=0.4)
 
@@ -76,7 +77,7 @@ def test_axes_of_the_scan_do_not_matter(folder: Path) -> None:
     canal = {"surface": "canal_moved.stl", "ream": "broach"}
     still = patient(folder, canal=canal | {"surface": "canal.stl"})
     turned = patient(folder, bone={"surface": "bone_moved.stl"}, canal=canal)
-    one, other = (PatientSurfaces(g, options()) for g in (still, turned))
+    one, other = (LayeredSurfaces(g, options()) for g in (still, turned))
     s = np.linspace(0, one.cut, 200)
     phi = np.random.default_rng(1).uniform(size=200)
     a, b = one.lines(phi, s), other.lines(phi, s)
@@ -117,7 +118,7 @@ def test_a_right_femur_is_the_mirrored_left_one_with_its_stem(folder: Path) -> N
         stem = {"step": file, "head_centre": ["42 mm", f"{y} mm", "172 mm"]}
         geometry = patient(folder, bone={"surface": f"{name}.stl"}, stem=stem, **IN)
         assert geometry.told["side"] == side
-        body = PatientSurfaces(geometry, options())._body
+        body = LayeredSurfaces(geometry, options()).stem.body
         found.append(np.stack([body._kept(z, 0.1, 0.0) for z in (-140.0, -80.0, -20.0)]))
         found.append(np.array(list(geometry.points.values())))
     one, points, other, mirrored = found
@@ -131,7 +132,7 @@ def test_muscles_are_on_the_bone_and_below_the_cut(folder: Path) -> None:
     placed = geometry.placement
     for name in MUSCLES:
         x = np.array(geometry.points[name])
-        assert np.linalg.norm(placed.bone.corners.mean(axis=1) - x, axis=1).min() < 1e-9
+        assert np.linalg.norm(geometry.femur.surface.corners.mean(axis=1) - x, axis=1).min() < 1e-9
         assert (x - placed.foot) @ placed.normal < -7.9
     assert "vastus_medialis" in geometry.told["muscles moved (mm)"]
 
@@ -162,7 +163,7 @@ def test_the_stem_is_moved_and_the_bone_is_not(kind: str, tmp_path: Path) -> Non
     file = {"stem": {"step": cad_stems.write("own", tmp_path, neck=NECK)}} if kind == "file" else {}
     geometry = femur(insertion=MOVED, **file)
     data = _make(geometry, options(size="6 mm", around=None))
-    normal, level = femur_bone.resection(geometry)
+    normal, level = cut(geometry)
     medial, anterior = (Rotation.from_euler("z", 5 + a, degrees=True) for a in (0, 90))
     shift = medial.apply([1.0, 0.0, 0.0]) - anterior.apply([1.0, 0.0, 0.0])
     shift[2] = -normal[0] / normal[2]  # along the cut
@@ -184,10 +185,10 @@ def test_the_stem_is_moved_and_the_bone_is_not(kind: str, tmp_path: Path) -> Non
 
 
 def test_depth_is_that_of_the_shoulder_below_the_cut() -> None:
-    normal, level = femur_bone.resection(femur())
+    normal, level = cut(femur())
     on, deep = (femur(insertion={"depth": f"{d} mm"}).placement for d in (0, 3))
     edge = np.array([[-9.0789, 0.0, 29.0]])
-    x, _, z = femur_bone.turned(on.to_model(edge), -math.radians(5))[0]
+    x, _, z = turned(on.to_model(edge), -math.radians(5))[0]
     assert normal @ [x, 0.0, z] == pytest.approx(level, abs=1e-4)
     assert on.to_model(edge) - deep.to_model(edge) == pytest.approx(np.array([[0, 0, 3.0]]))
 
@@ -281,7 +282,7 @@ def distance(geometry: Patient) -> float:
 
     Points of both: no sections, no rays. It is near 0 where a stem leaves the bone.
     """
-    placed, corners = geometry.placement, geometry.placement.bone.corners
+    placed, corners = geometry.placement, geometry.femur.surface.corners
     if isinstance(geometry.stem, StemFile):
         tip = [0.0, 0.0, geometry.implant.stem_tip_z]
         x = np.add(geometry.stem.found["x"].mean(axis=1), tip)
@@ -405,8 +406,8 @@ def test_places_in_an_image_are_those_of_the_file_and_in_the_bone(folder: Path) 
     tube = femur_bone.PERIOSTEUM
     for depth in (0.0, 3.0):
         x = (tube.radius(angle, z) - depth)[:, None] * ring + [0.0, 0.0, 1.0] * z[:, None]
-        own = here.in_image(here.placement.frame.to_model(x), 1.5)
+        own = here.in_image(here.femur.frame.to_model(x), 1.5)
         least = max(depth, 1.5)
         assert np.hypot(*own[:, :2].T) == pytest.approx(tube.radius(angle, z) - least, abs=0.3)
-        moved_ = there.in_image(there.placement.frame.to_model(x @ turn.T + shift), 1.5)
+        moved_ = there.in_image(there.femur.frame.to_model(x @ turn.T + shift), 1.5)
         assert moved_ == pytest.approx(own @ turn.T + shift, abs=0.05)

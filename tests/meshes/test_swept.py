@@ -13,6 +13,7 @@ import pytest
 
 from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, IntactFemur, MeshOptions
+from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from meshes import (
     femur,
@@ -24,6 +25,7 @@ from meshes import (
     swept,
     write_msh,
 )
+from meshes.bone_layers import TableLayers
 from meshes.data import (
     EDGES,
     MeshData,
@@ -35,9 +37,11 @@ from meshes.data import (
     tangents,
 )
 from meshes.femur import PATCH_RADIUS
-from meshes.femur_surfaces import FemurSurfaces as Surfaces
+from meshes.femur_bone import FemurBone
 from meshes.gmsh_child import session
+from meshes.layered_surfaces import LayeredSurfaces as Surfaces
 from tests import support
+from tests.meshes.bones import cut, turned
 from tests.support import digest
 
 
@@ -88,7 +92,7 @@ def test_nodes_are_on_the_exact_surfaces(thickness: float, curved: bool) -> None
     theta, r = np.arctan2(y, x), np.hypot(x, y)
     mantle = np.minimum(
         body.offset(thickness).radius(theta, z),
-        femur_bone.endosteum(geometry)(theta, z),
+        geometry.femur.endosteum(theta, z),
     )
     side = z > geometry.stem_tip_z - geometry.plug_length + 1e-6
     off = np.abs(r - mantle)[side]
@@ -121,7 +125,7 @@ def test_stem_and_neck_turn_in_a_bone_that_does_not(build: Any) -> None:
     assert np.abs(off).max() < 2e-6
     if kind is Femur:
         facets, _, _ = interface_facets(data, "stem_cement")
-        x, y, z = femur_bone.turned(data.points[np.unique(facets)], -angle).T
+        x, y, z = turned(data.points[np.unique(facets)], -angle).T
         off = np.hypot(x, y) - femur_stem.body(geometry).radius(np.arctan2(y, x), z)
         flank = z > geometry.stem_tip_z + geometry.tip_rounding + 1e-6
         assert np.abs(off[flank]).max() < 2e-6
@@ -130,7 +134,7 @@ def test_stem_and_neck_turn_in_a_bone_that_does_not(build: Any) -> None:
 @pytest.mark.parametrize("fillet", [3.0, 6.0])
 def test_the_stem_turns_into_the_neck_with_the_fillet(fillet: float) -> None:
     """Least radius, by differences along lines, which have no corners from the shoulder on."""
-    upper = Surfaces(hip(neck_fillet=fillet), sized(4.0))._upper
+    upper = Surfaces(hip(neck_fillet=fillet), sized(4.0)).stem.upper
     s = np.linspace(upper.ends[0], upper.ends[-1], 40001)
     turning = ((s > upper.ends[1]) & (s < upper.ends[2]))[1:-1]
     curvatures = []
@@ -171,10 +175,10 @@ def test_size_alone_sets_lines_around_and_steps_along(size: float, lines: int) -
     """Distances of lines are a fraction of the size where lines are counted; steps are the size."""
     surfaces = Surfaces(hip(), sized(size))
     assert surfaces.around == lines
-    a, b, r = surfaces._body.section(surfaces._middle)
+    a, b, r = surfaces.stem.body.section(surfaces.stem.middle)
     perimeter = 4 * (a + b - 2 * r) + 2 * np.pi * r
     assert perimeter / lines == pytest.approx(0.2 * size, rel=0.1)
-    steps = np.diff(surfaces._zeta[surfaces.tip : surfaces.cut])
+    steps = np.diff(surfaces.sections.zeta[surfaces.tip : surfaces.cut])
     assert steps.max() == pytest.approx(size, rel=0.1)
 
 
@@ -185,7 +189,7 @@ def test_lines_and_steps_have_lengths_of_their_own() -> None:
     )
     assert (base.around, given.around) == (36, 20)  # of 43.2 mm around
     assert given.through == base.through
-    steps = np.diff(given._zeta[given.tip : given.cut])
+    steps = np.diff(given.sections.zeta[given.tip : given.cut])
     assert steps.max() == pytest.approx(3.0, rel=0.1)
     assert Surfaces(hip(), sized(6.0, around=13)).around == 13
 
@@ -199,9 +203,9 @@ def test_lines_stand_on_the_ends_of_arcs_at_every_height(around: int, pieces: li
     surfaces = Surfaces(hip(), sized(6.0, around=around))
     ends = np.array([pieces[0], pieces[0] + pieces[1]]) / around
     for zeta, slope in product(np.linspace(-117.0, 20.0, 30), (0.0, 0.7)):
-        x, y, z = surfaces._body.point(ends, np.full(2, zeta), np.full(2, slope)).T
+        x, y, z = surfaces.stem.body.point(ends, np.full(2, zeta), np.full(2, slope)).T
         np.testing.assert_allclose(z, zeta - slope * x, atol=1e-9)
-        a, b, r = surfaces._body.section(z)
+        a, b, r = surfaces.stem.body.section(z)
         np.testing.assert_allclose([x[0], y[0]], [a[0], (b - r)[0]], atol=1e-9)
         np.testing.assert_allclose([x[1], y[1]], [(a - r)[1], b[1]], atol=1e-9)
 
@@ -210,7 +214,7 @@ def test_lines_leave_the_ends_of_arcs_where_sections_get_round() -> None:
     """No edge at the end of such a stem is shorter than a sixth of the mean."""
     surfaces = Surfaces(hip(stem_tip_corner_radius=2.99), sized(6.0))
     phi = np.arange(surfaces.around) / surfaces.around
-    x = surfaces._body.point(phi, -118.0, 0.0)
+    x = surfaces.stem.body.point(phi, -118.0, 0.0)
     edges = np.linalg.norm(x - np.roll(x, 1, axis=0), axis=1)
     assert edges.min() > edges.mean() / 6
 
@@ -301,7 +305,7 @@ def test_gmsh_opens_the_mesh_with_its_groups(tmp_path: Path) -> None:
 def test_the_intact_femur_shares_the_shaft_cell_by_cell() -> None:
     options = sized(6.0)
     whole, operated = femur_intact.build(IntactFemur(), options), built(6.0)
-    normal, level = femur_bone.resection(hip())
+    normal, level = cut(hip())
 
     def below(data: MeshData) -> set[tuple[tuple[float, ...], ...]]:
         corners = data.points[data.cells]
@@ -452,8 +456,12 @@ def test_what_cannot_be_is_refused_before_meshing(values: dict[str, float], word
 def test_a_section_that_is_not_star_shaped_is_refused_with_the_place() -> None:
     """A ledge in the canal, which a line to the turned neck cut meets three times."""
     surfaces = _plain()
-    canal = surfaces._canal
-    surfaces._canal = lambda theta, z: canal(theta, z) - 6.0 * (np.abs(z - 12.0) < 1.5)
+
+    class Ledged(FemurBone):
+        def endosteum(self, theta: Floats, z: Floats) -> Floats:
+            return super().endosteum(theta, z) - 6.0 * (np.abs(z - 12.0) < 1.5)
+
+    surfaces.bone = TableLayers(Ledged(), surfaces.sections)
     with pytest.raises(GeometryError, match=r"from \(.*\) mm, .* endosteum more than once"):
         surfaces._refuse()
 

@@ -54,7 +54,7 @@ def test_placing_a_stem_in_the_parametric_femur_imports_nothing_for_patients() -
     for_patients = {
         f"scipy.{name}" for name in ("interpolate", "ndimage", "optimize", "signal", "stats")
     }
-    assert not loaded & (for_patients | {"meshes.patient_placement"})
+    assert not loaded & (for_patients | {"meshes.patient_bone"})
 
 
 def test_the_key_of_a_mesh_has_the_version_of_gmsh() -> None:

@@ -81,7 +81,7 @@ def test_the_least_cortex_is_that_between_the_surfaces(widening: float) -> None:
     theta, z = np.meshgrid(np.radians(np.arange(0, 360, 2)), np.arange(-118.0, 0.0, 0.5))
     outside, inside = (
         np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1).reshape(-1, 3)
-        for r in (femur_bone.PERIOSTEUM.radius(theta, z), femur_bone.endosteum(geometry)(theta, z))
+        for r in (femur_bone.PERIOSTEUM.radius(theta, z), geometry.femur.endosteum(theta, z))
     )
     exact = cKDTree(outside).query(inside)[0].min()
     assert data.notes["mantle"]["cortex_min"] == pytest.approx(exact, abs=0.2)

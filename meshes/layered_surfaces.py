@@ -1,0 +1,329 @@
+"""The nested surfaces of a femur with a cemented stem, along lines across it, and their grid.
+
+The neck cut is the section at station ``cut`` (`layers.Sections`). On each section a line runs from
+a point of the stem's outline to the periosteum; along it lie the outer side of the mantle and the
+endosteum. Cement is what is inside the lesser of the two. Above the cut the stem goes on alone: its
+body where it stands out, then a blend to the round neck and a cone to the trunnion.
+
+Three parts answer: the stem in its mantle (`CementedStem`), the bone, by a table or by triangles
+(`bone_layers`), and the sections in which both are.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from app.foundation.arrays import Floats, Ints
+from app.foundation.errors import GeometryError
+from meshes import femur_stem
+from meshes.bone_layers import BoneLayers, MeasuredLayers, TableLayers
+from meshes.cad_stem import CadStem
+from meshes.femur_bone import FemurBone
+from meshes.femur_stem import Upper
+from meshes.layers import DIGITS, Lines, Nodes, Sections, root
+from meshes.reference_body import COARSER, ReferenceBody, Segment
+
+SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the plug
+CAD_COARSER = 1.4  # as `COARSER`, of stems from CAD, whose shoulders are not convex
+CAD_SPARED = 0.9  # as `LayeredSurfaces.spared`, of stems from CAD: their edges are sharp
+VOID = "void"  # where no cells are
+DEEP = 2.5  # mm that a shoulder is below the cut at least, or else it is taken to be at it
+LEAST_MANTLE = 1.0  # mm of cement for which there must be room
+SIDES = (
+    "medially",
+    "antero-medially",
+    "anteriorly",
+    "antero-laterally",
+    "laterally",
+    "postero-laterally",
+    "posteriorly",
+    "postero-medially",
+)
+
+
+class CementedStem:
+    """The stem and its mantle in sections, in the stem's axes.
+
+    Attributes:
+        shoulder: Height at the axis of the section at the shoulder, or of the cut [mm].
+        plug: Height of the end of the cement plug [mm].
+        tip: The stem's end.
+        middle: Height of the section where lines are counted [mm].
+        around: Number of lines around.
+        body: The body below the cut.
+        is_cad: True if it is from a file.
+    """
+
+    def __init__(self, geometry: Any, mesh: Any) -> None:
+        implant, placed = geometry.implant, geometry.placement
+        self._implant, self._placed, self._mesh = implant, placed, mesh
+        self.plug = implant.stem_tip_z - implant.plug_length
+        edge = femur_stem.edge(implant, placed.slopes[0])
+        self.shoulder = edge if edge < placed.top - DEEP else placed.top
+        self.is_cad = implant.stem is not None
+        height = 0.0 if self.is_cad else implant.tip_height
+        self.tip = femur_stem.Tip(implant.stem_tip_z, height, self.plug)
+        if self.is_cad:
+            ends = implant.stem_tip_z, self.shoulder
+            body: Any = CadStem(implant.stem.found, ends, placed, mesh)
+        else:
+            body = replace(femur_stem.body(implant), lean=placed.slopes[1])
+        self.middle = 0.25 * implant.stem_tip_z + 0.75 * placed.top
+        self.around = mesh.lines_around(body.section(self.middle))
+        self.body = body.divided(self.middle, self.around)
+        self._thickness = femur_stem.thickness(
+            geometry.cement_thickness, implant.stem_tip_z, placed.top
+        )
+
+    @cached_property
+    def upper(self) -> Upper | CadStem:
+        """The stem above the neck cut, or above its shoulder."""
+        if self.is_cad:
+            return self.body
+        levels = self.shoulder, self._placed.top, self._placed.slopes[0]
+        return femur_stem.upper(self._implant, self.body, self._mesh, *levels)
+
+    def outline(self, phi: Floats, sections: Sections, zeta: Floats) -> Floats:
+        """Points of the stem's outline at angles [turns] in sections at heights (n, 3) [mm]."""
+        x = self.body.point(phi, zeta, sections.slope(zeta))[:, :2]
+        x = x * self.tip.width(zeta)[:, None]
+        above = zeta > self.shoulder
+        if above.any() and isinstance(self.upper, Upper):
+            x[above] = self.upper.point(phi[above], zeta[above])[:, :2]
+        return sections.in_plane(x, zeta)
+
+    def covered(self, zeta: Floats, start: Floats, end: Floats, more: float = 0.0) -> Floats:
+        """Fraction of lines, from the stem's outline to the end (n, 3), that is in the mantle (n,).
+
+        Above the shoulder it takes what it and the body would take if they went on to the cut, and
+        has its thickness, along the lines, on the neck.
+        """
+        way, on_neck = end - start, np.full(len(zeta), -np.inf)
+        length = np.sqrt((way**2).sum(axis=1))
+        above = zeta > self.shoulder
+        if above.any() and not self.is_cad:
+            x, y, z = start[above].T
+            on_neck[above] = self._thickness(np.arctan2(y, x), z)
+
+        def within(part: Floats, k: Ints) -> Floats:
+            depth = self.body.depth(self._thickness, start[k] + part[:, None] * way[k])
+            return np.asarray(np.maximum(depth, on_neck[k] - part * length[k]) + more)
+
+        return root(within, np.ones(len(start)))
+
+    def hung(self, x: Floats, z: Floats) -> Floats:
+        """Points (n, 3) inside sections at levels z, moved onto the bowls in them [mm]."""
+        if not self.tip.height:
+            return x
+        theta = np.arctan2(x[:, 1], x[:, 0])
+        part = np.hypot(x[:, 0], x[:, 1]) / (self.body.radius(theta, z) * self.tip.width(z))
+        hung = np.column_stack([x[:, :2], z - self.tip.bulge(part, z)])
+        return np.asarray(np.round(hung, DIGITS))
+
+
+class LayeredSurfaces:
+    """Nested surfaces of an operated femur as functions of angle and station, and their grid.
+
+    Attributes:
+        mesh: Mesh options of the case.
+        stem: The stem in its mantle.
+        sections: The planes up to the neck cut, one for each station.
+        bone: Periosteum and endosteum in them.
+        through: Cells through each layer, at most.
+        cement: Cells through the first layer; a fraction is the part, from the cut down, with one
+            more.
+        segments: Segments of the reference body, from below.
+        mantle: The first and the last section with a mantle, whose lines with mantle and endosteum
+            in one continue below and above.
+        coarser: Size of the reference body inside the stem over that at its surface.
+        spared: Part of the largest bend of a bad curved cell up to which edges keep theirs.
+        mirrored: Steps whose prisms are split the other way around: there sections turn back.
+        tip: Station of the stem's last section.
+    """
+
+    coarser, spared = COARSER, 0.0
+    mirrored = range(0)
+
+    def __init__(self, geometry: Any, mesh: Any) -> None:
+        self.mesh, self._placed = mesh, geometry.placement
+        self._geometry = geometry
+        self.stem = CementedStem(geometry, mesh)
+        if self.stem.is_cad:
+            self.spared = CAD_SPARED
+            self.coarser = CAD_COARSER
+        self.through = mesh.cells_through(geometry.cement_thickness)
+        self.cement = mesh.along_cement(geometry.cement_thickness)
+        zeta = self._divided(geometry.implant, self._placed.along(geometry.distal_cut_z))
+        self.sections = Sections(self._placed, self.stem.shoulder, self.stem.plug, zeta)
+        self.bone: BoneLayers
+        if isinstance(geometry.femur, FemurBone):
+            self.bone = TableLayers(geometry.femur, self.sections)
+        else:
+            self.bone = MeasuredLayers(geometry.femur, geometry, self.sections, self.stem)
+        self._refuse()
+        self._continue(geometry.implant)
+
+    @property
+    def around(self) -> int:
+        """Number of lines around."""
+        return self.stem.around
+
+    @property
+    def cut(self) -> int:
+        """Station of the neck cut."""
+        return self.mantle[1]
+
+    def _divided(self, implant: Any, distal: float) -> Floats:
+        """Heights of the stations from a distal level to the cut (n,) [mm]; where parts begin."""
+        mesh, tip, plug = self.mesh, self.stem.tip, self.stem.plug
+        top, height = self._placed.top, implant.tip_height
+        below = _distances(mesh, plug - distal, "below")
+        flank = tip.low + height
+        above = _distances(mesh, top - flank, "stem")
+        depth = top - self.stem.shoulder
+        if depth > 0:  # there is a station
+            near = above[max(1, int(np.abs(above - depth).argmin()))]
+            above = np.interp(above, [0.0, near, above[-1]], [0.0, depth, above[-1]])
+        void, start = implant.tip_void, len(below) - 1
+        floor = tip.rim - void
+        lengths = 2 * (floor - plug), void, height  # the end may be narrow
+        counts = [mesh.steps(length) if length else 0 for length in lengths]
+        levels = pairwise((plug, floor, tip.rim))
+        inside = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(levels, counts, strict=False)]
+        off = 1 - np.arange(1, counts[2] + 1) / max(counts[2], 1)
+        if self.stem.is_cad:
+            inside.append(flank - height * off)
+        else:
+            inside.append(flank - tip.axis * np.sin(math.asin(femur_stem.ZONE) * off))
+        zeta = np.concatenate([(plug - below)[::-1], *inside, (top - above)[-2::-1]])
+        self._floor, self.tip = start + counts[0], start + counts[0] + counts[1]
+        self.mantle = (start, len(zeta) - 1)
+        return zeta
+
+    def _continue(self, implant: Any) -> None:
+        """Divide the stem above the cut."""
+        bone = ("cancellous_bone", "cortical_bone")
+        segments = (
+            Segment(self.mantle[0], ("cancellous_bone", "cancellous_bone", *bone)),
+            Segment(self._floor - self.mantle[0], ("cement", "cement", *bone)),
+            Segment(self.tip - self._floor, (VOID, "cement", *bone)),
+            Segment(self.cut - self.tip, ("stem", "cement", *bone)),
+            Segment(self.stem.upper.ends[-1], ("stem",)),
+        )
+        self.segments = tuple(segment for segment in segments if segment.steps)
+
+    def to_model(self, x: Floats) -> Floats:
+        """Points in the stem's axes (n, 3) in those of the model [mm]."""
+        return self._placed.to_model(x)
+
+    def outline(self) -> Floats:
+        """Section of the stem, a quarter of its way from cut to tip (around, 2) [mm]."""
+        x = self.stem.body.point(np.arange(self.around) / self.around, self.stem.middle, 0.0)
+        return np.round(x[:, :2], DIGITS)
+
+    def heights(self, s: Floats) -> Floats:
+        """Heights at the axis of the sections at stations s <= cut (n,) [mm]."""
+        zeta = self.sections.zeta
+        return np.interp(s, np.arange(len(zeta)), zeta)
+
+    def lines(self, phi: Floats, s: Floats) -> Lines:
+        """Lines at angles `phi` [turns] and stations `s` (n,); above the cut the stem's alone."""
+        lines = self._across(phi, np.minimum(s, self.cut))
+        if (s > self.cut).any():
+            self._beyond(lines, phi, s)
+        return lines
+
+    def _beyond(self, lines: Lines, phi: Floats, s: Floats) -> None:
+        """Replace the lines above the cut."""
+        above = s > self.cut
+        lines.start[above] = self.stem.upper.points(phi[above], s[above] - self.cut)
+        lines.end[above] = lines.start[above] + 1.0
+        lines.mantle[above], lines.endosteum[above] = 0.3, 0.6
+
+    def ended(self, nodes: Nodes, number: Ints, body: ReferenceBody) -> tuple[Nodes, Ints]:
+        """Hang the nodes inside sections of the plug; nodes, and what stands for each."""
+        x, first = nodes.x.copy(), self.mantle[0]
+        plug = (nodes.rho == 0) & (nodes.s > 2 * first) & (nodes.s <= 2 * self.tip)
+        x[plug] = self.stem.hung(x[plug], self.heights(nodes.s[plug] / 2))
+        return replace(nodes, x=x), number
+
+    def arc(self, a: Floats, b: Floats) -> Floats:
+        """Middles of edges from a to b (n, 3) in the shell of a ball (n, 3)."""
+        return 0.5 * (a + b)
+
+    def _across(self, phi: Floats, s: Floats) -> Lines:
+        """Lines at stations up to the cut."""
+        zeta, theta = self.heights(s), 2 * np.pi * phi
+        end = self.bone.ends(theta, zeta)
+        below = s < self.mantle[0]
+        # Below the plug lines start from the outline that the stem has at the plug's end.
+        at = np.where(below, float(self.mantle[0]), s)
+        start = self.stem.outline(phi, self.sections, self.heights(at))
+        start = self.bone.core(start, theta, zeta)
+        way = end - start
+
+        def within(part: Floats, k: Ints) -> Floats:
+            return self.bone.depth(start[k] + part[:, None] * way[k], zeta[k])
+
+        endosteum = root(within, np.ones(len(start)))
+        mantle = np.empty(len(s))
+        mantle[~below] = self.stem.covered(zeta[~below], start[~below], end[~below])
+        if below.any():
+            # The mantle's outer side goes on below the plug from where it is at its end.
+            first = self._across(phi[below], at[below])
+            ratio = first.mantle / first.endosteum
+            depth = self.stem.plug - zeta[below]
+            ratio += (SPREAD - ratio) * np.minimum(1.0, depth / (4 * self.mesh.step_along))
+            mantle[below] = ratio * endosteum[below]
+        return Lines(start, end, mantle, endosteum)
+
+    def _refuse(self) -> None:
+        """Raise GeometryError where the stem has no room for cement."""
+        along, around = np.linspace(self.tip, self.cut, 90), np.arange(72) / 72
+        phi, s = (v.ravel() for v in np.meshgrid(around, along))
+        lines, zeta = self._across(phi, s), self.heights(s)
+        inside = self.bone.depth(lines.start, zeta)
+        room = np.where(inside > 0, lines.endosteum * lines.length, inside)
+        worst = int(np.nanargmin(room))  # no number where the axis is outside of the bone
+        least = room[worst]
+        if least >= LEAST_MANTLE:
+            self.bone.check(lines.start, lines.end)
+            return
+        x = self._placed.to_model(lines.start[worst])
+        out = x - self._placed.to_model([0.0, 0.0, zeta[worst]])
+        side = SIDES[round(8 * np.arctan2(out[1], out[0]) / (2 * np.pi)) % 8]
+        missing = _rounded_up(LEAST_MANTLE - least)
+        text = (
+            f"leaves {LEAST_MANTLE - missing:.2g} mm for cement, of {LEAST_MANTLE:g} mm at least,"
+        )
+        if least < 0:
+            text = f"cuts {_rounded_up(-least):.2g} mm into the cortex"
+        key, remedy = self._geometry.more_room
+        where = f"{side} at {self._placed.where(x)}"
+        needed = f"{missing:.2g} mm more are needed there"
+        raise GeometryError(f"{key}: the stem {text} {where}; {remedy}; {needed}")
+
+
+@lru_cache(maxsize=2)
+def kept(geometry: Any, mesh: Any, files: tuple[str, str]) -> LayeredSurfaces:
+    """The surfaces of a patient; with a stem from CAD they take some seconds."""
+    return LayeredSurfaces(geometry, mesh)
+
+
+def _rounded_up(length: float) -> float:
+    """Length rounded up to a tenth, below that to a hundredth: never zero [mm]."""
+    parts = 10 if length > 0.1 else 100
+    return math.ceil(parts * length) / parts
+
+
+def _distances(mesh: Any, length: float, part: str) -> Floats:
+    """Distances from 0 to a length in the steps of a mesh that grow [mm]."""
+    at, count, step = mesh.graded(length, part)
+    every = np.concatenate([at, at[-1] + step * np.arange(1, count + 1)])
+    return np.asarray(every * length / every[-1])

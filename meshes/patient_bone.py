@@ -1,0 +1,145 @@
+"""A patient's bone in the axes of the model: its surface, its canal and its landmarks.
+
+A right femur is mirrored into the axes of the parametric femur (`meshes.placement`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from app.foundation.arrays import Floats
+from app.foundation.errors import GeometryError
+from meshes import bone_frame, bone_surface
+from meshes.bone_frame import Frame
+from meshes.bone_surface import BoneSurface, centroid, exits
+from meshes.placement import Placement
+
+# Of the parametric femur [mm].
+LATERAL = 31.5  # from the axis to the greater trochanter
+HEAD = 54.0  # height of the head
+SHAFT = 14.4  # radius of the shaft
+LEVEL = -50.0  # level of that radius
+BELOW_CUT = 8.0  # mm that the middle of a muscle's patch is below the cut, at least
+
+
+@dataclass(frozen=True, eq=False)
+class PatientBone:
+    """A patient's bone.
+
+    Attributes:
+        frame: Landmarks found on the bone.
+        surface: Its surface, in the model's axes.
+        canal: Surface of its canal, or None.
+    """
+
+    frame: Frame
+    surface: BoneSurface
+    canal: BoneSurface | None
+
+    @property
+    def neck(self) -> float:
+        """Azimuth of the neck, from medial to anterior [rad]."""
+        return self.frame.azimuth
+
+    @property
+    def has_condyles(self) -> bool:
+        """True if the posterior condyles are on the surface."""
+        return self.frame.version is not None
+
+    @property
+    def mirrored(self) -> bool:
+        """True if the model is the mirror image of the patient's bone: a right femur."""
+        return self.frame.side == "right"
+
+    def reach(self, azimuth: float, height: float) -> float:
+        """Distance of the surface from the shaft's axis [mm].
+
+        Raises:
+            GeometryError: The axis is outside of the bone at this height.
+        """
+        edge = float(exits(self.surface.level(height), np.array([azimuth]))[0][0])
+        if not edge > 0:
+            text = f"{height:g} mm above the trochanter the shaft's axis is outside of the bone"
+            raise GeometryError(f"geometry.resection.height: {text}; cut lower")
+        return edge
+
+    @property
+    def notes(self) -> list[str]:
+        """Doubts about the size and shape of the bone, and about an open proximal end."""
+        return self.frame.doubts(self.surface)
+
+    @property
+    def size(self) -> float:
+        """Height of the patient's head over that of the parametric femur."""
+        return float(self.frame.to_model(self.frame.head)[2]) / HEAD
+
+    @cached_property
+    def _skin(self) -> tuple[Any, Floats]:
+        """Tree of the bone's corners, and outward normals there (n, 3)."""
+        a, b, c = self.surface.corners.transpose(1, 0, 2)
+        normals = np.zeros_like(self.surface.points)
+        np.add.at(normals, self.surface.triangles, np.cross(b - a, c - a)[:, None])
+        return cKDTree(self.surface.points), normals / np.linalg.norm(normals, axis=1)[:, None]
+
+    def in_file(self, x: Floats, depth: float) -> Floats:
+        """Points of the model (n, 3) in the file's axes, at a depth in the bone at least [mm]."""
+        tree, normals = self._skin
+        _, near = tree.query(x)
+        n = normals[near]
+        below = ((self.surface.points[near] - x) * n).sum(axis=1)
+        moved = x - np.maximum(depth - below, 0.0)[:, None] * n
+        return np.asarray(moved @ self.frame.axes + self.frame.origin)
+
+    def trochanter_lost(self, placed: Placement) -> float:
+        """Height of the greater trochanter's tip above the cut, along its normal [mm]."""
+        x = self.surface.points - placed.foot
+        return float((x[(x[:, 0] < 0) & (x[:, 2] > 0)] @ placed.normal).max(initial=0.0))
+
+    def projected(
+        self, places: Mapping[str, Any], placed: Placement
+    ) -> tuple[dict[str, Floats], list[str]]:
+        """Points of the parametric femur on this bone below the cut, and how far they were moved.
+
+        They are scaled to its head's height and its shaft, beside the greater trochanter to that.
+        """
+        x, up = self.surface.points, self.size
+        wide = math.sqrt(centroid(self.surface.level(LEVEL * up))[1] / math.pi) / SHAFT
+        beside = -float(x[(x[:, 2] > 0) & (x[:, 2] < 40 * up), 0].min()) / LATERAL
+        kept = self.surface.corners.mean(axis=1)
+        kept = kept[(kept - placed.foot) @ placed.normal < -BELOW_CUT]
+        projections: dict[str, Floats] = {}
+        distances = []
+        for name, (px, py, pz) in places.items():
+            scaled = np.array([px * (beside if px < 0 < pz else wide), py * wide, pz * up])
+            projections[name] = kept[((kept - scaled) ** 2).sum(axis=1).argmin()]
+            distances.append(f"{name} {float(np.linalg.norm(projections[name] - scaled)):.0f}")
+        return projections, distances
+
+
+@lru_cache(maxsize=8)
+def _surface(bone: Any, content: str, known: Any) -> tuple[Frame, BoneSurface]:
+    """Frame and surface of the bone in a file, whose content is a part of the key."""
+    surface = bone_surface.read(bone.path, bone.unit, bone.label)
+    frame = bone_frame.find(surface, dict(known))
+    return frame, frame.surface(surface)
+
+
+def read(geometry: Any) -> PatientBone:
+    """Read the bone of a geometry and its canal, and find its landmarks.
+
+    Raises:
+        GeometryError: A file is damaged or is no femur.
+    """
+    bone, canal = geometry.bone, geometry.canal
+    frame, surface = _surface(bone, geometry.content, geometry.known)
+    if not canal.path:
+        return PatientBone(frame, surface, None)
+    lumen = bone_surface.read(canal.path, canal.unit or bone.unit, canal.label)
+    return PatientBone(frame, surface, frame.surface(lumen))
