@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from app.foundation.arrays import Floats
 from meshes.data import MeshData, assemble, exterior_facets
 from meshes.distribute import TaggedMesh, distribute
+from tests import support
 
 BLOCKS = """\
 geometry:
@@ -51,6 +52,35 @@ regions: {bar: {youngs_modulus: [[2 mm, 100 MPa], [8 mm, 1 GPa]], poisson_ratio:
 supports: {floor: {kind: fixed, boundary: bottom}}
 loads: {pull: {kind: pressure, boundary: top, pressure: -10 MPa}}
 """
+# Bone below metal: pressed, then pushed, both from day to day.
+REMODELLED = (
+    support.TWO_BLOCKS
+    + """
+regions:
+  lower: {youngs_modulus: 64 MPa, poisson_ratio: 0.3, tissue: bone}
+  upper: {youngs_modulus: 2 GPa, poisson_ratio: 0.3}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 0.3}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+  bed: {kind: foundation, boundary: top, stiffness: 1 MPa/mm}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 3 MPa}
+  push: {kind: force, boundary: upper_x_max, force: [-9 N, 0 N, 0 N], history: [0, 1, 1, 0]}
+stages:
+  - {name: press}
+  - {name: push, increments: 2}
+  - {name: time, remodels: 3 s, increments: 2}
+  - {name: release}
+remodelling:
+  law: {density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, 2]]}
+  load_cases: [press, push]
+  stimulus: 0.1 J/g
+  rate: 6 g^2/(cm^6 MPa s)
+  lazy_zone: 0.35
+  density: [0.01 g/cm^3, 1.74 g/cm^3]
+"""
+)
 
 
 def bar(layers: int) -> TaggedMesh:

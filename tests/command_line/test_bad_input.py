@@ -10,9 +10,13 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+import mantle
+from app.case import sweep as sweep_file
 from app.case.case import load
 from app.cli import main
 from app.foundation.errors import InputError
+from app.schema import yaml_file
+from app.schema.units import LONGEST_VALUE
 from tests import support
 from tests.support import CONFIGS
 
@@ -215,3 +219,85 @@ def test_one_rank_of_a_plain_mpirun_speaks_and_all_exit_with_2(path: Path) -> No
     result = support.on_ranks(3, "-m", "mantle", "run", path, code=2)
     assert result.stdout == ""
     assert result.stderr.count("regions.stem.youngs_modulus: '110 mm' is not a stress") == 1
+
+
+@pytest.mark.parametrize("name", ["case.yaml", "fields.vtkhdf", "history.csv", "summary.json"])
+def test_a_folder_in_the_way_of_a_result_is_named(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is solved, also for variations."""
+    way = tmp_path / name
+    way.mkdir()
+    case = str(CONFIGS / "blocks.yaml")
+    assert main(["run", case, "-o", str(tmp_path), "--force"]) == 2
+    assert f"{way}: is a folder where results of a run are a file" in capsys.readouterr().err
+    way.rmdir()
+    (tmp_path / "a" / name).mkdir(parents=True)
+    varied = "variations={a: {title: one}, b: {title: two}}"
+    assert main(["run", case, "-o", str(tmp_path), "--force", "--set", varied]) == 2
+    assert f"{tmp_path / 'a' / name}: is a folder" in capsys.readouterr().err
+
+
+def test_a_read_only_folder_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path) != tmp_path)
+    assert main(["run", str(CONFIGS / "blocks.yaml"), "-o", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.strip() == f"-o {tmp_path}: is not writable"
+
+
+@pytest.mark.parametrize("left", ["checkpoint-3.state", "a/checkpoint-3.state", "a/DONE"])
+def test_a_killed_run_names_how_to_go_on(
+    left: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where it was one of variations; each minute a checkpoint is written by default."""
+    (tmp_path / left).parent.mkdir(exist_ok=True)
+    (tmp_path / left).touch()
+    case = CONFIGS / "blocks.yaml"
+    assert main(["run", str(case), "-o", str(tmp_path)]) == 2
+    assert "--restart auto to go on from its checkpoint" in capsys.readouterr().err
+    assert mantle.load(case).config.output.checkpoint.minutes == 1.0
+
+
+BLOCKS = CONFIGS / "blocks.yaml"
+
+
+def test_texts_without_end(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(f"title: {'x' * 10_001}\n")
+    assert complaints(path) == ["1:8: a text of 10001 characters; at most 10000"]
+    (long,) = complaints(BLOCKS, f"mesh.size=1{' ' * LONGEST_VALUE}mm")
+    assert long.startswith("--set mesh.size: '1   ") and len(long) < 200
+
+
+def test_a_file_too_long_to_be_a_case_is_not_read_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "case.yaml"
+    monkeypatch.setattr(yaml_file, "MOST_NODES", 1000)
+    path.write_text("a: [" + "1," * (yaml_file.MOST_NODES + 10))
+    assert "too many or too deeply nested values" in complaints(path)[0]
+    path.write_text("#" * yaml_file.LARGEST + "\n")
+    assert complaints(path) == [" is larger than 4 MB; no case is"]
+    assert complaints(Path("/dev/zero")) == [" is larger than 4 MB; no case is"]
+
+
+def test_combinations_beyond_number(tmp_path: Path) -> None:
+    path = tmp_path / "sweep.yaml"
+    values = f"[{', '.join(map(str, range(40)))}]"
+    axes = "".join(f"  a.b{i}: {values}\n" for i in range(6))
+    path.write_text(f"base: {BLOCKS}\ngrid:\n{axes}")
+    with pytest.raises(InputError, match="4096000000 combinations; at most 20000 are allowed"):
+        sweep_file.read(path)
+
+
+@pytest.mark.parametrize("name", ["../up", "..", ".", "a/b", "/tmp/x", "a b", "$(touch PWNED)", ""])
+def test_names_that_become_folders_or_columns_lead_nowhere_else(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    quoted = name.replace("'", "''")
+    path.write_text(f"{BLOCKS.read_text()}\nvariations: {{'{quoted}': {{}}, other: {{}}}}\n")
+    assert f"'{name}' is not a name" in complaints(path)[0] or not name
+    path.write_text(
+        f"{BLOCKS.read_text()}\noutput: {{probes: {{'{quoted}': {{at: [0, 0, 0]}}}}}}\n"
+    )
+    assert any("is not a name" in m for m in complaints(path))

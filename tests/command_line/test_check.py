@@ -11,10 +11,11 @@ from pathlib import Path
 
 import pytest
 
+import mantle
 from app import cli
 from app.case.case import load
 from app.cli import main
-from app.foundation.errors import ConvergenceError
+from app.foundation.errors import ConvergenceError, InputError
 from app.soundness import preview
 from app.system import ranks
 from tests import support
@@ -332,3 +333,28 @@ def test_one_rank_speaks(
     assert ranks.rank() == 3
     assert main(["check", "none.yaml"]) == 2
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("probe", "where"),
+    [
+        ({"at": "[4 mm, 4 mm, 41 mm]"}, "[4.0, 4.0, 41.0] mm is not in the model"),
+        ({"at": "[2 mm, 2 mm, 9 mm]", "region": "cement"}, "is not in region 'cement'"),
+        ({"at": "[-2 mm, 2 mm, 9 mm]"}, "is not in the model"),
+        ({"at": "[2 mm, 2 mm, 9 mm]", "region": "stem"}, ""),
+        ({"at": "[5 mm, 5 mm, 20 mm]", "region": "cement"}, ""),
+    ],
+)
+@pytest.mark.parametrize("order", [1, 2])
+def test_check_finds_a_probe_outside_its_region(
+    probe: dict[str, str], where: str, order: int
+) -> None:
+    """Without being asked for the mesh; the radius of the stem is 7 mm."""
+    changes = {"mesh.size": "4 mm", "mesh.order": order, "output.probes": {"tip": probe}}
+    case = mantle.load(CONFIGS / "cylinders.yaml", **changes)
+    if not where:
+        assert "unknowns" in mantle.check(case).size
+        return
+    with pytest.raises(InputError) as caught:
+        mantle.check(case)
+    assert "output.probes.tip: " in str(caught.value) and where in str(caught.value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,13 @@ import pytest
 
 import mantle
 import meshes
-from app.case import keys, new_case
+from app.case import keys, library, new_case
 from app.case.case import load
 from app.cli import main
+from app.command_line.commands import dispatch
 from app.foundation.errors import GeometryError, InputError
 from tests import frozen, support
-from tests.support import CONFIGS
+from tests.support import CONFIGS, ROOT
 
 MSH = """\
 $MeshFormat
@@ -248,10 +250,30 @@ def test_names_and_keys_are_explained(
     assert all(part in said for part in parts), said
 
 
-def test_every_key_is_explained_by_its_own_words() -> None:
+def test_every_key_is_explained_by_its_own_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "read", cache(library.read))  # once for 459 keys
     for section in keys.table():
         for key in section.keys:
             text = keys.explained(key.path)
             told = "{kind: " if key.name == "kind" else "  value "
             assert "`" not in text and told in text and "](#" not in text
             assert max(map(len, text.splitlines())) <= 100
+
+
+def test_commands_take_a_shipped_case_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert dispatch(["check", "cylinders"]) == 0
+    assert capsys.readouterr().out.startswith(mantle.load(CONFIGS / "cylinders.yaml").config.title)
+    with pytest.raises(InputError, match="cylinder"):
+        dispatch(["check", "cylinder"])
+    assert ROOT != tmp_path
+
+
+def test_explain_knows_units_and_the_keys_among_loads() -> None:
+    assert "body_weight: 750 N scales" in " ".join(keys.explained("loads.body_weight").split())
+    assert "sagittal_tilt: 8.4 deg" in " ".join(keys.explained("sagittal_tilt").split())
+    table = keys.explained("units").splitlines()
+    assert any(line.split()[:2] == ["MPa", "youngs_modulus,"] for line in table)
+    assert keys.explained("unit") == keys.explained("units")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from app.foundation.arrays import Floats
 from app.numerics.pointwise import Pointwise
-from forms import heat, interface_heat
+from forms import interface_heat
 
 N = 60
 NAMES = ("p", "τ", "open", "per_pressure", "cap")
@@ -91,20 +91,3 @@ def test_entropy_is_made_never_lost(θ: float, θ_slave: float, h: float, D: flo
     assert made == pytest.approx(gained, rel=1e-6, abs=max(1e-9 * (abs(q) + D), 1e-300))
     # With the sign of the paper's first conduction law it would be lost.
     assert interface_heat.entropy_production(-q, 0.0, β, θ, θ_slave) <= 0.0
-
-
-def test_a_fibre_with_equal_conductivities_is_none() -> None:
-    """And along it, the potential is that of the axial conductivity alone."""
-    found = Pointwise(
-        MPI.COMM_SELF,
-        1,
-        {"g": 3, "m": 3},
-        lambda x: [
-            heat.fibre_conduction(x["g"], x["m"], 0.6, 0.6),
-            heat.isotropic_conduction(x["g"], 0.6),
-            heat.fibre_conduction(x["m"], x["m"], 0.6, 0.3),
-        ],
-    )
-    same, isotropic, along = found(g=np.array([[1.0, 2.0, -3.0]]), m=np.array([[0.6, 0.0, 0.8]]))
-    assert same[0] == pytest.approx(isotropic[0]) == pytest.approx(0.6 * 14 / 2)
-    assert along[0] == pytest.approx(0.3)

@@ -8,9 +8,11 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.distance import pdist
 
 from app.case.femurs import MUSCLES
-from app.case.geometries import Femur
+from app.case.geometries import Femur, MeshOptions
+from app.foundation.errors import GeometryError
 from meshes import femur_bone, femur_stem
 from meshes.femur import PATCH_RADIUS
+from meshes.layered_surfaces import LayeredSurfaces, _rounded_up
 
 GEOMETRY = Femur()
 TURN = np.linspace(-np.pi, np.pi, 361)
@@ -73,3 +75,22 @@ def test_tables_are_interpolated_as_by_scipy() -> None:
         places = np.concatenate([x, rng.uniform(x[0], x[-1], 99 - n)]).reshape(11, 9)
         expected = PchipInterpolator(x, y)(places)
         np.testing.assert_allclose(femur_bone.monotone(x, y)(places), expected, atol=1e-12)
+
+
+def test_a_stem_that_cuts_by_a_hair_is_never_said_to_cut_by_zero() -> None:
+    assert [_rounded_up(x) for x in (0.001, 0.041, 0.1, 0.31)] == [0.01, 0.05, 0.1, 0.4]
+
+
+@pytest.mark.parametrize(
+    ("half_width", "words"),
+    [
+        (9.85, "leaves 0.9[0-9] mm for cement, of 1 mm at least, .*; 0.0[1-9] mm more are needed"),
+        (11.0, "leaves 0.3 mm for cement, of 1 mm at least, .*; 0.7 mm more are needed"),
+        (11.7255, r"cuts 0.0[4-6] mm into the cortex .*\(stem_tip_z\); 1.1 mm more are needed"),
+    ],
+)
+def test_a_stem_without_room_says_by_how_much(half_width: float, words: str) -> None:
+    """At the last the cells between stem and cortex would have no volume."""
+    geometry = Femur.model_validate({"stem_half_width": f"{half_width} mm"})
+    with pytest.raises(GeometryError, match=words):
+        LayeredSurfaces(geometry, MeshOptions.model_validate({"size": "6 mm"}))

@@ -12,7 +12,6 @@ from app.report import pictures, run_report
 from app.results import closing_lines
 from app.results.reading import Results, Run
 from tests import support
-from tests.cases import restarted
 from tests.cases.worn_ball import CASE, FRICTION, LOAD, RADIUS, WEAR, areas
 
 
@@ -144,12 +143,3 @@ def test_power_and_swing_of_the_temperature(tmp_path: Path) -> None:
     effusivity = 1e-3 * (math.sqrt(16e6) + math.sqrt(0.25e6))  # N/(mm K s^1/2)
     swing = 2 * flux * math.sqrt(0.5 / math.pi) / effusivity
     assert found["temperature_swing"] == pytest.approx(swing, rel=1e-9)
-
-
-def test_a_restart_in_the_middle_of_a_turn(tmp_path: Path) -> None:
-    """It goes on with the cycle, its wear and what the ball has slid."""
-    few = ("stages[1].increments=6", "motions.ball.largest_step=10 deg")
-    case, files = restarted.whole(CASE, tmp_path, *few)
-    for file in files[3::6]:
-        part = restarted.on(case, tmp_path, file, *few)
-        restarted.assert_same(tmp_path / "whole", part, nothing=1e-6)

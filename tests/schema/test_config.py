@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import mantle
 from app.campaigns.runs import runs_of
 from app.case import keys
 from app.case import sweep as sweep_file
@@ -16,10 +17,12 @@ from app.case.case import PlannedRun, dump, load
 from app.case.femurs import Femur
 from app.case.run_options import Stage
 from app.foundation.errors import InputError
+from app.laws.creep import Creep
 from app.laws.interface_laws import Bonded
 from app.laws.loads import Force
 from app.laws.materials import Rigid
 from app.schema.expressions import evaluate
+from app.schema.section import Section
 from tests import support
 from tests.support import CONFIGS
 
@@ -243,3 +246,44 @@ def test_a_title_makes_no_other_run(tmp_path: Path) -> None:
     jobs = [PlannedRun.load("a", STANCE), PlannedRun.load("b", STANCE, own)]
     one, two = runs_of(jobs, tmp_path, 1)
     assert one.id == two.id
+
+
+def test_sections_with_cached_arrays_compare_by_their_fields() -> None:
+    """Caches by geometry meet a second one of the same case, which holds arrays already."""
+
+    class Place(Section):
+        x: float = 1.0
+
+    one, two, other = Place(), Place(), Place(x=2.0)
+    one.__dict__["placement"], two.__dict__["placement"] = np.zeros(3), np.ones(3)
+    assert one == two and hash(one) == hash(two)
+    assert one != other and one != 1.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"stem_length": "120 mm"}, "stem_length: .* set stem_tip_z: -91 mm too"),
+        ({"stem_section_z": "31 mm"}, "stem_section_z: is not between .* -118 mm and .* 29 mm"),
+        ({"stem_tip_z": "16 mm"}, "stem_tip_z: puts the stem between z = 16 and 163 mm"),
+    ],
+)
+def test_a_stem_without_its_section_names_the_key_that_was_set(
+    changes: dict[str, str], text: str
+) -> None:
+    given = {f"geometry.{key}": value for key, value in changes.items()}
+    with pytest.raises(InputError, match=f"geometry.{text}") as caught:
+        mantle.load(CONFIGS / "stance.yaml", **given)
+    assert len(caught.value.messages) == 1
+
+
+def test_a_shorter_stem_cut_at_its_tip_is_as_the_message_says() -> None:
+    given = {"geometry.stem_length": "120 mm", "geometry.stem_tip_z": "-91 mm"}
+    assert mantle.load(CONFIGS / "stance.yaml", **given).config.geometry.kind == "femur"
+
+
+def test_creep_with_an_exponent_of_the_stress_requires_stresses() -> None:
+    with pytest.raises(ValueError, match="'stresses' is missing, required with m1"):
+        Creep.model_validate({"A": 1e-7, "p": 1.8, "m0": 0.3, "m1": 0.02})
+    explained = " ".join(keys.explained("regions.creep.stresses").split())
+    assert "required with m1" in explained

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+import mantle
 from app.case import library, overlay
 from app.case import sweep as sweep_file
 from app.case.case import dump, load
@@ -414,3 +415,27 @@ def test_body_weight_and_tilt_change_the_forces_that_are_there(tmp_path: Path) -
         ("loads.sagittal_tilt=8.4", "8.4 needs a unit"),
     ):
         assert words in messages(write(tmp_path, blocks=BLOCKS), change)[0]
+
+
+def test_the_history_of_all_loads_of_a_library_or_a_base(tmp_path: Path) -> None:
+    case = tmp_path / "two.yaml"
+    stages = "stages: [{name: rest}, {name: stand}, {name: walk}]\n"
+    load = "loads: {library: one_leg_stance, history: [0, 1, 0.5], hip: {history: [1, 1, 1]}}\n"
+    case.write_text(f"base: stance\n{load}{stages}")
+    loads = mantle.load(case).config.loads
+    assert loads["hip"].history == (1.0, 1.0, 1.0) and len(loads) > 2
+    assert {a.history for n, a in loads.items() if n != "hip"} == {(0.0, 1.0, 0.5)}
+    changed = mantle.load(CONFIGS / "stance.yaml", **{"loads.history": [0.25]}).config.loads
+    assert {a.history for a in changed.values()} == {(0.25,)}
+    case.write_text(f"base: stance\nloads:\n  history: [0, 1]\n{stages}")
+    with pytest.raises(InputError, match=r"two.yaml:3:3: .*history: has 2 values; expected 3"):
+        mantle.load(case)
+
+
+def test_a_base_with_a_material_is_overlaid_by_a_kind(tmp_path: Path) -> None:
+    below, above = tmp_path / "below.yaml", tmp_path / "above.yaml"
+    below.write_text("base: stance\nregions: {cortical_bone: {material: cortical_bone}}\n")
+    law = "{kind: isotropic, youngs_modulus: 16 GPa, poisson_ratio: 0.31}"
+    above.write_text(f"base: below.yaml\nregions: {{cortical_bone: {law}}}\n")
+    region = mantle.load(above).config.regions["cortical_bone"]
+    assert (region.kind, region.youngs_modulus) == ("isotropic", 16e3)  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""Creep: its equation at a point, restarts within a stage, units of time, what it dissipates."""
+"""Creep: its equation at a point, units of time, what it dissipates."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from app.mechanics.creep import CreepState, deviator, von_mises
 from app.numerics.newton import Solver
 from tests import support
 from tests.cases import restarted
-from tests.cases.shipped import COARSE
 from tests.cases.stems import CREEPING
-from tests.support import CONFIGS, TWO_BLOCKS
+from tests.support import TWO_BLOCKS
 
 LAW = {"A": 7.985e-7, "p": 1.9063, "m0": 0.4113, "m1": -0.1160}
 # A block on another of the same material, between rollers and a load.
@@ -73,13 +72,11 @@ def test_the_equation_of_a_point_is_solved(strain: float, cycles: float) -> None
         )
 
 
-def test_a_run_goes_on_within_its_creep(tmp_path: Path) -> None:
-    """From within and between stages that creep, on to a stance; balances close; work is lost."""
-    path, checkpoints = restarted.whole(CREEPING, tmp_path)
-    s = support.summary(tmp_path / "whole")
+def test_cement_creeps_in_its_stages_alone(tmp_path: Path) -> None:
+    """Stem in creeping cement: balances close, work is lost, and the stem subsides."""
+    run = support.run(CREEPING, tmp_path)
+    s, named = run.summary, run.history
     assert max(s["balance"].values()) < 1e-9 and s["solver"]["rejected_steps"] is not None
-    table = restarted.rows(tmp_path / "whole")
-    named = {name: np.array([float(r[k]) for r in table[1:]]) for k, name in enumerate(table[0])}
     lost = np.diff(named["creep dissipation [N mm]"])
     assert lost.min() >= -1e-10 * lost.max() and s["creep"]["dissipation"] > 0
     assert s["creep"]["cycles"] == 2e5 and named["creep cycles [-]"][-1] == 2e5
@@ -89,11 +86,6 @@ def test_a_run_goes_on_within_its_creep(tmp_path: Path) -> None:
     assert further[0] == pytest.approx(0, abs=1e-12) and further[1:].min() > 1e-3
     assert any("Verdonschot" in note and "from memory: check" in note for note in s["notes"])
     assert any("measured from 3 to 11 MPa" in note for note in s["notes"])
-    middle = [
-        k for k, time in enumerate(named["time [-]"]) if 1.6 < time < 1.9 or time in (1.0, 3.5)
-    ]
-    for k in (middle[0], *middle[1::2]):
-        restarted.assert_same(restarted.on(path, tmp_path, checkpoints[k]), tmp_path / "whole")
 
 
 @pytest.mark.parametrize("iteration", [12, 19, 26])
@@ -146,19 +138,6 @@ def test_a_case_that_never_creeps_has_nothing_of_it() -> None:
     """A law alone costs nothing: neither points nor forms; the stages decide."""
     problem, _ = support.assemble(support.case(BAR, "stages=[{name: hold}]"))
     assert problem.scene.creeps == () and problem.history is None and not problem.mechanics.history
-
-
-@pytest.mark.slow
-def test_a_life_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
-    """Setting, cooling, ten years of walking, in which it is interrupted, and a stance."""
-    coarse = COARSE["life.yaml"]
-    path, checkpoints = restarted.whole((CONFIGS / "life.yaml").read_text(), tmp_path, *coarse)
-    names, *table = restarted.rows(tmp_path / "whole")
-    time = [float(row[names.index("time [-]")]) for row in table]
-    k = next(k for k, t in enumerate(time) if 2.8 < t < 2.99)
-    again = restarted.on(path, tmp_path, checkpoints[k], *coarse)
-    restarted.assert_same(again, tmp_path / "whole", 1e-5, 1e-7)
-    assert support.summary(again)["creep"]["cycles"] == 1e7
 
 
 def test_a_region_that_hardly_creeps_expands_and_is_loaded_as_an_elastic_one(

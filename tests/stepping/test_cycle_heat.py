@@ -10,7 +10,6 @@ import pytest
 import meshes
 from app.results.reading import Results, Run
 from tests import support
-from tests.cases import restarted
 from tests.cases.worn_ball import (
     CASE,
     LOAD,
@@ -19,7 +18,6 @@ from tests.cases.worn_ball import (
     RADIUS,
     SHARE,
     SHELL,
-    WARM,
     areas,
     heated,
 )
@@ -101,10 +99,3 @@ def test_a_ball_that_spins_is_as_warm_all_around(tmp_path: Path) -> None:
         fit = np.linalg.lstsq(np.stack(parts, 1)[ring], T[nodes[ring]])[0]
         first.append(float(np.hypot(*fit[-2:])))
     assert first[0] < 0.01 * first[1]
-
-
-def test_a_restart_while_the_bodies_warm(tmp_path: Path) -> None:
-    case, files = restarted.whole(CASE, tmp_path, *WARM)
-    for file in files[4::3]:
-        part = restarted.on(case, tmp_path, file, *WARM)
-        restarted.assert_same(tmp_path / "whole", part, nothing=1e-6)

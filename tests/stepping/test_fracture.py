@@ -1,4 +1,4 @@
-"""Steps of given fracture energy on whole cases: snap-back, restart, a law of one's own."""
+"""Steps of given fracture energy on whole cases: snap-back, a law of one's own."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import pytest
 from app.foundation.errors import InputError, MantleError
 from app.results.reading import Run
 from tests import support
-from tests.cases import restarted
-from tests.cases.blocks import TORN
 from tests.support import CONFIGS
 
 BAR = (CONFIGS / "verification/cohesive_bar.yaml").read_text()
@@ -45,15 +43,6 @@ def test_softening_by_an_exponential_beside_what_was_never_bonded(tmp_path: Path
     support.run(BAR, tmp_path, *(f"interfaces.lower_upper.{change}" for change in law))
     used = np.asarray(Run(tmp_path / "out").history["lower_upper dissipation [N mm]"])
     assert used[-1] == pytest.approx(0.7 * 1.6, rel=1e-6)
-
-
-def test_a_restart_in_the_middle_of_breaking_ends_the_same(tmp_path: Path) -> None:
-    case, files = restarted.whole(BAR, tmp_path, *TORN)
-    used = [float(v) for v in Run(tmp_path / "whole").history["lower_upper dissipation [N mm]"]]
-    assert 0 < used[1] < used[4] < used[-1] < 1.6 and len(files) == len(used)
-    for k in (1, 4):
-        part = restarted.on(case, tmp_path, files[k], *TORN)
-        restarted.assert_same(tmp_path / "whole", part)
 
 
 # The law of the program with linear softening, as a package of the user's.

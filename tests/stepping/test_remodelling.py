@@ -1,4 +1,4 @@
-"""Bone that remodels: equal cases, what stays as it is, restarts; bad input."""
+"""Bone that remodels: equal cases, what stays as it is; bad input."""
 
 from __future__ import annotations
 
@@ -15,40 +15,10 @@ from app.simulation.intact_femur import interpolated
 from app.simulation.session import run
 from app.soundness.preview import warnings
 from tests import support
-from tests.cases import restarted
 from tests.cases.blocks import PULLED, bar
 
 CASE = support.CONFIGS / "verification" / "remodelling.yaml"
 SHORT = "stages.1.remodels=2 s"
-# Bone below metal: pressed, then pushed, both from day to day.
-RUBBED = (
-    support.TWO_BLOCKS
-    + """
-regions:
-  lower: {youngs_modulus: 64 MPa, poisson_ratio: 0.3, tissue: bone}
-  upper: {youngs_modulus: 2 GPa, poisson_ratio: 0.3}
-interfaces:
-  lower_upper: {kind: contact, friction_coefficient: 0.3}
-supports:
-  floor: {kind: fixed, boundary: bottom}
-  bed: {kind: foundation, boundary: top, stiffness: 1 MPa/mm}
-loads:
-  press: {kind: pressure, boundary: top, pressure: 3 MPa}
-  push: {kind: force, boundary: upper_x_max, force: [-9 N, 0 N, 0 N], history: [0, 1, 1, 0]}
-stages:
-  - {name: press}
-  - {name: push, increments: 2}
-  - {name: time, remodels: 3 s, increments: 2}
-  - {name: release}
-remodelling:
-  law: {density: apparent, ranges: [[0 g/cm^3, 0 MPa, 100 MPa, 2]]}
-  load_cases: [press, push]
-  stimulus: 0.1 J/g
-  rate: 6 g^2/(cm^6 MPa s)
-  lazy_zone: 0.35
-  density: [0.01 g/cm^3, 1.74 g/cm^3]
-"""
-)
 
 
 def solved(folder: Path, *overrides: str, case: Path = CASE) -> Run:
@@ -185,14 +155,6 @@ def test_values_of_another_mesh() -> None:
     x = rng.dirichlet([1, 1, 1, 1], 20)[:, 1:]
     assert interpolated(corners, values, x) == pytest.approx(x @ [1.0, 2.0, 3.0] + 4)
     assert interpolated(corners, values, np.array([[2.0, 0, 0]])) == pytest.approx([5.0])
-
-
-def test_restart_in_the_middle(tmp_path: Path) -> None:
-    case, files = restarted.whole(RUBBED, tmp_path)
-    whole = support.summary(tmp_path / "whole")
-    assert whole["remodelling"]["steps"] > 3 and max(whole["balance"].values()) < 1e-9
-    for file in files[2:-1:2]:
-        restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, file))
 
 
 def test_no_lazy_zone_is_told() -> None:

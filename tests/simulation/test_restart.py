@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,15 @@ from app.simulation import session as running
 from app.simulation.session import run
 from app.system.folders import saved
 from tests import support
-from tests.cases import coupled, nested_stem, restarted
-from tests.cases.stems import SETTING
+from tests.cases import coupled, nested_stem, restarted, worn_ball
+from tests.cases.blocks import REMODELLED, TORN
+from tests.cases.shipped import COARSE
+from tests.cases.stems import CREEPING, SETTING
+from tests.cases.turning_head import COCR, CUP, DRIVEN, stages
 
 FIELDS = "output.fields=false"
 
 
-EVERY = [slice(1, None, 2), pytest.param(slice(None), marks=pytest.mark.slow)]
 KINDS = {
     "as it is": (),
     "rigid": (
@@ -41,13 +44,97 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("steps", EVERY)
-def test_kinds_of_mechanics(tmp_path: Path, kind: str, steps: slice) -> None:
-    case, files = restarted.whole(restarted.RUBBING, tmp_path, FIELDS, *KINDS[kind])
-    assert len(files) == (10 if kind == "tiring" else 6)
-    for file in files[steps]:
-        part = restarted.on(case, tmp_path, file, FIELDS, *KINDS[kind])
+@dataclass(frozen=True)
+class Restart:
+    """A case, and where it is interrupted.
+
+    Attributes:
+        text: The case.
+        overrides: ``key.path=value``, as after ``--set``.
+        after: It goes on from each of these checkpoints, one of which is after every step.
+        changing: A column of the table that has begun to change at each of them, and goes on.
+        relative: Relative difference of numbers.
+        nothing: Absolute difference of numbers.
+    """
+
+    text: str
+    overrides: tuple[str, ...] = ()
+    after: tuple[int, ...] = ()
+    changing: str = ""
+    relative: float = restarted.NUMBERS
+    nothing: float = restarted.NOTHING
+
+
+RESTARTS = {
+    **{
+        f"rubbing, {kind}": Restart(restarted.RUBBING, (FIELDS, *changes), (1, 2))
+        for kind, changes in KINDS.items()
+    },
+    # Within setting, and after the holder has let go.
+    "setting": Restart(restarted.SETTING, (FIELDS,), (-6, -2)),
+    "breaking": Restart(
+        (support.CONFIGS / "verification/cohesive_bar.yaml").read_text(),
+        TORN,
+        (1, 4),
+        "lower_upper dissipation [N mm]",
+    ),
+    "creeping": Restart(CREEPING, ("mesh.order=1",), (3, 8), "creep cycles [-]"),
+    "remodelling": Restart(REMODELLED, (), (3, 6), "bone mass [g]"),
+    "deformable head": Restart(
+        CUP.replace("regions:", "stages: []\nregions:"), (COCR, DRIVEN, stages(3)), (2,)
+    ),
+    # In the second cycle of a ball that turns and wears, and while it warms.
+    "worn ball": Restart(
+        worn_ball.CASE,
+        (*worn_ball.WARM, "stages.1.cycles=2"),
+        (9, 15),
+        nothing=1e-6,
+    ),
+    # Setting, cooling, ten years of walking, and a stance.
+    "life": Restart(
+        (support.CONFIGS / "life.yaml").read_text(),
+        tuple(COARSE["life.yaml"]),
+        (-3,),
+        "creep cycles [-]",
+        relative=1e-5,
+        nothing=1e-7,
+    ),
+}
+SLOW = {"life"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in RESTARTS]
+)
+def test_a_run_goes_on_from_a_checkpoint(tmp_path: Path, name: str) -> None:
+    this = RESTARTS[name]
+    case, files = restarted.whole(this.text, tmp_path, *this.overrides)
+    balance = support.summary(tmp_path / "whole")["balance"]
+    assert max(v for key, v in balance.items() if key != "heat_quadrature") < 1e-8
+    if this.changing:
+        names, *table = restarted.rows(tmp_path / "whole")
+        column = [float(row[names.index(this.changing)]) for row in table]
+        assert all(column[0] != column[number] != column[-1] for number in this.after)
+    for number in this.after:
+        part = restarted.on(case, tmp_path, files[number], *this.overrides)
+        restarted.assert_same(tmp_path / "whole", part, this.relative, this.nothing)
+
+
+EVERY = {
+    **{f"rubbing, {kind}": (restarted.RUBBING, changes) for kind, changes in KINDS.items()},
+    "setting": (restarted.SETTING, ()),
+    "coupled, adaptive": (coupled.CASE, ("stages.1.adaptive=true",)),
+    "coupled": (coupled.CASE, ()),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EVERY)
+def test_a_run_goes_on_from_every_checkpoint(tmp_path: Path, name: str) -> None:
+    text, changes = EVERY[name]
+    case, files = restarted.whole(text, tmp_path, FIELDS, *changes)
+    for file in files:
+        part = restarted.on(case, tmp_path, file, FIELDS, *changes)
         restarted.assert_same(tmp_path / "whole", part)
 
 
@@ -63,18 +150,18 @@ def test_nested_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 # Coarse, and for heat not for long.
-COARSE = ("mesh.size=6 mm", "mesh.far_size=12 mm", FIELDS)
+COARSER = ("mesh.size=6 mm", "mesh.far_size=12 mm", FIELDS)
 SHIPPED = {
     "blocks": ("mesh.size=3 mm", FIELDS),
-    "intact": COARSE,
+    "intact": COARSER,
     "thermal_rings": ("mesh.size=0.8 mm", "time.tolerance=0.02 K", FIELDS),
     "cylinders": ("mesh.size=4 mm", "mesh.far_size=8 mm", FIELDS),
-    "stance": COARSE,
-    "cure": (*COARSE, "stages.0.increments=2"),
-    "thermal_100C": COARSE,
+    "stance": COARSER,
+    "cure": (*COARSER, "stages.0.increments=2"),
+    "thermal_100C": COARSER,
     # At first order every line around the stem is an edge: Newton fails often, and rounding decides
     # which load steps are halved.
-    "residual": (*COARSE, "mesh.order=2"),
+    "residual": (*COARSER, "mesh.order=2"),
 }
 
 
@@ -114,24 +201,6 @@ def test_an_interruption_while_companions_are_solved(
     run(load(case, options), out, restart="auto")
     restarted.assert_same(tmp_path / "whole", out)
     assert restarted.numbers(out)[".error.companions.0"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("adaptive", [True, False])
-def test_heat_and_contact_that_depend_on_each_other(tmp_path: Path, adaptive: bool) -> None:
-    options = (FIELDS, f"stages.1.adaptive={adaptive}".lower())
-    case, files = restarted.whole(coupled.CASE, tmp_path, *options)
-    for file in files:
-        part = restarted.on(case, tmp_path, file, *options)
-        restarted.assert_same(tmp_path / "whole", part)
-
-
-@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_cure_and_what_it_leaves(tmp_path: Path, every: bool) -> None:
-    """After every step, or within setting and where the holder lets go."""
-    case, files = restarted.whole(restarted.SETTING, tmp_path, FIELDS)
-    for file in files if every else (files[len(files) // 2], files[-3]):
-        restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, file, FIELDS))
 
 
 @pytest.mark.parametrize("linear", ["auto", "condensed"])

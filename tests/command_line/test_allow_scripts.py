@@ -1,0 +1,88 @@
+"""Gmsh scripts are programs: they run only where the user allows it (`--allow-scripts`)."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+import meshes
+from app.case.case import load
+from app.case.gmsh_header import ALLOWED
+from app.cli import main
+from app.foundation.errors import GeometryError, InputError
+from tests import support
+from tests.cases.gmsh_scripts import LAYERS, script
+from tests.support import CONFIGS
+
+# All that mesh a case, or say what that would be.
+COMMANDS = (
+    *("run case.yaml", "check case.yaml", "check case.yaml --mesh", "mesh case.yaml"),
+    *("study study.yaml", "sweep sweep.yaml"),
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_scripts_are_run_only_where_that_is_allowed(
+    command: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """No list of words tells what is harmless: in single quotes gmsh runs another script too."""
+    monkeypatch.chdir(tmp_path)
+    script(tmp_path, f"{LAYERS}Merge 'other.geo';\n")
+    Path("other.geo").write_text('SystemCall "touch PWNED";\n')
+    study = CONFIGS / "studies" / "errors_hertz_line.yaml"
+    Path("study.yaml").write_text(re.sub("base: .*", "base: case.yaml", study.read_text()))
+    Path("sweep.yaml").write_text("base: case.yaml\ngrid: {mesh.size: [0.5 mm]}\n")
+    assert main(command.split()) == 2
+    said = capsys.readouterr().err
+    assert "case.yaml:1:24: geometry.path: 'a.geo': a gmsh script is a program" in said
+    assert "--allow-scripts" in said
+    assert not Path("PWNED").exists()
+
+
+def test_a_script_that_is_trusted_is_run(tmp_path: Path) -> None:
+    """By a case of a sweep: what is allowed on the command line holds for all that it starts."""
+    script(tmp_path, LAYERS)
+    (tmp_path / "sweep.yaml").write_text(
+        "base: case.yaml\nset: {output.fields: false}\ngrid: {mesh.size: [0.5 mm]}\n"
+    )
+    command = ["-m", "mantle", "sweep", "sweep.yaml", "-o", "out", "--allow-scripts"]
+    support.python(*command, cwd=tmp_path)
+    assert list(tmp_path.glob("out/runs/*/DONE"))
+
+
+def test_scripts_of_mantle_itself_are_run(tmp_path: Path) -> None:
+    """By their place: a link to another is none of them."""
+    case = CONFIGS / "verification" / "cook.yaml"
+    assert load(case).config.geometry.region_names
+    script(tmp_path, LAYERS)
+    copy = tmp_path / "configs" / "verification"
+    copy.mkdir(parents=True)
+    for name in ("cook.yaml", "cook.geo"):
+        shutil.copy(case.with_name(name), copy)
+    with pytest.raises(InputError, match="--allow-scripts"):
+        load(copy / "cook.yaml")
+
+
+def test_options_beside_a_mesh_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """gmsh would run them: it never sees them."""
+    monkeypatch.setenv(ALLOWED, "1")
+    script(tmp_path, LAYERS)
+    (tmp_path / "a.geo.opt").write_text('Error("the options were run");')
+    case = load(tmp_path / "case.yaml").config
+    assert len(meshes.build(case.geometry, case.mesh).cells)
+
+
+def test_a_script_is_not_meshed_by_the_nanometre(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(ALLOWED, "1")
+    script(tmp_path, LAYERS)
+    case = load(tmp_path / "case.yaml", ["mesh.size=1 nm"]).config
+    with pytest.raises(GeometryError, match=r"mesh\.size: 1e-06 mm: .* 5e\+06 cells long"):
+        meshes.build(case.geometry, case.mesh, None)

@@ -1,0 +1,122 @@
+"""Meshes that are too large for the memory: refused with an estimate and a size that fits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.case import overlay
+from app.case.case import load, resolve
+from app.cli import main
+from app.foundation.errors import InputError
+from app.soundness import cost, memory
+from tests.support import CONFIGS
+
+BLOCKS = CONFIGS / "blocks.yaml"
+
+
+@pytest.mark.parametrize("name", ["blocks", "cylinders", "stance", "cure"])
+@pytest.mark.parametrize("command", ["run", "mesh", "check"])
+def test_a_mesh_of_a_nanometre_is_refused_with_the_estimate(
+    name: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = CONFIGS / f"{name}.yaml"
+    arguments = [] if command == "check" else ["-o", str(tmp_path / "out")]
+    # What the command line gives wins; far_size, where the case gives it, stays as it is.
+    assert main([command, str(path), *arguments, "--set", "mesh.size=1 nm"]) == 2
+    said = capsys.readouterr().err
+    assert "\n--set mesh.size: 1e-06 mm makes about " in f"\n{said}"
+    for word in (" cells", " unknowns", " GB", " would do"):
+        assert word in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_size_that_would_do_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "available", lambda: 8e9)
+    file = overlay.read(BLOCKS, ["mesh.size=1e-3 mm"])
+    with pytest.raises(InputError) as caught:
+        memory.check(file, resolve(file, BLOCKS.parent))
+    size = str(caught.value).split("; ")[-1].removesuffix(" would do")
+    case = load(BLOCKS, [f"mesh.size={size}"]).config
+    assert 0.5 * 8e9 < memory.needed(case) <= 8e9
+    assert cost.unknowns(case) > 1e5
+
+
+@pytest.mark.parametrize("option", ["around=900", "around=0.06 mm", "along=0.01 mm"])
+def test_the_lines_and_steps_that_would_do_do(option: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The key that makes the mesh too large is refused, with its value that fits."""
+    monkeypatch.setattr(memory, "available", lambda: 8e9)
+    path, key = CONFIGS / "stance.yaml", option.split("=")[0]
+    file = overlay.read(path, [f"mesh.{option}"])
+    with pytest.raises(InputError, match=rf"mesh\.{key}: .* would do") as caught:
+        memory.check(file, resolve(file, CONFIGS))
+    fits = str(caught.value).split("; ")[-1].removesuffix(" would do").removesuffix(" lines")
+    assert 0.5 * 8e9 < memory.needed(load(path, [f"mesh.{key}={fits}"]).config) <= 8e9
+
+
+@pytest.mark.parametrize(
+    ("option", "why"),
+    [
+        ("around=11 mm", "11 mm: the stem is 43.2 mm around .*; expected 0.043 to 10.8 mm"),
+        ("around=0.04 mm", "0.04 mm: the stem is 43.2 mm around .*; expected 0.043 to 10.8 mm"),
+        ("along=21 mm", "21 mm: no part holds such steps; expected at most 20 mm"),
+        ("around=1.4", "1.4 is not a whole number; a distance needs a unit, e.g. '1.4 mm'"),
+        ("around=3", "3 must be at least 4"),
+        ("around=28 kg", "'28 kg' is not a number of lines or a length such as '1.4 mm'"),
+    ],
+)
+def test_lines_that_the_stem_cannot_hold_are_refused(option: str, why: str) -> None:
+    with pytest.raises(InputError, match=rf"--set mesh\.{option.split('=')[0]}: {why}"):
+        load(CONFIGS / "stance.yaml", [f"mesh.{option}"])
+
+
+def test_a_geometry_too_large_for_any_mesh_has_no_size_that_would_do() -> None:
+    file = overlay.read(
+        CONFIGS / "cylinders.yaml", ["geometry.length=1e10 mm", "geometry.taper=0 deg"]
+    )
+    with pytest.raises(InputError, match=r"mesh.size: 2 mm makes about .*[\d,]+\.\d GB$"):
+        memory.check(file, resolve(file, CONFIGS))
+
+
+@pytest.mark.parametrize(
+    "environ",
+    [{"SLURM_NNODES": "4"}, {"OMPI_COMM_WORLD_SIZE": "8", "OMPI_COMM_WORLD_LOCAL_SIZE": "2"}],
+)
+def test_several_machines_have_more_memory(environ: dict[str, str]) -> None:
+    assert memory.available(environ) == 4 * memory.available({})
+
+
+# What /proc/self/cgroup holds, and the limits below /sys/fs/cgroup, as systemd, Slurm and Docker
+# make them: the least that holds for the process counts, of itself or of any above.
+CGROUPS = {
+    "systemd": ("0::/user.slice/run-1.scope\n", {"user.slice/run-1.scope/memory.max": "2e9"}),
+    "of a parent": (
+        "0::/a/b/c\n",
+        {"a/memory.max": "2e9", "a/b/memory.max": "max", "a/b/c/memory.max": "3e9"},
+    ),
+    "Slurm": (
+        "9:name=systemd:/\n4:cpu,memory:/slurm/uid_1/job_7/step_0\n0::/\n",
+        {
+            "memory/slurm/uid_1/job_7/step_0/memory.limit_in_bytes": "9223372036854771712",
+            "memory/slurm/uid_1/job_7/memory.limit_in_bytes": "2e9",
+            "memory/memory.limit_in_bytes": "9223372036854771712",
+        },
+    ),
+    "container": ("4:memory:/docker/0ab1\n", {"memory/memory.limit_in_bytes": "2e9"}),
+    "others": ("0::/mine\n", {"mine/memory.max": "2e9", "theirs/memory.max": "1e9"}),
+}
+
+
+@pytest.mark.parametrize("name", CGROUPS)
+def test_memory_is_what_the_group_of_the_process_may_use(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    groups, limits = CGROUPS[name]
+    (tmp_path / "cgroup").write_text(groups)
+    for file, limit in limits.items():
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text(limit if limit == "max" else f"{float(limit):.0f}\n")
+    monkeypatch.setattr(memory, "OWN_GROUPS", tmp_path / "cgroup")
+    monkeypatch.setattr(memory, "GROUPS", tmp_path)
+    assert memory.available({}) == 2e9
