@@ -23,10 +23,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ufl import And, conditional, exp, ge, gt, sqrt
+from ufl import And, conditional, exp, ge, gt, inner, sqrt
 from ufl.core.expr import Expr
 
-from forms.contact import derivative
+from forms.contact import Faces
 
 # A point whose damage is this close to that of its jump is loading: so is the state that begins a
 # step, without which the first tangent of a step would be elastic.
@@ -83,38 +83,65 @@ class Cohesion:
         return conditional(ge(m, m_f), 1, (m - m_0) / (m_f - m_0))
 
 
-def bond(c: Cohesion, opened: Any, slid: Any, old: Mapping[str, Any], live: Any) -> dict[str, Expr]:
-    """Damage of the bond of a contact point, by name, with derivatives by the two squares.
+@dataclass(frozen=True)
+class Bond:
+    """State of the bond of a contact point at a gap.
+
+    Attributes:
+        traction: Force per area of the bond (3,) [MPa].
+        stored: Its elastic energy per area [N/mm].
+        used: Fracture energy per area that the step uses up [N/mm].
+        broken: Share of the area on which contact acts; 0 in a step that begins undamaged [-].
+        damage: Damage of the bonded share [-].
+        spent: Part of the fracture energy that is used up [-].
+    """
+
+    traction: Expr
+    stored: Expr
+    used: Expr
+    broken: Expr
+    damage: Expr
+    spent: Expr
+
+
+def bond(c: Cohesion, gap: Expr, normals: Faces, old: Mapping[str, Expr], live: Expr) -> Bond:
+    """Traction, energies and history of the bond of a contact point.
 
     Args:
         c: The constants.
-        opened: Square of the opening, a UFL variable [mm2].
-        slid: Square of the sliding, a UFL variable [mm2].
-        old: ``damage`` of the bonded share, and the part of its energy ``spent``, at the last
-            converged state.
+        gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
+        normals: Normals of the faces.
+        old: `damage` and `spent` of the last converged state.
         live: 1, or 0 where damage is frozen.
-
-    Returns:
-        Share of the area ``left``, that broken ``before``, energy ``used`` in the step per area
-        [N/mm], and the new history.
     """
-    m_0, G = c.mode(opened, slid)
-    size = opened + slid
+    a = normals.components(gap)
+    # At rest the slope is that of opening: what is partly broken does not resist closing, and
+    # with released contact nothing would resist at all.
+    opened = normals.span([conditional(ge(part, 0), part, 0) for part in a])
+    pressed = normals.span([conditional(ge(part, 0), 0, part) for part in a])
+    slid = gap - normals.span(a)
+    parted = opened + slid
+
+    m_0, G = c.mode(inner(opened, opened), inner(slid, slid))
+    size = inner(opened, opened) + inner(slid, slid)
     m = sqrt(conditional(gt(size, m_0**2), size, m_0**2))
     left = c.left(m, m_0, G)
     loading = And(ge(1 - left, old["damage"] - LOADING), gt(live, 0.5))
     damage = conditional(loading, 1 - left, old["damage"])
-    left = (1 - c.unbonded) * conditional(loading, left, 1 - old["damage"])
+    bonded = 1 - c.unbonded
+    left = bonded * conditional(loading, left, 1 - old["damage"])
     # Where the mixture changes, more damage may be a smaller part of another energy.
     spent = c.spent(m, m_0, G)
-    more = ge(spent, old["spent"] - LOADING)
-    spent = conditional(And(loading, more), spent, old["spent"])
-    before = c.unbonded + (1 - c.unbonded) * old["damage"]
-    used = (1 - c.unbonded) * G * (spent - old["spent"])
-    told = {"left": left, "used": used}
-    told |= {
-        f"{n} by {k}": derivative(e, by)
-        for n, e in told.items()
-        for k, by in (("opened", opened), ("slid", slid))
-    }
-    return told | {"before": before, "new damage": damage, "new spent": spent}
+    more = And(loading, ge(spent, old["spent"] - LOADING))
+    spent = conditional(more, spent, old["spent"])
+
+    touches = gt(c.unbonded + bonded * old["damage"], 0)
+    spring = conditional(touches, 0, c.K)
+    return Bond(
+        traction=left * c.K * parted + spring * pressed,
+        stored=(left * c.K * inner(parted, parted) + spring * inner(pressed, pressed)) / 2,
+        used=bonded * G * (spent - old["spent"]),
+        broken=conditional(touches, 1 - left, 0),
+        damage=damage,
+        spent=spent,
+    )

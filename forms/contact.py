@@ -67,6 +67,31 @@ OPEN, STICK, SLIP = 0, 1, 2
 _ONE = as_ufl(1.0)
 
 
+class Faces(tuple[Expr, ...]):
+    """Unit normals of the faces of a point, from master to slave, each (3,).
+
+    Attributes:
+        duals: Vectors whose products with a vector are its components along the normals, each (3,).
+    """
+
+    duals: tuple[Expr, ...]
+
+    @classmethod
+    def of(cls, normals: Sequence[Expr], duals: Sequence[Expr]) -> Faces:
+        """Make the faces of a point from normals and their duals."""
+        faces = cls(normals)
+        faces.duals = tuple(duals)
+        return faces
+
+    def components(self, vector: Expr) -> list[Expr]:
+        """Coefficients of the projection of a vector on the span of the normals."""
+        return [dot(vector, dual) for dual in self.duals]
+
+    def span(self, a: Sequence[Any]) -> Expr:
+        """Sum of a_k n_k over the faces."""
+        return _combine(a, range(len(self)), self)
+
+
 @dataclass(frozen=True)
 class Response:
     """Response of a law at a point.
@@ -84,6 +109,10 @@ class Response:
         stored: Stored energy per area [N/mm]; None: none.
         dissipated: Energy per area that a step dissipates [N/mm]; None: of contact, friction; of a
             law without multiplier, none.
+        dissipated_by_jump: Its derivative by the jump (3,) [MPa], of laws that `fracture_step`
+            controls; None: of others.
+        broken: Share of the area on which contact acts beside the law [-]; None: it has none.
+        broken_by_jump: Derivative of `broken` by the jump (3,) [1/mm].
         energy: Augmented Lagrangian per area [N/mm], with the starred force still frozen.
     """
 
@@ -96,6 +125,9 @@ class Response:
     slip: Expr | None = None
     stored: Expr | None = None
     dissipated: Expr | None = None
+    dissipated_by_jump: Expr | None = None
+    broken: Expr | None = None
+    broken_by_jump: Expr | None = None
     energy: Expr | None = None
 
 
@@ -309,5 +341,5 @@ def _determinant(m: list[list[Any]]) -> Any:
 
 
 def _combine(a: Sequence[Any], faces: Sequence[int], normals: Sequence[Expr]) -> Expr:
-    """The vector a_k n_k, summed over the given faces."""
+    """Sum of a_k n_k over the given faces."""
     return sum((c * normals[k] for c, k in zip(a, faces, strict=True)), 0 * normals[0])

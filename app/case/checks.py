@@ -13,7 +13,6 @@ from app.case.shapes import COMPANION, MOST_LINES
 from app.foundation.errors import Reason
 from app.laws.densities import density
 from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
-from app.laws.interface_laws import Cohesive
 from app.laws.materials import Conductor, Elastic, Rigid
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
@@ -137,7 +136,7 @@ def _stages(case: Any) -> Iterable[Fault]:
             text = f"'{name}' is the name of an earlier stage too; expected another"
             yield Fault(("stages", i, "name"), text)
     laws = [law for _, _, law in _entries(case, "interfaces")]
-    if len(laws) == len(case.interfaces or ()) and not any(isinstance(w, Cohesive) for w in laws):
+    if len(laws) == len(case.interfaces or ()) and not any(w.dissipates for w in laws):
         for i, stage in enumerate(case.stages):
             if stage.fracture_step:
                 text = "no interface can break; expected one of kind: cohesive"

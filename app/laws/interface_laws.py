@@ -8,7 +8,7 @@ of the gap) or from `InterfaceLaw`; see `app/README.md`.
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from ufl.core.expr import Expr
 
     from app.foundation.arrays import Field, Floats
-    from forms.contact import Response
+    from forms.cohesion import Bond
+    from forms.contact import Faces, Response
 
 # Keys of contact that slides far, and why others have none.
 FINITE = ("between", "quadrature", "wear_coefficient")
@@ -54,7 +55,7 @@ class AtPoint:
         gap: Vector whose normal components are the initial gap of each face (3,) [mm].
         jump_old: Jump of the last converged state (3,) [mm].
         S_star: Coefficient that replaces the trial force where it is frozen (3,) [MPa].
-        normals: Unit normals of one to three faces, from master to slave, each (3,).
+        normals: Unit normals of one to three faces, from master to slave, each (3,), with duals.
         r: Stiffness of the trial force [MPa/mm].
         values: Constants of the law, by name.
         history: History variables of the last converged state, by name.
@@ -67,7 +68,7 @@ class AtPoint:
     gap: Expr
     jump_old: Expr
     S_star: Any
-    normals: Sequence[Expr]
+    normals: Faces
     r: Expr
     values: Mapping[str, Expr]
     history: Mapping[str, Expr]
@@ -85,6 +86,20 @@ class AtPoint:
         return {name: one(history[name], old) for name, old in self.history.items()}
 
 
+class Memory(dict[str, "Expr"]):
+    """History variables of a point at a gap, by name.
+
+    Attributes:
+        old: Those of the last converged state, by name.
+        live: 1, or 0 where the history is frozen.
+    """
+
+    def __init__(self, new: Mapping[str, Expr], old: Mapping[str, Expr], live: Expr) -> None:
+        super().__init__(new)
+        self.old = old
+        self.live = live
+
+
 class InterfaceLaw(Extensible):
     """Base of the laws: a subclass with a `kind` is one more.
 
@@ -92,7 +107,10 @@ class InterfaceLaw(Extensible):
         can_part: Whether the sides can move apart at all: then the interface has unknown jumps.
         can_open: Whether they can part without resistance.
         augmented: Whether its multiplier is found exactly, whatever the augmentation.
-        history: Shapes of what it remembers at a point, by name: () a scalar, (3,) a vector.
+        is_contact: Whether it is contact alone: its slip follows from its state.
+        history: Shapes of what it remembers at a point, by name: () a scalar, (3,) a vector. A law
+            with `damage` and `spent`, the used part of its fracture energy, has the numbers of
+            damaged interfaces in the summary.
     """
 
     # A `Literal` in each subclass.
@@ -100,6 +118,7 @@ class InterfaceLaw(Extensible):
     can_part: ClassVar[bool] = True
     can_open: ClassVar[bool] = False
     augmented: ClassVar[bool] = False
+    is_contact: ClassVar[bool] = False
     history: ClassVar[Mapping[str, tuple[int, ...]]] = {}
 
     conductance: Conductance | None = None
@@ -148,6 +167,11 @@ class InterfaceLaw(Extensible):
     def beside(self) -> Coulomb | None:
         """Contact on the share of the area that the law leaves; None without."""
         return None
+
+    @property
+    def dissipates(self) -> bool:
+        """True if its response has `dissipated_by_jump`: `fracture_step` controls its energy."""
+        return False
 
     @property
     def values(self) -> Mapping[str, float | str | Patches]:
@@ -219,6 +243,7 @@ class Unilateral(InterfaceLaw):
 
     can_open: ClassVar[bool] = True
     augmented: ClassVar[bool] = True
+    is_contact: ClassVar[bool] = True
 
     friction_coefficient: NonNegativeNumber
     """Coulomb's coefficient; 0 for none."""
@@ -318,7 +343,102 @@ class Penalty(Unilateral):
         return self.penalty, self.penalty
 
 
-class Cohesive(InterfaceLaw):
+class Traction(InterfaceLaw):
+    """A law whose force is an explicit function of the gap: layers, cohesion.
+
+    A subclass declares its keys, which stand for UFL scalars in its methods. Each method has the
+    same arguments:
+
+        gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
+        normals: Unit normals of the point's faces, from master to slave, each (3,).
+        history: History variables at the gap, as `remembered` returns them, by name; `history.old`
+            has those of the last converged state.
+    """
+
+    def traction(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+        """Force per area that resists a gap (3,) [MPa]."""
+        raise NotImplementedError
+
+    def remembered(self, gap: Expr, normals: Faces, history: Memory) -> Mapping[str, Expr]:
+        """History variables at a gap, by name, from those of the last converged state."""
+        return {}
+
+    def broken(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+        """Share of the area on which contact acts beside the traction [-]; none by default.
+
+        Its friction coefficient is this share of the law's `friction_coefficient`.
+        """
+        return None
+
+    def stored(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+        """Stored energy per area [N/mm]; none by default."""
+        return None
+
+    def dissipated(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+        """Energy per area that a step dissipates, without friction [N/mm]; none by default.
+
+        Steps of a given `fracture_step` control it.
+        """
+        return None
+
+    def slip(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+        """Irreversible tangential motion (3,) [mm]; none by default."""
+        return None
+
+    def status(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+        """State of a point: OPEN, STICK or SLIP of `forms.contact`, or numbers from 3 of its own.
+
+        STICK by default.
+        """
+        from ufl import as_ufl
+
+        from forms.contact import STICK
+
+        return STICK * as_ufl(1.0)
+
+    @property
+    def beside(self) -> Coulomb | None:
+        """Contact, if the subclass defines `broken`."""
+        if type(self).broken is Traction.broken:
+            return None
+        return Coulomb(friction_coefficient=self.friction)
+
+    @property
+    def dissipates(self) -> bool:
+        """True if the subclass defines `dissipated`."""
+        return type(self).dissipated is not Traction.dissipated
+
+    def response(self, at: AtPoint) -> Response:
+        """Force, what it stores and dissipates, and derivatives."""
+        from ufl import as_ufl, as_vector, variable
+
+        from forms.contact import Response, derivative
+
+        law = self.model_copy(update=dict(at.values))
+        jump = variable(at.jump)
+        gap = jump + at.gap
+        before = Memory(at.history, at.history, at.live)
+        history = at.updated(law.remembered(gap, at.normals, before))
+        here = gap, at.normals, Memory(history, at.history, at.live)
+        force = law.traction(*here)
+        dissipated, broken = law.dissipated(*here), law.broken(*here)
+        return Response(
+            force=force,
+            by_multiplier=None,
+            by_jump=derivative(force, jump),
+            pressures=as_vector([-p for p in at.normals.components(force)]),
+            status=as_ufl(law.status(*here)),
+            history=history,
+            slip=law.slip(*here),
+            stored=law.stored(*here),
+            dissipated=dissipated,
+            dissipated_by_jump=None if dissipated is None else derivative(dissipated, jump),
+            broken=broken,
+            broken_by_jump=None if broken is None else derivative(broken, jump),
+        )
+
+
+class Cohesive(Traction):
     """Bond that breaks, in tension, shear and between, and rubs where it is broken."""
 
     can_open: ClassVar[bool] = True
@@ -349,33 +469,47 @@ class Cohesive(InterfaceLaw):
     source: Source = None
     """Where its strength is from."""
 
-    def bond(self, x: Mapping[str, Expr]) -> dict[str, Expr]:
-        """Damage of the bond, as of `forms.cohesion.bond`."""
-        from ufl import variable
-
-        from forms.cohesion import Cohesion, bond
-
-        law = Cohesion(
-            K=x["stiffness"],
-            N=x["tensile_strength"],
-            S=x["shear_strength"],
-            G_I=x["tensile_energy"],
-            G_II=x["shear_energy"],
-            η=x["mixing_exponent"],
-            unbonded=x["unbonded"],
-            exponential=self.softening == "exponential",
-        )
-        return bond(law, variable(x["opened"]), variable(x["slid"]), x, x["live"])
-
     @property
     def form(self) -> Hashable:
         """Softening, with friction or without."""
         return "cohesive", self.softening, self.friction > 0
 
-    @property
-    def beside(self) -> Coulomb:
-        """Contact of what is broken."""
-        return Coulomb(friction_coefficient=self.friction_coefficient)
+    def bond(self, gap: Expr, normals: Faces, history: Memory) -> Bond:
+        """Bond of a point at a gap; arguments as of `Traction`."""
+        from forms.cohesion import Cohesion, bond
+
+        constants = Cohesion(
+            K=self.stiffness,
+            N=self.tensile_strength,
+            S=self.shear_strength,
+            G_I=self.tensile_energy,
+            G_II=self.shear_energy,
+            η=self.mixing_exponent,
+            unbonded=self.unbonded,
+            exponential=self.softening == "exponential",
+        )
+        return bond(constants, gap, normals, history.old, history.live)
+
+    def traction(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+        """Traction of the bond."""
+        return self.bond(gap, normals, history).traction
+
+    def remembered(self, gap: Expr, normals: Faces, history: Memory) -> Mapping[str, Expr]:
+        """Damage, and the part of the fracture energy that is used up."""
+        bond = self.bond(gap, normals, history)
+        return {"damage": bond.damage, "spent": bond.spent}
+
+    def broken(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+        """Broken share, once the point is damaged."""
+        return self.bond(gap, normals, history).broken
+
+    def stored(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+        """Elastic energy of the bond."""
+        return self.bond(gap, normals, history).stored
+
+    def dissipated(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
+        """Fracture energy that the step uses up."""
+        return self.bond(gap, normals, history).used
 
     @model_validator(mode="after")
     def _softens(self) -> Cohesive:
@@ -392,82 +526,15 @@ class Cohesive(InterfaceLaw):
             if not at.keys() >= set(names):
                 continue
             K, strength, G = (at[name] for name in names)
-            if (low := (least := strength**2 / G) > K).any():
-                k = int(low.argmax())
+            least = strength**2 / G
+            too_soft = K < least
+            if too_soft.any():
+                k = int(too_soft.argmax())
                 fail(
                     f"{K[k]:g} MPa/mm is too soft for {mode} strength and energy: "
                     f"expected at least strength^2 / energy = {least[k]:g} MPa/mm",
                     at=("stiffness",),
                 )
-
-
-class Traction(InterfaceLaw):
-    """A law whose force is an explicit function of the gap: layers, cohesion.
-
-    A subclass declares its keys, which stand for UFL scalars in `traction`, its formula.
-    """
-
-    def traction(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
-        """Force per area that resists a gap (3,) [MPa].
-
-        Args:
-            gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
-            normals: Unit normals of the point's faces, from master to slave, each (3,).
-            history: History variables at the gap, as `remembered` returns them, by name.
-        """
-        raise NotImplementedError
-
-    def remembered(
-        self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]
-    ) -> Mapping[str, Expr]:
-        """History variables at a gap, by name, from those of the last converged state."""
-        return {}
-
-    def stored(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
-        """Stored energy per area [N/mm]; none by default."""
-        return None
-
-    def dissipated(self, new: Mapping[str, Expr], old: Mapping[str, Expr]) -> Expr:
-        """Energy per area that a step dissipates [N/mm], by its history; none by default."""
-        return None
-
-    def slip(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
-        """Irreversible tangential motion (3,) [mm]; none by default."""
-        return None
-
-    def status(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
-        """State of a point: OPEN, STICK or SLIP of `forms.contact`, or numbers from 3 of its own.
-
-        STICK by default.
-        """
-        from ufl import as_ufl
-
-        from forms.contact import STICK
-
-        return STICK * as_ufl(1.0)
-
-    def response(self, at: AtPoint) -> Response:
-        """Force and its derivative by the gap."""
-        from ufl import as_ufl, as_vector, variable
-
-        from forms.contact import Response, components, derivative
-
-        law = self.model_copy(update=dict(at.values))
-        gap = variable(at.jump + at.gap)
-        history = at.updated(law.remembered(gap, at.normals, at.history))
-        here = gap, at.normals, history
-        force = law.traction(*here)
-        return Response(
-            force=force,
-            by_multiplier=None,
-            by_jump=derivative(force, gap),
-            pressures=as_vector([-p for p in components(force, at.normals)]),
-            status=as_ufl(law.status(*here)),
-            slip=law.slip(*here),
-            stored=law.stored(*here),
-            dissipated=law.dissipated(history, at.history),
-            history=history,
-        )
 
 
 Interface = Annotated[InterfaceLaw, Kinds()]

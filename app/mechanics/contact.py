@@ -111,7 +111,7 @@ class TrialState:
         """
         c = self.contact
         slid = self.sliding(self.jump - self._elastic(friction))
-        slip = np.where(c.law.slides[:, None], slid, self.law.told["slip"])
+        slip = np.where(c.law.slides[:, None], slid, self.law.outputs["slip"])
         if c.large is not None:
             rows = c.large.rows
             slip[rows] = c.state.slip[rows] + self.sliding(self.jump - c.reference)[rows]
@@ -145,9 +145,9 @@ class TrialState:
         force = c.forces(self.equilibrium) + c.own.tangential_held(law.force)
         normal = np.einsum("pk,pki->pi", law.pressures, c.own.normals)
         friction = force + normal
-        told, slip = law.told, self.slip(friction)
+        outputs, slip = law.outputs, self.slip(friction)
         rubbed = np.einsum("pi,pi->p", *self.rubbing())
-        dissipated = weight * (told["dissipated"] + rubbed)
+        dissipated = weight * (outputs["dissipated"] + law.rubbed + rubbed)
         soft = np.einsum("pi,pij,pj->p", force, c.law.compliance, force) / 2
         slid = self.sliding(step - self._elastic(friction - old.friction))
         slid = np.where(c.law.slides[:, None], slid, slip - old.slip)
@@ -159,7 +159,7 @@ class TrialState:
             opening=opening,
             slip=slip,
             path=old.path + np.linalg.norm(slid, axis=1),
-            stored=weight * (told["stored"] + soft),
+            stored=weight * (outputs["stored"] + soft),
             dissipation=old.dissipation + dissipated,
             least=np.minimum(old.least, dissipated),
             contact_work=old.contact_work + weight * pushed,
@@ -482,7 +482,7 @@ class ContactInterfaces:
         Returns:
             True if interfaces are opened.
         """
-        self.law.released = (self.law.slides | self.law.breaks) & self.law.can_open & on
+        self.law.released = self.law.has_contact & self.law.can_open & on
         return bool(self.comm.allreduce(bool(self.law.released.any()), MPI.LOR))
 
     def approach(self, f: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:

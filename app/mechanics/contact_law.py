@@ -20,7 +20,7 @@ from ufl.core.expr import Expr
 
 from app.foundation.arrays import Floats, Ints
 from app.laws import interface_laws
-from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, Cohesive, InterfaceLaw, Unilateral
+from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, InterfaceLaw
 from app.mechanics.contact_points import ContactState, OwnPoints
 from app.numerics import pointwise
 from app.numerics.pointwise import Pointwise
@@ -28,10 +28,14 @@ from app.system.timing import Timing
 from forms import cohesion, contact
 from forms.contact import OPEN, SLIP, STICK
 
-# What a law may tell of a point, with its shape; the last four a bond that breaks.
-TOLD: dict[str, tuple[int, ...]] = {
-    **{"slip": (3,), "stored": (), "dissipated": (), "spent": ()},
-    **{"spent_by_jump": (3,), "share": (), "share_by_jump": (3,)},
+# Outputs that a law may have, with their shapes (see `forms.contact.Response`).
+OUTPUTS: dict[str, tuple[int, ...]] = {
+    "slip": (3,),
+    "stored": (),
+    "dissipated": (),
+    "dissipated_by_jump": (3,),
+    "broken": (),
+    "broken_by_jump": (3,),
 }
 # A prescribed slip, or an error of its force, below this part of its size counts as zero.
 AT_REST = 1e-13
@@ -55,8 +59,9 @@ class PointForces:
         pressures: Pressure on each face, positive in compression (n, 3) [MPa].
         status: OPEN, STICK or SLIP (n,).
         history: New values of the history variables of the laws, by name: (n, ...).
-        told: Slip (n, 3) [mm], stored energy, dissipation of the step and its part by damage (n,)
-            [N/mm] with derivative (n, 3) of laws that tell them, by name, 0 elsewhere.
+        rubbed: Energy per area that friction of contact beside a law dissipates in the step
+            (n,) [N/mm].
+        outputs: Values of `OUTPUTS`, by name: (n, ...); 0 for laws without them.
     """
 
     force: Floats
@@ -66,7 +71,8 @@ class PointForces:
     pressures: Floats
     status: Ints
     history: Mapping[str, Floats]
-    told: Mapping[str, Floats]
+    rubbed: Floats
+    outputs: Mapping[str, Floats]
 
     @property
     def by_law(self) -> Floats:
@@ -87,7 +93,7 @@ class PointForces:
 
 
 # Rows of points with the same number of faces and laws of the same form, with their compiled law
-# and that of contact besides.
+# and that of contact beside it.
 Group = tuple[Ints, InterfaceLaw, Pointwise, Pointwise | None]
 
 
@@ -95,7 +101,8 @@ class PointLaw:
     """Laws of the interfaces at the contact points of this rank, during one run.
 
     Attributes:
-        can_open, frictional: Whether the law of each point can open, has friction (n,).
+        can_open, frictional, has_contact, dissipates: Whether the law of each point can open, has
+            friction, is contact or has contact beside it, declares what it dissipates (n,).
         history: Shapes of the history variables of the laws, by name.
         tied: Points that stick whatever their law (n,).
         released: Points that are open whatever their law, but for the force of a bond (n,).
@@ -139,12 +146,12 @@ class PointLaw:
         self.history = {k: shape for law in laws for k, shape in law.history.items()}
         self.can_open = np.array([law.can_open for law in laws])[own.interface]
         self.frictional = np.array([law.friction > 0 for law in laws])[own.interface]
-        self.slides = np.array([isinstance(law, Unilateral) for law in laws])[own.interface]
-        self.breaks = np.array([isinstance(law, Cohesive) for law in laws])[own.interface]
-        if any(isinstance(law, Cohesive) for law in laws):
-            self._bonds, self._friction = values["stiffness"], values["friction_coefficient"]
-            # Components of a jump along the normals.
-            self._duals = np.linalg.pinv(own.normals).transpose(0, 2, 1)
+        self.slides = np.array([law.is_contact for law in laws])[own.interface]
+        touch = [law.is_contact or law.beside is not None for law in laws]
+        self.has_contact = np.array(touch)[own.interface]
+        self.dissipates = np.array([law.dissipates for law in laws])[own.interface]
+        # Of laws that have contact beside them.
+        self._friction = values.get("friction_coefficient", np.zeros(len(own)))
         self.tied = np.zeros(len(own), dtype=bool)
         self.released = np.zeros(len(own), dtype=bool)
         self._scale = 1.0
@@ -164,16 +171,8 @@ class PointLaw:
             rows = np.flatnonzero((own.faces == m) & (form == k))
             law = next(law for law in laws if law.form == forms[k])
             normals = own.normals[rows, :m]
-            other = law.beside
-            beside = None if other is None else _compile(self._comm, normals, other)
-            if isinstance(law, Cohesive):
-                # Its damage is the same whatever the faces.
-                inputs = (*law.values, *law.history, "opened", "slid", "live")
-                note = _note(law, str(law.form))
-                sizes = dict.fromkeys(inputs, 1)
-                compiled = Pointwise(self._comm, len(rows), sizes, law.bond, note)
-            else:
-                compiled = _compile(self._comm, normals, law)
+            compiled = _compile(self._comm, normals, law)
+            beside = None if law.beside is None else _compile(self._comm, normals, law.beside)
             groups.append((rows, law, compiled, beside))
         return groups
 
@@ -181,7 +180,8 @@ class PointLaw:
         """Take the normals of points of one face anew."""
         for rows, _, compiled, _ in self._groups:
             if np.isin(rows, points).any():
-                compiled.set(normal_0=self._own.normals[rows, 0])
+                normal = self._own.normals[rows, 0]
+                compiled.set(normal_0=normal, dual_0=normal)
 
     # Stiffness of the trial force
 
@@ -252,35 +252,29 @@ class PointLaw:
             pressures=np.zeros((n, 3)),
             status=np.zeros(n, dtype=np.int64),
             history={name: values.copy() for name, values in state.own.items()},
-            told={name: np.zeros((n, *shape)) for name, shape in TOLD.items()},
+            rubbed=np.zeros(n),
+            outputs={name: np.zeros((n, *shape)) for name, shape in OUTPUTS.items()},
         )
         for rows, law, compiled, beside in self._groups:
             known = inputs | {name: state.own[name] for name in law.history}
             known = {k: v[rows] for k, v in known.items()}
-            if isinstance(law, Cohesive):
-                found = self._bond(rows, compiled, known)
-            else:
-                found = self._respond(rows, compiled, known, state.friction[rows])
-            out.force[rows] = found["force"]
-            slope = found.get("by_multiplier", 0.0)
+            response = self._respond(rows, compiled, known, state.friction[rows])
+            out.force[rows] = response["force"]
+            slope = response.get("by_multiplier", 0.0)
             out.by_multiplier[rows] = slope
-            out.by_jump[rows] = found.get("by_jump", r[rows, None, None] * slope)
-            p = found["pressures"]
+            out.by_jump[rows] = response.get("by_jump", r[rows, None, None] * slope)
+            p = response["pressures"]
             out.pressures[rows, : p.shape[1]] = p
-            out.status[rows] = np.rint(found["status"]).astype(np.int64)
+            out.status[rows] = np.rint(response["status"]).astype(np.int64)
             for name in law.history:
-                out.history[name][rows] = found[f"new {name}"]
-            for name in TOLD.keys() & found.keys():
-                out.told[name][rows] = found[name]
-            if beside is not None and not self.released[rows].any():
-                if law.friction > 0:
-                    known["μ"] = self._friction[rows] * out.told["share"][rows]
-                names = (*inputs, "μ") if law.friction > 0 else inputs
-                some = {name: known[name] for name in names}
-                self._touch(rows, beside, some, state.friction[rows], out)
+                out.history[name][rows] = response[f"new {name}"]
+            for name in OUTPUTS.keys() & response.keys():
+                out.outputs[name][rows] = response[name]
+            if beside is not None:
+                some = {name: known[name] for name in inputs}
+                self._touch(rows, law, beside, some, state, out)
         if self.tied.any():
             self._tie(out, force, jump + gap, state.jump)
-        # Bonds keep their forces without the contact beside them.
         open_ = self.released & self.slides
         if open_.any():
             for values in (out.force, out.by_multiplier, out.by_jump, out.pressures):
@@ -323,105 +317,65 @@ class PointLaw:
         held = np.where(moves[:, None], FAR * scale[:, None] * direction, last)
         for _ in range(LOCAL):
             total = given + np.einsum("pij,pj->pi", share, held)
-            found = compiled.named(**(inputs | {"force": total}))
-            if "by_jump" in found:
-                return found
-            slope = found["by_multiplier"]
+            response = compiled.named(**(inputs | {"force": total}))
+            if "by_jump" in response:
+                return response
+            slope = response["by_multiplier"]
             matrix = np.eye(3) - np.where(moves[:, None, None], H @ slope @ share @ H, 0.0)
-            missing = np.einsum("pij,pj->pi", H, found["force"]) - held
+            missing = np.einsum("pij,pj->pi", H, response["force"]) - held
             missing = np.where(moves[:, None], missing, 0.0)
             if (np.abs(missing).max(axis=1) <= AT_REST * scale).all():
                 break
             held = held + np.linalg.solve(matrix, missing[:, :, None])[:, :, 0]
         follows = np.where(moves[:, None, None], np.linalg.solve(matrix, H @ slope), 0.0)
-        return found | {"by_multiplier": slope + slope @ share @ follows}
-
-    def _bond(
-        self, rows: Ints, compiled: Pointwise, inputs: Mapping[str, Floats]
-    ) -> dict[str, Floats]:
-        """Force of a bond, its derivative by the jump, and what it tells."""
-        D, n = inputs["jump"] + inputs["gap"], self._own.normals[rows]
-        duals = self._duals[rows]
-        a = np.einsum("pki,pi->pk", duals, D)
-        # At rest the slope is that of opening: what is partly broken does not resist closing, and
-        # with released contact nothing would resist at all.
-        opens = a >= 0
-        # Derivatives of what is pressed, opened and slid, each a part of the jump.
-        pressed_by, opened_by = (
-            np.einsum("pk,pki,pkj->pij", side, n, duals) for side in (~opens, opens)
-        )
-        slid_by = np.eye(3) - pressed_by - opened_by
-        pressed, opened, slid = (
-            np.einsum("pij,pj->pi", part, D) for part in (pressed_by, opened_by, slid_by)
-        )
-        squares = {"opened": (opened**2).sum(axis=1), "slid": (slid**2).sum(axis=1)}
-        names = ("damage", "spent", "live")
-        found = compiled.named(**squares, **{name: inputs[name] for name in names})
-
-        def gradient(name: str) -> Floats:
-            across = np.einsum("pi,pij->pj", opened, opened_by)
-            along = np.einsum("pi,pij->pj", slid, slid_by)
-            by = found[f"{name} by opened"], found[f"{name} by slid"]
-            return 2 * by[0][:, None] * across + 2 * by[1][:, None] * along
-
-        K, parted = self._bonds[rows], opened + slid
-        left = K * found["left"]
-        touches = found["before"] > 0
-        spring = np.where(touches, 0.0, K)
-        force = left[:, None] * parted + spring[:, None] * pressed
-        by_jump = left[:, None, None] * (np.eye(3) - pressed_by)
-        by_jump += spring[:, None, None] * pressed_by
-        by_jump += K[:, None, None] * parted[:, :, None] * gradient("left")[:, None, :]
-        stored = left * (parted**2).sum(axis=1) + spring * (pressed**2).sum(axis=1)
-        return {
-            "force": force,
-            "by_jump": by_jump,
-            "pressures": -np.einsum("pki,pi->pk", duals, force),
-            "status": np.full(len(rows), STICK),
-            "stored": stored / 2,
-            "dissipated": found["used"],
-            "spent": found["used"],
-            "spent_by_jump": gradient("used"),
-            "share": np.where(touches, 1 - found["left"], 0.0),
-            "share_by_jump": np.where(touches[:, None], -gradient("left"), 0.0),
-            **{name: found[name] for name in ("new damage", "new spent")},
-        }
+        return response | {"by_multiplier": slope + slope @ share @ follows}
 
     def _touch(
         self,
         rows: Ints,
+        law: InterfaceLaw,
         contact: Pointwise,
         inputs: dict[str, Floats],
-        last: Floats,
+        state: ContactState,
         out: PointForces,
     ) -> None:
-        """Add contact where a bond is broken: F = T + P(F - T + r D), with T the bond's force."""
-        T, by_D, told = out.force[rows], out.by_jump[rows], out.told
-        free = np.eye(3) - self._own.along[rows]
-        by_D = free @ by_D
+        r"""Add contact on the broken share s of a law of traction T.
+
+        .. math:: F = T + P(F - T + r D) \quad \text{with the friction coefficient } s μ
+
+        Its code is that of contact alone: one kernel for T and P together takes ffcx minutes.
+        """
+        own, r = self._own, inputs["r"]
+        share = out.outputs["broken"][rows]
+        on = (share > 0) & ~self.released[rows]
+        T, T_by_jump = out.force[rows], out.by_jump[rows]
+        free = np.eye(3) - own.along[rows]
         inputs["force"] = inputs["force"] - np.einsum("pij,pj->pi", free, T)
-        found = self._respond(rows, contact, inputs, last)
-        P, slope, p = found["force"], found["by_multiplier"], found["pressures"]
-        on, share = told["share"][rows] > 0, told["share"][rows]
-        friction = P + np.einsum("pk,pki->pi", p, self._own.normals[rows, : p.shape[1]])
-        status = np.rint(found["status"]).astype(np.int64)
+        if law.friction > 0:
+            inputs["μ"] = self._friction[rows] * share
+        response = self._respond(rows, contact, inputs, state.friction[rows])
+        P, slope, p = response["force"], response["by_multiplier"], response["pressures"]
+        status = np.rint(response["status"]).astype(np.int64)
+        friction = P + np.einsum("pk,pki->pi", p, own.normals[rows, : p.shape[1]])
         rubs = on & (status == SLIP)
-        added = slope @ (inputs["r"][:, None, None] * np.eye(3) - by_D)
+        by_jump = slope @ (r[:, None, None] * np.eye(3) - free @ T_by_jump)
         # The disc of friction grows with the broken share.
         grown = np.where(rubs, 1 / np.where(on, share, 1.0), 0.0)[:, None, None]
-        added += grown * friction[:, :, None] * told["share_by_jump"][rows][:, None, :]
-        missing = np.einsum("pij,pj->pi", free, inputs["force"] - P)
-        slid = inputs["jump"] - inputs["old"] + missing / inputs["r"][:, None]
+        by_jump += grown * friction[:, :, None] * out.outputs["broken_by_jump"][rows][:, None, :]
         here = rows[on]
         out.force[here] += P[on]
         out.by_multiplier[here] = slope[on]
-        out.by_jump[here] += added[on]
+        out.by_jump[here] += by_jump[on]
         out.pressures[here, : p.shape[1]] += p[on]
         out.status[here] = status[on]
-        told["dissipated"][rows] += np.where(rubs, np.einsum("pi,pi->p", friction, slid), 0.0)
-        told["slip"][here] = (inputs["jump"] + inputs["gap"])[on]
-        told["slip"][here] = self._own.tangential(told["slip"], out.pressures > 0)[here]
-        told["slip"][rows[status == OPEN]] = 0.0
+        missing = np.einsum("pij,pj->pi", free, inputs["force"] - P)
+        slid = inputs["jump"] - inputs["old"] + missing / r[:, None]
+        out.rubbed[rows] = np.where(rubs, np.einsum("pi,pi->p", friction, slid), 0.0)
+        motion = np.zeros_like(out.force)
+        motion[rows] = inputs["jump"] + inputs["gap"]
+        slip = own.tangential(motion, out.pressures > 0)
+        closed = here[status[on] != OPEN]
+        out.outputs["slip"][closed] = slip[closed]
 
     def _tie(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
         own, tied = self._own, self.tied
@@ -436,26 +390,28 @@ class PointLaw:
 def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     """The law of n points with the same number m of faces, normals (n, m, 3)."""
     faces = [f"normal_{k}" for k in range(normals.shape[1])]
-    vectors = ["force", "jump", "gap", "old", "star", *faces]
+    duals = [f"dual_{k}" for k in range(normals.shape[1])]
+    vectors = ["force", "jump", "gap", "old", "star", *faces, *duals]
 
     def build(x: dict[str, Expr]) -> dict[str, Expr]:
         values = {name: x[name] for name in law.values}
         history = {name: x[name] for name in law.history}
         state = (x["force"], x["jump"], x["gap"], x["old"], x["star"])
-        found = law.response(
-            AtPoint(*state, [x[f] for f in faces], x["r"], values, history, x["live"])
-        )
-        names = ("force", "by_multiplier", "by_jump", "pressures", "status")
-        more = ("slip", "stored", "dissipated")
-        told = {name: getattr(found, name) for name in (*names, *more)}
-        told |= {f"new {name}": as_ufl(e) for name, e in found.history.items()}
-        return {name: e for name, e in told.items() if e is not None}
+        normals_of_point = contact.Faces.of([x[f] for f in faces], [x[d] for d in duals])
+        at = AtPoint(*state, normals_of_point, x["r"], values, history, x["live"])
+        response = law.response(at)
+        names = ("force", "by_multiplier", "by_jump", "pressures", "status", *OUTPUTS)
+        outputs = {name: getattr(response, name) for name in names}
+        outputs |= {f"new {name}": as_ufl(e) for name, e in response.history.items()}
+        return {name: e for name, e in outputs.items() if e is not None}
 
     sizes = dict.fromkeys(vectors, 3) | dict.fromkeys((*law.values, "r", "live"), 1)
     sizes |= {name: int(np.prod(shape)) for name, shape in law.history.items()}
     note = _note(law, f"{law.form} {len(faces)}")
     compiled = Pointwise(comm, len(normals), sizes, build, note)
     constant: dict[str, Any] = {f: normals[:, k] for k, f in enumerate(faces)}
+    dual = np.linalg.pinv(normals).transpose(0, 2, 1)
+    constant |= {d: dual[:, k] for k, d in enumerate(duals)}
     compiled.set(**constant)
     return compiled
 

@@ -33,8 +33,10 @@ import numpy as np
 import ufl
 from dolfinx import fem, jit
 from dolfinx.mesh import create_mesh
-from ufl.algorithms import extract_coefficients, strip_variables
+from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
+from ufl.corealg.map_dag import map_expr_dags
+from ufl.corealg.multifunction import MultiFunction
 
 from app.foundation import files
 from app.foundation.arrays import Floats, Ints
@@ -122,7 +124,7 @@ class Pointwise:
             built = {str(k): e for k, e in enumerate(built)}
         built = {name: ufl.as_ufl(e) for name, e in built.items()}  # some are numbers
         # The labels of variables differ from run to run; without them the code is found again.
-        every = [strip_variables(e) for e in built.values()]
+        every = map_expr_dags(_WithoutVariables(), list(built.values()))
         together = ufl.as_vector([c for e in every for c in _components(e)])
         options = {"scalar_type": np.float64}
         symbol, module, _ = jit.ffcx_jit(comm, (together, np.array([[0.5]])), options)
@@ -167,6 +169,16 @@ class Pointwise:
             parts.append(found[:, begin:end].reshape(len(cells), *shape))
             begin = end
         return parts
+
+
+class _WithoutVariables(MultiFunction):  # type: ignore[misc]
+    """The expression inside each variable; each shared term once, unlike `strip_variables`."""
+
+    expr = MultiFunction.reuse_if_untouched
+
+    def variable(self, o: Expr, inner: Expr, label: Expr) -> Expr:
+        """The expression inside."""
+        return inner
 
 
 def _components(e: Expr) -> list[Expr]:

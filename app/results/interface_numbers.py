@@ -23,7 +23,6 @@ import numpy as np
 
 from app.case.quantities import TABLE, computed
 from app.foundation.arrays import Floats, Ints
-from app.laws.interface_laws import Cohesive
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.results.cycles import OF_CYCLES
@@ -220,12 +219,13 @@ def _numbers(s: ContactSamples, i: int, wanted: set[str] | None = None) -> dict[
 
 
 def _damage(s: ContactSamples, i: int) -> dict[str, float]:
-    """Areas [mm2], mean damage and process zone of a cohesive interface; of others none."""
-    if not isinstance(s.contacts[i].law, Cohesive):
+    """Areas [mm2], mean damage and process zone of a damaged interface; of others none."""
+    contact = s.contacts[i]
+    if not {"damage", "spent"} <= contact.law.history.keys():
         return {}
     at, surface, weight = s.interface == i, s.surfaces[i], s.weight
     never = np.ones(len(at))
-    never[at] = s.contacts[i].values["unbonded"](s.x[at])
+    never[at] = contact.values["unbonded"](s.x[at]) if "unbonded" in contact.values else 0.0
     bonded, spent = weight * (1 - never), np.where(never < 1, s.own["spent"], 0.0)
     length = zone(surface.corners, spent[surface.triangles], surface.area)
     return {

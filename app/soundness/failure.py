@@ -215,7 +215,8 @@ def explain(
         return Explanation(outcome, scales=scales)
     trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
-    damage = sum(float(np.sum(t.law.told["spent"])) for t in (trial, first))
+    controlled = contact.law.dissipates
+    damage = sum(float(t.law.outputs["dissipated"][controlled].sum()) for t in (trial, first))
     breaks = bool(contact.law.history and problem.comm.allreduce(damage, MPI.SUM) > 0)
     free: list[str] = []
     # A body whose bond breaks in this step is not free.

@@ -42,9 +42,10 @@ def spent(problem: Problem, solver: Solver) -> tuple[float, Floats]:
     contact = problem.contact
     if contact is None or q is None or not contact.law.history:
         return 0.0, np.zeros(0)
-    told, weight = problem.trial(u, q).law.told, contact.own.weight
-    local = float(weight @ told["spent"])
-    return problem.comm.allreduce(local), (weight[:, None] * told["spent_by_jump"]).ravel()
+    outputs = problem.trial(u, q).law.outputs
+    weight = np.where(contact.law.dissipates, contact.own.weight, 0.0)
+    local = float(weight @ outputs["dissipated"])
+    return problem.comm.allreduce(local), (weight[:, None] * outputs["dissipated_by_jump"]).ravel()
 
 
 def overshoot(

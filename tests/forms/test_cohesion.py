@@ -71,7 +71,7 @@ class Points:
             found = self.at(force, jump)
             force = found.force
         self.work = self.work + np.einsum("pi,pi->p", (force + self.force) / 2, step)
-        used = found.told["dissipated"]
+        used = found.outputs["dissipated"]
         self.least, self.spent = min(self.least, used.min()), self.spent + used
         self.force, self.state.jump, self.state.own = force, jump, dict(found.history)
         return found
@@ -101,7 +101,7 @@ def test_unloading_goes_to_the_origin_and_pressure_does_no_damage() -> None:
     assert 0 < d[0] < 1
     half = points.lead(0.02 * along)
     np.testing.assert_allclose(half.force, kept / 2, rtol=1e-9)
-    assert half.told["dissipated"] == 0 and half.history["damage"] == d
+    assert half.outputs["dissipated"] == 0 and half.history["damage"] == d
     new = Points(1)
     pressed = new.lead(-0.01 * along)
     np.testing.assert_allclose(pressed.force, -0.01 * K * along)
@@ -130,7 +130,7 @@ def test_a_broken_point_rubs_and_an_unbonded_share_does_from_the_start() -> None
     pressed = np.tile([0.0, 0.0, -3.0], (2, 1))
     out = points.at(pressed, np.tile([0.5, 0.0, 0.0], (2, 1)))
     np.testing.assert_allclose(out.force[:, 0], 0.4 * 3.0, rtol=1e-9)
-    np.testing.assert_allclose(out.told["dissipated"], 0.4 * 3.0 * (0.5 - 1.2 / 1000), rtol=1e-9)
+    np.testing.assert_allclose(out.rubbed, 0.4 * 3.0 * (0.5 - 1.2 / 1000), rtol=1e-9)
     each = Points(2, μ=(0.4, 0.2), free=1.0).at(pressed, np.tile([0.5, 0.0, 0.0], (2, 1)))
     np.testing.assert_allclose(each.force[:, 0], [0.4 * 3.0, 0.2 * 3.0], rtol=1e-9)
     # Contact beside a broken bond resists as contact alone: whole where it sticks.
@@ -164,7 +164,7 @@ def test_both_slopes_are_derivatives(faces: int, softening: str) -> None:
         smooth = (up.status == down.status) & (np.abs(up.force - down.force).max(axis=1) < 1)
         assert smooth.mean() > 0.95
         assert np.quantile(error[smooth], 0.98) < 1e-6 * max(np.abs(linear).max(), 1e-9)
-        spent = (up.told["spent"] - down.told["spent"]) / 2
+        spent = (up.outputs["dissipated"] - down.outputs["dissipated"]) / 2
         if of_jump:
-            expected = np.einsum("pi,pi->p", base.told["spent_by_jump"], step)
+            expected = np.einsum("pi,pi->p", base.outputs["dissipated_by_jump"], step)
             assert np.quantile(np.abs(spent - expected), 0.98) < 1e-6 * np.abs(expected).max()

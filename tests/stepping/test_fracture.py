@@ -92,8 +92,8 @@ class OwnCohesion(Traction):
     def stored(self, gap, normals, history):
         return (1 - history["damage"]) * self.stiffness * dot(gap, gap) / 2
 
-    def dissipated(self, new, old):
-        return new["used"] - old["used"]
+    def dissipated(self, gap, normals, history):
+        return history["used"] - history.old["used"]
 '''
 
 
