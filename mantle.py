@@ -7,8 +7,8 @@
     >>> results.summary["interfaces"]["stem_cement"]["slip_p99"]  # mm
 
 All numbers are in mm, N, MPa, s and degC. The errors are here, and what an extension needs:
-`Traction`, `InterfaceLaw`, `Load`, `Quantity`, `add_quantity`. ``import mantle`` does not start
-MPI and PETSc: the functions that need them do.
+`Traction`, `Frictional`, `InterfaceLaw`, `Load`, `Quantity`, `add_quantity`. ``import mantle`` does
+not start MPI and PETSc: the functions that need them do.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from app.foundation.errors import InputError as InputError
 from app.foundation.errors import MantleError as MantleError
 from app.foundation.errors import StoppedError as StoppedError
 from app.foundation.errors import UnusableError as UnusableError
+from app.laws.interface_laws import Frictional as Frictional
 from app.laws.interface_laws import InterfaceLaw as InterfaceLaw
 from app.laws.interface_laws import Traction as Traction
 from app.laws.loads import Load as Load

@@ -146,17 +146,17 @@ class InterfaceLaw(Extensible):
     @property
     def friction(self) -> float:
         """Coulomb's coefficient, 0 without; without friction no tangential term is compiled."""
-        return getattr(self, "friction_coefficient", 0.0)
+        return 0.0
 
     @property
     def heated_by_friction(self) -> FrictionHeating | None:
-        """The key `friction_heating`; None without friction heat."""
-        return getattr(self, "friction_heating", None)
+        """How friction heats the sides; None without friction heat."""
+        return None
 
     @property
     def initial_gap(self) -> tuple[float | str, tuple[float, ...] | None]:
-        """The keys `gap` [mm] and `gap_history`."""
-        return getattr(self, "gap", 0.0), getattr(self, "gap_history", None)
+        """Initial gap [mm], and its multipliers at the ends of the stages."""
+        return 0.0, None
 
     @property
     def layer(self) -> tuple[float, float] | None:
@@ -194,9 +194,7 @@ class InterfaceLaw(Extensible):
     def _mark(self, name: str) -> Varying | None:
         if (known := type(self).model_fields.get(name)) is None:
             return None
-        inner = (
-            m for kind in get_args(known.annotation) for m in getattr(kind, "__metadata__", ())
-        )
+        inner = (m for kind in get_args(known.annotation) for m in get_args(kind))
         return next((m for m in (*known.metadata, *inner) if isinstance(m, Varying)), None)
 
     def fields(self, interface: str) -> dict[str, Field]:
@@ -238,15 +236,25 @@ class Bonded(InterfaceLaw):
         return self
 
 
-class Unilateral(InterfaceLaw):
+class Frictional(InterfaceLaw):
+    """Base of the laws with Coulomb friction."""
+
+    friction_coefficient: NonNegativeNumber
+    """Coulomb's coefficient; 0 for none."""
+
+    @property
+    def friction(self) -> float:
+        """The key `friction_coefficient`."""
+        return self.friction_coefficient
+
+
+class Unilateral(Frictional):
     """Unilateral contact with Coulomb friction, however it is enforced (`forms.contact`)."""
 
     can_open: ClassVar[bool] = True
     augmented: ClassVar[bool] = True
     is_contact: ClassVar[bool] = True
 
-    friction_coefficient: NonNegativeNumber
-    """Coulomb's coefficient; 0 for none."""
     gap: LengthField = 0.0
     """Initial gap: positive open, negative an interference (press fit)."""
     gap_history: History = None
@@ -260,6 +268,16 @@ class Unilateral(InterfaceLaw):
         if self.friction_heating is not None and self.friction_coefficient == 0.0:
             fail("there is no friction", at=("friction_heating",))
         return self
+
+    @property
+    def heated_by_friction(self) -> FrictionHeating | None:
+        """The key `friction_heating`."""
+        return self.friction_heating
+
+    @property
+    def initial_gap(self) -> tuple[float | str, tuple[float, ...] | None]:
+        """The keys `gap` and `gap_history`."""
+        return self.gap, self.gap_history
 
     @property
     def form(self) -> Hashable:
@@ -366,7 +384,7 @@ class Traction(InterfaceLaw):
     def broken(self, gap: Expr, normals: Faces, history: Memory) -> Expr:
         """Share of the area on which contact acts beside the traction [-]; none by default.
 
-        Its friction coefficient is this share of the law's `friction_coefficient`.
+        Its friction coefficient is this share of the law's, which derives from `Frictional` too.
         """
         return None
 
@@ -438,7 +456,7 @@ class Traction(InterfaceLaw):
         )
 
 
-class Cohesive(Traction):
+class Cohesive(Frictional, Traction):
     """Bond that breaks, in tension, shear and between, and rubs where it is broken."""
 
     can_open: ClassVar[bool] = True

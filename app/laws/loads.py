@@ -71,13 +71,14 @@ class Load(Extensible, Named):
     @property
     def place(self) -> tuple[Any, ...]:
         """Kind, boundary and regions: loads that agree in these share their forms."""
-        return self.kind, getattr(self, "boundary", None), getattr(self, "regions", None)
+        keys = dict(self)
+        return self.kind, keys.get("boundary"), keys.get("regions")
 
     @property
     def boundaries(self) -> tuple[str, ...]:
         """Boundaries that it acts on; none for a body force."""
-        boundary = getattr(self, "boundary", None)
-        return () if boundary is None else (boundary,)
+        keys = dict(self)
+        return (keys["boundary"],) if "boundary" in keys else ()
 
     def work(self, v: Expr, on: Any) -> Any:
         """Work at full amplitude on a body in a displacement v, as a UFL form; 0 if none.
@@ -95,7 +96,7 @@ class Load(Extensible, Named):
     @property
     def resultant(self) -> tuple[float, float, float] | None:
         """Resultant at full amplitude [N]: the key `force`, None without it."""
-        return getattr(self, "force", None)
+        return dict(self).get("force")
 
 
 class Force(Load):

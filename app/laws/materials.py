@@ -82,6 +82,8 @@ class Material(OfRegion):
 
     # Keys of `thermal` that say how a region deforms; refused where it does not.
     refused: ClassVar[tuple[str, ...]] = ()
+    # The image that gives the stiffness, if one does.
+    image: ClassVar[ImageModulus | None] = None
 
     material: Text | None = None
     """Material of the library (`mantle explain materials`); other keys change it."""
@@ -97,10 +99,12 @@ class Material(OfRegion):
 
     @model_validator(mode="after")
     def _deforms(self) -> Self:
-        if getattr(self, "image", None) and self.thermal and self.thermal.cure:
+        if self.thermal is None:
+            return self
+        if self.image and self.thermal.cure:
             fail("a modulus that sets is a value", at=("youngs_modulus",))
         for key in self.refused:
-            if getattr(self.thermal, key, None) is not None:
+            if getattr(self.thermal, key) is not None:
                 fail("nothing deforms; expected an elastic region", at=("thermal", key))
         return self
 
@@ -116,8 +120,7 @@ class Elastic(Material):
     """Strains without stress; they add up."""
     weibull: Weibull | None = None
     """Strength of specimens, for the probability that the region fails."""
-    # The image that gives the stiffness, if one does; where points of the model are in it.
-    image: ClassVar[ImageModulus | None] = None
+    # Where points of the model are in the image that gives the stiffness.
     _places: Any = None
     # How the region remodels, if it does.
     _remodelling: Remodelling | None = None

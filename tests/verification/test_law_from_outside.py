@@ -163,6 +163,92 @@ def test_a_law_remembers(tmp_path: Path) -> None:
     assert set(fields.at_interface("lower_upper", "status")) == {-1, 3}
 
 
+# A glue that softens by opening alone, with contact and friction where it is broken.
+GLUE = '''
+from typing import Literal
+from ufl import conditional, dot, ge, gt, max_value, min_value
+from mantle import Frictional, Traction
+from app.laws.values import FractureEnergyField, StiffnessField, StrengthField
+
+
+class Glue(Frictional, Traction):
+    """Glue that softens linearly with the opening."""
+
+    can_open = True
+    history = {"damage": (), "spent": ()}
+
+    kind: Literal["glue"] = "glue"
+    stiffness: StiffnessField
+    """Traction per displacement."""
+    tensile_strength: StrengthField
+    """Largest tension."""
+    energy: FractureEnergyField
+    """Fracture energy."""
+
+    def remembered(self, gap, normals, history):
+        onset = self.tensile_strength / self.stiffness
+        end = 2 * self.energy / self.tensile_strength
+        opening = min_value(max_value(dot(gap, normals[0]), onset), end)
+        spent = (opening - onset) / (end - onset)
+        spent = conditional(ge(spent, history["spent"] - 1e-12), spent, history["spent"])
+        opening = onset + spent * (end - onset)
+        return {"damage": 1 - onset * (1 - spent) / opening, "spent": spent}
+
+    def traction(self, gap, normals, history):
+        return (1 - history["damage"]) * self.stiffness * gap
+
+    def broken(self, gap, normals, history):
+        return conditional(gt(history.old["damage"], 0), history["damage"], 0)
+
+    def stored(self, gap, normals, history):
+        return (1 - history["damage"]) * self.stiffness * dot(gap, gap) / 2
+
+    def dissipated(self, gap, normals, history):
+        return self.energy * (history["spent"] - history.old["spent"])
+'''
+# A soft bar whose end has to go back while the glue breaks (snap-back), then pressed and slid.
+TORN = """\
+geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 4 mm]},
+                                  {name: upper, size: [4 mm, 4 mm, 4 mm]}]}
+mesh: {order: 1, size: 4 mm}
+regions:
+  lower: {youngs_modulus: 0.4 GPa, poisson_ratio: 0, tissue: other}
+  upper: {youngs_modulus: 0.4 GPa, poisson_ratio: 0, tissue: other}
+interfaces:
+  lower_upper: {kind: glue, friction_coefficient: 0.3, stiffness: 1.0e+4 MPa/mm,
+                tensile_strength: 10 MPa, energy: 0.1 N/mm}
+supports:
+  base: {kind: fixed, boundary: bottom}
+  pull: {kind: displacement, boundary: top, z: 0.4 mm, history: [1, -0.05, -0.05]}
+  slide: {kind: displacement, boundary: top, x: 0.1 mm, y: 0 mm, history: [0, 0, 1]}
+stages: [{name: pull, increments: 4, fracture_step: 0.1 N mm}, {name: press}, {name: slide}]
+solver: {tolerance: 1.0e-12}
+"""
+
+
+def test_a_law_from_outside_breaks_by_given_energy_and_then_rubs(tmp_path: Path) -> None:
+    """Traction falls linearly with the energy used, G A in all; then friction μ p."""
+    summary, _ = run(tmp_path, GLUE, TORN)
+    history = mantle.read(tmp_path / "out").history
+    used = np.asarray(history["lower_upper dissipation [N mm]"])
+    stage = np.ceil(np.asarray(history["time [-]"]))
+    breaking = (used > 0) & (used < 0.999 * 1.6) & (stage == 1)
+    assert breaking.sum() >= 15
+    np.testing.assert_allclose(np.diff(used[breaking]), 0.1, rtol=1e-5)
+    tension = -np.asarray(history["lower_upper pressure_p95 [MPa]"])[breaking]
+    np.testing.assert_allclose(tension, 10 * (1 - used[breaking] / 1.6), rtol=1e-6)
+    # The end goes back: stretch of the bars, 8 mm long, and opening of the glue.
+    opening = 1e-3 + used[breaking] / 1.6 * (0.02 - 1e-3)
+    end = 0.4 * np.asarray(history["time [-]"])[breaking]
+    np.testing.assert_allclose(end, tension * 8 / 400 + opening, rtol=1e-6)
+    found = summary["interfaces"]["lower_upper"]
+    assert found["area_broken"] == pytest.approx(16, rel=1e-9)
+    pressure = 0.05 * 0.4 * 400 / 8
+    assert found["pressure_mean"] == pytest.approx(pressure, rel=1e-9)
+    assert found["shear_mean"] == pytest.approx(0.3 * pressure, rel=1e-9)
+    assert found["dissipation"] > 1.6 and summary["balance"]["energy"] < 1e-8
+
+
 # The layer of `compliance` in series with contact, by the slot of a law.
 CONTACT_LAYER = '''
 from typing import Literal
