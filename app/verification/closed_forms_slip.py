@@ -18,7 +18,8 @@ from app.verification.measures import number, relative
 from meshes.data import exterior_facets
 
 # Sink [um] and mean pressure [MPa] within 20 degrees of the pole of the ball of ball_in_cup.yaml
-# without friction, by clearance (tests/axisymmetric.py); the cup's outside stays at 22 mm.
+# without friction, by clearance; the cup's outside stays at 22 mm. From
+# tests/reference/axisymmetric.py.
 CUP = {0.05: (35.424, 8.298), 0.1: (45.084, 10.332), 0.2: (58.746, 13.159), 0.5: (84.498, 18.328)}
 HERTZ = exact.hertz_point(100.0, 60.0, exact.contact_modulus((1e3, 0.3)))
 _COARSE, _WHOLE = "mesh={size: 4 mm, far_size: 6 mm, order: 1}", "motions.ball.largest_step=30 deg"

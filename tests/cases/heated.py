@@ -20,7 +20,8 @@ from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
 from app.scene.scene import Scene, build_scene
 from app.system.timing import Timing
-from tests import laws, support
+from tests import support
+from tests.cases import laws
 
 Field = Callable[[Floats], Floats]
 # A bar of two materials, each with a fibre of its own direction; rollers on three faces, so that it

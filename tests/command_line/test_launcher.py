@@ -25,7 +25,7 @@ import mantle
 from app.command_line.parser import parser
 from docs import packages
 from tests.cases.gmsh_scripts import CASE, LAYERS
-from tests.misleading import mislead
+from tests.cases.misleading import mislead
 from tests.support import ROOT, python, started
 
 MANTLE = ROOT / "mantle"

@@ -587,7 +587,7 @@ def check_gait(s: dict[str, Any]) -> None:
 
 
 def check_pressed(s: dict[str, Any]) -> None:
-    """The head sinks as in an axisymmetric solution of second order (tests/axisymmetric.py)."""
+    """The head sinks as in an axisymmetric solution, `tests/reference/axisymmetric.py`."""
     centre = s["interfaces"]["bearing"]["centre"]
     assert centre[2] - 0.1 == pytest.approx(0.04538, rel=0.05)
 

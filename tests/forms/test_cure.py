@@ -40,7 +40,7 @@ from app.numerics.integrator import (
 )
 from app.numerics.pointwise import Pointwise
 from forms import cure as forms
-from tests.laws import BALIGA, altered, cure
+from tests.cases.laws import BALIGA, altered, cure
 
 R = 8.314462618
 # Adiabatic rise of full cure [K].

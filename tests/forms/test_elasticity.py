@@ -22,7 +22,7 @@ from app.foundation.arrays import Floats
 from app.numerics.pointwise import Pointwise
 from app.verification.closed_forms import Fibrous
 from forms import elasticity
-from tests.laws import compliance
+from tests.cases.laws import compliance
 
 Stiffness = Callable[[Sequence[float], Sequence[float]], Floats]
 

@@ -30,7 +30,8 @@ from app.stepping.heat_state import HeatState
 from app.system.timing import Timing
 from meshes import blocks
 from meshes.distribute import TaggedMesh, distribute
-from tests import laws, support
+from tests import support
+from tests.cases import laws
 
 ZERO = 273.15
 PERFECT = np.inf

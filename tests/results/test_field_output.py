@@ -24,7 +24,8 @@ from app.scene.bodies import Bodies, bodies_of
 from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
-from tests import laws, support
+from tests import support
+from tests.cases import laws
 from tests.cases.temperatures import SIDES, ZERO, two_blocks
 
 H = 0.3  # N/(mm s K): 300 W/(m2 K)

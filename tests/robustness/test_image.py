@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from tests import support
-from tests.misleading import mislead
+from tests.cases.misleading import mislead
 
 pytestmark = pytest.mark.slow
 SPACE = 15e9  # bytes: the layers of the image, each a whole tree

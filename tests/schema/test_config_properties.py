@@ -16,7 +16,7 @@ from app.case.case import load
 from app.foundation.errors import InputError
 from app.laws.materials import TransverselyIsotropic
 from app.schema.units import Angle, Axis, Length, Stiffness, Temperature
-from tests.laws import compliance
+from tests.cases.laws import compliance
 from tests.support import CONFIGS
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.verification.closed_forms_slip import CUP
-from tests import axisymmetric
+from tests.reference import axisymmetric
 
 # Ball of 14 mm, outside of the cup 22 mm, by clearance [mm]: sink [um], mean pressure within 20
 # degrees [MPa] and edge of contact [degrees], by a program of its own with linear gaps.

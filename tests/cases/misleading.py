@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 # Files of options that libraries read in the working folder: PETSc writes a log, compilers get a
 # flag that they do not know, forms are complex, pictures start LaTeX.
 OPTIONS = {
