@@ -30,8 +30,11 @@ from app.system import form_cache, ranks
 from app.system.folders import settle_cache
 from app.system.ranks import rank
 
+# Exit code of an error that no user can cause.
 INTERNAL_ERROR = 70
+# Exit code of a run that was stopped.
 STOPPED = 5
+# Time that other ranks get to print their error before the job ends [s].
 GRACE = 1.0
 
 
@@ -49,7 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ranks.use_one_node()
     ranks.end_with_parent()
     try:
-        if (message := settle_cache()) and rank() == 0:
+        message = settle_cache()
+        if message and rank() == 0:
             print(f"mantle: {message}", file=sys.stderr)
         for name in filter(None, os.environ.get("MANTLE_EXTENSIONS", "").split(",")):
             _extend(name)
@@ -124,6 +128,7 @@ def _extend(name: str) -> None:
 
 def _abort(code: int) -> None:
     """End all ranks, if there are others: they may be waiting for this one."""
-    if (world := _world()) is not None:
+    world = _world()
+    if world is not None:
         sys.stdout.flush()
         world.Abort(code)

@@ -5,7 +5,7 @@ They work on the valid parts, so that an error in one section does not hide erro
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from app.case.quantities import of_run
@@ -26,15 +26,33 @@ UNLIKE_COURSES = {
 }
 
 
+Check = Callable[[Any], Iterable[Fault]]
+# Every check of a case, with the parts that it needs.
+_CHECKS: list[tuple[tuple[str, ...], Check]] = []
+
+
+def check(*needed: str) -> Callable[[Check], Check]:
+    """Register a check of the parts of a case against each other; also from another package.
+
+    A check takes a case and returns its faults. It is left out where a needed part is invalid; of
+    the other parts, invalid ones are None.
+    """
+
+    def register(function: Check) -> Check:
+        _CHECKS.append((needed, function))
+        return function
+
+    return register
+
+
 def cross_check(case: Any) -> list[Fault]:
     """Contradictions between the parts of a case; invalid parts are None."""
-    faults = [*_held(case), *_side(case), *_heat(case), *_creep(case)]
-    if case.geometry is not None:
-        faults += [*_names(case), *_mesh(case), *_rigid(case), *_accuracy(case)]
-        faults += [*_fatigue(case), *_remodelling(case), *_sliding(case)]
-    if case.stages is not None:
-        faults += _stages(case)
-    return faults
+    return [
+        fault
+        for needed, function in _CHECKS
+        if all(getattr(case, part) is not None for part in needed)
+        for fault in function(case)
+    ]
 
 
 def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str) -> Fault:
@@ -52,6 +70,7 @@ def _entries(case: Any, *sections: str) -> Iterable[tuple[str, str, Any]]:
                 yield section, name, entry
 
 
+@check("geometry")
 def _names(case: Any) -> Iterable[Fault]:
     """Names unknown to the geometry, and regions without material."""
     kind, regions = case.geometry.kind, case.geometry.region_names
@@ -77,7 +96,8 @@ def _names(case: Any) -> Iterable[Fault]:
             yield _unknown(path, what, name, known[what], kind)
     if case.regions is None:
         return
-    if missing := [name for name in regions if name not in case.regions]:
+    missing = [name for name in regions if name not in case.regions]
+    if missing:
         yield Fault(("regions",), f"no material for {', '.join(missing)}; every region needs one")
     for _, name, region in _entries(case, "regions"):
         if region.tissue is None and name in regions:
@@ -85,6 +105,7 @@ def _names(case: Any) -> Iterable[Fault]:
             yield Fault(("regions", name), text)
 
 
+@check("geometry")
 def _mesh(case: Any) -> Iterable[Fault]:
     """Lengths too small for the mesh size, and numbers of what the mesh does not have."""
     largest = case.geometry.coarsest_size
@@ -126,6 +147,7 @@ def _lines(case: Any) -> Iterable[Fault]:
         yield Fault(("mesh", "along"), text)
 
 
+@check("stages")
 def _stages(case: Any) -> Iterable[Fault]:
     """Missing or duplicate stages, histories of wrong length, unknown stages of supports."""
     names = [stage.name for stage in case.stages]
@@ -166,16 +188,21 @@ def _stages(case: Any) -> Iterable[Fault]:
             yield Fault(path, text)
 
 
+@check("fatigue", "regions")
 def _fatigue(case: Any) -> Iterable[Fault]:
     """Fatigue of a region that does not deform."""
-    regions = case.regions or {}
+    regions = case.regions
     elastic = [name for name, region in regions.items() if isinstance(region, Elastic)]
-    if case.fatigue and elastic and (name := case.fatigue.region) not in elastic:
-        if regions.get(name, name) is not None:  # else it is invalid
-            text = f"'{name}' is not one of the elastic regions {', '.join(elastic)}"
-            yield Fault(("fatigue", "region"), text + did_you_mean(name, elastic))
+    if not elastic:
+        return
+    name = case.fatigue.region
+    invalid = name in regions and regions[name] is None
+    if name not in elastic and not invalid:
+        text = f"'{name}' is not one of the elastic regions {', '.join(elastic)}"
+        yield Fault(("fatigue", "region"), text + did_you_mean(name, elastic))
 
 
+@check("geometry")
 def _accuracy(case: Any) -> Iterable[Fault]:
     """An accuracy where there is no mesh to choose, or no number that counts."""
     given = case.geometry.kind == "file" or case.variations
@@ -185,6 +212,7 @@ def _accuracy(case: Any) -> Iterable[Fault]:
         yield Fault(("output", "accuracy"), text)
 
 
+@check("geometry")
 def _rigid(case: Any) -> Iterable[Fault]:
     """Rigid regions in contact with each other, and models without any elastic region."""
     rigid = {name for _, name, region in _entries(case, "regions") if isinstance(region, Rigid)}
@@ -200,9 +228,10 @@ def _rigid(case: Any) -> Iterable[Fault]:
             yield Fault(("interfaces", name), text)
 
 
+@check("supports")
 def _held(case: Any) -> Iterable[Fault]:
     """Directions in which the whole model is not constrained."""
-    if case.supports is None or any(support is None for support in case.supports.values()):
+    if any(support is None for support in case.supports.values()):
         return
     if case.regions and all(isinstance(r, Conductor) for r in case.regions.values()):
         return
@@ -215,13 +244,15 @@ def _held(case: Any) -> Iterable[Fault]:
             if not (stages := getattr(support, "stages", None)) or stage in stages
         }
         when = f" in stage '{stage}'" if stage else ""
-        if free := [axis for axis in "xyz" if axis not in held]:
+        free = [axis for axis in "xyz" if axis not in held]
+        if free:
             along = "" if len(free) == 3 else f" along {' and '.join(free)}"
             allowed = "expected a support: fixed, roller, displacement or foundation"
             text = f"nothing holds the model{along}{when}; {allowed} [{Reason.LOOSE_BODY}]"
             yield Fault(("supports",), text)
 
 
+@check("geometry")
 def _side(case: Any) -> Iterable[Fault]:
     """Refuse right parametric femurs, which are left ones."""
     if case.side == "right" and case.geometry.has_gruen_zones:
@@ -232,6 +263,7 @@ def _side(case: Any) -> Iterable[Fault]:
         yield Fault(("side",), text)
 
 
+@check("geometry")
 def _remodelling(case: Any) -> Iterable[Fault]:
     """Stages without section and reverse; load cases and regions that remodelling lacks."""
     law, stages = case.remodelling, case.stages or ()
@@ -265,6 +297,7 @@ def _remodelling(case: Any) -> Iterable[Fault]:
                     yield Fault(("regions", name), text)
 
 
+@check("regions")
 def _creep(case: Any) -> Iterable[Fault]:
     """Stages of creep where no region creeps, or where a law counts in another measure."""
     regions = list(_entries(case, "regions"))
@@ -281,6 +314,7 @@ def _creep(case: Any) -> Iterable[Fault]:
                 yield Fault(key, f"the creep of {name} counts {counts}; expected creep_{counts}")
 
 
+@check("geometry")
 def _sliding(case: Any) -> Iterable[Fault]:
     """What slides far without two boundaries, moves twice, follows no motion, or takes time."""
     whole = [(("motions", n, "region"), m.region) for _, n, m in _entries(case, "motions")]
@@ -288,14 +322,16 @@ def _sliding(case: Any) -> Iterable[Fault]:
     for name, law in laws.items():
         if getattr(law, "sliding", "small") == "finite":
             far.add(name)
-            if not (faces := law.between or case.geometry.faces.get(name)):
+            faces = law.between or case.geometry.faces.get(name)
+            if not faces:
                 text = "its sides share facets; expected bodies meshed apart, and `between` two of "
                 text += ", ".join(case.geometry.boundary_names)
                 yield Fault(("interfaces", name, "sliding"), text)
             whole += [(("interfaces", name, "between"), face) for face in faces or ()]
     taken = dict[tuple[str, str], str]()
     for path, part in whole:
-        if other := taken.get((path[0], part)):
+        other = taken.get((path[0], part))
+        if other:
             yield Fault(path, f"{part} is in {path[0]}.{other} already; expected another")
         taken[path[0], part] = path[1]
     for _, name, motion in _entries(case, "motions"):
@@ -347,7 +383,8 @@ def _sliding_heat(laws: Mapping[str, Any], far: set[str], courses: bool) -> Iter
 
 def quantities(case: Any, study: Any) -> Iterable[Fault]:
     """Quantities of interfaces, regions or laws of fatigue unknown to a case."""
-    if (geometry := case.geometry) is None or study is None:
+    geometry = case.geometry
+    if geometry is None or study is None:
         return
     laws = case.fatigue.laws if case.fatigue else ()
     known = (*geometry.interface_sides, *geometry.region_names, *laws)
@@ -361,9 +398,9 @@ def quantities(case: Any, study: Any) -> Iterable[Fault]:
 # ------------------------------------------------------------------------------------- heat
 
 
+@check("regions")
 def _heat(case: Any) -> Iterable[Fault]:
-    if case.regions is None:
-        return
+    """Regions with and without heat, and what needs heat or has none."""
     regions = {name: region for name, region in case.regions.items() if region is not None}
     cold = [name for name, region in regions.items() if region.thermal is None]
     if len(cold) == len(regions):

@@ -158,7 +158,8 @@ def _sections(schema: Schema, path: str) -> Iterator[tuple[str, str]]:
     for inner in schema.get("anyOf", ()):
         yield from _sections(inner, path)
     for key, end in (("items", "[]"), ("additionalProperties", ".<name>")):
-        if isinstance(inner := schema.get(key), dict):
+        inner = schema.get(key)
+        if isinstance(inner, dict):
             yield from _sections(inner, path + end)
 
 
@@ -257,9 +258,10 @@ def explained(key: str = "") -> str:
     entries = library.described()
     if not found and (listed or key in entries):
         return listed or entries[key]
-    if not found and (mentions := _mentions(asked) or _mentions(key.split()[-1])):
-        return mentions
     if not found:
+        mentions = _mentions(asked) or _mentions(key.split()[-1])
+        if mentions:
+            return mentions
         names = [*entries, *(re.sub(r"\.<name>|\[\]", "", k.path) for k in every)]
         words = {w: name for name in reversed(names) for w in (name, name.rpartition(".")[2])}
         close = (difflib.get_close_matches(w, words, 3) for w in (asked, asked.rpartition(".")[2]))
@@ -343,7 +345,7 @@ def _every() -> list[Key]:
 
 
 def _matches(key: Key, asked: str) -> bool:
-    """Whether a key matches; names and numbers may be any or be left out."""
+    """Return True if a key matches; names and numbers may be any or be left out."""
     pattern = re.escape(key.path)
     pattern = pattern.replace(r"\.<name>", r"(\.[^.]+)?")
     pattern = pattern.replace(r"\[\]", r"(\[\d*\]|\.\d+)?")

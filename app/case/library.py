@@ -14,8 +14,12 @@ from app.schema.yaml_file import CaseFile, Fault
 SHIPPED = configs.FOLDER / "library" / "library.yaml"
 # A name and the lines below it.
 ENTRY = r"^  ([\w-]+):\n(?:    .*\n)+"
-# Keys of an entry beside its values; the origin goes into the case with them.
-ABOUT, SOURCE, ORIGIN = "about", "source", ("status", "source")
+# Key of an entry with its description.
+ABOUT = "about"
+# Key of an entry that says where its values are from.
+SOURCE = "source"
+# Keys that go into the case with the values.
+ORIGIN = ("status", SOURCE)
 KINDS = {
     "materials": "a region takes one by `material: NAME`",
     "finishes": "a cohesive interface takes one by `finish: NAME`",

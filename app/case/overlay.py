@@ -1,7 +1,7 @@
 """Merge a case with its bases, entries of a library, and overrides.
 
-Each value keeps its place: file, line and column, also of a base or a library. A place may be left
-of a value that is gone; nothing asks for it.
+Each value keeps its place: file, line and column, also of a base or a library. Places of removed
+values may remain; they are never read.
 """
 
 from __future__ import annotations
@@ -85,7 +85,9 @@ def _from(folder: FilePath, part: Any, keys: Sequence[str]) -> None:
         for key in list(part) if keys[0] == "*" else keys[:1]:
             if keys[1:]:
                 _from(folder, part.get(key), keys[1:])
-            elif isinstance(name := part.get(key), str) and (key != "course" or "." in name):
+                continue
+            name = part.get(key)
+            if isinstance(name, str) and (key != "course" or "." in name):
                 part[key] = str((folder / expanduser(name)).absolute())
 
 
@@ -152,7 +154,8 @@ def _merged(case: CaseFile, lower: Any, upper: Any, path: Path) -> Any:
     Mappings merge key by key, of another kind they replace; null removes an entry; all else
     replaces. `_rule` tells what is resolved at a path before.
     """
-    if rule := _rule(path):
+    rule = _rule(path)
+    if rule:
         lower, upper = rule(case, lower, upper, path)
     if not isinstance(upper, dict):
         return upper
@@ -377,7 +380,8 @@ def _entry(case: CaseFile, kind: str, name: str, path: Path, below: Path) -> dic
         case.libraries.insert(0, library.read())
         case.digests |= case.libraries[0].digests
     for file in reversed(case.libraries):
-        if (entry := file.data.get(kind, {}).get(name)) is not None:
+        entry = file.data.get(kind, {}).get(name)
+        if entry is not None:
             for p, place in file.places.items():
                 if p[:2] == (kind, name) and len(p) > 2:
                     case.places[*below, *p[2:]] = place

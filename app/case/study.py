@@ -79,14 +79,15 @@ class Study(Section):
         for key in ("quantities", "lines"):
             if not getattr(self, key):
                 fail("is empty", at=(key,))
-        if (values := self.reference.values) is not None:
+        values = self.reference.values
+        if values is not None:
             missing = [q for q in self.quantities if q not in values and self.compares(q)]
             if missing:
                 fail(f"no value for {', '.join(missing)}", at=("reference", "values"))
         return self
 
     def compares(self, quantity: str) -> bool:
-        """Whether a quantity is compared with the reference, or only shown."""
+        """Return True if a quantity is compared with the reference, not only shown."""
         return not quantities.find(quantity).exact or quantity in (self.reference.values or {})
 
 

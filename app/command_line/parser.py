@@ -33,7 +33,9 @@ def _folder(text: str) -> Path:
     return path
 
 
-CASE, MANY = "case --set --allow-scripts", "-o --cores --dry-run --slurm"
+# Arguments of commands that read a case, of those that run many, and of suites.
+CASE = "case --set --allow-scripts"
+MANY = "-o --cores --dry-run --slurm"
 SUITE = f"{MANY} -k --tier"
 # Each command: its help and its arguments.
 COMMANDS = {
@@ -163,8 +165,9 @@ class Parser(argparse.ArgumentParser):
         """Raise InputError for a wrong command line."""
         if message.startswith("unrecognized arguments: -n"):
             message += "; only mantle run starts ranks, --cores N uses N cores"
-        if found := re.search(r"COMMAND: invalid choice: '(.*?)'", message):
-            message += did_you_mean(found[1], list(COMMANDS))
+        unknown = re.search(r"COMMAND: invalid choice: '(.*?)'", message)
+        if unknown:
+            message += did_you_mean(unknown[1], list(COMMANDS))
         raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
 
     def _print_message(self, message: str, file: Any = None) -> None:

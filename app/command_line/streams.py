@@ -16,7 +16,7 @@ COLOURS = "MANTLE_COLOURS"
 
 
 def coloured(stream: TextIO) -> bool:
-    """Whether a stream is a terminal with colours, and colours are wanted (no-color.org)."""
+    """Return True if a stream is a terminal with colours that are wanted (no-color.org)."""
     if os.environ.get("NO_COLOR") or os.environ.get("TERM", "dumb") == "dumb":
         return False
     return COLOURS in os.environ if world_size() is not None else stream.isatty()

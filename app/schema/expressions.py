@@ -125,10 +125,10 @@ class Varying(Scalar):
             PydanticCustomError: Neither.
         """
         # "0.02 mm" is a length and "0.02" one without its unit; "0.02 * x" is an expression.
-        if not isinstance(value, str) or (
-            (match := NUMBER.fullmatch(value))
-            and (not match[2] or match[2][0].isalpha() or match[2][0] in "°%")
-        ):
+        number = NUMBER.fullmatch(value) if isinstance(value, str) else None
+        unit = number[2] if number else ""
+        constant = number is not None and (not unit or unit[0].isalpha() or unit[0] in "°%")
+        if not isinstance(value, str) or constant:
             return self.constant.read(value)
         try:
             calculate(value, dict.fromkeys(("x", "y", "z", "pi"), 1.0))

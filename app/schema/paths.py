@@ -26,7 +26,8 @@ def file(
             fail("is not a path; expected text")
         try:
             path: Path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
-            if (found := path.is_file() or (folder and path.is_dir())) and check:
+            exists = path.is_file() or (folder and path.is_dir())
+            if exists and check:
                 check(path, info.data)
         except OSError as error:
             fail(f"{show(str(value))} cannot be read: {error.strerror}")
@@ -34,7 +35,7 @@ def file(
             fail(f"{show(str(value))}: {error}")
         if suffixes and path.suffix.lower() not in suffixes:
             fail(f"{show(str(value))}: {not_one_of(path.suffix, suffixes)}")
-        if not found:
+        if not exists:
             fail(f"no such file: {path}")
         return path.resolve()
 

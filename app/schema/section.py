@@ -53,7 +53,7 @@ class Section(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _told(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _in_words_of_the_file(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         try:
             return handler(value)
         except ValidationError as error:
@@ -66,7 +66,13 @@ class Section(BaseModel):
 def faults(
     error: ValidationError, model: type[Section] = Section, given: Any = None
 ) -> list[Fault]:
-    """The errors of pydantic in a section, of which a mapping was given, in words of the file."""
+    """Errors of pydantic in words of the file.
+
+    Args:
+        error: The errors.
+        model: Section in which they are.
+        given: Mapping that the section was read from.
+    """
     return [Fault(*_in_words(entry, model, given)) for entry in error.errors(include_url=False)]
 
 
@@ -81,10 +87,11 @@ def _in_words(entry: ErrorDetails, model: type[Section], given: Any) -> tuple[Pa
             expected = f": {text[:1].lower()}{text[1:].rstrip('.')}" if text else ""
             return path[:-1], f"'{path[-1]}' is missing; expected{expected}"
         case "extra_forbidden":
-            hint = did_you_mean(str(path[-1]), keys)
-            if above := _above(path[-1], model, given):
+            above = _above(path[-1], model, given)
+            if above:
                 text = f"it belongs below '{above}', indented: is its indentation lost?"
                 return path, f"unknown key; {text}"
+            hint = did_you_mean(str(path[-1]), keys)
             return path, f"unknown key; allowed: {', '.join(keys)}{hint}"
         case "model_type" | "model_attributes_type":
             return path, f"{value} is not a mapping; expected keys {', '.join(keys)}"
@@ -111,7 +118,7 @@ def _above(key: str | int, model: type[Section], given: Mapping[str, Any]) -> st
 
 
 def _has(kind: Any, key: str | int) -> bool:
-    """Whether sections of a type, or of any in it, have a key."""
+    """Return True if sections of a type, or of any in it, have a key."""
     return key in getattr(kind, "model_fields", ()) or any(_has(k, key) for k in get_args(kind))
 
 
@@ -238,7 +245,8 @@ def not_one_of(value: object, allowed: Sequence[str]) -> str:
 
 def spread_unit(value: object) -> object:
     """``"[0, 0, -1800] N"`` as ``["0 N", "0 N", "-1800 N"]``; anything else unchanged."""
-    if isinstance(value, str) and (match := VECTOR.fullmatch(value)):
+    match = VECTOR.fullmatch(value) if isinstance(value, str) else None
+    if match:
         return [f"{entry.strip()} {match[2].strip()}".strip() for entry in _entries(match[1])]
     return value
 
@@ -344,7 +352,8 @@ class Kinds:
         classes: tuple[type[BaseModel], ...] = get_args(source) or kinds_of(source)
         tags, keys = dict[type, str](), dict[str, str]()
         for model in classes:
-            if "kind" in (fields := model.model_fields):
+            fields = model.model_fields
+            if "kind" in fields:
                 tags[model] = TAG + get_args(fields["kind"].annotation)[0]
             else:
                 key = next((key for key, field in fields.items() if field.is_required()), "")

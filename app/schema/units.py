@@ -3,7 +3,7 @@
 A dimensional value is text with a unit (``110 GPa``); after validation it is a float in the
 internal system mm, N, MPa, s, K, tonne, rad. The conversion is done in rational arithmetic and
 rounded once, so that ``0.11 TPa``, ``110 GPa`` and ``110000 MPa`` give the same float. Conversions
-are pint's, cached on disk: pint takes 0.2 s to load, a tenth of a short run.
+are pint's, kept on disk: pint with its registry takes 0.4 s to load, a tenth of a short run.
 
 A field is declared by one of the aliases below, for example ``thickness: PositiveLength``.
 """
@@ -37,7 +37,10 @@ ANGLES = re.compile("radian|degree|arc|turn|grade")
 LONGEST = 60
 # Longest number with its unit; matching takes quadratic time.
 LONGEST_VALUE = 200
-HUGE, LARGEST = 1e9, sys.float_info.max
+# Bounds above this only avoid overflow, and are left out of the manual.
+HUGE = 1e9
+# Largest number that is finite.
+LARGEST = sys.float_info.max
 
 # By attribute: what it asks of a value, in words, and in a JSON schema.
 BOUNDS: dict[str, tuple[Callable[[float, float], bool], str, str]] = {
@@ -78,8 +81,9 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
         slope, offset = _by_pint(unit, text, internal)
         kept[key] = [str(slope), str(offset)]
         # Of concurrent additions one may be lost.
-        with suppress(OSError):
-            if folder := folders.cache("units"):
+        folder = folders.cache("units")
+        if folder is not None:
+            with suppress(OSError):
                 folders.write_json(folder / KEPT, kept)
     return slope, offset
 
@@ -87,11 +91,14 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
 @lru_cache(maxsize=1)
 def _kept() -> dict[str, list[str]]:
     """Conversions in the cache on disk."""
-    with suppress(OSError, ValueError, RecursionError):
-        if folder := folders.cache("units"):
-            found = json.loads((folder / KEPT).read_text())
-            return found if isinstance(found, dict) else {}
-    return {}
+    folder = folders.cache("units")
+    if folder is None:
+        return {}
+    try:
+        conversions = json.loads((folder / KEPT).read_text())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return conversions if isinstance(conversions, dict) else {}
 
 
 def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
@@ -138,7 +145,8 @@ class _Bounded(Scalar):
             PydanticCustomError: It is beyond one.
         """
         for key, (holds, words, _) in BOUNDS.items():
-            if (bound := getattr(self, key)) is not None and not holds(value, bound):
+            bound = getattr(self, key)
+            if bound is not None and not holds(value, bound):
                 signs = {"above": "must be positive", "at_least": "must not be negative"}
                 text = f"must be {words} {bound:g} {unit}".rstrip()
                 fail(f"{shown} {text if bound else signs.get(key, text)}")
@@ -295,8 +303,10 @@ class Plain(_Bounded):
         """
         kind = "whole number" if self.integer else "number"
         if isinstance(value, bool) or not isinstance(value, int | float):
-            unit = isinstance(value, str) and (m := NUMBER.fullmatch(value)) and m.group(2)
-            extra = " (this value is dimensionless: no unit)" if unit else " without quotes or unit"
+            match = NUMBER.fullmatch(value) if isinstance(value, str) else None
+            extra = " without quotes or unit"
+            if match and match[2]:
+                extra = " (this value is dimensionless: no unit)"
             fail(f"{show(value)} is not a {kind}; expected a plain {kind}{extra}")
         if not abs(value) <= LARGEST:
             fail(f"{show(value)} is not finite; expected a {kind}")

@@ -27,8 +27,14 @@ from app.foundation.errors import GeometryError, InputError
 Path = tuple[str | int, ...]
 # Name of the file, line and column (from 1); or the key of an option.
 Place = tuple[str, int, int] | str
-# Bounds: bytes of a file, number of values, nesting, length of a text.
-LARGEST, MOST_NODES, DEEPEST, LONGEST = 4 << 20, 100_000, 50, 10_000
+# Largest file [bytes].
+LARGEST = 4 << 20
+# Largest number of values of a file.
+MOST_NODES = 100_000
+# Deepest nesting of values.
+DEEPEST = 50
+# Longest text of a value or a message [characters].
+LONGEST = 10_000
 TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"
 # The only tags allowed on mappings and lists.
 PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
@@ -103,7 +109,8 @@ class CaseFile:
         Raises:
             InputError: There is at least one problem, given or found while reading.
         """
-        if lines := sorted(map(self._locate, (*self.complaints, *problems))):
+        lines = sorted(map(self._locate, (*self.complaints, *problems)))
+        if lines:
             raise InputError(list(dict.fromkeys(printable(text) for _, text in lines)))
 
     @contextmanager
@@ -123,10 +130,11 @@ class CaseFile:
 
     def _placed(self, message: str) -> str:
         """A message with its place, if it begins with a key."""
-        if not (found := KEYED.fullmatch(message)):
+        keyed = KEYED.fullmatch(message)
+        if keyed is None:
             return message
-        path = tuple(int(i) if i.isdigit() else i for i in key_parts(found[1]))
-        return self._locate(Fault(path, found[2]))[1] if path[0] in self.data else message
+        path = tuple(int(i) if i.isdigit() else i for i in key_parts(keyed[1]))
+        return self._locate(Fault(path, keyed[2]))[1] if path[0] in self.data else message
 
     def _locate(self, fault: Fault) -> tuple[tuple[int, int, int], str]:
         """Sorting key and message of a fault, at its key or the nearest one above."""

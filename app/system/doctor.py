@@ -135,7 +135,7 @@ def blas_libraries(maps: Iterable[str]) -> list[str]:
 
 
 def is_reference_blas(path: str) -> bool:
-    """Whether a library is the reference BLAS, which is slow.
+    """Return True if a library is the reference BLAS, which is slow.
 
     Debian's alternatives give every BLAS the name libblas.so.3; the folder says whose it is.
     """
@@ -164,7 +164,8 @@ def _petsc() -> str:
     has = {name: petsc.Sys.hasExternalPackage(name.lower()) for name in _SOLVERS}
     text = f"{numbers}, {kind}"
     for word, wanted in (("with", True), ("without", False)):
-        if names := [name for name in _SOLVERS if has[name] is wanted]:
+        names = [name for name in _SOLVERS if has[name] is wanted]
+        if names:
             text += f", {word} {' and '.join(names)}"
     return text
 

@@ -53,7 +53,7 @@ def guard() -> None:
 
 
 def usable(folder: Path, name: str) -> bool:
-    """Whether a module is compiled and has the size noted by its compiler."""
+    """Return True if a module is compiled and has the size noted by its compiler."""
     module, source = folder / (name + EXTENSION_SUFFIXES[0]), folder / f"{name}.c"
     try:
         size = (folder / f"{name}.c.cached").read_text(errors="replace")

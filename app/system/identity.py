@@ -74,7 +74,8 @@ def _petsc() -> ctypes.CDLL | None:
     spec = importlib.util.find_spec("petsc4py")
     folders = (spec and spec.submodule_search_locations) or ()
     found = sorted(p for folder in folders for p in Path(folder).glob("lib/**/PETSc*.so"))
-    if mpi := sorted(Path(sys.prefix).glob("lib/libmpi.so.*")):  # of wheels, which PETSc's needs
+    mpi = sorted(Path(sys.prefix).glob("lib/libmpi.so.*"))
+    if mpi:  # of wheels: their PETSc needs it
         ctypes.CDLL(str(mpi[0]), mode=ctypes.RTLD_GLOBAL)
     return ctypes.CDLL(str(found[0])) if found else None
 

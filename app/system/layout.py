@@ -70,8 +70,9 @@ def plain(value: object) -> str:
         return ", ".join(f"{k} {plain(v)}" for k, v in value.items())
     if isinstance(value, list | tuple):
         items = [plain(v) for v in value]
-        units = {text.partition(" ")[2] for text in items}
-        if len(units) == 1 and (unit := units.pop())[:1].isalpha() and len(items) > 1:
+        units = [text.partition(" ")[2] for text in items]
+        unit = units[0] if units else ""
+        if len(items) > 1 and set(units) == {unit} and unit[:1].isalpha():
             return f"[{', '.join(text.partition(' ')[0] for text in items)}] {unit}"
         return f"[{', '.join(items)}]"
     if isinstance(value, bool):

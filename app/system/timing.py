@@ -47,7 +47,8 @@ class Timing:
     def phase(self, name: str, of: str = "") -> Iterator[None]:
         """Count the time of the block for a phase, one of `DOING`, and log its beginning."""
         words = f"{DOING[name]}: {of}" if of else DOING[name]
-        if (expected := self.about.pop(of or name, 0.0)) > 1.0:
+        expected = self.about.pop(of or name, 0.0)
+        if expected > 1.0:
             words += f", about {expected:.0f} s"
         first = name not in self.seconds and name in ANNOUNCED and not self.part
         where = f"{self.part}: " if self.part else ""
