@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from app.foundation.errors import GeometryError, Reason
+from app.foundation.errors import GeometryError
+from app.foundation.verdict import Reason
 from meshes import cache as _cache
 from meshes import quality as _quality
 from meshes.data import (

@@ -17,7 +17,7 @@ from typing import Any
 from app.case.case import Case, PlannedRun, dump, plain
 from app.case.variations import CHANGED, split
 from app.foundation.errors import ConvergenceError, EnvironmentProblem, StoppedError, UnusableError
-from app.results.closing_lines import reasons_not_to_use
+from app.results.verdicts import reasons_not_to_use
 from app.soundness import cost, memory
 from app.system import identity
 from app.system.folders import FAILED, saved

@@ -21,7 +21,7 @@ from app.campaigns.runs import Result
 from app.case import sweep as sweep_file
 from app.foundation.errors import gravest
 from app.results import run_table
-from app.results.closing_lines import UNUSABLE
+from app.results.verdicts import UNUSABLE
 from app.schema import yaml_file
 from app.system import identity, layout
 from app.system.folders import write_json, write_text

@@ -10,7 +10,7 @@ from typing import Any
 
 from app.case.quantities import of_run
 from app.case.shapes import COMPANION, MOST_LINES
-from app.foundation.errors import Reason
+from app.foundation.verdict import Reason
 from app.laws.densities import density
 from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
 from app.laws.materials import Conductor, Elastic, Rigid
@@ -223,9 +223,10 @@ def _rigid(case: Any) -> Iterable[Fault]:
         sides = case.geometry.interface_sides.get(name)
         if sides and law.can_part and all(rigid & set(side) for side in sides):
             regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
-            text = f"contact between rigid regions ({regions}); one side has to be elastic"
-            text += f" [{Reason.RIGID_CONTACT}]"
-            yield Fault(("interfaces", name), text)
+            text = f"contact between rigid regions ({regions})"
+            cure = "one side has to be elastic"
+            path = ("interfaces", name)
+            yield Fault(path, text, cure=cure, code=Reason.RIGID_CONTACT)
 
 
 @check("supports")
@@ -247,9 +248,9 @@ def _held(case: Any) -> Iterable[Fault]:
         free = [axis for axis in "xyz" if axis not in held]
         if free:
             along = "" if len(free) == 3 else f" along {' and '.join(free)}"
-            allowed = "expected a support: fixed, roller, displacement or foundation"
-            text = f"nothing holds the model{along}{when}; {allowed} [{Reason.LOOSE_BODY}]"
-            yield Fault(("supports",), text)
+            text = f"nothing holds the model{along}{when}"
+            cure = "expected a support: fixed, roller, displacement or foundation"
+            yield Fault(("supports",), text, cure=cure, code=Reason.LOOSE_BODY)
 
 
 @check("geometry")

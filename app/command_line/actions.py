@@ -81,7 +81,7 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
             notes += well_posedness.judge(case.config, well_posedness.look(case.config, data))
         size = cost.exact_size(case.config, data, memory.available())
     text = preview.describe(case.config, case.file.data)
-    return CheckedCase(text, size, tuple(n for n in notes if n not in text))
+    return CheckedCase(text, size, tuple(n for n in notes if n.text not in text))
 
 
 def mesh(case: LoadedCase) -> MeshData:

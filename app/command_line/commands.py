@@ -123,8 +123,8 @@ def _check(options: argparse.Namespace) -> int:
         path = options.output / f"{options.case.stem}.png"
         case_picture.draw(case.config, actions.mesh(case), path)
         print(path)
-    for message in found.notes:
-        print(painted(f"note: {message}", "doubtful", sys.stderr), file=sys.stderr)
+    for note in found.notes:
+        print(painted(note, note.tone, sys.stderr), file=sys.stderr)
     return 0
 
 

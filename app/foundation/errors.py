@@ -9,8 +9,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from enum import StrEnum
 from typing import Any, TypeVar
+
+from app.foundation.verdict import Verdict, story
 
 T = TypeVar("T")
 
@@ -18,30 +19,19 @@ T = TypeVar("T")
 PATIENCE = 5.0
 
 
-class Reason(StrEnum):
-    """Reason of a failure, for programs: in brackets in the message."""
-
-    LOOSE_BODY = "loose-body"
-    """Nothing holds a body, or friction hardly does."""
-    LARGE_DISPLACEMENT = "large-displacement"
-    """Displacements are no longer small, though everything is held."""
-    NOT_UNIQUE = "not-unique"
-    """Friction exceeds what makes the answer one."""
-    RIGID_CONTACT = "rigid-contact"
-    """Neither side of an interface is elastic."""
-    MISSING_PART = "missing-part"
-    """The mesh lacks a region, a boundary or an interface."""
-
-    @classmethod
-    def within(cls, text: str) -> set[Reason]:
-        """Reasons in a message."""
-        return {reason for reason in cls if f"[{reason}]" in text}
-
-
 class MantleError(Exception):
-    """An error with a message for the user and an exit code."""
+    """An error with verdicts for the user and an exit code; a text is the finding of one."""
 
     exit_code = 70
+
+    def __init__(self, findings: str | Verdict | Sequence[str | Verdict]) -> None:
+        listed = [findings] if isinstance(findings, str | Verdict) else findings
+        self.verdicts = [v if isinstance(v, Verdict) else Verdict(v) for v in listed]
+        super().__init__(self.message())
+
+    def message(self) -> str:
+        """Return the message: a line for each verdict."""
+        return "\n".join(map(str, self.verdicts))
 
 
 class InputError(MantleError):
@@ -52,9 +42,10 @@ class InputError(MantleError):
 
     exit_code = 2
 
-    def __init__(self, messages: str | Sequence[str]) -> None:
-        self.messages = [messages] if isinstance(messages, str) else list(messages)
-        super().__init__("\n".join(self.messages))
+    @property
+    def messages(self) -> list[str]:
+        """A message for each defect."""
+        return [str(v) for v in self.verdicts]
 
 
 class GeometryError(MantleError):
@@ -67,6 +58,10 @@ class ConvergenceError(MantleError):
     """The equations could not be solved: where, why, what to try."""
 
     exit_code = 4
+
+    def message(self) -> str:
+        """Return the message: the failure, its circumstances, then its remedy."""
+        return story(self.verdicts)
 
 
 class StoppedError(MantleError):

@@ -8,10 +8,10 @@ from typing import Any
 
 from app.case import quantities
 from app.foundation.errors import InputError, StoppedError
+from app.foundation.verdict import Severity, recorded
 from app.report import page, run_report, sweep_figures, viewer
 from app.report.page import Blocks, bullets, table
 from app.report.sweep_results import Number, SweptCase
-from app.results.closing_lines import UNUSABLE, reasons_not_to_use
 from app.system.folders import write_text
 from app.system.layout import plain
 
@@ -75,10 +75,9 @@ def _page(folders: Sequence[Path]) -> str:
 
 
 def _status(name: str, summary: dict[str, Any]) -> str:
-    wrong = reasons_not_to_use(summary)
-    status = UNUSABLE if wrong else summary["status"]
+    shown = [v.text for v in recorded(summary) if v.severity in (Severity.ERROR, Severity.NOTE)]
     unknown = [] if summary.get("error", {}).get("companions") else ["errors not estimated"]
-    return "; ".join([f"{status}: {name}", *wrong, *unknown, *summary.get("notes", [])])
+    return "; ".join([f"{summary['status']}: {name}", *unknown, *shown])
 
 
 def _lead(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str]) -> str:

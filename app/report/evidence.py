@@ -16,9 +16,10 @@ from app.case.geometries import MeshFile
 from app.case.library import ORIGIN
 from app.case.quantities import TABLE
 from app.foundation.errors import InputError
+from app.foundation.verdict import Severity, recorded
 from app.report import page
-from app.results import closing_lines
 from app.results.reading import Results
+from app.results.verdicts import CONTACT, EQUILIBRIUM, HEAT, PEAKS
 from app.system.folders import read_json, write_json, write_text
 from app.system.layout import plain
 
@@ -92,7 +93,7 @@ def factors(
         tuple(_software(record)),
         tuple(_code(verified)),
         tuple(_discretization(summary)),
-        tuple(v.text for v in closing_lines.verdict(dict(summary)) if v.text.startswith(SOLVED)),
+        tuple(v.text for v in recorded(summary) if v.where in SOLVED),
         tuple(_use(summary, record)),
         tuple(_form(case)),
         tuple(_inputs(case)),
@@ -107,7 +108,7 @@ def factors(
 
 
 # Verdicts of a run that are about the solver.
-SOLVED = ("equilibrium", "contact", "heat")
+SOLVED = (EQUILIBRIUM, CONTACT, HEAT)
 
 
 def _finished(folder: Path) -> Results:
@@ -161,13 +162,13 @@ def _discretization(summary: Mapping[str, Any]) -> Iterator[str]:
             texts = (f"{q.label} {q.text(numbers)} {quantities.printed(q.shown)}" for q in shown)
             yield f"{name}: {', '.join(texts)}"
     yield "the exact solution lies within ± for about 90 of 100 such numbers"
-    yield from (v.text for v in closing_lines.peaks(summary))
+    yield from (v.text for v in recorded(summary) if v.where == PEAKS)
 
 
 def _use(summary: Mapping[str, Any], record: Mapping[str, Any]) -> Iterator[str]:
     yield "the case was checked against its schema: units, names, ranges, balance of loads"
     yield f"input by digest: {record['case_sha256'][:16]}; case.yaml has every default"
-    yield from (f"note: {note}" for note in summary.get("notes", []))
+    yield from (str(v) for v in recorded(summary) if v.severity is Severity.NOTE)
 
 
 def _form(case: Case) -> Iterator[str]:

@@ -23,6 +23,7 @@ from app.case import quantities
 from app.case.case import load
 from app.case.quantities import TABLE, Quantity, in_print, printed
 from app.foundation.errors import InputError, StoppedError, dealt, on_root
+from app.foundation.verdict import Severity, recorded
 from app.plots import curves, figures
 from app.report import case_picture, gruen, history, page, pictures, sentence, sweep_figures, viewer
 from app.report.input_spread import HEAD, InputSpread, of_run
@@ -31,6 +32,7 @@ from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
 from app.results import cycles
 from app.results.reading import Run
+from app.results.verdicts import UNUSABLE
 from app.system import folders
 from app.system.folders import CASE_PICTURE, write_text
 from app.system.layout import noted, plain
@@ -59,7 +61,12 @@ MORE = {
     )
 }
 # What a run that was killed has not written.
-UNFINISHED = {"status": "not finished", "time": 0.0, "timing": {"total": 0.0}, "interfaces": {}}
+UNFINISHED = {
+    "status": "not finished",
+    "time": 0.0,
+    "timing": {"total": 0.0},
+    "interfaces": {},
+}
 NO_NUMBERS = "There are no numbers: no step has converged, or the run did not come to its end."
 log = logging.getLogger("mantle")
 
@@ -251,22 +258,18 @@ def _facts(folder: Path, record: dict[str, Any]) -> str:
 
 
 def _verdict(summary: dict[str, Any]) -> list[str]:
-    """Reliability of the numbers, and warnings of the run."""
+    """The verdicts on a run: reasons not to use its numbers first, notes last."""
     status = summary["status"]
-    lines = [f"{text.UNUSABLE}: {why}" for why in text.reasons_not_to_use(summary)]
-    if status in (CONVERGED, text.UNUSABLE):
-        lines += [clause.text for clause in text.verdict(summary)]
+    verdicts = recorded(summary)
+    if status in (CONVERGED, UNUSABLE):
+        lines = [f"{UNUSABLE}: {v}" for v in verdicts if v.severity is Severity.ERROR]
+        lines += [str(v) for v in verdicts if v.severity is not Severity.ERROR]
     else:
-        time = f"at time {summary['time']:.4g}"
-        of = f": the numbers are those of the last converged state, {time}" * bool(summary["time"])
-        told = summary.get("failure", "").splitlines()
-        # What happened, what to change, and then the details.
-        told = sorted(told, key=lambda line: (line != told[0], "what to change" not in line))
-        lines = [f"{status}{of}", *told, *lines]
-    if failed := ", ".join(summary.get("error", {}).get("failed", [])):
-        lines.append(f"note: the error is estimated without companions that failed: {failed}")
-    lines += [clause.text for clause in text.peaks(summary)]
-    lines += [f"note: {note}" for note in summary.get("notes", [])]
+        last = ""
+        if summary["time"]:
+            time = f"at time {summary['time']:.4g}"
+            last = f": the numbers are those of the last converged state, {time}"
+        lines = [f"{status}{last}", *map(str, verdicts)]
     return [in_print(line) for line in lines]
 
 

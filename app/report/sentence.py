@@ -6,26 +6,29 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from app.case.quantities import NECROSIS, TABLE, in_print, in_words, numbers_of, printed
+from app.case.quantities import NECROSIS, TABLE, in_print, in_words, printed
 from app.report.sweep_results import SweptCase, magnitude
-from app.results.closing_lines import BOTH
 
 # What moves on what, by interface, and its surface.
 PAIRS = {
     "stem_cement": ("the stem", "its cement", "the stem's surface"),
     "cement_bone": ("the cement", "the bone", "the cement's surface"),
 }
-NOTHING = 0.05  # um, below which nothing slides
-APART = 0.995  # part of the area, from which on nothing touches
-GOOD = 0.10  # relative error of a number that is known well
-MOST = 3  # exceptions that are named
+# Slip and gaps below this are none [um].
+NOTHING = 0.05
+# Open part of the area from which on nothing touches.
+APART = 0.995
+# Words for a model of a part of the body.
 SECTORS = {"half": " on the half that is modelled", "quarter": " on the quarter that is modelled"}
 
 Numbers = Mapping[str, Any]
 
 
 def sentence(summary: Numbers, case: SweptCase) -> str:
-    """Summarise summary.json in one sentence; the case supplies the loads."""
+    """Summarise the numbers of summary.json in one sentence; the case supplies the loads.
+
+    The verdicts below it say how exact the numbers are.
+    """
     clauses = [*_contacts(summary)]
     stem = summary.get("stem", {})
     if abs(1e3 * stem.get("subsidence", 0.0)) > NOTHING:
@@ -46,8 +49,8 @@ def sentence(summary: Numbers, case: SweptCase) -> str:
     ]
     if load and clauses:
         clauses[0] = f"{load}, {clauses[0]}"
-    said = "; ".join([*clauses, _errors(summary)])
-    return f"{said[0].upper()}{said[1:]}."
+    text = "; ".join(clauses)
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
 
 
 def _load(case: SweptCase) -> str:
@@ -88,7 +91,8 @@ def _contacts(summary: Numbers) -> Iterator[str]:
             continue
         one = f"one side of {name.replace('_', ' ')}"
         first, second, surface = PAIRS.get(name, (one, "the other", one))
-        surface += " without rim and tip" * ("rim" in q)
+        if "rim" in q:
+            surface += " without rim and tip"
         gap = _with_error("interfaces", "gap_p99", q)
         if q.get("open_fraction", 0.0) > APART:
             yield f"{first} touches {second} nowhere; 99 % of it is less than {gap} away"
@@ -144,38 +148,6 @@ def _heat(summary: Numbers) -> Iterator[str]:
         f"{dead[rule]:,.0f} mm³ of bone dies by the rule of {in_print(NECROSIS[rule])}, "
         f"{min(others):,.0f} to {max(others):,.0f} mm³ by others"
     )
-
-
-def _errors(summary: Numbers) -> str:
-    companions = summary.get("error", {}).get("companions")
-    if not companions:
-        return "how exact these numbers are was not estimated (mantle run --error)"
-    if (of := summary["error"].get("of", BOTH)) != BOTH:
-        return (
-            f"only the error of the {of} was estimated, not of the mesh: no coarser one could be "
-            "compared"
-        )
-    known = {
-        f"{name}.{key}": numbers[f"{key}_error"] / abs(numbers[key])
-        for section, name, numbers in numbers_of(summary)
-        for key, q in TABLE[section].items()
-        if q.headline and q.order and numbers.get(f"{key}_error") is not None
-        if abs(q.factor * numbers[key]) > 10.0**-q.digits
-    }
-    good = [e for e in known.values() if e <= GOOD]
-    bad = {n: e for n, e in sorted(known.items(), key=lambda item: -item[1]) if e > GOOD}
-    if not known:
-        return "the errors of these numbers could not be estimated"
-    named = [f"{in_words(n)[0]} ({100 * e:.0f} %)" for n, e in list(bad.items())[:MOST]]
-    if len(bad) > MOST:
-        middle = math.ceil(100 * sorted(known.values())[len(known) // 2])
-        least = f"the least sure are {', '.join(named)}"
-        return f"half of the main numbers are known to {middle} % or better, {least}"
-    if not good:
-        return f"no main number is known to {100 * GOOD:.0f} %: {', '.join(named)}"
-    exceptions = f", except {', '.join(named)}" if named else ""
-    percent = max(1, math.ceil(100 * max(good)))
-    return f"every main number is known to {percent} % or better{exceptions}"
 
 
 def spread(cases: Sequence[SweptCase], names: Sequence[str], what: str) -> str:

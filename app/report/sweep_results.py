@@ -13,8 +13,8 @@ from typing import Any
 from app.case import quantities
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
-from app.results.closing_lines import UNUSABLE
 from app.results.reading import Results
+from app.results.verdicts import UNUSABLE
 from app.schema.units import NUMBER
 from app.system.folders import read_json
 

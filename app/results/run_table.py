@@ -8,6 +8,7 @@ from typing import Any
 
 from app.case import quantities
 from app.case.points import Point
+from app.results.verdicts import notes_of
 from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 
@@ -41,7 +42,7 @@ def row(point: Point, summary: Mapping[str, Any], status: str, seconds: float) -
         "status": status,
         "numbers": numbers,
         "errors": {name: error for name, error in errors.items() if error is not None},
-        "notes": summary.get("notes", []),
+        "notes": notes_of(summary),
         "unknowns": solver.get("dofs"),
         "newton_iterations": solver.get("newton_iterations"),
         "linear_iterations": solver.get("linear_iterations"),

@@ -12,7 +12,7 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -23,6 +23,7 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
 
 from app.foundation.errors import GeometryError, InputError
+from app.foundation.verdict import Reason, Severity, Verdict
 
 Path = tuple[str | int, ...]
 # Name of the file, line and column (from 1); or the key of an option.
@@ -60,11 +61,15 @@ class Fault:
         path: Keys from the top to the value.
         text: The defect; what is allowed.
         place: Its place where that is not the place of the path; "" if the text tells it.
+        cure: What is allowed, where the text does not say it.
+        code: Its reason, for programs.
     """
 
     path: Path
     text: str
     place: Place | None = None
+    cure: str = ""
+    code: Reason | None = None
 
 
 class BadYaml(Exception):
@@ -109,9 +114,10 @@ class CaseFile:
         Raises:
             InputError: There is at least one problem, given or found while reading.
         """
-        lines = sorted(map(self._locate, (*self.complaints, *problems)))
-        if lines:
-            raise InputError(list(dict.fromkeys(printable(text) for _, text in lines)))
+        located = map(self._locate, (*self.complaints, *problems))
+        verdicts = sorted(located, key=lambda pair: (pair[0], pair[1].text))
+        if verdicts:
+            raise InputError(list(dict.fromkeys(verdict for _, verdict in verdicts)))
 
     @contextmanager
     def placing(self) -> Iterator[None]:
@@ -123,23 +129,26 @@ class CaseFile:
         """
         try:
             yield
-        except GeometryError as error:
-            raise GeometryError(self._placed(str(error))) from error
-        except InputError as error:
-            raise InputError([self._placed(m) for m in error.messages]) from error
+        except (GeometryError, InputError) as error:
+            raise type(error)([self._placed(v) for v in error.verdicts]) from error
 
-    def _placed(self, message: str) -> str:
-        """A message with its place, if it begins with a key."""
-        keyed = KEYED.fullmatch(message)
-        if keyed is None:
-            return message
+    def _placed(self, verdict: Verdict) -> Verdict:
+        """An error with its place in the file, if it begins with a key."""
+        said = f"{verdict.where}: {verdict.what}" if verdict.where else verdict.what
+        keyed = KEYED.fullmatch(said)
+        if not keyed or verdict.severity is Severity.NOTE:
+            return verdict
         path = tuple(int(i) if i.isdigit() else i for i in key_parts(keyed[1]))
-        return self._locate(Fault(path, keyed[2]))[1] if path[0] in self.data else message
+        if path[0] not in self.data:
+            return verdict
+        fault = Fault(path, keyed[2], cure=verdict.cure, code=verdict.code)
+        return self._locate(fault)[1]
 
-    def _locate(self, fault: Fault) -> tuple[tuple[int, int, int], str]:
-        """Sorting key and message of a fault, at its key or the nearest one above."""
+    def _locate(self, fault: Fault) -> tuple[tuple[int, int, int], Verdict]:
+        """Sorting key and verdict of a fault, at its key or the nearest one above."""
+        verdict = Verdict(printable(fault.text), cure=fault.cure, code=fault.code)
         if fault.place == "":
-            return LAST, fault.text
+            return LAST, verdict
         key = path_text(fault.path)
         steps = (fault.path[:n] for n in range(len(fault.path) + 1))
         above = [self.places[p] for p in steps if p in self.places]
@@ -150,13 +159,16 @@ class CaseFile:
             # An option changed the kind of a section of the file, whose other keys stay.
             section = option.rpartition(".")[0]
             change = f"; {self.option}'{section}={{kind: ...}}' replaces the whole section"
-            place, fault = option, Fault(fault.path, fault.text + change)
-        text = f"{key}: {fault.text}" if key and key != place else fault.text
+            place = option
+            verdict = replace(verdict, what=printable(fault.text + change))
+        of_key = f": {key}" if key and key != place else ""
         if isinstance(place, str):
-            return LAST, f"{self.option}{path_text((place,))}: {text}"
+            where = f"{self.option}{path_text((place,))}{of_key}"
+            return LAST, replace(verdict, where=printable(where))
         file, line, column = place
         order = [self.name, *self.digests].index(file)
-        return (order, line, column), f"{file}:{line}:{column}: {text}"
+        where = printable(f"{file}:{line}:{column}{of_key}")
+        return (order, line, column), replace(verdict, where=where)
 
 
 def printable(text: str) -> str:

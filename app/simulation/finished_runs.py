@@ -9,7 +9,7 @@ from typing import Any
 from app.case.case import Case, LoadedCase, PlannedRun, dump
 from app.case.geometries import MeshFile
 from app.foundation.errors import InputError
-from app.results.closing_lines import check_usable
+from app.results.verdicts import check_usable
 from app.soundness import memory
 from app.system import folders, identity
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from app.case.quantities import TABLE
 from app.case.section_loads import section_loads
 from app.foundation.arrays import Ints
 from app.foundation.errors import StoppedError
+from app.foundation.verdict import Verdict
 from app.heat.nodes import Probes
 from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
@@ -97,8 +98,8 @@ class Recorder:
             with timing.phase("assemble"):
                 self._balance = m.balance(about)
                 self._critical, beyond = failure.beyond_critical(m.problem)
-            for sentence in beyond:
-                log.warning("%s", sentence)
+            for warning in beyond:
+                log.warning("%s", warning)
             probes = {name: (p.at, p.region) for name, p in case.output.probes.items()}
             p = m.problem
             self._probes = Probes(model.tagged, p.space, p.bodies.of_region, probes)
@@ -321,14 +322,15 @@ class Recorder:
         total = {"total": clock.perf_counter() - self._begin}
         return {k: round(v, 3) for k, v in (phases | self._timing.seconds | total).items()}
 
-    def close(self, status: str, why: str) -> None:
+    def close(self, status: str, why: Sequence[Verdict]) -> None:
         """Leave the last converged state, and why, on disk, as far as it allows; collective."""
         if m := self._model.mechanics:
             # The loads of the step that failed are not this state's.
             m.problem.set_time(self.time)
 
         def finish() -> None:
-            self._writer.finish(self.summary(status, None) | {"failure": why}, done=False)
+            found = {"verdicts": [verdict.record() for verdict in why]}
+            self._writer.finish(self.summary(status, None) | found, done=False)
 
         for write in (self.flush, finish) if self.step_count else (finish,):
             try:

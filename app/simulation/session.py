@@ -23,12 +23,14 @@ from app.foundation.errors import (
     agree,
     on_root,
 )
+from app.foundation.verdict import Severity, Verdict, note
 from app.numerics import lifetime
 from app.numerics.krylov import condition_number
 from app.numerics.newton import raw_options, unused
 from app.results import closing_lines as text
-from app.results import error_estimate, run_table
+from app.results import error_estimate, run_table, verdicts
 from app.results.run_folder import Writer, provenance
+from app.results.verdicts import UNUSABLE
 from app.simulation import accuracy, checkpoint, finished_runs
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
@@ -71,15 +73,15 @@ class Setup:
     started: datetime
     timing: Timing = field(default_factory=Timing)
     model: Model | None = None
-    noted: set[str] = field(default_factory=set)
+    noted: set[Verdict] = field(default_factory=set)
     chosen: str = ""
 
-    def note(self, messages: Sequence[str]) -> None:
+    def note(self, notes: Sequence[Verdict]) -> None:
         """Log notes on the case, each once."""
-        for message in messages:
-            if message not in self.noted:
-                log.warning("note: %s", message)
-        self.noted.update(messages)
+        for found in notes:
+            if found not in self.noted:
+                log.warning("%s", found)
+        self.noted.update(notes)
 
 
 def run(
@@ -136,7 +138,7 @@ def run(
                 setup.loaded = replace(case, config=config)
             summary = _CaseRun(setup, setup.loaded.itself, output).run()
             text.report(summary)
-            text.check_usable({output: summary})
+            verdicts.check_usable({output: summary})
     log.info("results in %s", output)
     return comm
 
@@ -192,7 +194,7 @@ def _solve_variations(setup: Setup, output: Path) -> None:
             f"(in {output})"
         )
     on_root(comm, partial(write_text, mark, ""), share=False)
-    text.check_usable(summaries)
+    verdicts.check_usable(summaries)
 
 
 def _solve_variation(setup: Setup, run: PlannedRun, folder: Path) -> dict[str, Any]:
@@ -236,7 +238,7 @@ class _CaseRun:
         setup.note(self._notes)
         lost = unused(case.solver.petsc | setup.options)
         if lost:
-            setup.note([f"PETSc has no use for {', '.join(lost)} here: misspelt?"])
+            setup.note([note(f"PETSc has no use for {', '.join(lost)} here: misspelt?")])
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
             case.title or loaded.path.stem,
@@ -272,15 +274,16 @@ class _CaseRun:
             yield
         except (ConvergenceError, StoppedError) as failure:
             agree(self._setup.comm, failure)
-            lines = [str(failure), self._recorder.last_state()]
+            lines = [Verdict(self._recorder.last_state(), severity=Severity.PLAIN)]
             if isinstance(failure, ConvergenceError):
-                self._recorder.close("not converged", lines[0])
-                raise ConvergenceError("\n".join(lines)) from failure
+                self._recorder.close("not converged", failure.verdicts)
+                raise ConvergenceError([*failure.verdicts, *lines]) from failure
             path = self._checkpoints.save()
             if path:
-                lines.append(f"state saved in {path}: --restart auto goes on from there")
-            self._recorder.close("stopped", lines[0])
-            raise StoppedError("\n".join(lines)) from failure
+                text = f"state saved in {path}: --restart auto goes on from there"
+                lines.append(Verdict(text, severity=Severity.PLAIN))
+            self._recorder.close("stopped", failure.verdicts)
+            raise StoppedError([*failure.verdicts, *lines]) from failure
 
     def run(self) -> dict[str, Any]:
         """Solve all stages and write the results; returns the summary; collective.
@@ -304,10 +307,11 @@ class _CaseRun:
         with setup.timing.phase("output"):
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
-        summary["notes"] = [*self._notes, *well_posedness.doubts(case, summary)]
-        if text.reasons_not_to_use(summary):
-            summary["status"] = text.UNUSABLE
-        setup.note(summary["notes"])
+        notes = [*self._notes, *well_posedness.doubts(case, summary)]
+        verdicts.record(summary, notes)
+        if verdicts.reasons_not_to_use(summary):
+            summary["status"] = UNUSABLE
+        setup.note(notes)
         if case.output.condition and model.mechanics:
             A = model.mechanics.solver.snes.getJacobian()[0]
             summary["solver"]["condition"] = condition_number(A)
@@ -320,6 +324,7 @@ class _CaseRun:
             if setup.chosen:
                 summary["accuracy"] = accuracy.reached(setup.chosen, summary)
             summary["timing"] = self._recorder.seconds()
+            verdicts.record(summary, notes)
         self._writer.finish(summary, done=True)
         if case.output.checkpoint == CheckpointOptions():
             # No periodic checkpoints: those of interruptions are no longer needed.

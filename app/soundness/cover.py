@@ -8,6 +8,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from app.foundation.errors import InputError
+from app.foundation.verdict import Verdict
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes
@@ -41,44 +42,47 @@ class Cover:
         for c, here, beyond, apart, facet in self._points():
             depth, where = self._largest(here, np.where(beyond > 0, 0.0, -apart))
             if depth > facet:
-                raise InputError(
-                    f"interfaces.{c.name}: its bodies overlap by {depth:.3g} mm at {where}, more "
-                    f"than a facet ({facet:.3g} mm); expected bodies that touch or are apart, and "
-                    "`gap` for an interference"
+                text = (
+                    f"its bodies overlap by {depth:.3g} mm at {where}, more than a facet "
+                    f"({facet:.3g} mm)"
                 )
+                cure = "expected bodies that touch or are apart, and `gap` for an interference"
+                raise InputError(Verdict(text, f"interfaces.{c.name}", cure))
 
     def _fit(self, nodes: Ints) -> tuple[Ints, Floats]:
         """Own nodes, and the best-fit rotation by their displacement (3, 3 nodes); collective."""
         R = rigid_modes(self._problem.space.tabulate_dof_coordinates()[nodes]).reshape(-1, 6)
         return nodes, np.linalg.solve(self._problem.comm.allreduce(R.T @ R), R.T)[3:]
 
-    def tipped(self) -> str:
-        """Sentence on an elastic body that has tipped, and what to change; collective."""
+    def tipped(self) -> Verdict | None:
+        """Return an error on an elastic body that has tipped; collective."""
         problem, u = self._problem, self._problem.displacements()
         for body, (nodes, fit) in self._rotations.items():
             moved = fit @ u[body].x.array.reshape(-1, 3)[nodes].ravel()
             angle = float(np.linalg.norm(problem.comm.allreduce(moved)))
             if angle > TIPPED:
-                return (
+                text = (
                     f"body '{problem.bodies.names[body]}' has tipped by {np.degrees(angle):.2g} "
-                    "degrees where it slides far, and its surface does not turn with it\n"
-                    "  what to change: supports that keep it upright, or a motion of the master"
+                    "degrees where it slides far, and its surface does not turn with it"
                 )
-        return ""
+                cure = "supports that keep it upright, or a motion of the master"
+                return Verdict(text, cure=cure)
+        return None
 
-    def left(self, trial: TrialState) -> str:
-        """Sentence on contact beyond the rim of a surface, and what to change; collective."""
+    def left(self, trial: TrialState) -> Verdict | None:
+        """Return an error on contact beyond the rim of a surface; collective."""
         for c, here, beyond, *_ in self._points(trial.jump):
             pressed = trial.law.pressures[here, 0] > 0
             furthest, where = self._largest(here, np.where(pressed, beyond, 0.0))
             if furthest > 0:
                 master, slave = c.between or ("", "")
-                return (
+                text = (
                     f"on interface '{c.name}' the point {where} of '{slave}' has left '{master}' "
-                    f"and presses on nothing, {furthest:.3g} mm beyond its rim\n  what to change: "
-                    f"a larger '{master}', a smaller '{slave}', or a shorter way"
+                    f"and presses on nothing, {furthest:.3g} mm beyond its rim"
                 )
-        return ""
+                cure = f"a larger '{master}', a smaller '{slave}', or a shorter way"
+                return Verdict(text, cure=cure)
+        return None
 
     def _points(
         self, jump: Floats | float = 0.0

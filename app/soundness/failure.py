@@ -15,14 +15,15 @@ Coulomb friction model in two-dimensional linear elasticity, Q. J. Mech. Appl. M
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
 import numpy as np
 
 from app.foundation.arrays import Floats
-from app.foundation.errors import Reason
+from app.foundation.errors import ConvergenceError
+from app.foundation.verdict import Reason, Severity, Verdict
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.numerics.newton import ActiveSet, NewtonResult, Solver
@@ -86,13 +87,13 @@ def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
     return critical
 
 
-def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[str]]:
-    """Least critical coefficient of each frictional interface, and what exceeds it; collective."""
+def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[Verdict]]:
+    """Least critical coefficient of each frictional interface, and warnings; collective."""
     found: dict[str, float] = {}
-    sentences: list[str] = []
+    warnings: list[Verdict] = []
     contact = problem.contact
     if contact is None:
-        return found, sentences
+        return found, warnings
     critical = critical_friction_of_points(contact)
     for i, term in enumerate(problem.scene.contacts):
         on = np.flatnonzero(contact.own.interface == i)
@@ -105,12 +106,15 @@ def beyond_critical(problem: Problem) -> tuple[dict[str, float], list[str]]:
             continue
         found[term.name] = least
         if over:
-            sentences.append(
-                f"interface '{term.name}': friction coefficient {term.law.friction:g} "
-                f"exceeds the critical one of {over} of its points (least {least:.3g}, at "
-                f"{point_text(x)}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
+            text = (
+                f"friction coefficient {term.law.friction:g} exceeds the critical one of {over} of "
+                f"its points (least {least:.3g}, at {point_text(x)}): solutions may not be unique "
+                "there"
             )
-    return found, sentences
+            where = f"interface '{term.name}'"
+            warning = Verdict(text, where, severity=Severity.WARNING, code=Reason.NOT_UNIQUE)
+            warnings.append(warning)
+    return found, warnings
 
 
 # Why a solve failed
@@ -124,75 +128,54 @@ SHOWN = 3
 SAME = 1e-9
 # Residual over the forces below which a failed state far away is one in balance.
 BALANCED = 2e-2
+# Remedies: in general; of a failure at rest without gaps; of a bond that breaks; of displacements
+# that are not small; of a free body.
+SMALLER = "more increments, a finer mesh at the interface, or a smaller load"
+AT_REST = (
+    "the supports, the direction of the loads, or the mesh at the interface; at rest and without "
+    "gaps a smaller load fails alike"
+)
+BREAKS = (
+    "`fracture_step` in the stage: a bond breaks, and the load may have passed its peak, beyond "
+    "which only a smaller load is in equilibrium; or prescribe the displacement instead of the load"
+)
+FAR = "stiffer foundations, a support, or a smaller load"
+FREE = "hold the free body (a support, friction, an elastic foundation)"
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why a solve failed, in sentences.
+    """Verdicts on a solve that failed.
 
-    They are on free bodies; on bodies that friction barely holds, and friction beyond which
-    solutions need not be unique; on the places of the largest residual and of oscillating points.
-    If it ``scales``, the same happens under any part of the load. If it ``breaks``, a bond takes
-    damage in the step: its load may be beyond the peak. If bodies are in balance, but outside
-    small displacements, ``far`` says how far.
+    Attributes:
+        outcome: The failed solve.
+        cause: Its cause, without the stage.
+        others: Verdicts on friction and on places of the largest residual and oscillating points.
+        free: True if nothing holds a body: smaller steps fail alike.
     """
 
     outcome: NewtonResult
-    free: Sequence[str] = ()
-    friction: Sequence[str] = ()
-    places: Sequence[str] = ()
-    scales: bool = False
-    breaks: bool = False
-    far: str = ""
+    cause: Verdict
+    others: Sequence[Verdict] = ()
+    free: bool = False
 
-    @property
-    def short(self) -> str:
-        """One clause for the log."""
-        outcome = self.outcome
-        if self.free:
-            return self.free[0]
-        if self.far:
-            return self.far
-        if outcome.linear_failed:
-            return "the linear solver failed"
-        if sum(outcome.changes[-5:]) > 0:
-            again = f", the same every {outcome.period} iterations" if outcome.period else ""
-            return (
-                f"contact states keep changing ({outcome.changes[-1]} in the last iteration{again})"
-            )
-        return f"the residual stays at {outcome.residuals[-1]:.1e} times the forces"
+    def error(self, stage: str, reach: float, steps: Sequence[float]) -> ConvergenceError:
+        """Return the error: a solve failed at a part of a stage, after steps (parts of it)."""
+        where = f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it"
+        residuals = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
+        return ConvergenceError(
+            [
+                replace(self.cause, where=where),
+                *self.others,
+                plain(residuals, "last residuals (relative to the forces)"),
+                plain(attempts(self.outcome.tried, steps), "tried"),
+            ]
+        )
 
-    def text(self, stage: str, reach: float, steps: Sequence[float]) -> str:
-        """The message: a solve failed at a part of a stage, after halved steps (parts of it)."""
-        reason = Reason.LOOSE_BODY if self.free else Reason.LARGE_DISPLACEMENT
-        code = f" [{reason}]" if self.free or self.far else ""
-        tail = ", ".join(f"{r:.1e}" for r in self.outcome.residuals[-6:])
-        advice = "more increments, a finer mesh at the interface, or a smaller load"
-        if self.scales:
-            advice = "the supports, the direction of the loads, or the mesh at the interface; at "
-            advice += "rest and without gaps a smaller load fails alike"
-        if self.breaks:
-            advice = (
-                "`fracture_step` in the stage: a bond breaks, and the load may have passed its "
-                "peak, beyond which only a smaller load is in equilibrium; or prescribe the "
-                "displacement instead of the load"
-            )
-        if self.friction:
-            advice += "; other friction, or a support"
-        if self.far:
-            advice = "stiffer foundations, a support, or a smaller load"
-        if self.free:
-            advice = "hold the free body (a support, friction, an elastic foundation)"
-        lines = [
-            f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it: {self.short}{code}",
-            *self.free[1:],
-            *self.friction,
-            *self.places,
-            f"last residuals (relative to the forces): {tail}",
-            f"tried: {attempts(self.outcome.tried, steps)}",
-            f"what to change: {advice}",
-        ]
-        return "\n  ".join(lines)
+
+def plain(what: str, where: str = "") -> Verdict:
+    """Return a circumstance of a failure."""
+    return Verdict(what, where, severity=Severity.PLAIN)
 
 
 def proportional(solver: Solver, set_load: Callable[[float], None], reach: float) -> bool:
@@ -209,10 +192,18 @@ def proportional(solver: Solver, set_load: Callable[[float], None], reach: float
 def explain(
     problem: Problem, solver: Solver, outcome: NewtonResult, scales: bool = False
 ) -> Explanation:
-    """Explain the failure of the last solve, which from rest ``scales``; collective."""
+    """Explain the failure of the last solve, which from rest ``scales``; collective.
+
+    Args:
+        problem: The problem.
+        solver: Its solver, with the state that failed.
+        outcome: The outcome of the solve.
+        scales: True if the same happens under any part of the load.
+    """
     u, q = solver.u_and_q(solver.failed_state)
     if q is None:
-        return Explanation(outcome, scales=scales)
+        cure = AT_REST if scales else SMALLER
+        return Explanation(outcome, Verdict(_course(outcome), cure=cure))
     trial, first = problem.trial(u, q), problem.trial(*solver.u_and_q(solver.first_state))
     contact = trial.contact
     controlled = contact.law.dissipates
@@ -228,15 +219,35 @@ def explain(
         if not free and (pulled or not problem.load_size or contact.apart()):
             free = loose_bodies.free_bodies(problem, trial)
             free = free or loose_bodies.free_bodies(problem, first)  # remedies may end anywhere
-    far = ""
+    far = None
     away = solver.system.runs_away(solver.blocks(solver.failed_state))
     if not free and away and outcome.residuals[-1] < BALANCED:
-        found = loose_bodies.runaway(problem, trial)
-        far = found.text if found else ""
+        far = loose_bodies.runaway(problem, trial)
     friction = [] if free or far else loose_bodies.sliding(problem, contact)
     friction += beyond_critical(problem)[1]
-    places = [_largest(problem, trial), *_oscillating(problem, contact, solver.active)]
-    return Explanation(outcome, free, friction, places, scales, breaks, far)
+    cause = Verdict(_course(outcome), cure=AT_REST if scales else SMALLER)
+    if breaks:
+        cause = replace(cause, cure=BREAKS)
+    if friction:
+        cause = replace(cause, cure=f"{cause.cure}; other friction, or a support")
+    if far:
+        cause = Verdict(far.what, cure=FAR, code=Reason.LARGE_DISPLACEMENT)
+    if free:
+        cause = Verdict(free[0], cure=FREE, code=Reason.LOOSE_BODY)
+    others = [plain(text) for text in free[1:]]
+    others += friction
+    others += map(plain, [_largest(problem, trial), *_oscillating(problem, contact, solver.active)])
+    return Explanation(outcome, cause, others, bool(free))
+
+
+def _course(outcome: NewtonResult) -> str:
+    """One clause on how the iteration ended."""
+    if outcome.linear_failed:
+        return "the linear solver failed"
+    if sum(outcome.changes[-5:]) > 0:
+        again = f", the same every {outcome.period} iterations" if outcome.period else ""
+        return f"contact states keep changing ({outcome.changes[-1]} in the last iteration{again})"
+    return f"the residual stays at {outcome.residuals[-1]:.1e} times the forces"
 
 
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from app.case.case import Case
 from app.foundation.arrays import Bools, Floats
-from app.foundation.errors import Reason
+from app.foundation.verdict import Reason, Severity, Verdict, note
 from app.laws.values import gap_at
 from app.numerics.rigid_motions import (
     DIRECTIONS,
@@ -40,9 +39,9 @@ if TYPE_CHECKING:  # dolfinx, which checks of a case do without
 
 # A motion is free if its resistance is below this part of the largest.
 FREE = 1e-10
-# Contact without friction barely resists a motion if its slope against the motion is below so many
-# degrees in the mean, or, with changing sign, below this part of the angle between flat facets.
+# Contact without friction barely resists a motion if its mean slope against it is below this [deg].
 SLOPE = 3.0
+# The same for slopes of changing sign, as part of the angle between flat facets.
 FACETS = 0.4
 # Supports hold a body if they hold more than this part of each direction.
 HELD = 1e-3
@@ -72,9 +71,12 @@ MOST = 20
 # under a large load and leaves another one, on which a small load presses.
 LOADINGS = 2
 # Only facets hold a motion that contact resists by less than this part of what the spread of
-# normals gives at random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists),
-# if it is this part of the jumps, squared (0.003 of a push, 0.15 of a turn).
-SPREAD, PART = 0.25, 0.05
+# normals gives at random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists).
+SPREAD = 0.25
+# And that is more than this part of the jumps, squared (0.003 of a push, 0.15 of a turn).
+PART = 0.05
+# Remedy for a body that nothing holds.
+HOLD = "hold the body (a support, friction, an elastic foundation)"
 
 
 # On the parts of a mesh, before solving
@@ -95,24 +97,23 @@ class BodiesOnMesh:
             for t, (a, b) in ((t, t.pieces) for t in found.touches)
         ]
 
-    def unheld(self) -> list[str]:
+    def unheld(self) -> list[Verdict]:
         """Errors for motions that nothing would resist if all touching bodies were bonded."""
         K, M = self._resistance(None)
         errors = []
         for k, left in self._left_by_supports():
             free, _ = self._free(left, K, M, FREE)
-            errors += [
-                f"supports: {text}{self._when(k)}, by a support or by another body; expected a "
-                "support, or contact with a body that is held"
-                for text in self._words(free)
-            ]
+            cure = "expected a support, or contact with a body that is held"
+            for text in self._words(free):
+                what = f"{text}{self._when(k)}, by a support or by another body"
+                errors.append(Verdict(what, "supports", cure, code=Reason.LOOSE_BODY))
         return errors
 
-    def loosely_held(self) -> list[str]:
+    def loosely_held(self) -> list[Verdict]:
         """Notes on motions barely resisted by contact, without friction or not yet closed."""
         gaps = gaps_of(self._case, self._found)
         frictions = {n: self._laws[n].friction for n in gaps}
-        notes: list[str] = []
+        notes: list[Verdict] = []
         for k, left in self._left_by_supports():
             free, steepest = self._sloped(left, frictions)
             slippery = [f"'{n}'" for n, μ in frictions.items() if not μ]
@@ -122,21 +123,21 @@ class BodiesOnMesh:
                     f" and resists only by a mean slope of {steepest:.2g} degrees, which may come "
                     "from the facets of the mesh"
                 )
-            notes += [
-                f"{text.replace('nothing holds', 'hardly anything holds')}{self._when(k)}: {by}; "
-                "the displacement may be arbitrary; add friction or a support"
-                for text in self._words(free)
-            ]
+            cure = "the displacement may be arbitrary; add friction or a support"
+            for text in self._words(free):
+                hardly = text.replace("nothing holds", "hardly anything holds")
+                notes.append(note(f"{hardly}{self._when(k)}: {by}", cure=cure))
             start = {n: (gap, self._laws[n].initial_gap[1] or ()) for n, gap in gaps.items()}
             apart = [n for n, gap in start.items() if gap_at(*gap, k + 1e-3).min() > 0]
             free, _ = self._free(left, *self._resistance(None, apart), FREE)
             names = " and ".join(f"'{n}'" for n in apart)
-            notes += [
-                f"{text}{self._when(k)} until {names} closes, which starts open: only loads that "
-                "close it find an equilibrium; hold the body by a support or a weak foundation, or "
-                "start in contact"
-                for text in self._words(free)
-            ]
+            cure = "hold the body by a support or a weak foundation, or start in contact"
+            for text in self._words(free):
+                what = (
+                    f"{text}{self._when(k)} until {names} closes, which starts open: only loads "
+                    "that close it find an equilibrium"
+                )
+                notes.append(note(what, cure=cure))
         return list(dict.fromkeys(notes))
 
     def _modes(self, x: Floats) -> Floats:
@@ -333,7 +334,7 @@ def _gathered(problem: Problem, resistance: Floats) -> Floats:
     return np.asarray(problem.comm.allreduce(relative_resistance(resistance, bodies, n)))
 
 
-def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
+def sliding(problem: Problem, contact: ContactInterfaces) -> list[Verdict]:
     """Bodies held by friction alone in the last converged state, near its limit; collective.
 
     Pulled further they may come off. That is no proof: smaller steps are tried all the same.
@@ -355,39 +356,18 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
         loose = set().union(*bodies) - fixed
         if term.law.friction > 0 and touch and slip >= SLIDES * touch and loose:
             who = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
-            found.append(
+            text = (
                 f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of what touches "
-                f"on interface '{term.name}' slips in the last converged state "
-                f"[{Reason.LOOSE_BODY}]"
+                f"on interface '{term.name}' slips in the last converged state"
             )
+            found.append(Verdict(text, severity=Severity.WARNING, code=Reason.LOOSE_BODY))
     return found
 
 
-@dataclass(frozen=True)
-class Runaway:
-    """A converged state that must not be used: sides of an interface moved too far.
+def runaway(problem: Problem, trial: TrialState) -> Verdict | None:
+    """Return an error if loads moved the sides of an interface too far; collective.
 
-    Attributes:
-        text: The distance, and the free motions.
-        reason: A loose body, or displacements that are no longer small.
-    """
-
-    text: str
-    reason: Reason
-
-    @property
-    def advice(self) -> str:
-        """Sentence on what to change."""
-        if self.reason == Reason.LOOSE_BODY:
-            return "hold the body (a support, friction, an elastic foundation)"
-        return (
-            "a smaller load or gap, stiffer springs or bodies, or `sliding: finite` where bodies "
-            "slide far"
-        )
-
-
-def runaway(problem: Problem, trial: TrialState) -> Runaway | None:
-    """Interface whose sides loads moved too far for small displacements; collective.
+    The state has converged, but must not be used: displacements are not small.
 
     A body is loose only if a rigid motion of it is free: springs, bending arms and soft layers may
     move far too, and resist.
@@ -418,10 +398,14 @@ def runaway(problem: Problem, trial: TrialState) -> Runaway | None:
         if largest > LOOSE * forces / (term.modulus * size):
             free = free_bodies(problem, trial, moved=True) or pulled_off(problem, contact)
             if free or term.between:
-                return Runaway("; ".join([*free, text]), Reason.LOOSE_BODY)
+                return Verdict("; ".join([*free, text]), cure=HOLD, code=Reason.LOOSE_BODY)
         if largest > NOT_SMALL * size + LEVER * given:
+            cure = (
+                "a smaller load or gap, stiffer springs or bodies, or `sliding: finite` where "
+                "bodies slide far"
+            )
             text = f"displacements are no longer small: {text}"
-            return Runaway(text, Reason.LARGE_DISPLACEMENT)
+            return Verdict(text, cure=cure, code=Reason.LARGE_DISPLACEMENT)
     return None
 
 
@@ -477,8 +461,8 @@ def pulled_off(problem: Problem, contact: ContactInterfaces) -> list[str]:
     return []
 
 
-def held_by_facets(problem: Problem, trial: TrialState) -> str:
-    """Sentence on a body that smooth contact lets go and only its mesh resists; collective.
+def held_by_facets(problem: Problem, trial: TrialState) -> Verdict | None:
+    """Return an error on a body that smooth contact frees and only its mesh holds; collective.
 
     The stiffness of contact in relative rigid motions of the bodies is compared with that of the
     spread of facet normals in the same motions: where the quotient is small, only the mesh resists.
@@ -488,7 +472,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
         c.law.can_open and c.law.friction == 0 and not c.between for c in problem.scene.contacts
     ]
     if not any(smooth):
-        return ""
+        return None
     contact = trial.contact
     n = len(problem.bodies.names)
     R = contact.rigid_motions(contact.own.x)
@@ -497,14 +481,14 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.own.interface])
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
     if not A.any():
-        return ""
+        return None
     # Where all facets agree there is only rounding to compare with.
     N += np.finfo(float).eps * np.trace(A) * np.eye(len(rows))
     scale = np.linalg.inv(np.linalg.cholesky(N))
     values, vectors = np.linalg.eigh(scale @ A @ scale.T)
     few = values < SPREAD
     if not few.any():
-        return ""
+        return None
     # The part of the jumps in the span of such motions, by least squares.
     soft = np.zeros((6 * n, int(few.sum())))
     soft[rows] = scale.T @ vectors[:, few]
@@ -516,14 +500,15 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     gram = sum_(np.einsum("p,pik,pil->kl", w, moved, moved))
     amounts = np.linalg.lstsq(gram, turned, rcond=1e-12)[0]
     if turned @ amounts <= PART * sum_(float(np.einsum("p,pi,pi->", w, q, q))):
-        return ""
+        return None
     body, mode = divmod(int(np.argmax(np.abs(soft @ amounts))), 6)
     far = float(np.linalg.norm(moved @ amounts, axis=1).max(initial=0.0))
-    return (
+    text = (
         f"only the facets of the mesh hold body '{problem.bodies.names[body]}': on a smooth "
         f"surface it is free to {DIRECTIONS[mode]}; it moved by "
         f"{max(problem.comm.allgather(far)):.3g} mm, a distance that depends on the mesh"
     )
+    return Verdict(text, cure=HOLD, code=Reason.LOOSE_BODY)
 
 
 def _against_spread(

@@ -14,6 +14,7 @@ from app.case.case import Case
 from app.case.library import ORIGIN
 from app.case.run_options import Stage
 from app.case.section_loads import section_loads, table
+from app.foundation.verdict import Verdict, note
 from app.laws.courses import ROTATIONS
 from app.laws.failure import MEMORY
 from app.laws.materials import Rigid
@@ -36,11 +37,11 @@ class CheckedCase:
 
     description: str
     size: str
-    notes: tuple[str, ...]
+    notes: tuple[Verdict, ...]
 
     def __str__(self) -> str:
         """All of it."""
-        return "\n".join([self.description, self.size, *(f"note: {n}" for n in self.notes)])
+        return "\n".join([self.description, self.size, *map(str, self.notes)])
 
 
 def describe(case: Case, given: Mapping[str, Any]) -> str:
@@ -200,71 +201,76 @@ MOST_FRICTION = 5.0
 MOST_PROUD = 15.0
 
 
-def warnings(case: Case) -> list[str]:
-    """Warnings about allowed but doubtful input, for `mantle check` and the log."""
-    messages = list(case.geometry.notes)
+def warnings(case: Case) -> list[Verdict]:
+    """Return notes on allowed but doubtful input, for `mantle check` and the log."""
+    notes = [note(text) for text in case.geometry.notes]
     images = {name: getattr(region, "image", None) for name, region in case.regions.items()}
-    doubts = [note for image in images.values() if image for note in image.doubts(case.geometry)]
-    messages += dict.fromkeys(doubts)  # several regions may have the same image
+    doubts = [text for image in images.values() if image for text in image.doubts(case.geometry)]
+    # Several regions may have the same image.
+    notes += [note(text) for text in dict.fromkeys(doubts)]
     acts = [
         *(getattr(law, "gap", None) for law in case.interfaces.values()),
         *(getattr(s, axis, None) for s in case.supports.values() for axis in "xyz"),
         *(getattr(region, "eigenstrains", ()) for region in case.regions.values()),
     ]
     if not (case.conducts or case.loads or any(acts)):
-        messages.append("nothing acts on the model: the result will be zero")
-    if case.mesh.order == 1:
-        messages += [
-            f"regions.{name} is nearly incompressible: linear tetrahedra lock (they are far too "
-            "stiff); use mesh.order: 2"
-            for name, region in case.regions.items()
-            if getattr(region, "nearly_incompressible", False)
-        ]
+        notes.append(note("nothing acts on the model: the result will be zero"))
+    for name, region in case.regions.items():
+        if case.mesh.order == 1 and getattr(region, "nearly_incompressible", False):
+            text = (
+                f"regions.{name} is nearly incompressible: linear tetrahedra lock (they are far "
+                "too stiff)"
+            )
+            notes.append(note(text, cure="use mesh.order: 2"))
     for name, region in case.regions.items():
         place, thermal = f"regions.{name}", region.thermal
         known = next(limits for word, limits in STIFFNESS.items() if word in name)
-        messages += _far_off(place, region, dict.fromkeys(MODULI, known))
-        messages += _far_off(f"{place}.thermal", thermal, USUAL)
+        notes += _far_off(place, region, dict.fromkeys(MODULI, known))
+        notes += _far_off(f"{place}.thermal", thermal, USUAL)
         cure = None if thermal is None else thermal.cure
-        messages += _far_off(f"{place}.thermal.cure", cure, {"heat": (1.0, 1e4)})
+        notes += _far_off(f"{place}.thermal.cure", cure, {"heat": (1.0, 1e4)})
     expands = any(r.thermal and r.thermal.thermal_expansion for r in case.regions.values())
-    messages += [
-        f"interfaces.{name}: expansion and a conductance that grows with pressure feed each other: "
-        "there may be several states, not all of them stable; the initial temperatures decide"
-        for name, law in case.interfaces.items()
-        if expands and isinstance(law.conductance, PressureConductance) and name not in case.faces
-    ]
+    for name, law in case.interfaces.items():
+        feeds = isinstance(law.conductance, PressureConductance) and name not in case.faces
+        if expands and feeds:
+            text = (
+                "expansion and a conductance that grows with pressure feed each other: there may "
+                "be several states, not all of them stable"
+            )
+            notes.append(note(text, f"interfaces.{name}", "the initial temperatures decide"))
     loads = [(load.resultant or (0.0,), load.history or (1.0,)) for load in case.loads.values()]
     force = max((math.hypot(*f) * max(map(abs, h)) for f, h in loads), default=0.0)
     if case.geometry.has_gruen_zones and force:
         if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
-            messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
-    messages += [
-        f"motions.{n}.rotation.course: all angles are below 0.5 degrees: radians by mistake?"
-        for n, motion in case.motions.items()
-        for columns in ([motion.course.columns] if motion.course else [])
-        if 0.0 < max(abs(a) for r in ROTATIONS for a in columns.get(r, ())) < math.radians(0.5)
-    ]
+            text = f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?"
+            notes.append(note(text))
+    for name, motion in case.motions.items():
+        columns = motion.course.columns if motion.course else {}
+        largest = max((abs(a) for r in ROTATIONS for a in columns.get(r, ())), default=0.0)
+        if 0.0 < largest < math.radians(0.5):
+            text = "all angles are below 0.5 degrees: radians by mistake?"
+            notes.append(note(text, f"motions.{name}.rotation.course"))
     laws: list[tuple[str, Any]] = [(f"regions.{n}", r) for n, r in case.regions.items()]
     laws += [
         (f"fatigue.laws.{n}", x) for n, x in (case.fatigue.laws if case.fatigue else {}).items()
     ]
-    messages += [f"{n}: {x.source}" for n, x in laws if MEMORY in str(x.source)]
+    notes += [note(x.source, n) for n, x in laws if MEMORY in str(x.source)]
     if case.remodelling and not case.remodelling.lazy_zone:
         text = (
-            "remodelling.lazy_zone is 0: of parallel columns all but one vanish where the modulus"
+            "remodelling.lazy_zone is 0: of parallel columns all but one vanish where the modulus "
+            "rises faster than the density, and results depend on the mesh"
         )
-        messages.append(f"{text} rises faster than the density, and results depend on the mesh")
-    messages += _without_effect(case)
-    messages += _open_conductances(case)
-    messages += _proud(case)
+        notes.append(note(text))
+    notes += _without_effect(case)
+    notes += _open_conductances(case)
+    notes += _proud(case)
     limits = dict.fromkeys(("temperature", "ambient"), TEMPERATURES)
     for name, condition in case.heat.items():
-        messages += _far_off(f"heat.{name}", condition, limits)
-    return messages
+        notes += _far_off(f"heat.{name}", condition, limits)
+    return notes
 
 
-def _without_effect(case: Case) -> Iterable[str]:
+def _without_effect(case: Case) -> Iterable[Verdict]:
     """Notes on loads on held boundaries and on high friction."""
     held = {s.boundary: n for n, s in case.supports.items() if s.kind == "fixed"}
     for name, load in case.loads.items():
@@ -272,15 +278,15 @@ def _without_effect(case: Case) -> Iterable[str]:
             support = held.get(boundary)
             if support and not getattr(case.supports[support], "stages", None):
                 text = f"acts on {boundary}, which supports.{support} fixes: it moves nothing"
-                yield f"loads.{name}: {text}"
+                yield note(text, f"loads.{name}")
     for name, law in case.interfaces.items():
         friction = getattr(law, "friction_coefficient", 0.0)
         if friction > MOST_FRICTION:
             text = f"is {friction:g}; for implants it is 0 to 1.5. Is it in per cent?"
-            yield f"interfaces.{name}.friction_coefficient {text}"
+            yield note(f"interfaces.{name}.friction_coefficient {text}")
 
 
-def _open_conductances(case: Case) -> Iterable[str]:
+def _open_conductances(case: Case) -> Iterable[Verdict]:
     """A note on interfaces that can open, where heat flows as if they were closed."""
     if not (case.conducts and solid(case)):
         return
@@ -292,23 +298,26 @@ def _open_conductances(case: Case) -> Iterable[str]:
         and not isinstance(law.conductance, PressureConductance)
     ]
     if names:
-        text = "conductance stays as it is where the interface opens; kind: pressure changes it"
-        yield f"interfaces.{', '.join(names)}: {text} there"
+        text = "conductance stays as it is where the interface opens"
+        yield note(text, f"interfaces.{', '.join(names)}", "kind: pressure changes it there")
 
 
-def _proud(case: Case) -> Iterable[str]:
+def _proud(case: Case) -> Iterable[Verdict]:
     """A note on a stem that stands far out of the bone."""
     out = case.geometry.proud
     if out > MOST_PROUD and case.of_tissue("bone"):  # not in a pot of a test bench
-        text = f"the shoulder of the stem is {out:.3g} mm above the neck cut; in hips it is at most"
-        yield f"geometry: {text} {MOST_PROUD:g} mm. Is stem_tip_z or stem_length wrong?"
+        text = (
+            f"the shoulder of the stem is {out:.3g} mm above the neck cut; in hips it is at most "
+            f"{MOST_PROUD:g} mm. Is stem_tip_z or stem_length wrong?"
+        )
+        yield note(text, "geometry")
 
 
-def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[str]:
-    """Messages on values of a part of a case that are beyond the limits of their keys."""
+def _far_off(place: str, part: Section | None, limits: Mapping[str, Range]) -> Iterable[Verdict]:
+    """Notes on values of a part of a case that are beyond the limits of their keys."""
     for key, (low, high) in limits.items():
         value = getattr(part, key, None)
         values = [v for _, v in value] if isinstance(value, tuple) else [value]
         if part and any(isinstance(v, float) and v and not low <= abs(v) <= high for v in values):
             text = plain(part.model_dump(mode="json")[key])
-            yield f"{place}.{key} is {text}: a wrong unit?"
+            yield note(f"{place}.{key} is {text}: a wrong unit?")

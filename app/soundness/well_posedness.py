@@ -1,6 +1,6 @@
 """Well-posedness of a case on its mesh, and doubtful sizes.
 
-Certain errors are raised before anything is solved; doubts are notes.
+Certain errors are raised before anything is solved; doubts are notes. All are verdicts.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from app.case.case import Case
 from app.case.quantities import largest
 from app.foundation.arrays import Floats
 from app.foundation.errors import InputError
+from app.foundation.verdict import Verdict, note
 from app.heat.nodes import OUTSIDE, outside_text
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
@@ -37,22 +38,31 @@ from meshes.pieces import Parts, lying, parts
 if TYPE_CHECKING:
     from meshes import MeshData
 
-# Gaps beyond this part of the interface or of the bodies are not small, interferences beyond that
-# part of the bodies are impossible; prescribed displacements may slide a body, but not so far.
-SMALL, TOO_MUCH, FAR = 0.05, 0.25, 0.5
+# Gaps beyond this part of the interface or of the bodies are not small.
+SMALL = 0.05
+# Interferences beyond this part of the thickness of the bodies are impossible.
+TOO_MUCH = 0.25
+# Prescribed displacements beyond this part of the model are not small; they may slide a body.
+FAR = 0.5
 # Strains beyond small-strain elasticity of any material.
 STRAIN = 0.05
-# A piece is slender if it is thinner than this part of its length. Bars and plates of linear cells
-# of edge l and thickness h are stiffer than they are by BENDING (l / h)^2 (measured with 1 to 5
-# cells through them: 2.2 to 3.0); more than TOO_STIFF is noted.
-SLENDER, BENDING, TOO_STIFF = 0.2, 2.3, 0.1
+# A piece is slender if it is thinner than this part of its length.
+SLENDER = 0.2
+# Bars and plates of linear cells of edge l and thickness h are too stiff by this factor times
+# (l / h)^2 (measured with 1 to 5 cells through them: 2.2 to 3.0).
+BENDING = 2.3
+# Excess of stiffness from which on it is noted.
+TOO_STIFF = 0.1
+# Remedy for numbers far from any usual one.
+WRONG_UNIT = "a wrong unit?"
 # Part of an interface's points that supports have to hold on both sides to be noted.
 MOSTLY = 0.5
 # Diagonals of anything in a human body or at a bench [mm].
 SIZES = (1.0, 3000.0)
-# Two prescribed displacements differ if they do by this part of the larger; an axis this close to a
-# cell, in parts of its size, touches it.
-SAME, CLOSE = 1e-9, 1e-6
+# Two prescribed displacements differ if they do by this part of the larger.
+SAME = 1e-9
+# An axis this close to a cell, in parts of its size, touches it.
+CLOSE = 1e-6
 
 
 def look(case: Case, data: MeshData) -> Parts:
@@ -61,17 +71,18 @@ def look(case: Case, data: MeshData) -> Parts:
     return parts(data, {s.boundary for s in case.supports.values()}, faces, case.faces)
 
 
-def judge(case: Case, found: Parts) -> list[str]:
-    """Warnings about a case on its mesh.
+def judge(case: Case, found: Parts) -> list[Verdict]:
+    """Return notes on a case on its mesh.
 
     Raises:
         InputError: It cannot be solved: with all the reasons.
     """
-    notes = [*found.data.notes.get("told", ()), *_cracks(case, found), *_size(case, found)]
+    notes = [note(text) for text in found.data.notes.get("told", ())]
+    notes += [*_cracks(case, found), *_size(case, found)]
     errors = [*_on_axis(case, found), *_sides_apart(case, found), *_followers(case, found)]
     errors += _outside(case, found)
     if errors:
-        raise InputError([*errors, *(f"note: {n}" for n in notes)])
+        raise InputError([*errors, *notes])
     if all(isinstance(region, Conductor) for region in case.regions.values()):
         return notes
     bodies = BodiesOnMesh(case, found)
@@ -81,7 +92,7 @@ def judge(case: Case, found: Parts) -> list[str]:
     errors = [*driven, *bodies.unheld(), *torn, *tight]
     if errors:
         # A crack is often why.
-        raise InputError([*errors, *(f"note: {n}" for n in notes)])
+        raise InputError([*errors, *notes])
     notes += [*bodies.loosely_held(), *split, *_clamped(case, found), *apart]
     notes += [*_meeting(case, found), *_far(case, found), *_too_stiff(case, found)]
     return [*notes, *_strained(case, found), *idle]
@@ -96,13 +107,13 @@ def _given(case: Case, name: str, x: Floats) -> Floats:
     return np.multiply.outer(history_of(case, support.history), support.named(name).values(x))
 
 
-def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
+def _contradictions(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
     """Errors and notes on nodes of a body where two supports prescribe different displacements.
 
     Two bodies that can part may have different displacements where they touch.
     """
-    errors: list[str] = []
-    notes: list[str] = []
+    errors: list[Verdict] = []
+    notes: list[Verdict] = []
     for group in bodies_of(case, found):
         torn, split = _contradictions_in(case, found, group)
         errors += torn
@@ -110,7 +121,9 @@ def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
     return errors, notes
 
 
-def _contradictions_in(case: Case, found: Parts, group: list[int]) -> tuple[list[str], list[str]]:
+def _contradictions_in(
+    case: Case, found: Parts, group: list[int]
+) -> tuple[list[Verdict], list[Verdict]]:
     """Return the errors and notes of `_contradictions` for one body, a group of pieces."""
     holding = {}
     for name, support in case.supports.items():
@@ -118,8 +131,8 @@ def _contradictions_in(case: Case, found: Parts, group: list[int]) -> tuple[list
         nodes = [of_piece[piece] for piece in group if piece in of_piece]
         if support.kind != "foundation" and nodes:
             holding[name] = np.unique(np.concatenate(nodes))
-    errors: list[str] = []
-    notes: list[str] = []
+    errors: list[Verdict] = []
+    notes: list[Verdict] = []
     for one, two in combinations(holding, 2):
         a, b = case.supports[one], case.supports[two]
         x = found.x[np.intersect1d(holding[one], holding[two])]
@@ -131,40 +144,38 @@ def _contradictions_in(case: Case, found: Parts, group: list[int]) -> tuple[list
             differ = (np.abs(u - v) > SAME * size).any(axis=0)
             if not differ.any():
                 continue
+            where = f"supports.{two}"
             text = (
-                f"supports.{two}: prescribes another displacement along {axis} than "
-                f"supports.{one} at {int(differ.sum())} nodes, e.g. at "
-                f"{point_text(x[int(np.argmax(differ))])}"
+                f"prescribes another displacement along {axis} than supports.{one} at "
+                f"{int(differ.sum())} nodes, e.g. at {point_text(x[int(np.argmax(differ))])}"
             )
             if differ.sum() == min(len(holding[one]), len(holding[two])):
-                errors.append(f"{text}; remove one of the two")
+                errors.append(Verdict(text, where, "remove one of the two"))
             else:
-                notes.append(
-                    f"{text}: '{two}' is used there, and stresses grow without limit as the "
-                    "mesh is refined"
-                )
+                text += f": '{two}' is used there, and stresses grow without limit as the mesh is "
+                notes.append(note(f"{text}refined", where))
     return errors, notes
 
 
-def _moved(case: Case, found: Parts) -> tuple[list[str], list[str]]:
+def _moved(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
     """Errors on supports of regions that move as a whole, notes on loads of those that stay.
 
     An error, too, where nothing says how a rigid region turns on which another slides far: a turn
     that is found feels contact where it was before it slid.
     """
-    errors, notes = [], []
-    told = {motion.region for motion in case.motions.values()}
+    errors: list[Verdict] = []
+    notes: list[Verdict] = []
+    guided = {motion.region for motion in case.motions.values()}
     fixed = [s.boundary for s in case.supports.values() if s.kind == "fixed"]
-    told |= {found.pieces[k].region for name in fixed for k in found.boundaries.get(name, ())}
+    guided |= {found.pieces[k].region for name in fixed for k in found.boundaries.get(name, ())}
     for name, law in case.interfaces.items():
         for region in sum(map(tuple, case.geometry.interface_sides[name]), ()):
-            far = getattr(law, "sliding", "small") == "finite" and region not in told
+            far = getattr(law, "sliding", "small") == "finite" and region not in guided
             if far and isinstance(case.regions[region], Rigid):
-                errors.append(
-                    f"interfaces.{name}: nothing says how the rigid {region} turns; expected "
-                    f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}, or "
-                    "a fixed support"
-                )
+                text = f"nothing says how the rigid {region} turns"
+                moved = f"motions: {{NAME: {{region: {region}, about: [0 mm, 0 mm, 0 mm]}}}}"
+                cure = f"expected {moved}, or a fixed support"
+                errors.append(Verdict(text, f"interfaces.{name}", cure))
     for name, motion in case.motions.items():
         own = {k for k, piece in enumerate(found.pieces) if piece.region == motion.region}
         on = {boundary for boundary, pieces in found.boundaries.items() if own & pieces.keys()}
@@ -172,14 +183,15 @@ def _moved(case: Case, found: Parts) -> tuple[list[str], list[str]]:
         loads = ", ".join(n for n, load in case.loads.items() if on.intersection(load.boundaries))
         if held and motion.course:
             text = f"{motion.region} turns, and supports hold it ({held})"
-            errors.append(f"motions.{name}.region: {text}; expected `translation: held` instead")
+            cure = "expected `translation: held` instead"
+            errors.append(Verdict(text, f"motions.{name}.region", cure))
         if loads and motion.translation == "held":
             text = f"{motion.region} does not give way to {loads}: its place is given"
-            notes.append(f"motions.{name}.translation: {text}")
+            notes.append(note(text, f"motions.{name}.translation"))
     return errors, notes
 
 
-def _on_axis(case: Case, found: Parts) -> list[str]:
+def _on_axis(case: Case, found: Parts) -> list[Verdict]:
     """Fibre axes that meet cells of their region, where fibres have no direction."""
     errors = []
     for name, region in case.regions.items():
@@ -192,49 +204,53 @@ def _on_axis(case: Case, found: Parts) -> list[str]:
             met = _meets(found.x[cells], np.array(fibre.axis), np.array(fibre.through))
             if met.any():
                 middle = found.x[cells[np.argmax(met)]].mean(axis=0)
-                errors.append(
-                    f"{key}.fibre: its axis meets the region, e.g. at {point_text(middle)}, and "
-                    "fibres have no direction there; expected an axis outside the region"
+                text = (
+                    f"its axis meets the region, e.g. at {point_text(middle)}, and fibres have no "
+                    "direction there"
                 )
+                cure = "expected an axis outside the region"
+                errors.append(Verdict(text, f"{key}.fibre", cure))
     return errors
 
 
-def _sides_apart(case: Case, found: Parts) -> list[str]:
+def _sides_apart(case: Case, found: Parts) -> list[Verdict]:
     """Interfaces without a facet that do not slide far, and those with one that do."""
     errors = []
     for name, sides in case.geometry.interface_sides.items():
         shared = len(interface_facets(found.data, name)[0])
         one, two = ("/".join(side) for side in sides)
         if shared and name in found.faces:
-            errors.append(
-                f"interfaces.{name}.sliding: {one} and {two} share {shared} facets, and slip stays "
-                "below one; expected bodies meshed apart, or `sliding: small`"
-            )
+            text = f"{one} and {two} share {shared} facets, and slip stays below one"
+            cure = "expected bodies meshed apart, or `sliding: small`"
+            errors.append(Verdict(text, f"interfaces.{name}.sliding", cure))
         elif not shared and name not in found.faces:
-            errors.append(
-                f"interfaces.{name}: no facet between {one} and {two}; of bodies meshed apart "
-                "expected kind: contact with `sliding: finite`, and two boundaries in `between`"
+            cure = (
+                "of bodies meshed apart expected kind: contact with `sliding: finite`, and two "
+                "boundaries in `between`"
             )
+            text = f"no facet between {one} and {two}"
+            errors.append(Verdict(text, f"interfaces.{name}", cure))
         for face, side in zip(found.faces.get(name, ()), sides, strict=False):
             on = sorted({found.pieces[p].region for p in found.boundaries.get(face, {})})
             if not on or not {*on} <= {*side}:
-                text = f"{face} is a surface of {' and '.join(on) or 'no region'}; expected one of "
-                errors.append(f"interfaces.{name}.between: {text}{'/'.join(side)} alone")
+                text = f"{face} is a surface of {' and '.join(on) or 'no region'}"
+                cure = f"expected one of {'/'.join(side)} alone"
+                errors.append(Verdict(text, f"interfaces.{name}.between", cure))
     return errors
 
 
-def _outside(case: Case, found: Parts) -> list[str]:
+def _outside(case: Case, found: Parts) -> list[Verdict]:
     """Probes that are not in their regions."""
     data, errors = found.data, []
     for name, probe in case.output.probes.items():
         wanted = data.regions[probe.region] if probe.region else data.cell_tags
         corners = data.points[data.cells[data.cell_tags == wanted][:, :4]]
         if shares(corners, np.array(probe.at)).min(axis=1).max() < -OUTSIDE:
-            errors.append(outside_text(name, (probe.at, probe.region)))
+            errors.append(Verdict(outside_text(name, (probe.at, probe.region))))
     return errors
 
 
-def _followers(case: Case, found: Parts) -> list[str]:
+def _followers(case: Case, found: Parts) -> list[Verdict]:
     """Nodes of surfaces that slide far which something else moves too."""
 
     def nodes(boundary: str) -> NDArray[np.int64]:
@@ -246,15 +262,18 @@ def _followers(case: Case, found: Parts) -> list[str]:
     for c in contacts:
         on = nodes(c.between[1]) if c.between else found.on_interface(c.name)
         moved[f"interfaces.{c.name}"] = on
-    return [
-        f"{key}: moves {len(both)} nodes of {c.between[1]}, e.g. at "
-        f"{point_text(found.x[both[0]])}, which follow what they slide on by interfaces.{c.name}; "
-        "expected a boundary without them"
-        for c in contacts
-        for key, on in moved.items()
-        if c.between and key != (own := f"interfaces.{c.name}")
-        if len(both := np.intersect1d(moved[own], on))
-    ]
+    errors = []
+    for contact in contacts:
+        name = f"interfaces.{contact.name}"
+        for key, on in moved.items():
+            both = np.intersect1d(moved[name], on)
+            if contact.between and key != name and len(both):
+                text = (
+                    f"moves {len(both)} nodes of {contact.between[1]}, e.g. at "
+                    f"{point_text(found.x[both[0]])}, which follow what they slide on by {name}"
+                )
+                errors.append(Verdict(text, key, "expected a boundary without them"))
+    return errors
 
 
 def _meets(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
@@ -271,7 +290,7 @@ def _meets(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
     return np.asarray(near | (between.max(axis=1) <= np.pi + CLOSE))
 
 
-def _clamped(case: Case, found: Parts) -> list[str]:
+def _clamped(case: Case, found: Parts) -> list[Verdict]:
     """Interfaces with both sides held by supports along all axes."""
     notes = []
     for name in gaps_of(case, found):
@@ -288,14 +307,12 @@ def _clamped(case: Case, found: Parts) -> list[str]:
             held.append(np.linalg.eigvalsh(here[found.on_interface(name)])[:, 0] > SAME)
         both = float(np.mean(np.logical_and(*held)))
         if both > MOSTLY:
-            notes.append(
-                f"supports hold both sides of interface '{name}' at {100 * both:.0f} % of its "
-                "nodes: it can neither open nor slip there"
-            )
+            text = f"supports hold both sides of interface '{name}' at {100 * both:.0f} % of its "
+            notes.append(note(f"{text}nodes: it can neither open nor slip there"))
     return notes
 
 
-def _meeting(case: Case, found: Parts) -> list[str]:
+def _meeting(case: Case, found: Parts) -> list[Verdict]:
     """A note on vertices with more interfaces than independent jumps: some jumps follow."""
     on = [name for name, law in case.interfaces.items() if law.can_part]
     groups = {frozenset(found.pieces[p].region for p in g) for g in bodies_of(case, found)}
@@ -307,11 +324,12 @@ def _meeting(case: Case, found: Parts) -> list[str]:
     if not on or not len(rows):
         return []
     names = [name for name, there in zip(on, here[:, rows[0]], strict=True) if there]
-    return [
+    text = (
         f"interfaces {', '.join(names)} meet at {len(rows)} vertices, e.g. at "
         f"{point_text(found.x[rows[0]])}: there the law of one of them holds in the mean over the "
         "points next to it"
-    ]
+    )
+    return [note(text)]
 
 
 # What is out of proportion
@@ -331,37 +349,39 @@ def _sides(case: Case, found: Parts, name: str) -> tuple[float, float]:
     return thickness, float(np.linalg.norm(np.ptp(x, axis=0)))
 
 
-def _gaps(case: Case, found: Parts) -> tuple[list[str], list[str]]:
+def _gaps(case: Case, found: Parts) -> tuple[list[Verdict], list[Verdict]]:
     """Errors and notes on gaps and interferences that are not small."""
-    errors: list[str] = []
-    notes: list[str] = []
+    errors: list[Verdict] = []
+    notes: list[Verdict] = []
     for name, gap in gaps_of(case, found).items():
         factors = (0.0, *history_of(case, case.interfaces[name].initial_gap[1]))
         interference = -float(np.multiply.outer(factors, gap).min())
         apart = float(gap.min()) * factors[-1]
         thickness, size = _sides(case, found, name)
+        where = f"interfaces.{name}.gap"
         if thickness and interference >= TOO_MUCH * thickness:
-            errors.append(
-                f"interfaces.{name}.gap: an interference of {interference:.3g} mm is "
+            text = (
+                f"an interference of {interference:.3g} mm is "
                 f"{100 * interference / thickness:.0f} % of the thickness of the bodies "
-                f"({thickness:.3g} mm): they cannot make room for it within small strains; "
-                "expected a smaller one (a wrong unit?)"
+                f"({thickness:.3g} mm): they cannot make room for it within small strains"
             )
+            errors.append(Verdict(text, where, "expected a smaller one (a wrong unit?)"))
         elif thickness and interference > SMALL * thickness:
-            notes.append(
-                f"interfaces.{name}.gap: an interference of {interference:.3g} mm in bodies "
-                f"{thickness:.3g} mm thick: strains are not small; a wrong unit?"
+            text = (
+                f"an interference of {interference:.3g} mm in bodies {thickness:.3g} mm thick: "
+                "strains are not small"
             )
+            notes.append(note(text, where, WRONG_UNIT))
         if apart > SMALL * size:
-            notes.append(
-                f"interfaces.{name}.gap: the sides are {apart:.3g} mm apart everywhere, on an "
-                f"interface of {size:.3g} mm: where loads close it, the body has moved by "
-                f"{100 * apart / size:.0f} % of that; results assume small displacements"
+            text = (
+                f"the sides are {apart:.3g} mm apart everywhere, on an interface of {size:.3g} mm: "
+                f"where loads close it, the body has moved by {100 * apart / size:.0f} % of that"
             )
+            notes.append(note(text, where, "results assume small displacements"))
     return errors, notes
 
 
-def _far(case: Case, found: Parts) -> list[str]:
+def _far(case: Case, found: Parts) -> list[Verdict]:
     """Prescribed displacements that are not small."""
     notes = []
     whole = float(np.linalg.norm(np.ptp(found.x, axis=0)))
@@ -369,15 +389,14 @@ def _far(case: Case, found: Parts) -> list[str]:
         if s.kind != "displacement" or not found.boundaries.get(s.boundary):
             continue
         x = found.x[np.concatenate([*found.boundaries[s.boundary].values()])]
-        if (most := float(np.abs(_given(case, name, x)).max())) > FAR * whole:
-            notes.append(
-                f"supports.{name} moves a model of {whole:.3g} mm by {most:.3g} mm: displacements "
-                "are not small; a wrong unit?"
-            )
+        most = float(np.abs(_given(case, name, x)).max())
+        if most > FAR * whole:
+            text = f"moves a model of {whole:.3g} mm by {most:.3g} mm: displacements are not small"
+            notes.append(note(text, f"supports.{name}", WRONG_UNIT))
     return notes
 
 
-def _strained(case: Case, found: Parts) -> list[str]:
+def _strained(case: Case, found: Parts) -> list[Verdict]:
     """Loads that strain the material under them by more than `STRAIN`."""
     notes, areas = [], boundary_areas(found.data)
     for name, load in case.loads.items():
@@ -390,10 +409,11 @@ def _strained(case: Case, found: Parts) -> list[str]:
         stress = math.hypot(*(load.resultant or ())) / area + abs(getattr(load, "pressure", 0.0))
         stress *= max(map(abs, history_of(case, load.history)), default=1.0)
         if stress > STRAIN * softest:
-            notes.append(
-                f"loads.{name} is {stress:.3g} MPa on boundary '{boundary}', beside a modulus "
-                f"of {softest:.3g} MPa: strains are not small; a wrong unit?"
+            text = (
+                f"{stress:.3g} MPa on boundary '{boundary}', beside a modulus of "
+                f"{softest:.3g} MPa: strains are not small"
             )
+            notes.append(note(text, f"loads.{name}", WRONG_UNIT))
     return notes
 
 
@@ -402,39 +422,42 @@ def modulus(region: Any) -> float:
     return float(min(getattr(region, "moduli", (0.0,))))
 
 
-def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
-    """Warnings about results: strains that are not small, laws beyond their stresses."""
+def doubts(case: Case, numbers: Mapping[str, Any]) -> list[Verdict]:
+    """Return notes on results: strains that are not small, laws beyond their stresses."""
     notes = []
     for name, law in (case.fatigue.laws if case.fatigue else {}).items():
         s, measured = numbers["fatigue"][name]["stress_p99"], law.measured
         if measured and not measured[0] <= s <= measured[1]:
             low, high = measured
             text = f"was measured at {low:g} to {high:g} MPa, and is used at {s:.2g} MPa (p99)"
-            notes.append(f"fatigue.laws.{name} {text}")
+            notes.append(note(text, f"fatigue.laws.{name}"))
     for name, found in numbers["regions"].items():
         creep = getattr(case.regions[name], "creep", None)
         if "creep_strain_max" in found and case.mesh.order == 1:
-            notes.append(f"region '{name}' creeps and keeps its volume: linear cells lock")
+            notes.append(note("creeps and keeps its volume: linear cells lock", f"region '{name}'"))
         low, high = (creep and creep.stresses) or (0.0, math.inf)
         if "creep_strain_max" in found and not low <= found["von_mises_p99"] <= high:
-            notes.append(
-                f"region '{name}' creeps at {found['von_mises_p99']:.2g} MPa (von Mises p99), its "
-                f"law was measured from {low:g} to {high:g} MPa"
+            text = (
+                f"creeps at {found['von_mises_p99']:.2g} MPa (von Mises p99), its law was measured "
+                f"from {low:g} to {high:g} MPa"
             )
+            notes.append(note(text, f"region '{name}'"))
         E = modulus(case.regions[name])
         strain = largest(found, "von_mises_p99") / E if E else 0.0
         if strain > STRAIN:
-            notes.append(
-                f"region '{name}' is strained by {100 * strain:.2g} % (stress over modulus), which "
-                "is not small: results are not valid there; a modulus or a load in a wrong unit?"
+            text = (
+                f"is strained by {100 * strain:.2g} % (stress over modulus), which is not small: "
+                "results are not valid there"
             )
+            cure = "a modulus or a load in a wrong unit?"
+            notes.append(note(text, f"region '{name}'", cure))
     return notes
 
 
 # What is wrong with the mesh
 
 
-def _cracks(case: Case, found: Parts) -> list[str]:
+def _cracks(case: Case, found: Parts) -> list[Verdict]:
     """Coincident nodes that are not joined, and faces on each other without a common node."""
     notes = []
     slides = [{*sum(case.geometry.interface_sides[n], ())} for n in found.faces]
@@ -442,11 +465,15 @@ def _cracks(case: Case, found: Parts) -> list[str]:
         if a != b and any({a, b} <= regions for regions in slides):
             continue
         where = f"regions '{a}' and '{b}'" if a != b else f"region '{a}'"
-        notes.append(
-            f"{where}: {len(x)} pairs of nodes coincide but are not connected, e.g. at "
-            f"{point_text(x[0])}: an open crack; if it is not intended, merge them (in gmsh "
-            "BooleanFragments before meshing, or Coherence Mesh after it)"
+        text = (
+            f"{len(x)} pairs of nodes coincide but are not connected, e.g. at {point_text(x[0])}: "
+            "an open crack"
         )
+        cure = (
+            "if it is not intended, merge them (in gmsh BooleanFragments before meshing, or "
+            "Coherence Mesh after it)"
+        )
+        notes.append(note(text, where, cure))
     if case.geometry.kind != "file":
         return notes
     for (a, b), (area, place) in lying(found.data).items():
@@ -454,26 +481,28 @@ def _cracks(case: Case, found: Parts) -> list[str]:
         if sliding or (a, b) in found.doubled or (b, a) in found.doubled:
             continue
         where = f"regions '{a}' and '{b}'" if a != b else f"two bodies of region '{a}'"
-        notes.append(
+        text = (
             f"{where} lie on each other on {area:.3g} mm2, e.g. at {point_text(place)}, but share "
-            "no node: neither force nor heat passes between them; if they are to be joined, mesh "
-            "them together (in gmsh BooleanFragments), or let them slide (`sliding: finite`)"
+            "no node: neither force nor heat passes between them"
         )
+        cure = (
+            "if they are to be joined, mesh them together (in gmsh BooleanFragments), or let them "
+            "slide (`sliding: finite`)"
+        )
+        notes.append(note(text, cure=cure))
     return notes
 
 
-def _size(case: Case, found: Parts) -> list[str]:
+def _size(case: Case, found: Parts) -> list[Verdict]:
     """Mesh files in a doubtful unit."""
     size = float(np.linalg.norm(np.ptp(found.x, axis=0)))
     if case.geometry.kind != "file" or SIZES[0] <= size <= SIZES[1]:
         return []
-    return [
-        f"geometry: the mesh is {size:.3g} mm from corner to corner: is its unit "
-        f"{case.geometry.unit}?"
-    ]
+    text = f"the mesh is {size:.3g} mm from corner to corner: is its unit {case.geometry.unit}?"
+    return [note(text, "geometry")]
 
 
-def _too_stiff(case: Case, found: Parts) -> list[str]:
+def _too_stiff(case: Case, found: Parts) -> list[Verdict]:
     """Slender regions of linear cells, which are too stiff in bending."""
     if case.mesh.order != 1:
         return []
@@ -484,9 +513,13 @@ def _too_stiff(case: Case, found: Parts) -> list[str]:
             excess = BENDING * (p.edge / p.thickness) ** 2
             here = (excess, p.thickness, p.edge)
             worst[p.region] = max(worst.get(p.region, here), here)
-    return [
-        f"region '{name}' is {thickness:.3g} mm thick, of linear cells of {edge:.3g} mm: where it "
-        f"bends it is about {float(f'{100 * excess:.2g}'):.0f} % too stiff; use mesh.order: 2"
-        for name, (excess, thickness, edge) in worst.items()
-        if excess > TOO_STIFF
-    ]
+    notes = []
+    for name, (excess, thickness, edge) in worst.items():
+        if excess > TOO_STIFF:
+            percent = float(f"{100 * excess:.2g}")
+            text = (
+                f"region '{name}' is {thickness:.3g} mm thick, of linear cells of {edge:.3g} mm: "
+                f"where it bends it is about {percent:.0f} % too stiff"
+            )
+            notes.append(note(text, cure="use mesh.order: 2"))
+    return notes

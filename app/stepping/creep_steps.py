@@ -19,7 +19,6 @@ from mpi4py import MPI
 import numpy as np
 
 from app.foundation.arrays import Floats
-from app.foundation.errors import ConvergenceError
 from app.numerics.newton import NewtonResult
 from app.numerics.remedies import solve
 from app.scene.scene import Stage
@@ -78,8 +77,8 @@ class CreepStepper:
             except _FailedError:
                 error, failures = FAILED, failures + 1
                 if failures > stage.max_cut_backs or not stage.adaptive:
-                    text = explain(self._problem, self._solver, self._spent[-1]).text
-                    raise ConvergenceError(text(stage.name, self._part(stage), [])) from None
+                    why = explain(self._problem, self._solver, self._spent[-1])
+                    raise why.error(stage.name, self._part(stage), []) from None
             if stage.adaptive:
                 growth = AIM / math.sqrt(error) if error else MOST
                 self._length = h * min(max(growth, LEAST), MOST)

@@ -14,7 +14,8 @@ from typing import ClassVar
 
 from petsc4py import PETSc
 
-from app.foundation.errors import ConvergenceError, Reason
+from app.foundation.errors import ConvergenceError
+from app.foundation.verdict import Verdict
 from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Extrapolation, Predictor, same
 from app.mechanics.problem import Problem
@@ -23,7 +24,7 @@ from app.numerics.remedies import solve
 from app.scene.scene import Stage
 from app.soundness.cover import Cover
 from app.soundness.failure import explain, proportional
-from app.soundness.loose_bodies import Runaway, held_by_facets, runaway
+from app.soundness.loose_bodies import held_by_facets, runaway
 from app.stepping.energy_control import HALVINGS, by_energy, overshoot, spent
 
 EASY_ITERATIONS = 8
@@ -243,14 +244,14 @@ class LoadStepper:
                 scales = not start.norm() and proportional(solver, set_load, reach)
                 why = explain(problem, solver, outcome, scales)
                 if predicted:
-                    self.on_trouble(f"{why.short}; repeating without extrapolation")
+                    self.on_trouble(f"{why.cause.what}; repeating without extrapolation")
                     continue
-                if scales or not progress.may_halve(stage, bool(why.free)):
-                    raise ConvergenceError(why.text(stage.name, time - int(begin), halved))
+                if scales or not progress.may_halve(stage, why.free):
+                    raise why.error(stage.name, time - int(begin), halved)
                 progress.halve(reach)
                 halved.append(progress.step)
                 how = f"step halved to {progress.step:.4g} of stage '{stage.name}'"
-                self.on_trouble(f"{why.short}; {how}")
+                self.on_trouble(f"{why.cause.what}; {how}")
             if progress.energy:
                 self._by_energy(stage, whole, set_load, (begin, end), progress, (start, begun))
                 checkpoint_point()
@@ -287,13 +288,13 @@ class LoadStepper:
             if progress.handed != progress.done:
                 progress.energy, progress.step, progress.handed = 0.0, whole, progress.done
                 return
-            raise ConvergenceError(
-                f"stage '{stage.name}' at {100 * progress.done:.3g} % of it: no state was found in "
-                f"which interfaces have used up {energy:.3g} N mm more; the load has reached "
-                f"{100 * max(progress.most, progress.done):.3g} % of the stage\n"
-                "  what to change: a shorter `fracture_step`, a finer mesh, or a smaller load, if "
-                "what holds is broken"
+            text = (
+                f"no state was found in which interfaces have used up {energy:.3g} N mm more; the "
+                f"load has reached {100 * max(progress.most, progress.done):.3g} % of the stage"
             )
+            where = f"stage '{stage.name}' at {100 * progress.done:.3g} % of it"
+            cure = "a shorter `fracture_step`, a finer mesh, or a smaller load, if what holds is "
+            raise ConvergenceError(Verdict(text, where, f"{cure}broken"))
         longer = reach - progress.done >= whole
         if reach >= 1.0:
             start.copy(solver.x)
@@ -322,15 +323,11 @@ class LoadStepper:
         part = 100 * (time - int(time)) or 100
         where = f"stage '{stage.name}' at {part:.3g} % of it"
         if trial is not None:
-            facets = held_by_facets(problem, trial)
-            away = Runaway(facets, Reason.LOOSE_BODY) if facets else runaway(problem, trial)
-            if away:
-                raise ConvergenceError(
-                    f"{where}: {away.text} [{away.reason}]\n  what to change: {away.advice}"
-                )
-            left = self._cover.left(trial)
-            if left:
-                raise ConvergenceError(f"{where}: {left}")
+            found = (
+                held_by_facets(problem, trial) or runaway(problem, trial) or self._cover.left(trial)
+            )
+            if found:
+                raise ConvergenceError(replace(found, where=where))
         problem.update_displacements(u, q)
         problem.commit(trial)
         for p in self.predictors:
@@ -340,5 +337,6 @@ class LoadStepper:
         seconds = clock.perf_counter() - started
         step = LoadStep(self.total.steps, stage.name, time, outcome, seconds, whole)
         self.on_step(step, trial)
-        if tipped := self._cover.tipped():
-            raise ConvergenceError(f"stage '{stage.name}' at {part:.3g} % of it: {tipped}")
+        tipped = self._cover.tipped()
+        if tipped:
+            raise ConvergenceError(replace(tipped, where=where))

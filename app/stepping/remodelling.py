@@ -18,7 +18,7 @@ import numpy as np
 import ufl
 
 from app.foundation.arrays import Floats
-from app.foundation.errors import ConvergenceError, InputError, MantleError
+from app.foundation.errors import InputError, MantleError
 from app.laws.remodelling import Remodelling
 from app.laws.supports import Fixed
 from app.laws.values import field
@@ -236,7 +236,7 @@ class Remodeller:
             self._stepper.total.rejected += 1
             p.step = min(factor, 0.9) * part
         why = explain(self.problem, self._stepper.solver, self._outcome)
-        raise ConvergenceError(why.text(stage.name, p.done, [p.step]))
+        raise why.error(stage.name, p.done, [p.step])
 
     def summary(self) -> dict[str, Any]:
         """Published numbers of the state last committed; collective."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import configs
 from app.campaigns.runs import Result
-from app.foundation.errors import Reason
+from app.foundation.verdict import Reason
 from app.results.reading import Run
 
 CONFIGS = configs.FOLDER

@@ -18,7 +18,8 @@ from app.campaigns.batch import Options
 from app.campaigns.runs import Result
 from app.campaigns.work_precision import fitted_order
 from app.case.case import PlannedRun
-from app.foundation.errors import ConvergenceError, GeometryError, InputError, Reason, UnusableError
+from app.foundation.errors import ConvergenceError, GeometryError, InputError, UnusableError
+from app.foundation.verdict import Reason
 from app.results.reading import Run
 from app.system import layout
 from app.system.folders import csv_text, remove, write_json, write_text

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import product
 
-from app.foundation.errors import Reason
+from app.foundation.verdict import Reason
 from app.verification import closed_forms as exact
 from app.verification import judges, measures
 from app.verification.check import Check, Judge, each, row, run

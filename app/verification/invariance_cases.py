@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from app.foundation.errors import Reason
+from app.foundation.verdict import Reason
 from app.verification import judges
 from app.verification.changed_meshes import ROTATION
 from app.verification.check import Check, Judge, row, run, within

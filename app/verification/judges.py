@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from app.campaigns.work_precision import fitted_order
 from app.foundation.arrays import Floats
-from app.foundation.errors import Reason
+from app.foundation.verdict import Reason
 from app.laws.interface_laws import InterfaceLaw
 from app.results.reading import Run
 from app.verification import closed_forms as exact

@@ -11,7 +11,7 @@ import mantle
 from app.case.case import load
 from app.cli import main
 from app.foundation.errors import UnusableError
-from app.results.closing_lines import UNUSABLE, reasons_not_to_use
+from app.results.verdicts import UNUSABLE, unbalanced
 
 # A block drawn over another by so many mm; the facets between them are about 2 mm wide.
 DRAWN = """
@@ -43,13 +43,13 @@ def test_a_run_that_is_not_to_be_used_says_so(
     folder = tmp_path / "out"
     for again in ([], ["--restart", "auto"], []):
         assert main(["run", str(case), "-o", str(folder), "--set", FAR, *again]) == 6
-        told = f"do not use the numbers in {folder}: slip on low_high exceeds the size of its"
+        told = f"do not use the numbers in {folder}: slip: on low_high exceeds the size of its"
         assert told in capsys.readouterr().err
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["status"] == UNUSABLE and (folder / "DONE").exists()
     q = summary["interfaces"]["low_high"]
     assert q["slip_max"] > q["facet_size"]
-    with pytest.raises(UnusableError, match="slip on low_high"):
+    with pytest.raises(UnusableError, match="slip: on low_high"):
         mantle.run(load(case, [FAR]), folder, force=True)
     assert main(["run", str(case), "-o", str(tmp_path / "near")]) == 0
 
@@ -57,8 +57,8 @@ def test_a_run_that_is_not_to_be_used_says_so(
 def test_what_is_out_of_balance_is_not_to_be_used() -> None:
     """A balance of 1e-8 and more of force, and one that is no number."""
     good = {"balance": {"force": 9e-9, "heat": 9e-7}, "interfaces": {}}
-    assert reasons_not_to_use(good) == []
-    assert len(reasons_not_to_use(good | {"balance": {"force": 1e-8, "heat": float("nan")}})) == 2
+    assert unbalanced(good) == []
+    assert unbalanced({"balance": {"force": 1e-8, "heat": float("nan")}}) == ["force", "heat"]
 
 
 @pytest.mark.parametrize("shared", [False, True])
@@ -74,7 +74,7 @@ def test_sweeps_and_reports_set_it_apart(shared: bool, case: Path, tmp_path: Pat
         assert main(["sweep", str(sweep), "-o", str(folder), "--cores", "1"]) == 6
         first, second = json.loads((folder / "sweep.json").read_text())["cases"]
         assert second["status"] == UNUSABLE and second["exit_code"] == 6
-        assert "slip on low_high" in second["message"]
+        assert "slip: on low_high" in second["message"]
         assert second["numbers"]["low_high.slip_p99"] > 3.0
         assert first["status"] == (UNUSABLE if shared else "converged")
     assert main(["report", str(folder)]) == 0

@@ -158,8 +158,8 @@ def test_data_that_no_material_has_are_asked_about(change: str) -> None:
     cure = CONFIGS / "cure.yaml"
     assert preview.warnings(load(cure).config) == []
     (note,) = preview.warnings(load(cure, [change]).config)
-    assert note.startswith(f"{change.partition('=')[0]} is ")
-    assert note.endswith(": a wrong unit?")
+    assert note.text.startswith(f"{change.partition('=')[0]} is ")
+    assert note.text.endswith(": a wrong unit?")
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
@@ -205,7 +205,7 @@ BONE = (
 )
 def test_locking_is_told(region: str, locks: bool) -> None:
     changes = [f"regions.cement={region}", "interfaces={}"]
-    told = preview.warnings(load(CONFIGS / "blocks.yaml", changes).config)
+    told = [v.text for v in preview.warnings(load(CONFIGS / "blocks.yaml", changes).config)]
     assert [m.split(" is ")[0] for m in told] == (["regions.cement"] if locks else [])
     assert all("lock" in m and "mesh.order: 2" in m for m in told)
     second = load(CONFIGS / "blocks.yaml", [*changes, "mesh.order=2"]).config
@@ -262,7 +262,7 @@ def test_a_press_fit_acts_by_penalty_too() -> None:
     ]
     for value, told in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
         case = load(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"]).config
-        assert any("nothing acts" in note for note in preview.warnings(case)) == told
+        assert any("nothing acts" in note.text for note in preview.warnings(case)) == told
 
 
 @pytest.mark.parametrize(

@@ -898,7 +898,8 @@ def test_bodies_on_each_other_without_a_common_node_are_noted(
     data = meshes.build(MeshFile(path=tmp_path / "a.msh"), MeshOptions(size="1 mm"))
     (tmp_path / "case.yaml").write_text(text)
     case = load(tmp_path / "case.yaml").config
-    notes = [note for note in judge(case, look(case, data)) if "lie on each other" in note]
+    texts = [v.text for v in judge(case, look(case, data))]
+    notes = [text for text in texts if "lie on each other" in text]
     assert len(notes) == noted
     if noted:
         assert "share no node" in notes[0] and "neither force nor heat" in notes[0]

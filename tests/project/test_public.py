@@ -134,7 +134,7 @@ def test_a_check_tells_what_a_case_is_and_how_large() -> None:
     estimated, counted = mantle.check(case), mantle.check(case, meshed=True)
     assert estimated.description == counted.description
     assert "estimated" in estimated.size and "estimated" not in counted.size
-    assert "the result will be zero" in estimated.notes[0]
+    assert "the result will be zero" in estimated.notes[0].text
     assert str(estimated).count("\nnote: ") == len(estimated.notes) == len(counted.notes)
 
 

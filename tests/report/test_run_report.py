@@ -17,10 +17,12 @@ import mantle
 from app.campaigns import uncertainty
 from app.case.quantities import TABLE
 from app.cli import main
+from app.foundation.verdict import Verdict, note
 from app.plots import curves
 from app.report import history, pictures, run_report, sentence, viewer
 from app.report.input_spread import InputSpread
 from app.report.sweep_results import CONVERGED, SweptCase
+from app.results import verdicts
 from app.schema import yaml_file
 from tests.support import CONFIGS, summary
 
@@ -120,7 +122,7 @@ def test_a_page_without_its_view_says_why(
 
     numbers = summary(done)
     numbers["interfaces"]["stem_cement"]["penetration_max"] = 2e-3
-    numbers["notes"] = ["a of 37 degC and 5 mm^2, um"]
+    verdicts.record(numbers, [note("a of 37 degC and 5 mm^2, um")])
     monkeypatch.setattr(viewer, "viewer", broken)
     html = changed(done, tmp_path / "run", numbers)
     assert "no view in three dimensions: IndexError: no &lt;such&gt; cell" in html
@@ -242,13 +244,16 @@ def test_a_sweep_that_does_not_fit_is_refused(
 
 
 def test_what_is_not_to_be_used_is_red(done: Path, tmp_path: Path) -> None:
-    html = changed(done, tmp_path / "stop", summary(done) | {"status": "stopped"})
+    stopped = {"status": "stopped", "verdicts": [Verdict("stopped by SIGTERM").record()]}
+    html = changed(done, tmp_path / "stop", summary(done) | stopped)
     assert '<span class="open">stopped</span>: the numbers are those of the last' in html
-    assert "equilibrium: exact" not in html
+    assert "stopped by SIGTERM" in html and "equilibrium: exact" not in html
     numbers = summary(done) | {"status": "do not use"}
     numbers["balance"]["force"] = 1.0
+    verdicts.record(numbers, [])
     html = changed(done, tmp_path / "lost", numbers)
-    assert '<span class="bad">do not use</span>: the balance of force is 1.0e+00' in html
+    text = "equilibrium: NOT balanced (force 1.0e+00, not below 1e-08)"
+    assert f'<span class="bad">do not use</span>: {text}' in html
 
 
 def test_loads_are_told_of_runs_that_ended(done: Path) -> None:
@@ -278,8 +283,7 @@ def test_heat_is_told(tmp_path: Path) -> None:
     assert sentence.sentence(numbers, case) == (
         "Bone gets as hot as 54.2 ± 0.5 °C, for up to 174 s above 47 °C, 116 s above 50 °C; "
         "2,583 mm³ of bone dies by the rule of 47 °C for 1 min, 0 to 4,000 mm³ by others; "
-        "cement has set to 99.9 % or more; "
-        "how exact these numbers are was not estimated (mantle run --error)."
+        "cement has set to 99.9 % or more."
     )
 
 

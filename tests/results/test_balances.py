@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.results.balance import HeatBalance
-from app.results.closing_lines import unbalanced
+from app.results.verdicts import unbalanced
 from tests import support
 from tests.cases.heated import BAR, CLAMPS, CYLINDERS, Heated, cure, expanding, setting
 

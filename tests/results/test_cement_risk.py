@@ -10,10 +10,12 @@ import pytest
 
 from app.case.case import load
 from app.foundation.arrays import Floats
+from app.foundation.verdict import recorded
 from app.laws.failure import Fatigue, Murphy, Power, Verdonschot, Weibull
 from app.report import history
-from app.results import closing_lines
+from app.results import verdicts
 from app.results.cement_risk import NEAR, distance, tensions, turning_in
+from app.results.verdicts import notes_of
 from app.soundness import preview, well_posedness
 from app.verification.check import CONFIGS
 from tests import support
@@ -105,20 +107,20 @@ def test_damage_is_told_as_a_band(tmp_path: Path) -> None:
     np.testing.assert_allclose(results.fields.on_cells("damage_v"), damage, rtol=1e-9)
     s = results.summary
     assert s["fatigue"]["v"]["stress_p99"] == pytest.approx(6.6)
-    notes = "; ".join(s["notes"])
+    notes = "; ".join(notes_of(s))
     assert "laws.v: Verdonschot and Huiskes 1997, from memory: check" in notes
-    assert "laws.v was measured at 7 to 20 MPa, and is used at 6.6 MPa" in notes
-    (told,) = (v.text for v in closing_lines.verdict(s) if v.text.startswith("fatigue"))
+    assert "laws.v: was measured at 7 to 20 MPa, and is used at 6.6 MPa" in notes
+    (told,) = (v.text for v in recorded(s) if v.where == "fatigue")
     assert "no year without a band (over v)" in told
     case = support.case(SPECTRUM)
     assert not preview.warnings(case)
     two = support.run(SPECTRUM, tmp_path / "two", *QUIET, "output.error=true").summary
-    (told,) = (v.text for v in closing_lines.verdict(two) if v.text.startswith("fatigue"))
+    (told,) = (v.text for v in recorded(two) if v.where == "fatigue")
     assert "lasts 3.3 to 21 years, over power, logarithmic and mesh: to rank" in told
-    assert not [n for n in well_posedness.doubts(case, two) if "measured" in n]
+    assert not [n for n in well_posedness.doubts(case, two) if "measured" in n.text]
     q = {"damage_p99": 0.5, "damage_p99_error": 0.3}
-    assert "lasts 1.2 to 5 years, over v and mesh" in closing_lines.life({"v": q})
-    assert "0.91 to endless years" in closing_lines.life({"v": q | {"damage_p99_error": 0.6}})
+    assert "lasts 1.2 to 5 years, over v and mesh" in verdicts.life({"v": q})
+    assert "0.91 to endless years" in verdicts.life({"v": q | {"damage_p99_error": 0.6}})
     # Over 5 MPa nothing is left at 6.6 MPa but the whole; the curve falls to zero behind it.
     volumes = [s["regions"]["bar"][f"volume_over_{p}_MPa"] for p in (3, 5, 7, 9, 11)]
     assert volumes == pytest.approx([16, 16, 0, 0, 0])
@@ -130,9 +132,9 @@ def test_growing_risk_is_told() -> None:
     told = {"a_edge.failure_risk": [[1, 3e-3], [2, 1e-3]], "a.failure_risk": [[1, 1e-3], [2, 3e-3]]}
     q = {"failure_probability": 2e-3, "edge": {"failure_risk": 0.03, "failure_probability": 0.031}}
     q["neck"] = {"von_mises_max": 1.0}  # of a stem
-    line = closing_lines._strength("a", q, told)
+    line = verdicts._strength("a", q, told)
     expected = (
         "0.2 %, 3.1 % at its edge (R grows from 0.001 at 2 mm to 0.003: it may have no limit)"
     )
     assert line.text.endswith(f"a breaks with a probability of {expected}")
-    assert line.tone == "doubtful" and not closing_lines._strength("a", q, {}).tone
+    assert line.tone == "doubtful" and not verdicts._strength("a", q, {}).tone

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from app.results import closing_lines
+from app.results import verdicts
 from tests import support
 
 # A ring that sets around a rigid core that it is smooth on, all at body temperature.
@@ -63,7 +63,7 @@ def test_cement_that_shrinks_on_a_core_as_it_stiffens(tmp_path: Path) -> None:
     for step in (10, 2.5):
         found = solve(tmp_path, *SET, BATH, f"time={{mechanical_step: {step} K}}")
         errors.append(abs(pressure(found) / exact - 1))
-        assert all(found["balance"][k] < limit for k, limit in closing_lines.BALANCES.items())
+        assert all(found["balance"][k] < limit for k, limit in verdicts.BALANCES.items())
     # The warmth of half a unit of cure, 30 K, in some 3 and 12 steps; second order.
     assert errors[-1] < 5e-3
     assert errors[0] / errors[-1] > 8
@@ -74,4 +74,4 @@ def test_heat_that_is_lost_to_rounding_alone_is_balanced(tmp_path: Path) -> None
     alone = ("interfaces.stem_cement.conductance=0 W/(m^2 K)", "stages.0.duration=1 s")
     found = support.run(RING, tmp_path, *SET, *alone).summary
     assert found["balance"]["heat"] < 1e-7
-    assert all(clause.tone != "bad" for clause in closing_lines.verdict(found))
+    assert not verdicts.reasons_not_to_use(found)

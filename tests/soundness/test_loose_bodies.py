@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import meshes
-from app.foundation.errors import ConvergenceError, MantleError, Reason
+from app.foundation.errors import ConvergenceError, MantleError
+from app.foundation.verdict import Reason
 from app.soundness.loose_bodies import pulled_off
 from meshes import write_msh
 from meshes.distribute import distribute

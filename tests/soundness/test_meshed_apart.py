@@ -75,7 +75,7 @@ def judged(text: str, *overrides: str) -> list[str]:
     case = support.case(text, *overrides)
     found = well_posedness.look(case, build(case.geometry, case.mesh))
     assert found.doubled or case.geometry.kind == "file"  # the poles of both spheres
-    return well_posedness.judge(case, found)
+    return [v.text for v in well_posedness.judge(case, found)]
 
 
 def test_sliding_contact_holds_a_body_and_coincident_nodes_are_no_crack() -> None:

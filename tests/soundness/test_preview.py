@@ -5,18 +5,23 @@ from __future__ import annotations
 import pytest
 
 import mantle
+from app.case.case import Case
 from app.soundness import preview
 from tests.support import CONFIGS
 
 
+def texts(case: Case) -> list[str]:
+    return [v.text for v in preview.warnings(case)]
+
+
 def test_notes_on_input_without_effect() -> None:
-    notes = preview.warnings(mantle.load(CONFIGS / "stance.yaml").config)
+    notes = texts(mantle.load(CONFIGS / "stance.yaml").config)
     assert not any("friction_coefficient" in n or "fixes" in n for n in notes)
     changes = {
         "loads.hip.boundary": "distal_cut",
         "interfaces.cement_bone.friction_coefficient": 6.5,
     }
-    notes = preview.warnings(mantle.load(CONFIGS / "stance.yaml", **changes).config)
+    notes = texts(mantle.load(CONFIGS / "stance.yaml", **changes).config)
     assert any(n.startswith("loads.hip: acts on distal_cut, which supports.shaft") for n in notes)
     assert any(n.startswith("interfaces.cement_bone.friction_coefficient is 6.5") for n in notes)
 
@@ -31,7 +36,7 @@ def test_a_stem_far_out_of_the_bone_is_noted(up: float, cut: float, height: floa
         CONFIGS / "stance.yaml",
         **{"geometry.stem_tip_z": f"{-118 + up} mm", "geometry.resection_height": f"{cut} mm"},
     ).config
-    notes = [n for n in preview.warnings(case) if "neck cut" in n]
+    notes = [n for n in texts(case) if "neck cut" in n]
     text = f"geometry: the shoulder of the stem is {height} mm above the neck cut; in hips it is"
     assert len(notes) == (height is not None) and all(n.startswith(text) for n in notes)
 
@@ -40,7 +45,7 @@ def test_a_conductance_that_stays_when_contact_opens_is_noted() -> None:
     """One that falls is not, nor one of a bond, nor one where nothing moves."""
 
     def noted(name: str, **changes: object) -> list[str]:
-        notes = preview.warnings(mantle.load(CONFIGS / name, **changes).config)
+        notes = texts(mantle.load(CONFIGS / name, **changes).config)
         return [n.split(": ")[0] for n in notes if "where the interface opens" in n]
 
     assert noted("thermal_100C.yaml") == ["interfaces.stem_cement, cement_bone"]

@@ -13,6 +13,7 @@ import pytest
 
 import meshes
 from app.cli import main
+from app.results.verdicts import notes_of
 from app.soundness import well_posedness
 from tests import support
 
@@ -28,9 +29,8 @@ loads: {{tip: {{kind: force, boundary: x_max, force: [0 N, 0 N, -1 N]}}}}
 
 def noted(text: str) -> list[str]:
     case = support.case(text)
-    return well_posedness.judge(
-        case, well_posedness.look(case, meshes.build(case.geometry, case.mesh))
-    )
+    found = well_posedness.look(case, meshes.build(case.geometry, case.mesh))
+    return [v.text for v in well_posedness.judge(case, found)]
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_notes_of_runs_reach_summary_table_and_page(
     (note,) = linear["notes"]
     assert "of linear cells" in note and quadratic["notes"] == []
     summary = json.loads((folder / linear["folder"] / "summary.json").read_text())
-    assert summary["notes"] == [note]
+    assert notes_of(summary) == [note]
     assert f"note: {note} ({linear['name']})" in "".join(capsys.readouterr())
     rows = list(csv.DictReader((folder / "sweep.csv").read_text().splitlines()))
     assert [row["notes"] for row in rows] == [note, ""]

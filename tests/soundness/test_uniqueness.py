@@ -7,6 +7,7 @@ import pytest
 
 from app.case.case import Case
 from app.foundation.arrays import Floats
+from app.foundation.verdict import Reason, Verdict
 from app.soundness.failure import beyond_critical, critical_friction
 from tests import support
 
@@ -145,14 +146,15 @@ def stack(friction: float) -> Case:
 
 
 def test_it_is_told_beyond_it_and_only_there() -> None:
-    def found(friction: float) -> tuple[dict[str, float], list[str]]:
+    def found(friction: float) -> tuple[dict[str, float], list[Verdict]]:
         return beyond_critical(support.assemble(stack(friction))[0])
 
     critical, told = found(0.5)
     assert 1 < critical["lower_upper"] < 10 and not told
-    again, (text,) = found(1.01 * critical["lower_upper"])
+    again, (warning,) = found(1.01 * critical["lower_upper"])
     assert again == pytest.approx(critical)
-    assert "of its points" in text and "may not be unique" in text
+    assert "of its points" in warning.what and "may not be unique" in warning.what
+    assert warning.code is Reason.NOT_UNIQUE
     assert found(0) == ({}, [])
 
 

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from app.foundation.errors import StoppedError
 from app.mechanics.creep import CreepState, deviator, von_mises
 from app.numerics.newton import Solver
+from app.results.verdicts import notes_of
 from tests import support
 from tests.cases import restarted
 from tests.cases.stems import CREEPING
@@ -84,8 +85,8 @@ def test_cement_creeps_in_its_stages_alone(tmp_path: Path) -> None:
     # The first stage has two rows of one state.
     further = np.diff(subsided[named["time [-]"] < 2])
     assert further[0] == pytest.approx(0, abs=1e-12) and further[1:].min() > 1e-3
-    assert any("Verdonschot" in note and "from memory: check" in note for note in s["notes"])
-    assert any("measured from 3 to 11 MPa" in note for note in s["notes"])
+    assert any("Verdonschot" in note and "from memory: check" in note for note in notes_of(s))
+    assert any("measured from 3 to 11 MPa" in note for note in notes_of(s))
 
 
 @pytest.mark.parametrize("iteration", [12, 19, 26])
@@ -130,8 +131,8 @@ def test_time_in_any_unit(tmp_path: Path) -> None:
             "time": seconds,
             "dissipation": pytest.approx(10 * expected * 6 * 4 * 4, rel=1e-3),
         }
-        assert not any("measured" in note for note in s["notes"])
-        assert any("linear cells lock" in note for note in s["notes"]) == (k < 2)
+        assert not any("measured" in note for note in notes_of(s))
+        assert any("linear cells lock" in note for note in notes_of(s)) == (k < 2)
 
 
 def test_a_case_that_never_creeps_has_nothing_of_it() -> None:

@@ -17,7 +17,8 @@ from app.campaigns import batch
 from app.campaigns.batch import Options
 from app.campaigns.runs import Result
 from app.case.case import PlannedRun
-from app.foundation.errors import InputError, Reason
+from app.foundation.errors import InputError
+from app.foundation.verdict import Reason
 from app.verification import engine, picture
 from app.verification.check import CONFIGS, Check, CheckRun, Sample, each
 from app.verification.engine import SUITES

@@ -15,7 +15,8 @@ import pytest
 import mantle
 from app.case.case import load
 from app.case.quantities import TABLE
-from app.foundation.errors import MantleError, Reason
+from app.foundation.errors import MantleError
+from app.foundation.verdict import Reason
 from app.verification.check import CONFIGS, CheckRun, within
 from app.verification.engine import SUITES
 from tests import support

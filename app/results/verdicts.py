@@ -1,0 +1,313 @@
+"""Verdicts on the numbers of a run: which are sound, which are doubtful, which must not be used."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.case import quantities
+from app.case.quantities import TABLE, in_print
+from app.foundation.errors import UnusableError
+from app.foundation.verdict import Severity, Verdict, recorded, texts_of
+from app.results.damage import RESOLVED
+from app.results.error_estimate import is_zero, largest_of_units
+
+# Status of solved cases whose numbers are not to be used.
+UNUSABLE = "do not use"
+# Parts of a result that verdicts judge: `Verdict.where`.
+EQUILIBRIUM = "equilibrium"
+HEAT = "heat"
+CONTACT = "contact"
+PEAKS = "peaks that still change with the mesh"
+# Sources of error where coarser meshes could be compared.
+BOTH = "mesh and step"
+# Unsettled peaks that are listed.
+MOST = 3
+# A largest pressure above the largest mean at a point by this factor depends on the mesh.
+STEEP = 1.5
+# Ends of the keys of percentiles.
+PERCENTILE = re.compile(r"_p\d+$")
+# Limits of the balances: forces to rounding, heat to its solver's tolerance.
+BALANCES: dict[str, float] = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
+# Strain of a living cortex [1e-6], from memory.
+STRAINS = (500.0, 2500.0)
+# Motion of the head under load [mm] (Chen 2020).
+MOTION = 5.0
+
+
+def record(summary: dict[str, Any], notes: Sequence[Verdict]) -> None:
+    """Put all verdicts on a run into its summary: on its numbers, then the notes on its case."""
+    found = [*of_numbers(summary), *notes]
+    summary["verdicts"] = [verdict.record() for verdict in found]
+
+
+def reasons_not_to_use(summary: Mapping[str, Any]) -> list[str]:
+    """Return the reasons not to use the numbers of a solved case; empty if they are sound."""
+    return texts_of(recorded(summary), Severity.ERROR)
+
+
+def notes_of(summary: Mapping[str, Any]) -> list[str]:
+    """Return the notes on the case of a run."""
+    return texts_of(recorded(summary), Severity.NOTE)
+
+
+def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
+    """Refuse unusable results, by run directory.
+
+    Raises:
+        UnusableError: With the reasons of each.
+    """
+    found = {folder: "; ".join(reasons_not_to_use(s)) for folder, s in summaries.items()}
+    bad = [f"do not use the numbers in {folder}: {why}" for folder, why in found.items() if why]
+    if bad:
+        raise UnusableError(bad)
+
+
+def of_numbers(summary: Mapping[str, Any]) -> list[Verdict]:
+    """Return the verdicts on the numbers of a solved case."""
+    solver = summary["solver"]
+    memory = summary.get("memory")
+    took = f"{summary['timing']['total']:.1f} s"
+    if memory:
+        took += f", {memory['peak']:.0f} MB ({memory['per_unknown']:.1f} kB per unknown)"
+    solved = (
+        f"{solver['dofs']} unknowns, {solver['steps']} steps, {solver['newton_iterations']} Newton "
+        f"iterations on {solver['ranks']} rank(s) in {took}"
+    )
+    verdicts = [Verdict(solved, "converged", severity=Severity.PLAIN)]
+    verdicts += _balances(summary)
+    interfaces = summary["interfaces"]
+    if interfaces:
+        verdicts.append(_contact(interfaces))
+    verdicts += [_by_facets(name, q) for name, q in interfaces.items() if "pressure_by_facets" in q]
+    verdicts += [_steep(name, q) for name, q in interfaces.items() if _is_steep(q)]
+    verdicts += [_crack(name, q) for name, q in interfaces.items() if "zone_length" in q]
+    far = too_far(summary)
+    if far:
+        text = f"on {' and '.join(far)} exceeds the size of its facets: beyond small displacements"
+        verdicts.append(Verdict(text, "slip", "`sliding: finite` follows it"))
+    laws = summary.get("fatigue")
+    if laws:
+        verdicts.append(Verdict(life(laws), "fatigue", severity=Severity.WARNING))
+    unsettled = summary.get("error", {}).get("unsettled", {})
+    for name, q in summary.get("regions", {}).items():
+        if "failure_risk" in q:
+            verdicts.append(_strength(name, q, unsettled))
+    verdicts += _physiology(summary)
+    verdicts.append(_mesh_and_step(summary))
+    failed = ", ".join(summary.get("error", {}).get("failed", []))
+    if failed:
+        text = f"estimated without companions that failed: {failed}"
+        verdicts.append(Verdict(text, "error", severity=Severity.WARNING))
+    if "accuracy" in summary:
+        verdicts.append(Verdict(summary["accuracy"], severity=Severity.PLAIN))
+    return [*verdicts, *_peaks(summary)]
+
+
+def unbalanced(summary: Mapping[str, Any]) -> list[str]:
+    """Return the balances above their limit; NaN counts as above."""
+    b = summary.get("balance", {})
+    return [name for name, limit in BALANCES.items() if name in b and not b[name] < limit]
+
+
+def too_far(summary: Mapping[str, Any]) -> list[str]:
+    """Return the interfaces on which bodies slip farther than their facets are wide."""
+    return [
+        name
+        for name, q in summary.get("interfaces", {}).items()
+        if quantities.largest(q, "slip_max") > q.get("facet_size", np.inf)
+    ]
+
+
+def _balances(summary: Mapping[str, Any]) -> Iterator[Verdict]:
+    """Balances of forces and of heat."""
+    balance = summary["balance"]
+    lost = [
+        f"{name} {balance[name]:.1e}, not below {BALANCES[name]:g}" for name in unbalanced(summary)
+    ]
+    forces = [text for text in lost if not text.startswith("heat")]
+    heat = [text for text in lost if text.startswith("heat")]
+    if "force" in balance:
+        if forces:
+            yield Verdict(f"NOT balanced ({'; '.join(forces)})", EQUILIBRIUM)
+        else:
+            yield Verdict("exact to rounding", EQUILIBRIUM, severity=Severity.GOOD)
+    if "heat" in balance:
+        if heat:
+            yield Verdict(f"NOT balanced ({heat[0]})", HEAT)
+        else:
+            yield Verdict("none is lost", HEAT, severity=Severity.GOOD)
+
+
+def _physiology(summary: Mapping[str, Any]) -> Iterator[Verdict]:
+    """Motion of the head and strain of the cortex that are not those of a loaded living femur."""
+    femur = summary.get("femur")
+    loaded = summary.get("section_loads", [])
+    if not femur or not any(any(section["force"]) for section in loaded):
+        return
+    head = float(np.linalg.norm(femur["head_displacement"]))
+    strains = [1e6 * abs(v) for key, v in femur.items() if re.fullmatch(r"strain.*\d", key)]
+    low, high = STRAINS
+    least = min(strains)
+    most = max(strains)
+    clauses = []
+    if head > MOTION:
+        clauses.append(f"the head moves {head:.1f} mm, above {MOTION:g}")
+    if not low <= least <= most <= high:
+        span = f"{least:.0f} to {most:.0f} um/m, not within {low:g} to {high:g}"
+        clauses.append(f"the cortex is strained by {span}")
+    if clauses:
+        yield Verdict("; ".join(clauses), "physiology", severity=Severity.WARNING)
+
+
+def life(laws: Mapping[str, Mapping[str, Any]]) -> str:
+    """Band of the life of a region, over laws and errors; no year without it."""
+    known = [(q["damage_p99"], q.get("damage_p99_error") or 0.0) for q in laws.values()]
+    most, least = max(d + e for d, e in known), min(d - e for d, e in known)
+    mesh = any("damage_p99_error" in q for q in laws.values())
+    text = f"over {', '.join(laws)}"
+    if mesh:
+        text += " and mesh"
+    if len(known) < 2 and not mesh:
+        return f"no year without a band ({text}): name another law, or --error"
+    short, long = (f"{float(f'{1 / d:.2g}'):g}" if d > 0 else "endless" for d in (most, least))
+    return f"99 % of the volume lasts {short} to {long} years, {text}: to rank, not to predict"
+
+
+def _strength(name: str, q: Mapping[str, Any], unsettled: Mapping[str, Any]) -> Verdict:
+    """Probability that a region and its parts fail, and where it grows with every mesh."""
+    texts = []
+    severity = Severity.PLAIN
+    for part in ("", *(p for p in quantities.PARTS if "failure_risk" in q.get(p, {}))):
+        own, key = q[part] if part else q, f"{name}_{part}" if part else name
+        text = f"{100 * own['failure_probability']:.2g} %"
+        if part:
+            text += f" at its {part}"
+        (_, fine), (size, coarse), *_ = unsettled.get(f"{key}.failure_risk", ((0, 0), (0, 0)))
+        if fine > coarse:
+            grown = f"from {coarse:.2g} at {size:g} mm to {fine:.2g}"
+            text = f"{text} (R grows {grown}: it may have no limit)"
+            severity = Severity.WARNING
+        texts.append(text)
+    text = f"{name} breaks with a probability of {', '.join(texts)}"
+    return Verdict(text, "strength", severity=severity)
+
+
+def _crack(name: str, q: Mapping[str, Any]) -> Verdict:
+    """What of an interface is damaged, and whether the mesh resolves the zone where it breaks."""
+    own = TABLE["interfaces"]
+    keys = ("area_damaged", "area_broken", "unbonded_fraction", "zone_length", "zone_elements")
+    damaged, broken, never, zone, elements = (own[key].text(q) for key in keys)
+    text = f"{name} is damaged on {damaged} mm^2, of which {broken} are broken"
+    if q["unbonded_fraction"]:
+        text += f"; {never} % never held"
+    if q["zone_length"]:
+        text += f"; its process zone is {zone} mm long, {elements} elements"
+    if 0 < q["zone_elements"] < RESOLVED:
+        text += f": not resolved, it takes {RESOLVED}"
+        return Verdict(in_print(text), "cohesion", "refine", Severity.WARNING)
+    return Verdict(in_print(text), "cohesion", severity=Severity.GOOD)
+
+
+def _contact(interfaces: Mapping[str, Any]) -> Verdict:
+    """Penetration of the bodies, and what the numbers of interfaces leave out."""
+
+    def length(key: str) -> str:
+        q = TABLE["interfaces"][key]
+        return f"{q.factor * most[key]:.2g} {q.shown}"
+
+    keys = ("penetration_max", "penetration_sampled")
+    most = {key: max(q.get(key, 0.0) for q in interfaces.values()) for key in keys}
+    gap = TABLE["interfaces"]["gap_max"].text
+    rims = [f"{gap(own['rim'])} um ({name})" for name, own in interfaces.items() if "rim" in own]
+    apart = f"; numbers are without rim and tip, the rim opens by {', '.join(rims)}" if rims else ""
+    if most["penetration_max"] >= 1e-9:
+        deep = length("penetration_max")
+        text = f"the bodies penetrate by {deep}{apart}"
+        return Verdict(text, CONTACT, severity=Severity.WARNING)
+    between = most["penetration_sampled"] >= 1e-9
+    rest = f", within {length('penetration_sampled')} between them" if between else ""
+    return Verdict(f"exact to rounding at points{rest}{apart}", CONTACT, severity=Severity.GOOD)
+
+
+def _by_facets(name: str, q: Mapping[str, Any]) -> Verdict:
+    """The largest pressure of an interface, where straight facets decide it."""
+    most = TABLE["interfaces"]["pressure_max"].text(q)
+    part = TABLE["interfaces"]["pressure_by_facets"].text(q)
+    text = (
+        f"the maximum on {name}, {most} MPa, depends on the facets of the mesh: slip over them "
+        f"makes up to {part} MPa"
+    )
+    cure = "less by curved cells of second order or smaller ones"
+    return Verdict(text, "pressure", cure, Severity.WARNING)
+
+
+def _is_steep(q: Mapping[str, Any]) -> bool:
+    return bool(q.get("pressure_max", 0.0) > STEEP * q.get("pressure_mean_max", np.inf))
+
+
+def _steep(name: str, q: Mapping[str, Any]) -> Verdict:
+    """The largest pressure of an interface, where it is far above the mean at its point."""
+    most, mean = (TABLE["interfaces"][key].text(q) for key in ("pressure_max", "pressure_mean_max"))
+    text = (
+        f"the maximum on {name}, {most} MPa, is at a ridge or an edge; the mean at one point is "
+        f"{mean} MPa at most"
+    )
+    return Verdict(text, "pressure", severity=Severity.WARNING)
+
+
+def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
+    """Estimated error of mesh and step."""
+    estimated = summary.get("error", {})
+    if not estimated.get("companions"):
+        return Verdict("error not estimated (--error does)", BOTH, severity=Severity.PLAIN)
+    largest = largest_of_units(dict(summary))
+    shares: dict[str, float] = {}
+    zero: list[str] = []
+    for section in ("interfaces", "regions"):
+        for name, q in summary.get(section, {}).items():
+            for key in filter(PERCENTILE.search, q):
+                error = q.get(f"{key}_error")
+                if error is None or not q[key] or key not in TABLE[section]:
+                    continue
+                if is_zero(q[key], error, largest[TABLE[section][key].unit]):
+                    zero.append(f"{key} of {name}")
+                else:
+                    shares[f"{key} of {name}"] = error / abs(q[key])
+    share, text = sorted(shares, key=shares.__getitem__), "± is their estimated error"
+    if share:
+        of_them = (share[len(share) // 2], share[-1])
+        half, worst = (f"{float(f'{100 * shares[key]:.2g}'):g}" for key in of_them)
+        text = f"half of the percentiles within ± {half} %"
+        text += f", the least sure ({share[-1]}) within ± {worst} %"
+        within = estimated.get("within")
+        if within:
+            text += f"; about {100 * within:.0f} of 100 such numbers lie within their ±"
+    if zero:
+        text += f"; zero to rounding or beside others: {', '.join(zero)}"
+    source = estimated.get("of", BOTH)
+    if source != BOTH:
+        text += "; error of the mesh not estimated"
+    return Verdict(text, source, severity=Severity.PLAIN)
+
+
+def _peaks(summary: Mapping[str, Any]) -> list[Verdict]:
+    """Peaks that change most with the mesh, with their values on every mesh solved."""
+    lines = []
+    for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
+        q = quantities.get(name)
+        if q and q.unit != "-":  # a risk stands with the strength
+            on = [f"{name} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
+            lines.append(
+                ", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others])
+            )
+    if not lines:
+        return []
+    shown = lines[:MOST]
+    if lines[MOST:]:
+        shown.append(f"{len(lines) - MOST} more in error.unsettled of summary.json")
+    return [Verdict("; ".join(shown), PEAKS, severity=Severity.WARNING)]

@@ -1,0 +1,155 @@
+"""Verdicts on the numbers of a run: what is good, doubtful and bad."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from app.foundation.verdict import Severity, Verdict, note, recorded
+from app.results import verdicts
+
+
+def summary(**changes: Any) -> dict[str, Any]:
+    interface = {
+        **{"penetration_max": 0.0, "penetration_sampled": 4.1e-3, "facet_size": 4.0},
+        **{"slip_max": 0.07, "slip_p99": 0.05, "slip_p99_error": 0.001},
+        **{"pressure_p95": 2.0, "pressure_p95_error": 0.1},
+        **{"pressure_max": 9.0, "pressure_max_error": 9.0},
+    }
+    return {
+        "interfaces": {"stem_cement": interface},
+        "regions": {},
+        "balance": {"force": 1e-12, "moment": 1e-12, "energy": 1e-12},
+        "solver": {"dofs": 974, "steps": 36, "newton_iterations": 546, "ranks": 2},
+        "timing": {"total": 12.0},
+    } | changes
+
+
+def judged(found: dict[str, Any]) -> dict[str, tuple[str, str]]:
+    """Words and severity of each verdict but the first, by the part of the result it judges."""
+    first, *rest = verdicts.of_numbers(found)
+    assert first.text.startswith("converged: 974 unknowns") and first.severity is Severity.PLAIN
+    return {v.where: (f"{v.what}; {v.cure}" if v.cure else v.what, v.severity) for v in rest}
+
+
+def test_what_is_good() -> None:
+    assert judged(summary()) == {
+        "equilibrium": ("exact to rounding", "good"),
+        "contact": ("exact to rounding at points, within 4.1 um between them", "good"),
+        "mesh and step": ("error not estimated (--error does)", "plain"),
+    }
+
+
+def test_largest_pressure_that_facets_decide() -> None:
+    found = summary()
+    found["interfaces"]["stem_cement"]["pressure_by_facets"] = 4.0
+    words, tone = judged(found)["pressure"]
+    assert words.startswith("the maximum on stem_cement, 9.00 ± 9.00 MPa, depends on the facets")
+    assert "makes up to 4.00 MPa" in words and tone == "warning"
+
+
+def test_largest_pressure_far_above_the_means_of_points() -> None:
+    found = summary()
+    found["interfaces"]["stem_cement"] |= {"pressure_max": 9.0, "pressure_mean_max": 5.9}
+    words, tone = judged(found)["pressure"]
+    assert words == (
+        "the maximum on stem_cement, 9.00 ± 9.00 MPa, is at a ridge or an edge; the mean at one "
+        "point is 5.90 MPa at most"
+    )
+    assert tone == "warning"
+    found["interfaces"]["stem_cement"]["pressure_mean_max"] = 6.1
+    assert "pressure" not in judged(found)
+
+
+def test_what_is_bad_stands_out() -> None:
+    found = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0, "heat": 1e-3})
+    found["interfaces"]["stem_cement"] |= {"penetration_max": 2e-3, "slip_max": 5.0}
+    lines = judged(found)
+    lost = "NOT balanced (force 1.0e-03, not below 1e-08)"
+    assert lines["equilibrium"] == (lost, "error")
+    assert lines["heat"] == ("NOT balanced (heat 1.0e-03, not below 1e-06)", "error")
+    assert lines["contact"] == ("the bodies penetrate by 2 um", "warning")
+    assert lines["slip"][0].endswith("`sliding: finite` follows it") and lines["slip"][1] == "error"
+
+
+def test_what_is_reported_apart() -> None:
+    """The rim's gap is told; bodies that slip too far there are not to be used."""
+    found = summary()
+    found["interfaces"]["stem_cement"]["rim"] = {"gap_max": 0.074, "slip_max": 5.0}
+    lines = judged(found)
+    words = "; numbers are without rim and tip, the rim opens by 74.0 um (stem_cement)"
+    assert lines["contact"][0].endswith(words)
+    assert lines["slip"][0].startswith("on stem_cement exceeds")
+
+
+def test_the_error_is_told_without_peaks() -> None:
+    unsettled = {"stem_cement.pressure_max": [[4.0, 9.0], [8.0, 6.1], [12.0, 4.25]]}
+    error = {"companions": ["mesh 8 mm", "mesh 12 mm"], "unsettled": unsettled, "within": 0.9}
+    lines = judged(summary(error=error))
+    words = (
+        "half of the percentiles within ± 5 %, the least sure (pressure_p95 of stem_cement) within "
+        "± 5 %; about 90 of 100 such numbers lie within their ±"
+    )
+    assert lines["mesh and step"] == (words, "plain")
+    assert "load step" not in lines
+    peaks = "stem_cement.pressure_max 9.00 MPa at 4 mm, 6.10 at 8, 4.25 at 12"
+    assert lines[verdicts.PEAKS] == (peaks, "warning")
+
+
+def test_of_many_peaks_the_three_worst_are_judged() -> None:
+    keys = ("gap_max", "pressure_max", "slip_max", "motion_max", "shear_max")
+    unsettled = {f"stem_cement.{k}": [[2.5, 0.0742], [5.0, 0.06]] for k in keys}
+    words, _ = judged(summary(error={"companions": ["mesh 5 mm"], "unsettled": unsettled}))[
+        verdicts.PEAKS
+    ]
+    first, *others, rest = words.split("; ")
+    assert first == "stem_cement.gap_max 74.2 um at 2.5 mm, 60.0 at 5"
+    assert [name.split()[0] for name in others] == [f"stem_cement.{k}" for k in keys[1:3]]
+    assert rest == "2 more in error.unsettled of summary.json"
+
+
+def test_where_only_steps_were_compared_the_error_is_theirs() -> None:
+    """The mesh of a file has no coarser one."""
+    error = {"companions": ["mesh 4 mm, 0.5 times the steps"], "of": "load step"}
+    lines = judged(summary(error=error))
+    assert "mesh and step" not in lines and verdicts.PEAKS not in lines
+    assert lines["load step"][0].endswith("within ± 5 %; error of the mesh not estimated")
+
+
+def test_heat_is_judged_without_forces() -> None:
+    """A balance of 2e-6 is above its limit."""
+    found = summary(interfaces={}, balance={"heat": 3e-12, "heat_quadrature": 1e-3})
+    assert judged(found)["heat"] == ("none is lost", "good")
+    assert "equilibrium" not in judged(found) and "contact" not in judged(found)
+    found["balance"]["heat"] = 2e-6
+    assert judged(found)["heat"][1] == "error"
+
+
+def test_verdicts_are_read_as_they_were_recorded() -> None:
+    found = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0})
+    remark = note("is it in per cent?", "interfaces.a", "expected 0 to 1.5")
+    verdicts.record(found, [remark])
+    assert recorded(found) == [*verdicts.of_numbers(found), remark]
+    assert verdicts.notes_of(found) == ["interfaces.a: is it in per cent?; expected 0 to 1.5"]
+    assert verdicts.reasons_not_to_use(found) == [
+        "equilibrium: NOT balanced (force 1.0e-03, not below 1e-08)"
+    ]
+
+
+def test_companions_that_failed_are_named() -> None:
+    found = summary(error={"companions": ["mesh 8 mm"], "failed": ["mesh 12 mm"], "within": 0.9})
+    words = "estimated without companions that failed: mesh 12 mm"
+    assert Verdict(words, "error", severity=Severity.WARNING) in verdicts.of_numbers(found)
+
+
+def test_a_femur_that_is_not_a_living_one_is_judged() -> None:
+    femur = {"head_displacement": [3.0, 0.0, -3.9], "strain_lateral_10": 1.2e-3}
+    loads = [{"force": (0.0, 0.0, -500.0)}]
+    good = femur | {"strain_lateral_10_error": 0.1}
+    assert "physiology" not in judged(summary(femur=good, section_loads=loads))
+    femur |= {"head_displacement": [3.0, 0.0, -4.1], "strain_medial_80": -2.6e-3}
+    assert "physiology" not in judged(summary(femur=femur, section_loads=[{"force": (0.0,) * 3}]))
+    assert judged(summary(femur=femur, section_loads=loads))["physiology"] == (
+        "the head moves 5.1 mm, above 5; the cortex is strained by 1200 to 2600 um/m, not within "
+        "500 to 2500",
+        "warning",
+    )
