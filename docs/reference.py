@@ -27,7 +27,7 @@ from app.case.keys import Key, prose
 from app.case.study import StudyFile
 from app.case.sweep import Sweep
 from app.command_line.parser import parser
-from app.foundation import errors
+from app.foundation import errors, verdict
 from app.results.reading import Results, Run
 from app.simulation.recorder import AcceptedStep
 from app.soundness.preview import CheckedCase
@@ -180,7 +180,7 @@ A message that says why there is no answer ends with a word in brackets, for pro
 
 | word | meaning |
 |---|---|"""
-    for word, text in _enum_docs(errors.Reason):
+    for word, text in _enum_docs(verdict.Reason):
         yield f"| `[{word}]` | {text} |"
     yield ""
 
