@@ -7,7 +7,7 @@ and an open one may conduct; the grid separates both.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from app.results.bearing import Bearing
 from app.results.bond_forces import BondForces
 from app.results.cement_risk import CementRisk
 from app.results.interface_numbers import ContactSamples
-from app.results.necrosis import CELSIUS, Exposure
+from app.results.necrosis import CELSIUS
 from app.results.stresses import Stresses, extrapolated
 from app.results.thermal_record import W_PER_M2, Interfaces, ThermalRecord
 from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
@@ -105,12 +105,8 @@ class Fields:
         self._file.write(time, point, cell)
 
 
-# Heat doses of bone by the names of their fields.
-DOSES: dict[str, Callable[[Exposure], Floats]] = {
-    "seconds_over_47": lambda e: e.over[:, 0],
-    "cem43": lambda e: e.cem43,
-    "henriques_moritz": lambda e: e.damage,
-}
+# Heat doses of bone that are written as fields.
+WRITTEN_DOSES = ("seconds_over_47", "cem43", "henriques_moritz")
 
 
 class HeatFields:
@@ -138,10 +134,10 @@ class HeatFields:
         temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]
         found = {"temperature": self._at(nodes, temperatures)}
         regions, bone = self._record.regions, self._record.bone
-        peaks = {name: r.peak for name, r in regions.items()}
+        peaks = {name: r.peak.value for name, r in regions.items()}
         found["temperature_peak"] = self._of_regions(nodes, peaks) - CELSIUS
-        for name, dose in DOSES.items() if bone else ():
-            doses = {region: dose(regions[region].exposure) for region in bone}
+        for name in WRITTEN_DOSES if bone else ():
+            doses = {region: regions[region].doses.totals[name] for region in bone}
             found[name] = self._of_regions(nodes, doses)
         if cure := self._heating.degrees():
             found["degree_of_cure"] = self._of_regions(nodes, cure)

@@ -9,12 +9,18 @@ Within a step the temperature is linear in time, and the doses of that line are 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
+
 import numpy as np
+from scipy.special import expn
 
 from app.foundation.arrays import Floats
+from app.results.over_time import Measure
 
 CELSIUS = 273.15  # K at 0 degC
-LEVELS = (47.0, 50.0, 56.0)  # degC
+# Temperatures above which time and volume are reported [degC].
+LEVELS = (47.0, 50.0, 56.0)
 # Bone dies after a minute at 47 degC (Eriksson & Albrektsson 1983, J Prosthet Dent 50). The minute
 # may be made of parts: exposure is cumulative, bone does not recover in between.
 MINUTE = 60.0
@@ -78,51 +84,28 @@ def _rate(temperature: Floats) -> Floats:
 
 
 def _antiderivative(temperature: Floats) -> Floats:
-    from scipy.special import expn  # imported late: only bone that heat reaches needs it
-
     x = ACTIVATION / temperature
     return np.asarray(FREQUENCY * temperature * expn(2, x))
 
 
-class Exposure:
-    """Thermal exposure of n nodes so far.
+# Integrals over time that are kept of bone and cement: seconds at or above each of `LEVELS`,
+# equivalent minutes at 43 degC, the damage integral.
+DOSES: dict[str, Measure] = {
+    **{f"seconds_over_{level:g}": partial(seconds_over, level=level) for level in LEVELS},
+    "cem43": cem43,
+    "henriques_moritz": henriques_moritz,
+}
 
-    Attributes:
-        over: Time at or above each of `LEVELS` (n, 3) [s].
-        cem43: Equivalent minutes at 43 degC (n,).
-        damage: Henriques-Moritz (n,).
+
+def death_levels(doses: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Level of each criterion (n,) by its name, from `DOSES`; not negative where nodes are dead.
+
+    It is linear in time for criteria in time, and in temperature where equivalent minutes and
+    damage are exponentials of it.
     """
-
-    saved = ("over", "cem43", "damage")
-
-    def __init__(self, n: int) -> None:
-        self.over = np.zeros((n, len(LEVELS)))
-        self.cem43, self.damage = np.zeros(n), np.zeros(n)
-
-    def add(self, start: Floats, end: Floats, seconds: float) -> None:
-        """Add a step in which the temperature goes linearly from start to end (n,) [K]."""
-        for k, level in enumerate(LEVELS):
-            self.over[:, k] += seconds_over(start, end, seconds, level)
-        self.cem43 += cem43(start, end, seconds)
-        self.damage += henriques_moritz(start, end, seconds)
-
-    def forget(self) -> None:
-        """Make all doses unknown from here on."""
-        for dose in (self.over, self.cem43, self.damage):
-            dose[:] = np.nan
-
-    @property
-    def forgotten(self) -> bool:
-        """Whether doses of any of the nodes are unknown."""
-        return bool(np.isnan(self.cem43).any())
-
-    def levels(self) -> dict[str, Floats]:
-        """Level of each criterion (n,), by name; not negative where nodes are dead.
-
-        It is linear in time for criteria in time, and in temperature where equivalent minutes and
-        damage are exponentials of it.
-        """
-        doses = {f"cem43_{m}": self.cem43 / m for m in CEM43_THRESHOLDS}
-        doses["henriques_moritz"] = self.damage
-        levels = {name: np.log(np.maximum(dose, _LEAST)) for name, dose in doses.items()}
-        return {"47C_1min": np.asarray(self.over[:, 0] / MINUTE - 1), **levels}
+    lethal = {f"cem43_{minutes}": doses["cem43"] / minutes for minutes in CEM43_THRESHOLDS}
+    lethal["henriques_moritz"] = doses["henriques_moritz"]
+    levels = {"47C_1min": np.asarray(doses["seconds_over_47"] / MINUTE - 1)}
+    for name, dose in lethal.items():
+        levels[name] = np.log(np.maximum(dose, _LEAST))
+    return levels

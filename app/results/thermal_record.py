@@ -1,14 +1,14 @@
-"""Peak temperatures with place and time, their duration, and necrosis: section thermal.
+"""Temperatures, necrosis and cure over time: sections thermal and cure of the summary.
 
-A record takes the temperatures of every accepted step (`region_temperatures`), the heat through the
-interfaces then, and its entropy production. Temperatures are K inside and degC in reports; the
-other units are those of ``UNITS``.
+Records take every accepted step: temperatures and degrees of cure at nodes, heat through the
+interfaces and its entropy production. `over_time` reduces them. Temperatures are K inside and degC
+in reports; the other units are those of ``UNITS``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from mpi4py import MPI
@@ -17,13 +17,23 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.foundation.arrays import Floats, Ints
+from app.foundation.arrays import Bools, Floats, Ints
 from app.heat.heat_forms import HeatForms
-from app.heat.nodes import InterfaceNodes, Probe, Probes, Side, region_nodes
+from app.heat.nodes import InterfaceNodes, Probe, Probes, Side, ThermalNodes, region_nodes
 from app.heat.operators import HeatOperators
 from app.numerics.saved_state import node_keys
-from app.results.necrosis import CELSIUS
-from app.results.region_temperatures import RegionCells, RegionTemperatures, largest
+from app.results.level_sets import RegionCells
+from app.results.necrosis import CELSIUS, COUNTS_FROM, DOSES, LEVELS, death_levels
+from app.results.over_time import (
+    Integrals,
+    Maximum,
+    State,
+    bend,
+    bend_after_kink,
+    largest,
+    maxima,
+    peak_between,
+)
 from forms import interface_heat
 from meshes.distribute import TaggedMesh
 
@@ -37,7 +47,8 @@ def exchange(
     operators: HeatOperators, x: Sequence[PETSc.Vec], temperatures: Sequence[fem.Function]
 ) -> Exchanges:
     """Heat through the interfaces of finite conductance, by temperatures of the bodies [K]."""
-    if (j := operators.jumps) is None:
+    j = operators.jumps
+    if j is None:
         return {}
     table = np.stack([t.x.array[j.dof] for t in temperatures])
     master, slave = (table[j.bodies[:, k], np.arange(len(j.dof))] for k in (0, 1))
@@ -47,40 +58,111 @@ def exchange(
     return {name: (q[here], s[here]) for name, here in at.items()}
 
 
-@dataclass
-class InterfaceExtremes:
-    """Largest jump and flux, and entropy production of one interface, over all ranks."""
+class RegionTemperatures:
+    """Temperatures at this rank's nodes of one region (n,), from an initial state on.
 
-    jump: float = 0.0
-    flux: float = 0.0
-    entropy_min: float = np.inf
-    entropy_max: float = -np.inf
+    Attributes:
+        now: Temperatures of the last state [K].
+        peak: Highest temperatures so far [K].
+        lowest: Lowest temperatures so far [K].
+        doses: Heat doses so far, by the names of `necrosis.DOSES`.
+        before: Up to three states before the last one, newest last.
+    """
 
-    def take(self, comm: MPI.Comm, flux: Floats, entropy: Floats) -> None:
-        """Update from own points: flux (n,) [N/(mm s)], entropy [N/(mm s K)]; collective."""
-        ends = [np.abs(flux).max(initial=0.0), entropy.max(initial=-np.inf)]
-        most = np.array([*ends, -entropy.min(initial=np.inf)])
-        comm.Allreduce(MPI.IN_PLACE, most, MPI.MAX)
-        self.flux = max(self.flux, float(most[0]))
-        self.entropy_max = max(self.entropy_max, float(most[1]))
-        self.entropy_min = min(self.entropy_min, -float(most[2]))
+    saved = ("now", "peak", "lowest", "doses", "before")
 
-    def summary(self) -> dict[str, float]:
-        """Their numbers in the summary."""
-        result = {"temperature_jump_max": self.jump}
-        # Where both sides share one temperature the rest is unknown.
-        if self.entropy_min < np.inf:
-            result["heat_flux_max"] = W_PER_M2 * self.flux
-            result["entropy_production_min"] = W_PER_M2 * self.entropy_min
-            result["entropy_production_max"] = W_PER_M2 * self.entropy_max
+    def __init__(
+        self, nodes: ThermalNodes, temperatures: Sequence[fem.Function], seconds: float
+    ) -> None:
+        self.nodes = nodes
+        self.now = self.lowest = nodes.values(temperatures)
+        self.peak = Maximum(self.now, seconds)
+        self.doses = Integrals(DOSES, len(self.now))
+        self.before: list[State] = []
+
+    @property
+    def begin(self) -> Floats:
+        """Temperatures before the last recorded step."""
+        return self.before[-1][1]
+
+    @property
+    def warm(self) -> Bools:
+        """Nodes warm enough for doses at either end of that step."""
+        return np.maximum(self.begin, self.now) > CELSIUS + COUNTS_FROM
+
+    def take(self, last: float, temperatures: Sequence[fem.Function]) -> None:
+        """Record the temperatures at the end of a step that began at time ``last``."""
+        self.before = [*self.before[-2:], (last, self.now)]
+        self.now = self.nodes.values(temperatures)
+        self.lowest = np.minimum(self.lowest, self.now)
+
+    def bend(self, seconds: float, rates: Sequence[Floats]) -> Floats:
+        """Deviation of the middle of a step from a straight line [K].
+
+        It ends at some seconds with rates of change [K/s], which are given if it began with a kink.
+        """
+        last = self.before[-1]
+        now = (seconds, self.now)
+        if rates:
+            return bend_after_kink(rates[self.nodes.body][self.nodes.dof], last, now)
+        return bend(self.before[max(len(self.before) - 2, 0)], last, now)
+
+    def raise_peak(self, seconds: float, highest: float) -> None:
+        """Raise the peaks to those at and before a time, at most to ``highest``."""
+        self.peak.take(self.now, seconds)
+        states = [*self.before, (seconds, self.now)]
+        if len(states) == 4 and all(a[0] < b[0] for a, b in pairwise(states)):
+            peak, time = peak_between(*states)
+            self.peak.take(np.minimum(peak, highest), time)
+
+    # The summary
+
+    def temperatures(self, comm: MPI.Comm, cells: RegionCells) -> dict[str, Any]:
+        """Extremes and mean [degC], and volumes warmer than each level; collective."""
+        nodes = self.nodes
+        heat = np.array([nodes.volume @ self.now, nodes.volume.sum()])
+        comm.Allreduce(MPI.IN_PLACE, heat, MPI.SUM)
+        peak, place, when = largest(comm, self.peak.value, nodes.x, self.peak.time)
+        ends = maxima(comm, {"end": self.now, "minus lowest": -self.lowest})
+        result: dict[str, Any] = {
+            "temperature_max": peak - CELSIUS,
+            "temperature_max_at": place,
+            "temperature_max_time": when,
+            "temperature_min": -ends["minus lowest"] - CELSIUS,
+            "temperature_mean": float(heat[0] / heat[1]) - CELSIUS,
+            "temperature_end_max": ends["end"] - CELSIUS,
+        }
+        for level in LEVELS:
+            over = self.peak.value - CELSIUS - level
+            result[f"volume_over_{level:g}"] = cells.volume(nodes.dof, over)
+        return result
+
+    def times(self, comm: MPI.Comm) -> dict[str, float]:
+        """Longest time of a node above each level [s]; collective."""
+        keys = [f"seconds_over_{level:g}" for level in LEVELS]
+        return maxima(comm, {key: self.doses.totals[key] for key in keys})
+
+    def dead(self, comm: MPI.Comm, cells: RegionCells, surface: Floats) -> dict[str, float]:
+        """Largest thermal doses, and dead volume and depth by criterion; collective.
+
+        Depth is measured from triangles of a surface (f, 3, 3) [mm].
+        """
+        doses = self.doses.totals
+        result = maxima(comm, {f"{key}_max": doses[key] for key in ("cem43", "henriques_moritz")})
+        for criterion, level in death_levels(doses).items():
+            result[f"necrosis_{criterion}_volume"] = cells.volume(self.nodes.dof, level)
+            if len(surface):
+                depth = cells.depth(self.nodes.dof, level, surface)
+                result[f"necrosis_{criterion}_depth"] = depth
         return result
 
 
 Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
 SIDES = ("first", "second")
 
-# Largest deviation of a piece of a step from the parabola [K], unless that takes too many pieces.
+# Largest deviation of a piece of a step from the parabola [K].
 _STRAIGHT = 0.01
+# Largest number of pieces, whatever their deviation.
 _MOST_PIECES = 8
 TIMELESS = (
     "no times above a temperature, thermal doses or dead bone: a steady stage does not know how "
@@ -118,7 +200,8 @@ class ThermalRecord:
         probes: Mapping[str, Probe],
         faces: Mapping[str, tuple[Ints, Ints]] | None = None,
     ) -> None:
-        self._comm, self._forms = forms.comm, forms
+        self._comm = forms.comm
+        self._forms = forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
         self._interfaces = {
             n: InterfaceNodes(self._nodes, s, (faces or {}).get(n)) for n, s in interfaces.items()
@@ -130,7 +213,8 @@ class ThermalRecord:
             if first != second:
                 self._bone_sides.append(self._interfaces[name].sides[0 if first else 1])
         self._probes = Probes(tagged, forms.space, of_region, probes)
-        self._extremes = {name: InterfaceExtremes() for name in interfaces}
+        # Largest numbers of each interface so far, over all ranks.
+        self._extremes: dict[str, dict[str, float]] = {name: {} for name in interfaces}
         self.regions: dict[str, RegionTemperatures] = {}
 
     def start(self, temperatures: Sequence[fem.Function], seconds: float = 0.0) -> None:
@@ -167,11 +251,12 @@ class ThermalRecord:
             self._expose(seconds, rates)
         elif self._comm.allreduce(any(r.warm.any() for r in self.regions.values()), MPI.LOR):
             for r in self.regions.values():
-                r.exposure.forget()
+                r.doses.forget()
         for r in self.regions.values():
             r.raise_peak(seconds, highest)
-        for name, passed in (exchanges or {}).items():
-            self._extremes[name].take(self._comm, *passed)
+        for name, (flux, entropy) in (exchanges or {}).items():
+            passed = {"flux": np.abs(flux), "entropy": entropy, "minus entropy": -entropy}
+            self._raise(name, maxima(self._comm, passed))
         self._take(seconds, temperatures)
 
     def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
@@ -181,26 +266,28 @@ class ThermalRecord:
         worst = self._comm.allreduce(max(map(float, most)), MPI.MAX)
         pieces = int(np.clip(np.ceil(np.sqrt(worst / _STRAIGHT)), 1, _MOST_PIECES))
         for name, r in self.regions.items():
-            r.expose(bends[name], pieces, seconds - self._seconds)
+            r.doses.add_bent(r.begin, r.now, bends[name], seconds - self._seconds, pieces)
+
+    def _raise(self, interface: str, numbers: Mapping[str, float]) -> None:
+        """Raise the extremes of an interface to some numbers."""
+        extremes = self._extremes[interface]
+        for key, value in numbers.items():
+            extremes[key] = max(extremes.get(key, -np.inf), value)
 
     def _take(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
         """Keep the reported histories."""
         local = {
-            f"{name} temperature_max [degC]": r.now.max(initial=-np.inf) - CELSIUS
-            for name, r in self.regions.items()
+            f"{name} temperature_max [degC]": r.now - CELSIUS for name, r in self.regions.items()
         }
         for name, nodes in self._interfaces.items():
             for which, side in zip(SIDES, nodes.sides, strict=True):
                 T = self._on(side, lambda r: r.now)
-                local[f"{name} temperature_max_{which} [degC]"] = T.max(initial=-np.inf) - CELSIUS
+                local[f"{name} temperature_max_{which} [degC]"] = T - CELSIUS
             if not nodes.apart:
-                jump = np.abs(nodes.jump(temperatures)).max(initial=0.0)
-                local[f"{name} temperature_jump_max [K]"] = jump
-        highest = np.array(list(local.values()), dtype=np.float64)
-        self._comm.Allreduce(MPI.IN_PLACE, highest, MPI.MAX)
-        row = dict(zip(local, map(float, highest), strict=True))
-        for name, e in self._extremes.items():
-            e.jump = max(e.jump, row.get(f"{name} temperature_jump_max [K]", 0.0))
+                local[f"{name} temperature_jump_max [K]"] = np.abs(nodes.jump(temperatures))
+        row = maxima(self._comm, local)
+        for name in self._extremes:
+            self._raise(name, {"jump": row.get(f"{name} temperature_jump_max [K]", 0.0)})
         probed = self._probes.values(temperatures)[:, 0] - CELSIUS
         row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
         self._seconds, self.row = seconds, {"seconds [s]": seconds, **row}
@@ -240,7 +327,7 @@ class ThermalRecord:
             "regions": regions,
             "interfaces": {name: self._interface(name) for name in self._interfaces},
         }
-        local = any(r.exposure.forgotten for r in self.regions.values())
+        local = any(r.doses.forgotten for r in self.regions.values())
         if comm.allreduce(local, MPI.LOR):
             return result | {"note": TIMELESS}
         for name, r in self.regions.items():
@@ -254,11 +341,127 @@ class ThermalRecord:
         for which, side in zip(SIDES, self._interfaces[name].sides, strict=True):
             peak, place, when = largest(
                 self._comm,
-                self._on(side, lambda r: r.peak),
+                self._on(side, lambda r: r.peak.value),
                 self._on(side, lambda r: r.nodes.x),
-                self._on(side, lambda r: r.peak_time),
+                self._on(side, lambda r: r.peak.time),
             )
             result[f"temperature_max_{which}"] = peak - CELSIUS
             result[f"temperature_max_{which}_at"] = place
             result[f"temperature_max_{which}_time"] = when
-        return result if self._interfaces[name].apart else result | self._extremes[name].summary()
+        if self._interfaces[name].apart:
+            return result
+        extremes = self._extremes[name]
+        result["temperature_jump_max"] = extremes["jump"]
+        # Where both sides share one temperature the rest is unknown.
+        if "flux" in extremes:
+            result["heat_flux_max"] = W_PER_M2 * extremes["flux"]
+            result["entropy_production_min"] = -W_PER_M2 * extremes["minus entropy"]
+            result["entropy_production_max"] = W_PER_M2 * extremes["entropy"]
+        return result
+
+
+# Cure
+
+# Degrees of cure by the names of the times at which all of a region has reached them.
+SET = {"time_50": 0.5, "time_90": 0.9}
+
+
+class _CuringRegion:
+    """Cure recorded at the nodes of one region (n,).
+
+    Attributes:
+        reached: Time at which each degree of `SET` is reached, by its name (n,) [s].
+        fastest: Largest rate so far [1/s].
+    """
+
+    saved = ("degree", "rate", "reached", "fastest")
+
+    def __init__(self, degree: Floats, seconds: float) -> None:
+        self.degree: Floats = degree.copy()
+        self.rate: Floats = np.zeros(len(degree))
+        self.fastest = Maximum(self.rate, seconds)
+        self.reached: dict[str, Floats] = {
+            name: np.where(degree >= level, seconds, np.inf) for name, level in SET.items()
+        }
+
+
+class CureRecord:
+    """Degrees of cure of a run, as far as they are reported.
+
+    The time at which a node reaches a degree is interpolated within the step by a cubic of time
+    over degree, from degrees and rates at both ends of the step.
+
+    Args:
+        degrees: Degree of cure at this rank's own nodes of each curing region (n,).
+        keys: Keys of these nodes (n,).
+    """
+
+    saved = ("_regions", "_seconds")
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        degrees: Mapping[str, Floats],
+        keys: Mapping[str, Ints],
+        seconds: float = 0.0,
+    ) -> None:
+        self._comm, self._seconds = comm, seconds
+        self.row_keys = {"_regions": keys}
+        self._regions = {name: _CuringRegion(d, seconds) for name, d in degrees.items()}
+
+    def update(
+        self, seconds: float, degrees: Mapping[str, Floats], rates: Mapping[str, Floats]
+    ) -> None:
+        """Record an accepted step: its end [s], the degrees then (n,) and their rates [1/s]."""
+        step = seconds - self._seconds
+        for name, r in self._regions.items():
+            degree = degrees[name]
+            rate = rates[name]
+            for key, level in SET.items():
+                now = np.flatnonzero((degree >= level) & np.isinf(r.reached[key]))
+                share = _crossing(
+                    level, r.degree[now], degree[now], step * r.rate[now], step * rate[now]
+                )
+                r.reached[key][now] = self._seconds + step * share
+            r.fastest.take(rate, seconds)
+            r.degree = degree.copy()
+            r.rate = rate.copy()
+        self._seconds = seconds
+
+    def row(self) -> dict[str, float]:
+        """Columns of history.csv for the last recorded state; collective."""
+        result: dict[str, float] = {}
+        for name, r in self._regions.items():
+            low, high = self._range(r)
+            result |= {f"{name} degree_min [-]": low, f"{name} degree_max [-]": high}
+        return result
+
+    def summary(self) -> dict[str, Any]:
+        """Section ``cure`` of the summary; collective. Times not reached are None."""
+        result: dict[str, dict[str, float | None]] = {}
+        for name, r in self._regions.items():
+            low, high = self._range(r)
+            latest = maxima(self._comm, {**r.reached, "rate_max": r.fastest.value})
+            result[name] = {"degree_min": low, "degree_max": high}
+            for key, value in latest.items():
+                result[name][key] = value if np.isfinite(value) else None
+        return result
+
+    def _range(self, r: _CuringRegion) -> tuple[float, float]:
+        ends = maxima(self._comm, {"minus lowest": -r.degree, "highest": r.degree})
+        return -ends["minus lowest"], ends["highest"]
+
+
+def _crossing(level: float, start: Floats, end: Floats, before: Floats, after: Floats) -> Floats:
+    """Fraction of a step (n,) after which degrees from ``start`` to ``end`` (n,) reach a level.
+
+    A cubic in the degree, by the rates at both ends times the step (n,); zero: not known.
+    """
+    change = end - start
+    s = np.divide(level - start, change, out=np.ones_like(start), where=change > 0)
+    # Slopes of time over degree; three times the chord at most leaves the cubic monotone.
+    a, b = (
+        np.minimum(np.divide(change, rate, out=np.ones_like(start), where=rate > 0), 3.0)
+        for rate in (before, after)
+    )
+    return np.asarray(s**2 * (3 - 2 * s) + s * (1 - s) ** 2 * a - s**2 * (1 - s) * b)

@@ -8,8 +8,7 @@ from app.case.case import Case
 from app.heat.operators import InitialJump
 from app.mechanics.problem import Problem
 from app.results.balance import HeatBalance
-from app.results.cure_record import CureRecord
-from app.results.thermal_record import ThermalRecord, exchange
+from app.results.thermal_record import CureRecord, ThermalRecord, exchange
 from app.scene.bodies import nodes_on
 from app.stepping.cycle_heat import CycleHeat
 from app.stepping.heat_state import HeatState, HeatStep

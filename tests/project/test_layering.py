@@ -161,7 +161,8 @@ def test_nobody_asks_an_interface_a_load_or_a_support_for_its_kind(path: Path) -
         "app.scene.bodies",
         "app.results.balance",
         "app.results.interface_numbers",
-        "app.results.region_temperatures",
+        "app.results.level_sets",
+        "app.results.over_time",
         "app.results.thermal_record",
         "app.soundness.failure",
     ):

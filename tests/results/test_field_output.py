@@ -69,7 +69,7 @@ def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
     record.start(temperatures)
     record.update(60.0, temperatures)
     for r in record.regions.values():
-        r.peak += 3.0  # it was hotter once
+        r.peak.value += 3.0  # it was hotter once
     degree = x[record.regions["cement"].nodes.dof, 0] / 5
     heating: Any = SimpleNamespace(
         operators=operators, vectors=lambda: state, degrees=lambda: {"cement": degree}

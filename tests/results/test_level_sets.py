@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.results.region_temperatures import positive_share
+from app.results.level_sets import positive_share
 from meshes.mantle import distance
 
 

@@ -19,8 +19,7 @@ from scipy.integrate import quad
 from app.foundation.errors import InputError
 from app.heat.heat_forms import HeatForms
 from app.results import closing_lines
-from app.results.cure_record import CureRecord
-from app.results.thermal_record import ThermalRecord
+from app.results.thermal_record import CureRecord, ThermalRecord
 from app.scene.bodies import bodies_of
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
@@ -158,7 +157,7 @@ def test_doses_of_a_course_with_kinks_are_those_of_its_lines(
     """Held at temperatures that are linear in time between kinks."""
     steps = "stages.0={name: bath, duration: 110 s, increments: 11, adaptive: false}"
     run = coupled.solve(monkeypatch, *([steps] if equal else []), text=HELD)
-    found = run.model.thermal.record.regions["bone"].exposure
+    found = run.model.thermal.record.regions["bone"].doses.totals
 
     def dose(rate: Callable[[float], float]) -> float:
         parts = pairwise(BATH[0])
@@ -167,10 +166,10 @@ def test_doses_of_a_course_with_kinks_are_those_of_its_lines(
     def minutes(T: float) -> float:
         return (0.25 if T < 43 else 0.5) ** (43 - T) / 60 if T >= 39 else 0.0
 
-    assert found.cem43 == pytest.approx(dose(minutes), rel=1e-6)
+    assert found["cem43"] == pytest.approx(dose(minutes), rel=1e-6)
     damage = dose(lambda T: float(np.exp(np.log(3.1e98) - 6.28e5 / (8.314462618 * (ZERO + T)))))
-    assert found.damage == pytest.approx(damage, rel=1e-6)
-    assert found.over[:, 0] == pytest.approx(75 + 25 / 6 - 20)
+    assert found["henriques_moritz"] == pytest.approx(damage, rel=1e-6)
+    assert found["seconds_over_47"] == pytest.approx(75 + 25 / 6 - 20)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,89 @@
+"""Volume in which a level, linear in cells, is not negative, and its depth below a surface.
+
+Counting nodes would move in steps of the mesh, which has few cells across hot or dead zones.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from app.foundation.arrays import Floats, Ints
+from app.heat.heat_forms import HeatForms
+from meshes.mantle import distance
+
+# Corners of the edges and of the faces of a tetrahedron.
+_EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+_FACES = np.array([(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)])
+
+
+class RegionCells:
+    """Cells of a region that this rank owns."""
+
+    def __init__(self, forms: HeatForms, region: str) -> None:
+        self._comm = forms.comm
+        self._dofs = forms.space.dofmap.list[forms.cells(region)].astype(np.int64)
+        self._x = forms.space.tabulate_dof_coordinates()[self._dofs]
+        volume = np.abs(np.linalg.det(self._x[:, 1:] - self._x[:, :1])) / 6
+        flat, true = self._comm.allreduce(
+            np.array([volume.sum(), forms.volumes(region).sum()]), MPI.SUM
+        )
+        # Curved cells have a little more than their corners span.
+        self._volume = volume * (true / flat)
+        self._spread = fem.Function(forms.space)
+
+    def _at_corners(self, dof: Ints, values: Floats, away: float) -> Floats:
+        """Values of own nodes at the corners of cells (m, 4), ``away`` elsewhere; collective."""
+        self._spread.x.array[:] = away
+        self._spread.x.array[dof] = values
+        self._spread.x.scatter_forward()
+        return np.asarray(self._spread.x.array[self._dofs])
+
+    def faces(self, dof: Ints) -> Floats:
+        """Faces with all corners among own nodes (f, 3, 3) [mm], on every rank; collective."""
+        on = self._at_corners(dof, np.ones(len(dof)), 0.0)[:, _FACES].all(axis=2)
+        return np.concatenate(self._comm.allgather(self._x[:, _FACES][on]))
+
+    def volume(self, dof: Ints, level: Floats) -> float:
+        """Volume where a level, known at own nodes (n,), is not negative [mm3]; collective."""
+        share = positive_share(self._at_corners(dof, level, -1.0))
+        return float(self._comm.allreduce(float(self._volume @ share), MPI.SUM))
+
+    def depth(self, dof: Ints, level: Floats, surface: Floats) -> float:
+        """Depth to which a level, known at own nodes (n,), is not negative [mm]; collective.
+
+        It is measured from the triangles of a surface (f, 3, 3) [mm], at least one.
+        """
+        f = self._at_corners(dof, level, -1.0)
+        depth = 0.0
+        ends, x = f[:, _EDGES], self._x[:, _EDGES]
+        # Where edges leave the volume.
+        cut = (ends.max(axis=2) >= 0) & (ends.min(axis=2) < 0)
+        (a, b), (first, second) = ends[cut].T, x[cut].swapaxes(0, 1)
+        points = first + (a / (a - b))[:, None] * (second - first)
+        points = np.concatenate([points, self._x[f >= 0]])
+        if len(points):
+            depth = float(distance(np.unique(points, axis=0), surface).max())
+        return float(self._comm.allreduce(depth, MPI.MAX))
+
+
+def positive_share(f: Floats) -> Floats:
+    """Fraction of each tetrahedron where f, linear between corners (m, 4), is not negative (m,)."""
+    f = -np.sort(-f, axis=1)
+    a, b, c, d = f.T
+    count = (f >= 0).sum(axis=1)
+
+    def cut(high: Floats, low: Floats, here: NDArray[np.bool_]) -> Floats:
+        """Position along an edge at which it crosses zero, from its higher end."""
+        return np.divide(high, high - low, out=np.zeros_like(high), where=here & (high > low))
+
+    share = np.where(count == 4, 1.0, 0.0)
+    one, two, three = (count == n for n in (1, 2, 3))
+    share += np.where(one, cut(a, b, one) * cut(a, c, one) * cut(a, d, one), 0.0)
+    ac, ad, bc, bd = cut(a, c, two), cut(a, d, two), cut(b, c, two), cut(b, d, two)
+    share += np.where(two, ac * ad + ac * (1 - ad) * bd + (1 - ac) * bc * bd, 0.0)
+    rest = (1 - cut(a, d, three)) * (1 - cut(b, d, three)) * (1 - cut(c, d, three))
+    return np.asarray(share + np.where(three, 1 - rest, 0.0))

@@ -1,0 +1,161 @@
+"""Values at nodes reduced over time: their maxima, times above a level, other integrals.
+
+A reduction has one number for each node of a region that this rank owns, and takes every accepted
+step. `maxima` and `largest` reduce the nodes of all ranks to the numbers that are reported.
+
+Between steps a value follows parabolas: the maximum is that of a parabola where the steps before
+and after allow one, and integrals are those of a parabola through the step and the one before it,
+in straight pieces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+
+from mpi4py import MPI
+
+import numpy as np
+
+from app.foundation.arrays import Floats
+
+# A time [s] and the values at it (n,).
+State = tuple[float, Floats]
+# Integral of a function of a value over a piece of time, by the values at its start and end (n,),
+# between which they are linear, and its duration [s].
+Measure = Callable[[Floats, Floats, float], Floats]
+
+
+class Maximum:
+    """Largest value of each node so far, and when it was [s] (n,)."""
+
+    saved = ("value", "time")
+
+    def __init__(self, value: Floats, seconds: float) -> None:
+        self.value = value.copy()
+        self.time = np.full(len(value), seconds)
+
+    def take(self, value: Floats, seconds: Floats | float) -> None:
+        """Take in values of a time, which may be another for each node (n,)."""
+        higher = value > self.value
+        self.value[higher] = value[higher]
+        self.time[higher] = np.broadcast_to(seconds, value.shape)[higher]
+
+
+class Integrals:
+    """Integrals over time of some functions of a value, at n nodes.
+
+    Attributes:
+        totals: By the name of the measure (n,); NaN if unknown.
+    """
+
+    saved = ("totals",)
+
+    def __init__(self, measures: Mapping[str, Measure], n: int) -> None:
+        self._measures = measures
+        self.totals: dict[str, Floats] = {name: np.zeros(n) for name in measures}
+
+    def add(self, start: Floats, end: Floats, seconds: float) -> None:
+        """Add a piece of time in which the value goes linearly from start to end (n,)."""
+        for name, measure in self._measures.items():
+            self.totals[name] += measure(start, end, seconds)
+
+    def add_bent(self, start: Floats, end: Floats, bends: Floats, step: float, pieces: int) -> None:
+        """Add a step along a parabola that passes below its chord by ``bends`` in the middle."""
+        curve = [
+            start + s * (end - start) - 4 * s * (1 - s) * bends
+            for s in np.linspace(0.0, 1.0, pieces + 1)
+        ]
+        for first, then in pairwise(curve):
+            self.add(first, then, step / pieces)
+
+    def forget(self) -> None:
+        """Make all integrals unknown from here on."""
+        for total in self.totals.values():
+            total[:] = np.nan
+
+    @property
+    def forgotten(self) -> bool:
+        """Whether integrals of any node are unknown."""
+        return any(bool(np.isnan(total).any()) for total in self.totals.values())
+
+
+# Over all ranks
+
+
+def maxima(comm: MPI.Comm, values: Mapping[str, Floats]) -> dict[str, float]:
+    """Largest of some values each, over all ranks; minus infinity without any; collective."""
+    local = [of_name.max(initial=-np.inf) for of_name in values.values()]
+    most = np.array(local, dtype=np.float64)
+    comm.Allreduce(MPI.IN_PLACE, most, MPI.MAX)
+    return dict(zip(values, map(float, most), strict=True))
+
+
+def largest(
+    comm: MPI.Comm, values: Floats, x: Floats, times: Floats
+) -> tuple[float, list[float], float]:
+    """Largest value of all ranks with place and time; of equal values the first place."""
+    best = (-np.inf, [0.0, 0.0, 0.0], 0.0)
+    if len(values):
+        equal = np.flatnonzero(values == values.max())
+        k = equal[np.lexsort(x[equal].T[::-1])[0]]
+        best = (float(values[k]), [float(c) for c in x[k]], float(times[k]))
+    return min(comm.allgather(best), key=lambda b: (-b[0], b[1]))
+
+
+# Between steps
+
+
+def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Floats]:
+    """Peaks between the middle ones of four states, at rising times.
+
+    The vertex of the parabola through three of them, the highest in the middle, but no higher than
+    straight lines through the two states before and through the two after: heating that is switched
+    off leaves no peak.
+
+    Returns:
+        Values (n,), minus infinity without a peak, and times (n,).
+    """
+    (t0, a), (t1, b), (t2, c), (t3, d) = s0, s1, s2, s3
+    before = (b - a) / (t1 - t0)
+    across = (c - b) / (t2 - t1)
+    after = (d - c) / (t3 - t2)
+    early = b >= c
+    curvature = np.where(early, (across - before) / (t2 - t0), (after - across) / (t3 - t1))
+    inside = (before > 0) & (after < 0) & (curvature < 0)
+    curvature = np.where(inside, curvature, -1.0)
+    # Slope at the first of the two.
+    slope = across - curvature * (t2 - t1)
+    when = t1 - slope / (2 * curvature)
+    inside &= (when > t1) & (when < t2)
+    meet = np.divide(c - b - after * (t2 - t1), before - after, out=np.zeros_like(b), where=inside)
+    bound = np.minimum(b + before * meet, c - after * (t2 - t1 - meet))
+    bound = np.maximum(bound, np.maximum(b, c))
+    value = np.minimum(b - slope**2 / (4 * curvature), bound)
+    return np.where(inside, value, -np.inf), np.where(inside, when, t1)
+
+
+def bend(before: State, start: State, end: State) -> Floats:
+    """Depth of a parabola below its chord in the middle of the last step (n,).
+
+    It passes through the ends of the step and the state before; its bend is limited so that it
+    stays between the ends.
+    """
+    (t0, a), (t1, b), (t2, c) = before, start, end
+    if not t0 < t1 < t2:
+        return np.zeros_like(c)
+    h = t2 - t1
+    curvature = ((c - b) / h - (b - a) / (t1 - t0)) / (t2 - t0)
+    return limited(curvature * h**2 / 4, b, c)
+
+
+def bend_after_kink(rate: Floats, start: State, end: State) -> Floats:
+    """The same by the rate of change at the end (n,): earlier states say nothing of the step."""
+    (t1, b), (t2, c) = start, end
+    return limited((rate * (t2 - t1) - (c - b)) / 4, b, c)
+
+
+def limited(bends: Floats, start: Floats, end: Floats) -> Floats:
+    """Bends of parabolas that stay between their ends (n,)."""
+    limit = np.abs(end - start) / 4
+    return np.asarray(np.clip(bends, -limit, limit))
