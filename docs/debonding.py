@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from app.plots.curves import curve
-from app.plots.figures import grid, panels
+from app.plots import figures
+from app.plots.curves import Line, Panel, draw_panel
+from app.plots.figures import LOADED, PNG
 from app.results.reading import Run
 
 FIGURE = Path(__file__).with_name("debonding.png")
@@ -24,31 +25,31 @@ SIDES = {-180: "lateral", -90: "posterior", 0: "medial", 90: "anterior", 180: "l
 
 def main(folders: list[Path]) -> None:
     """Damaged area over the load of each run; where the damage of the last one is."""
-    figure, (left, right) = panels(2, 2, 4.8, 3.6)
+    figure, (left, right) = figures.panels(2, 2, 4.8, 3.6)
+    lines: list[Line] = []
     for k, folder in enumerate(folders):
         run = Run(folder)
         area = run.history[f"{PLACE} area_damaged [mm^2]"]
         size = run.summary["interfaces"][PLACE]["facet_size"]
         label = f"facets of {size:.1f} mm"
-        curve(left, [100 * t for t in run.history["time [-]"]], list(area), k, label)
-    left.set_title("damaged area of the bond", fontsize=11, loc="left")
-    left.set_xlabel("load (% of the stance)")
-    left.set_ylabel("area (mm²)")
+        load = [100 * t for t in run.history["time [-]"]]
+        lines.append(Line(label, k, load, area.tolist()))
+    x_of_load = "load (% of the stance)"
+    draw_panel(left, Panel("damaged area of the bond", "area (mm²)", lines, x_of_load, log=""))
     left.legend(frameon=False)
-    grid(left)
     on = run.on_interface(PLACE)
     x, damage = run.points[on], run.at_interface(PLACE, "damage")[on]
     angle = np.degrees(np.arctan2(x[:, 1], x[:, 0]))
     order = np.argsort(damage)
     dots = right.scatter(
-        angle[order], x[order, 2], c=damage[order], s=34, marker="s", cmap="YlOrRd", vmin=0
+        angle[order], x[order, 2], c=damage[order], s=34, marker="s", cmap=LOADED, vmin=0
     )
     right.set_facecolor("0.93")
     right.set_xticks(list(SIDES), list(SIDES.values()), fontsize=8)
     right.set_ylabel("height z (mm)")
-    right.set_title("damage at the full load, finest mesh", fontsize=11, loc="left")
+    figures.title(right, "damage at the full load, finest mesh")
     figure.colorbar(dots, ax=right)
-    figure.savefig(FIGURE, dpi=110)
+    figures.save(figure, FIGURE, 110, PNG)
 
 
 if __name__ == "__main__":

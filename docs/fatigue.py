@@ -11,48 +11,37 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 from app.case.quantities import STRESSED
-from app.plots.figures import COLOURS, MARKERS, grid, panels
+from app.plots.curves import Line, Panel, draw
+from app.plots.figures import PNG
 
 FIGURE = Path(__file__).with_name("fatigue.png")
 
 
-def numbers(q: dict[str, Any], keys: list[str]) -> tuple[list[float], list[float]]:
-    """Numbers of a section and their errors; 0 where none is known."""
-    return [q[key] for key in keys], [q.get(f"{key}_error", 0.0) for key in keys]
-
-
 def main(folders: list[Path]) -> None:
-    """Volume over tension, and damage by law, of each run."""
-    figure, (left, right) = panels(2, 2, 4.8, 3.4)
+    """Draw volume over tension, and damage by law, of each run."""
+    volumes: list[Line] = []
+    damages: list[Line] = []
+    names: dict[float, str] = {}
     for k, folder in enumerate(folders):
         summary = json.loads((folder / "summary.json").read_text())
-        own: dict[str, Any] = {
-            "color": COLOURS[k],
-            "marker": MARKERS[k],
-            "capsize": 3,
-            "label": f"mantle of {summary['mantle']['thickness']['nominal']:g} mm",
-        }
+        label = f"mantle of {summary['mantle']['thickness']['nominal']:g} mm"
+        cement = summary["regions"]["cement"]
         keys = [f"volume_over_{level}_MPa" for level in STRESSED]
-        left.errorbar(STRESSED, *numbers(summary["regions"]["cement"], keys), lw=1.6, **own)
+        values = [cement[key] for key in keys]
+        errors = [cement.get(f"{key}_error", 0.0) for key in keys]
+        volumes.append(Line(label, k, [float(level) for level in STRESSED], values, errors))
         laws = summary["fatigue"]
-        for i, law in enumerate(laws.values()):
-            right.errorbar([i + 0.16 * (k - 0.5)], *numbers(law, ["damage_p99"]), ls="", **own)
-        right.set_xticks(range(len(laws)), [name.capitalize() for name in laws])
-    left.set_title("cement under tension, stumbling", fontsize=11, loc="left")
-    left.set_xlabel("tension (MPa)")
-    left.set_ylabel("volume above it (mm³)")
-    left.set_ylim(bottom=0)
-    left.legend(frameon=False)
-    right.set_title("damage in a year, 99th percentile", fontsize=11, loc="left")
-    right.set_ylabel("1/year")
-    right.set_ylim(bottom=0)
-    right.set_xlim(-0.6, len(laws) - 0.4)
-    grid(left)
-    grid(right, "y")
-    figure.savefig(FIGURE, dpi=110)
+        names = {float(i): name.capitalize() for i, name in enumerate(laws)}
+        damage = [law["damage_p99"] for law in laws.values()]
+        errors = [law.get("damage_p99_error", 0.0) for law in laws.values()]
+        damages.append(Line(label, k, list(names), damage, errors, "points"))
+    panels = [
+        Panel("cement under tension, stumbling", "volume (mm³)", volumes, "tension (MPa)", log=""),
+        Panel("damage in a year, p99", "1/year", damages, log="", ticks=names),
+    ]
+    draw(FIGURE, panels, 2, suffixes=PNG)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from app.plots.curves import curve
-from app.plots.figures import grid, panels
+from app.plots import figures
+from app.plots.curves import Line, Panel, draw_panel
+from app.plots.figures import LOADED, PNG
 from app.results.reading import Run
 
 FIGURE = Path(__file__).with_name("head_cup.png")
@@ -22,19 +23,21 @@ PLACE = "bearing"
 def main(folder: Path) -> None:
     """Friction torque beside that of a hand formula; worn depth and pressure on the liner."""
     run = Run(folder)
-    figure, (left, middle, right) = panels(3, 3, 4.2, 3.6)
+    figure, (left, middle, right) = figures.panels(3, 3, 4.2, 3.6)
     h, radius = run.history, float(run.case["geometry"]["head_diameter"].split()[0]) / 2
     friction = run.case["interfaces"][PLACE]["friction_coefficient"]
     part = h["time [-]"] - (len(run.case["stages"]) - 1)
     on = part > 0
     force = np.sqrt(sum(h[f"{PLACE} force.{axis} [N]"] ** 2 for axis in "xyz"))
     torque = h[f"{PLACE} torque_size [N mm]"]
-    curve(left, list(100 * part[on]), list(1e-3 * torque[on]), 0, "finite elements")
-    curve(left, list(100 * part[on]), list(1e-3 * friction * radius * force[on]), 1, "μ F R")
-    left.set_title("friction torque (N m)", fontsize=11, loc="left")
-    left.set_xlabel("part of the cycle (%)")
+    percent = (100 * part[on]).tolist()
+    by_hand = 1e-3 * friction * radius * force[on]
+    lines = [
+        Line("finite elements", 0, percent, (1e-3 * torque[on]).tolist()),
+        Line("μ F R", 1, percent, by_hand.tolist()),
+    ]
+    draw_panel(left, Panel("friction torque", "N m", lines, "part of the cycle (%)", log=""))
     left.legend(frameon=False)
-    grid(left)
     body = np.isin(np.arange(len(run.points)), run.cells[run.region == run.regions["liner"]])
     at = body & run.on_interface(PLACE) & (run.points[:, 2] > 0)  # from above once
     x = run.points[at]
@@ -46,13 +49,13 @@ def main(folder: Path) -> None:
         "pressure where it is largest (MPa)": run.at_interface(PLACE, "pressure", peak)[at],
     }
     for axes, (title, values) in zip((middle, right), fields.items(), strict=True):
-        filled = axes.tricontourf(x[:, 0], x[:, 1], values, 14, cmap="YlOrRd")
-        axes.set_title(title, fontsize=11, loc="left")
+        filled = axes.tricontourf(x[:, 0], x[:, 1], values, 14, cmap=LOADED)
+        figures.title(axes, title)
         axes.set_xlabel("medial x (mm)")
         axes.set_ylabel("anterior y (mm)")
         axes.set_aspect("equal")
         figure.colorbar(filled, ax=axes)
-    figure.savefig(FIGURE, dpi=110)
+    figures.save(figure, FIGURE, 110, PNG)
 
 
 if __name__ == "__main__":

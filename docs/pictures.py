@@ -22,8 +22,8 @@ from app.case import quantities
 from app.case import study as study_file
 from app.case.case import load
 from app.foundation.arrays import Floats, Ints
-from app.plots import figures
-from app.plots import sections as picture
+from app.plots import figures, sections
+from app.plots.figures import PNG
 from meshes import reference_body, swept
 from meshes.layered_surfaces import LayeredSurfaces
 
@@ -53,10 +53,10 @@ def draw(ax: Any, title: str, x: Floats, cells: Ints, tets: Ints, colours: Float
     _, flats, lights = zip(*sorted(seen, key=lambda face: float(face[0])), strict=True)
     ax.add_collection(PolyCollection(flats, facecolors=lights, edgecolors="k", linewidths=0.25))
     of = np.repeat(np.arange(len(cells)), len(tets) // len(cells))
-    polygons = [(corners, of[own]) for corners, own in picture.cut(x, tets, 1, 0.0)]
+    polygons = [(corners, of[own]) for corners, own in sections.cut(x, tets, 1, 0.0)]
     for flat, own in polygons:
         ax.add_collection(PolyCollection(list(flat @ SCREEN), color=colours[own], linewidths=0.3))
-    edges = list(picture.outlines(polygons)[0] @ SCREEN)
+    edges = list(sections.outlines(polygons)[0] @ SCREEN)
     ax.add_collection(LineCollection(edges, colors="k", linewidths=0.3))
     ax.autoscale_view()
     ax.set(aspect="equal", frame_on=False, xticks=[], yticks=[], title=title)
@@ -73,7 +73,7 @@ def reference_body_and_image() -> None:
     x = np.column_stack([np.tile(column, (len(levels), 1)), np.repeat(levels, len(column))])
     prisms = np.sort(body.columns, axis=1) + len(column) * body.slab[:, None]
     prisms = np.hstack([prisms, prisms + len(column)])
-    colours = picture.colours_of(body.names)
+    colours = sections.colours_of(body.names)
     rgb = np.array([to_rgb(colours[name]) for name in body.names])
     figure = figures.new(7.5, 8.5)
     left, right = figure.subplots(1, 2, sharey=True)
@@ -83,7 +83,7 @@ def reference_body_and_image() -> None:
     draw(right, "its image by the map", image.nodes.x, image.cells, image.cells, rgb[image.region])
     handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
-    figure.savefig(DOCS / "reference_body.png", dpi=110)
+    figures.save(figure, DOCS / "reference_body.png", 110, PNG)
 
 
 def store(folder: Path) -> None:

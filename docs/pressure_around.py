@@ -13,12 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from app.foundation.arrays import Floats
-from app.plots.figures import COLOURS, grid, panels
+from app.plots.curves import Line, Panel, draw
+from app.plots.figures import PNG
 from app.results.interface_numbers import ContactSamples
 from tests import support
 
 FIGURE = Path(__file__).with_name("pressure_around.png")
 LEVELS = (-20.0, -55.0, -90.0)  # of the sections [mm]
+# Names of angles [deg].
+WAYS = {0.0: "medial", 90.0: "anterior", 180.0: "lateral", 270.0: "posterior", 360.0: ""}
 # Overrides of the stance, and whether the means are drawn in place of the point values.
 MESHES: dict[str, tuple[tuple[str, ...], bool]] = {
     "4 mm, 14 lines, means": (("mesh.size=4 mm", "mesh.around=14"), True),
@@ -48,19 +51,18 @@ def around(samples: ContactSamples, means: bool, z: float) -> tuple[Floats, Floa
 
 def main() -> None:
     """Solve and draw."""
-    figure, axes = panels(3, 1, 9.0, 2.6)
+    around_the_stem: dict[float, list[Line]] = {z: [] for z in LEVELS}
     text = (support.CONFIGS / "stance.yaml").read_text(encoding="utf-8")
     for k, (label, (overrides, means)) in enumerate(MESHES.items()):
         solved = support.solve(text, "stages.0.increments=1", *overrides)
-        for z, panel in zip(LEVELS, axes, strict=True):
-            panel.plot(*around(solved.last, means, z), color=COLOURS[k], lw=1.3, label=label)
-    for z, panel in zip(LEVELS, axes, strict=True):
-        panel.set_title(f"pressure on the stem at z = {z:g} mm (MPa)", fontsize=10, loc="left")
-        panel.set_xlim(0, 360)
-        panel.set_xticks([0, 90, 180, 270, 360], ["medial", "anterior", "lateral", "posterior", ""])
-        grid(panel)
-    axes[0].legend(frameon=False, fontsize=8)
-    figure.savefig(FIGURE, dpi=110)
+        for z, lines in around_the_stem.items():
+            angle, pressure = around(solved.last, means, z)
+            lines.append(Line(label, k, angle.tolist(), pressure.tolist(), look="line"))
+    panels = [
+        Panel(f"pressure on the stem at z = {z:g} mm", "MPa", lines, log="", ticks=WAYS)
+        for z, lines in around_the_stem.items()
+    ]
+    draw(FIGURE, panels, 1, (9.0, 2.6), PNG)
 
 
 if __name__ == "__main__":

@@ -17,12 +17,17 @@ from typing import Any
 import numpy as np
 
 from app.plots import figures
-from app.plots.figures import COLOURS, grid
+from app.plots.figures import PNG, SIGNED
 from app.results.reading import Run
 
 FIGURE = Path(__file__).with_name("remodelling.png")
 STEMS = {"ti": "titanium", "cocr": "cobalt-chromium"}
-PIXEL, POINTS, LARGEST = 2.0, 40, 0.25  # mm; points in a cell; g/cm2
+# Size of a pixel [mm].
+PIXEL = 2.0
+# Points in a cell.
+POINTS = 40
+# Largest change that is coloured [g/cm2].
+LARGEST = 0.25
 # Change in a year, 88 cemented hips (PMC2899162, abstract), and of zone 7 in five.
 MEASURED = {"1": (-0.020,), "7": (-0.115, -0.129)}
 
@@ -40,7 +45,7 @@ def seen_from_the_front(axes: Any, run: Run) -> Any:
     axes.set_aspect("equal")
     axes.set_axis_off()
     shown = np.where(there, grams, np.nan).T
-    limits = {"vmin": -LARGEST, "vmax": LARGEST, "cmap": "RdBu"}
+    limits = {"vmin": -LARGEST, "vmax": LARGEST, "cmap": SIGNED}
     return axes.pcolormesh(*edges, shown, rasterized=True, **limits)
 
 
@@ -57,7 +62,7 @@ def main(folder: Path) -> None:
             for n, part in enumerate(("all", "cortical_bone")):
                 change = [100 * zones[str(z)]["bone_mass_change"][part] for z in range(1, 8)]
                 at = np.arange(1, 8) + 0.18 * (2 * k + n - 1.5)
-                own = {"color": COLOURS[k], "ls": "", "marker": marker, "ms": 7 - n}
+                own = {"color": figures.colour(k), "ls": "", "marker": marker, "ms": 7 - n}
                 own |= {"mfc": "none"} if n else {}
                 label = f"{words}, {'cortex' if n else 'all bone'}" if size == 6 else None
                 bars.plot(at, change, label=label, **own)
@@ -69,10 +74,10 @@ def main(folder: Path) -> None:
     bars.set_xlabel("Gruen zone")
     bars.set_ylabel("mass of bone after two years (%)")
     bars.legend(frameon=False, fontsize=9, loc="lower left", ncols=2)
-    grid(bars, "y")
+    figures.grid(bars, "y")
     label = "change along the line of sight (g/cm²)"
     figure.colorbar(colours, ax=maps, location="bottom", label=label, shrink=0.9)
-    figure.savefig(FIGURE, dpi=110)
+    figures.save(figure, FIGURE, 110, PNG)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,8 @@ from mpi4py import MPI
 
 from app.case.case import load
 from app.numerics.choice import SolverChoice
-from app.plots.figures import COLOURS, grid, panels
+from app.plots import figures
+from app.plots.figures import COLOURS, PNG
 from app.simulation.model import Model
 from app.system.layout import table
 from app.system.timing import Timing
@@ -64,7 +65,7 @@ def main() -> None:
         return
     lines = []
     meshes = [list(rows) for _, rows in groupby(known, lambda r: (r["order"], r["size"]))]
-    figure, every = panels(len(meshes), 4, 3.1, 2.7)
+    figure, every = figures.panels(len(meshes), 4, 3.1, 2.7)
     for axes, ways in zip(every, meshes, strict=True):
         row = ways[0]  # condensed
         unknowns = f"{row['displacement'] + row['jump']:,}"
@@ -83,11 +84,11 @@ def main() -> None:
         axes.set_title(f"order {row['order']}, {row['size']}: {unknowns} unknowns", fontsize=8)
         axes.xaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_major_formatter("{x:g}")
-        grid(axes)
+        figures.grid(axes)
     every[0].legend(fontsize=8)
     figure.supxlabel("solves on one mesh", fontsize=9)
     figure.supylabel("CPU time (s)", fontsize=9)
-    figure.savefig(FIGURE, dpi=110)
+    figures.save(figure, FIGURE, 110, PNG)
     logging.basicConfig(format="%(message)s", level=logging.INFO)
     logging.info("%s", table(HEAD, lines))
 

@@ -13,7 +13,9 @@ import numpy as np
 
 import mantle
 from app.foundation.arrays import Floats
-from app.plots.figures import COLOURS, grid, panels
+from app.plots import figures
+from app.plots.curves import Line, Panel, draw_panel
+from app.plots.figures import HEAT, PNG
 from app.results.reading import Run
 
 FIGURE = Path(__file__).with_name("interface_strength.png")
@@ -38,29 +40,27 @@ def main(folder: Path) -> None:
     layer = runs["layer_150"]
     nodes = np.flatnonzero(layer.areas("cement_bone"))
     area = layer.areas("cement_bone")[nodes]
-    figure, (share, *maps) = panels(4, 4, 3.0, 3.6)
+    lines: list[Line] = []
+    figure, (share, *maps) = figures.panels(4, 4, 3.0, 3.6)
     for k, (name, run) in enumerate(runs.items()):
         place = {tuple(x): row for row, x in enumerate(run.points.round(6))}
         at = first_failure(run, [place[tuple(x)] for x in layer.points[nodes].round(6)])
         at_load = np.linspace(0, MOST, 121 if name == "bonded" else 13)
         failed = [100 * area[at <= load].sum() / area.sum() for load in at_load]
-        share.plot(at_load, failed, color=COLOURS[k], label=BONDS[name])
+        lines.append(Line(BONDS[name], k, at_load.tolist(), failed, look="line"))
         x, y, z = layer.points[nodes].T
         angle, fails = np.degrees(np.arctan2(y, x)), np.isfinite(at)
         maps[k].scatter(angle[~fails], z[~fails], c="0.85", s=22, marker="s")
         drawn = maps[k].scatter(
-            angle[fails], z[fails], c=at[fails], s=22, marker="s", cmap="inferno", vmin=0, vmax=MOST
+            angle[fails], z[fails], c=at[fails], s=22, marker="s", cmap=HEAT, vmin=0, vmax=MOST
         )
-        maps[k].set_title(BONDS[name], fontsize=11, loc="left")
+        figures.title(maps[k], BONDS[name])
         maps[k].set_xticks([-180, -90, 0, 90, 180], ["lat.", "post.", "med.", "ant.", "lat."])
     maps[0].set_ylabel("height z (mm)")
     figure.colorbar(drawn, ax=maps, label="begins to fail at (times the stance)")
-    share.set_xlabel("load (times the stance)")
-    share.set_ylabel("failing part of the interface (%)")
-    share.set_ylim(bottom=0)
+    draw_panel(share, Panel("failing part", "%", lines, "load (times the stance)", log=""))
     share.legend(frameon=False, title="bond")
-    grid(share)
-    figure.savefig(FIGURE, dpi=110)
+    figures.save(figure, FIGURE, 110, PNG)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,14 @@
 """Interactive view of the bodies of a run in three dimensions, within a page.
 
 Surfaces of all regions and their fields at the end of every stage are packed into the page as
-16-bit numbers; `viewer.js` draws them with three.js (Debian's libjs-three).
+16-bit numbers; `viewer.js` draws them with three.js (Debian's libjs-three), which has cameras,
+materials, clipping planes and mouse control. What is ours unpacks the numbers and has the controls:
+field, stage, deformation, cut, bodies, several runs under one camera.
+
+vtk.js was measured (37.4, geometry, plane, cell picker and scalar bar, bundled by esbuild): 876 kB
+in place of three.js' 877 kB. Debian has no package of it, and a bundle needs Node. It would replace
+the colour map and its legend, some 40 of 315 lines; its cutter knows surfaces only, so that closed
+cuts through cells would stay ours.
 """
 
 from __future__ import annotations
@@ -24,12 +31,16 @@ from meshes.data import cell_volumes, exterior_facets
 
 THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")
-LEVELS = 65534  # values are 0 to this, and one more stands for none
-MOST = 3_000_000  # bytes of values before they are compressed: about half of a page of 2 MB
-# Of compression: 0.03 s for 2.5 MB of a hip; the highest takes 0.25 s and leaves 1 % more.
+# Values are 0 to this, and one more stands for none.
+LEVELS = 65534
+# Bytes of values before they are compressed: about half of a page of 2 MB.
+MOST = 3_000_000
+# Level of compression: 0.03 s for 2.5 MB of a hip; the highest takes 0.25 s and saves 1 %.
 LEVEL = 4
-QUARTERS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]  # of a facet with six nodes
-MOMENTS = 12  # of a cycle, where a body turns
+# Triangles of a facet with six nodes.
+QUARTERS = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]
+# Moments of a cycle that are shown, where a body turns.
+MOMENTS = 12
 # Label, unit, and factor on the value in the file; of vectors the length is shown.
 INTERFACE = {
     "wear": ("wear in a million cycles", "mm", 1e6),

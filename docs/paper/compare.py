@@ -14,15 +14,16 @@ from __future__ import annotations
 import csv
 import statistics
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from app.case.quantities import numbers_of, printed
-from app.plots import figures as style
-from app.plots.figures import COLOURS, MARKERS
+from app.plots.curves import Line, Panel, draw
+from app.plots.figures import PNG
+from app.report.sweep_figures import line_of
 from app.report.sweep_results import INTERFACES, QUANTITIES, Number, SweptCase, named, read
 from docs.paper import cases as paper
 from docs.paper.cases import READINGS, REFERENCE, STEMS, Cases, labels
@@ -210,30 +211,11 @@ FIGURES: dict[int, tuple[str, tuple[str, ...]]] = {
     7: ("friction", ("pressure", "shear")),
     8: ("thickness", ("temperature",)),
 }
-AXES = {"thickness": "thickness of the mantle (mm)"}
-AXES["friction"] = "friction coefficient of the cement-bone interface"
-# Largest over smallest value from which an axis is logarithmic.
-DECADE = 12.0
-PEAKS = {"alpha": 0.45, "mfc": "white", "ms": 4.5, "lw": 1, "ls": (0, (3, 2)), "zorder": 2}
-CURVE = {"ms": 5.5, "lw": 1.6, "capsize": 3, "zorder": 3}
-STARS = {"marker": "*", "mec": "0.15", "mew": 0.7, "ms": 12, "ls": "", "zorder": 4}
-
-
-class Line(NamedTuple):
-    """A curve: numbers and largest values over x, and the paper's values."""
-
-    label: str
-    numbers: dict[float, Number]
-    peaks: dict[float, Number]
-    stars: Sequence[tuple[float, float]]
-
-
-class Panel(NamedTuple):
-    """Axes with curves."""
-
-    title: str
-    y: str
-    lines: list[Line]
+# Labels of the abscissa by parameter.
+AXES = {
+    "thickness": "thickness of the mantle (mm)",
+    "friction": "friction coefficient of the cement-bone interface",
+}
 
 
 def figures(cases: Cases, folder: Path) -> list[Path]:
@@ -244,9 +226,8 @@ def figures(cases: Cases, folder: Path) -> list[Path]:
             panels = [_temperatures(cases, place) for place in ("cement", "cement_bone")]
         else:
             panels = [_panel(cases, p, q, over) for q in quantities for p in INTERFACES]
-        if any(max(len(x.numbers), len(x.peaks)) > 1 for p in panels for x in p.lines):
-            drawn.append(folder / f"figure{number}.png")
-            draw(drawn[-1], panels, AXES[over])
+        if any(len(line.x) > 1 for panel in panels for line in panel.lines if line.look != "stars"):
+            drawn += draw(folder / f"figure{number}.png", panels, 2, suffixes=PNG)
     return drawn
 
 
@@ -265,61 +246,47 @@ def published(stem: str, place: str, quantity: str, over: str) -> list[tuple[flo
 
 def _panel(cases: Cases, place: str, quantity: str, over: str) -> Panel:
     lines = []
-    for stem in STEMS:
+    for k, stem in enumerate(STEMS):
         family = cases.over(over, stem=stem)
         of = (paper.contact(place, quantity, how) for how in ("percentile", "max"))
         values, most = (paper.series(family, number) for number in of)
         stars = published(stem, place, "slip" if quantity == "motion" else quantity, over)
-        lines.append(Line(stem, values, most, stars))
-    return Panel(named(place), f"{named(quantity)} ({QUANTITIES[quantity][0]})", lines)
+        lines += _lines(stem, k, values, most, stars)
+    y = f"{named(quantity)} ({QUANTITIES[quantity][0]})"
+    return Panel(named(place), y, lines, AXES[over])
 
 
 def _temperatures(cases: Cases, place: str) -> Panel:
-    """Of each model and reading; the paper's values stand at the first."""
+    """Curves of each model and reading; the paper's values stand at the first."""
     lines = []
     stars = published("CoCr", place, "temperature", "thickness")
     cement = place == "cement"
-    for family in cases.heats().values():
+    for k, family in enumerate(cases.heats().values()):
         label = _heat_label(next(iter(family.values())))
         values = paper.series(family, paper.cement_peak if cement else paper.bone_p99)
         peaks = {} if cement else paper.series(family, paper.bone_peak)
-        lines.append(Line(label, values, peaks, stars))
+        lines += _lines(label, k, values, peaks, stars)
         stars = []
     title = "cement" if cement else "bone at the cement-bone interface"
-    return Panel(title, "temperature (°C)", lines)
+    return Panel(title, "temperature (°C)", lines, AXES["thickness"])
 
 
-def draw(path: Path, panels: Sequence[Panel], x: str) -> None:
-    """Draw panels over x in rows of two: percentiles with bars, light maxima, the paper's stars."""
-    figure, every = style.panels(len(panels), 2, 4.7, 3.2)
-    for axes, panel in zip(every, panels, strict=True):
-        axes.set_title(panel.title, fontsize=11, loc="left")
-        axes.set(xlabel=x, ylabel=panel.y)
-        style.grid(axes)
-        xs = sorted({x for line in panel.lines for x in (*line.numbers, *line.peaks)} or {0.0})
-        for k, line in enumerate(panel.lines):
-            # Side by side, so that bars of equal numbers can both be seen.
-            shift = 0.012 * (xs[-1] - xs[0]) * (k - 0.5 * (len(panel.lines) - 1))
-            own: dict[str, Any] = {"color": COLOURS[k], "marker": MARKERS[k]}
-            at, most = [x + shift for x in line.peaks], [n.value for n in line.peaks.values()]
-            axes.plot(at, most, **own, **PEAKS)
-            at, values = [x + shift for x in line.numbers], [n.value for n in line.numbers.values()]
-            errors = [n.error or 0.0 for n in line.numbers.values()]
-            axes.errorbar(at, values, yerr=errors, label=line.label, **own, **CURVE)
-            at, values = [x + shift for x, _ in line.stars], [v for _, v in line.stars]
-            axes.plot(at, values, color=COLOURS[k], label="paper" * (not k), **STARS)
-        numbers = [n for x in panel.lines for n in (*x.numbers.values(), *x.peaks.values())]
-        shown = [n.value for n in numbers] + [v for line in panel.lines for _, v in line.stars]
-        if min(shown, default=0.0) > 0 and max(shown) > DECADE * min(shown):
-            axes.set_yscale("log")
-        elif "°C" not in panel.y:
-            # From zero, so that differences within the noise of the mesh look small.
-            axes.set_ylim(bottom=0)
-        axes.set_xticks(xs, [f"{x:g}" for x in xs])
-    handles = style.handles(every)
-    place = {"loc": "outside lower center", "ncols": 3, "frameon": False}
-    figure.legend(handles.values(), handles.keys(), fontsize=9, **place)
-    figure.savefig(path, dpi=120)
+def _lines(
+    label: str,
+    style: int,
+    values: Mapping[float, Number],
+    peaks: Mapping[float, Number],
+    stars: Sequence[tuple[float, float]],
+) -> list[Line]:
+    """Percentiles with bars, light maxima, and the paper's values as stars."""
+    lines = [line_of(label, style, values)]
+    if peaks:
+        most = [n.value for n in peaks.values()]
+        lines.append(Line("", style, list(peaks), most, look="pale"))
+    if stars:
+        x, y = zip(*stars, strict=True)
+        lines.append(Line("paper", style, x, y, look="stars"))
+    return lines
 
 
 # The page
