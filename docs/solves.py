@@ -26,8 +26,8 @@ from app.plots.figures import COLOURS, PNG
 from app.simulation.model import Model
 from app.system.layout import table
 from app.system.timing import Timing
-from app.verification.benchmarks import STANCE, STEPS
-from app.verification.check import CONFIGS
+from app.verification.cost_figures import FEMUR, STANCE, STEPS
+from app.verification.problem import CONFIGS
 
 KEPT, FIGURE = (Path(__file__).with_name(f"solves.{end}") for end in ("json", "png"))
 COUNTS = (1, 4, 24)
@@ -40,7 +40,7 @@ HEAD = (
 def measure(order: str, size: str, way: str) -> dict[str, Any]:
     """Times of one way on one mesh."""
     keys = (f"mesh.order={order}", f"mesh.size={size}", f"solver.linear={way}")
-    case = load(CONFIGS / "stance.yaml", [*STANCE, *STEPS, *keys]).config
+    case = load(CONFIGS / FEMUR, [*STANCE, *STEPS, *keys]).config
     timing, begin, ends = Timing(), process_time(), [0.0]
     model = Model(case, MPI.COMM_WORLD, {}, timing, str)
     model.go(lambda *_: ends.append(process_time() - begin))

@@ -178,9 +178,9 @@ def _campaign(options: argparse.Namespace) -> int:
 
 
 def _suite(options: argparse.Namespace) -> int:
-    """Run a suite; 1 if a check fails."""
+    """Run a suite; 1 if a problem fails."""
     configure_log("info")
-    from app.verification import engine
+    from app.verification import suite
 
     if options.command == "verify":
         with stack_needed():
@@ -188,7 +188,7 @@ def _suite(options: argparse.Namespace) -> int:
         if problem:
             raise EnvironmentProblem(problem)
     many = _many(options, Path("out") / options.command)
-    return 0 if engine.run(options.command, many) else CHECK_FAILED
+    return 0 if suite.run(options.command, many) else CHECK_FAILED
 
 
 def _many(options: argparse.Namespace, folder: Path) -> Options:

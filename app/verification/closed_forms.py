@@ -1,9 +1,9 @@
-r"""Exact solutions of the verification problems: closed forms, each with its source.
+"""Closed forms of elastic bodies, contact and friction, each with its source.
 
 Nothing here comes from the code under test. Lengths in mm, stresses and moduli in MPa, forces in N;
 Young's modulus and Poisson's ratio are passed as a pair (E, ν). Positions are arrays (n, 3).
 
-The problems are those of `configs/verification`; `measures` computes their errors.
+The problems are those of `configs/verification`; `problems` compares with them.
 """
 
 from __future__ import annotations
@@ -93,6 +93,63 @@ def lame(material: Elastic) -> tuple[float, float]:
     """Lamé's coefficients λ and μ [MPa]."""
     E, ν = material
     return E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
+
+
+@dataclass(frozen=True)
+class Layers:
+    """A core and concentric rings around it without load, in plane strain.
+
+    In each u_r = A r + B / r, with B = 0 in the core (Timoshenko & Goodier, section 28). A core too
+    large by δ is one of the free strain δ / (1 + ν) r. From inside to outside: radii of the outer
+    surfaces [mm], materials, and free strains, the same in all directions; for each pair of
+    neighbours whether they are joined, else there is no traction between them.
+    """
+
+    radii: Sequence[float]
+    materials: Sequence[Elastic]
+    free_strains: Sequence[float]
+    joined: Sequence[bool]
+
+    def at(self, i: int, r: float) -> Floats:
+        """Displacement [mm], radial and hoop stress [MPa] of layer i at r (3,)."""
+        terms, free = self._terms(i, r)
+        return np.asarray(terms @ self._constants()[i] - free)
+
+    def gap(self, i: int) -> float:
+        """Gap between layers i and i + 1 [mm]."""
+        r = self.radii[i]
+        return float(self.at(i + 1, r)[0] - self.at(i, r)[0])
+
+    def _terms(self, i: int, r: float) -> tuple[Floats, Floats]:
+        """Coefficients of A and B in `at` (3, 2), and what the free strain takes off (3,)."""
+        λ, μ = lame(self.materials[i])
+        b = 1 / r**2 if i else 0.0
+        terms = [[r, b * r], [2 * (λ + μ), -2 * μ * b], [2 * (λ + μ), 2 * μ * b]]
+        return np.array(terms), (3 * λ + 2 * μ) * self.free_strains[i] * np.array([0, 1, 1])
+
+    def _constants(self) -> Floats:
+        """A and B of each layer (n, 2)."""
+        n = len(self.radii)
+        M = np.zeros((2 * n, n, 2))
+        f = np.zeros(2 * n)
+        M[0, 0, 1] = 1.0
+        for i, r in enumerate(self.radii):
+            row = 2 * i + 1
+            own, free = self._terms(i, r)
+            M[row, i] = own[1]
+            f[row] = free[1]
+            if i + 1 == n:
+                continue
+            other, its = self._terms(i + 1, r)
+            if self.joined[i]:
+                M[row, i + 1] = -other[1]
+                f[row] -= its[1]
+                M[row + 1, i] = own[0]
+                M[row + 1, i + 1] = -other[0]
+            else:
+                M[row + 1, i + 1] = other[1]
+                f[row + 1] = its[1]
+        return np.asarray(np.linalg.solve(M.reshape(2 * n, 2 * n), f).reshape(n, 2))
 
 
 @dataclass(frozen=True)
@@ -303,4 +360,17 @@ COOK = {
     0.49: (-5.70232, 7.86599),
     0.499: (-5.62897, 7.78000),
     0.4999: (-5.62155, 7.77128),
+}
+
+
+# Finite sliding
+
+# Sink [um] and mean pressure [MPa] within 20 degrees of the pole of the ball of ball_in_cup.yaml
+# without friction, by clearance [mm]; the outside of the cup stays at 22 mm: from
+# tests/reference/axisymmetric.py.
+CUP = {
+    0.05: (35.424, 8.298),
+    0.1: (45.084, 10.332),
+    0.2: (58.746, 13.159),
+    0.5: (84.498, 18.328),
 }

@@ -1,106 +1,62 @@
-"""Errors of the runs of ``mantle verify``: one small function per quantity."""
+"""Measures that several subjects share: numbers and fields of runs against exact ones.
+
+A measure of one subject alone stands with its problems.
+"""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from app.case import quantities
-from app.foundation.arrays import Bools, Field, Floats, Ints
+from app.case.case import load
+from app.foundation.arrays import Field, Floats, Ints
+from app.foundation.verdict import Reason
+from app.laws.interface_laws import InterfaceLaw
 from app.results.reading import Run
 from app.verification import closed_forms as exact
-from app.verification.check import Sample
+from app.verification.problem import Comparison, relative, worst
 
-# Materials of the cases (MPa, -).
-CEMENT, TITANIUM = (2200.0, 0.3), (110e3, 0.3)
+# Young's modulus [MPa] and Poisson's ratio of materials of the cases.
+CEMENT = (2200.0, 0.3)
+TITANIUM = (110e3, 0.3)
+# Cortical bone and wood, by their fibres.
 BONE = exact.Fibrous(E_l=17000, E_t=11500, nu_l=0.31, nu_t=0.51, mu_l=3280)
-# A slice of cylinders as long as its cells, on a mesh of one size.
-SLICE = ("geometry.length={} mm", "mesh.size={} mm", "mesh.far_size={} mm")
 WOOD = exact.Fibrous(E_l=12e3, E_t=2e3, nu_l=0.4, nu_t=0.3, mu_l=1e3)
+# Tolerance where a closed form is compared with a mesh.
+MESH = 0.02
+# Fraction of a displacement, or of the friction limit, that counts as zero.
+NOTHING = 1e-6
 
 
-def relative(value: float, reference: float) -> Sample:
-    """A value whose error is relative to its reference."""
-    return Sample(abs(value / reference - 1), value, reference)
+def slice_of(size: float) -> tuple[str, ...]:
+    """Overrides for a slice of cylinders as long as its cells, on a mesh of one size [mm]."""
+    keys = ("geometry.length", "mesh.size", "mesh.far_size")
+    return tuple(f"{key}={size} mm" for key in keys)
 
 
-def by_region(region: Ints, values: Sequence[NDArray[np.floating]]) -> Floats:
-    """Of the values (n, k) for each region those of each point (n, k); the last for all others."""
-    return np.asarray(np.choose(np.minimum(region, len(values))[:, None] - 1, values))
+# Numbers
 
 
-def in_l2(run: Run, fields: Sequence[Field]) -> Sample:
-    """Displacement against exact fields, one for each region, relative in L2."""
-    error, norm, reference = run.norms(lambda x, region: by_region(region, [u(x) for u in fields]))
-    return Sample(error / reference, norm, reference)
-
-
-def patch_stress(run: Run, fibre: Sequence[float]) -> Sample:
-    """Stress under the affine displacement of patch.yaml: its worst component [MPa]."""
-    G = 1e-3 * np.array([[1, 0.4, -0.2], [0.2, -0.5, 0.6], [0.3, -0.1, 0.8]])
-    σ = BONE.stress((G + G.T) / 2, fibre)
-    off = np.abs(run.stress() - σ)
-    cell, i, j = np.unravel_index(int(np.argmax(off)), off.shape)
-    error = float(off.max() / np.abs(σ).max())
-    return Sample(error, float(run.stress()[cell, i, j]), float(σ[i, j]))
-
-
-def strains(run: Run, along_axes: Floats) -> Sample:
-    """Displacement of a block strained along the axes; the value is the strain along z."""
-    u = run.displacement()
-    off = np.abs(u - along_axes * run.points).max() / run.points.max()
-    top = int(np.argmax(run.points[:, 2]))
-    value = float(u[top, 2] / run.points[top, 2])
-    return Sample(float(off / np.abs(along_axes).max()), value, float(along_axes[2]))
-
-
-def number(run: Run, name: str, reference: float) -> Sample:
+def number(run: Run, name: str, reference: float) -> Comparison:
     """A number of the summary, named as in studies."""
     value = quantities.read(run.summary, name)
     return relative(math.nan if value is None else value, reference)
 
 
-def oval_pressure(run: Run, fit: exact.OvalFit) -> Sample:
-    """Pressure at the contact points of the same press fit, relative in L2 [MPa]."""
-    area = run.areas("stem_cement")
-    p, should = run.at_interface("stem_cement", "pressure"), fit.pressure(run.points)
-    error, norm, reference = (
-        float(np.sqrt(np.average(values**2, weights=area))) for values in (p - should, p, should)
-    )
-    return Sample(error / reference, norm, reference)
+def largest(errors: Mapping[str, float]) -> Comparison:
+    """The largest of errors by what they are of."""
+    return worst([Comparison(error, note=what) for what, error in errors.items()])
 
 
-def contact_width(run: Run, reference: float, axes: int, size: float) -> Sample:
-    """Distance of the furthest point under pressure from 0 along x, or in the plane [mm].
-
-    The error is in cells.
-    """
-    return _width(run, run.at_interface("contact", "pressure") > 0, reference, axes, size)
-
-
-def _width(run: Run, wanted: Bools, reference: float, axes: int, size: float) -> Sample:
-    points = run.points[run.on_interface("contact") & wanted, :axes]
-    value = float(np.linalg.norm(points, axis=1).max(initial=0.0))
-    return Sample(abs(value - reference) / size, value, reference)
-
-
-def approach(run: Run, reference: float) -> Sample:
-    """Descent of the plate, the second region [mm]."""
-    plate = np.unique(run.cells[run.region == 2])
-    return relative(float(-run.displacement()[plate, 2].mean()), reference)
-
-
-def stick_width(run: Run, size: float) -> Sample:
-    """Half-width of the strip of cattaneo.yaml that sticks [mm]; the error is in cells."""
-    thickness, friction = 0.2, 0.3
-    shear, _, pressure = np.abs(run.summary["interfaces"]["contact"]["force"]) / thickness
-    a = exact.hertz_line(pressure, 10.0, exact.contact_modulus(CEMENT, CEMENT)).a
-    reference = exact.stick_half_width(a, shear, pressure, friction)
-    return _width(run, run.at_interface("contact", "status") == 1, reference, 1, size)
+def off(values: Floats, reference: Floats, scale: float | None = None) -> float:
+    """Largest difference over the largest value of the reference, or absolute if that is zero."""
+    size = float(np.abs(reference).max(initial=0.0)) if scale is None else scale
+    return float(np.abs(values - reference).max(initial=0.0)) / (size or 1.0)
 
 
 def step_at(run: Run, time: float) -> int:
@@ -114,61 +70,116 @@ def work_lost(run: Run, interface: str, times: ArrayLike) -> Floats:
     return np.diff(np.interp(np.asarray(times, dtype=float), run.history["time [-]"], work))
 
 
-def end_of_bar(run: Run, time: float) -> float:
-    """End displacement of the bar on a frictional foundation [mm]."""
-    x, z = run.points[:, 0], run.points[:, 2]
-    end = np.isclose(x, 110) & np.isclose(z, z.max())
-    return float(run.displacement(step_at(run, time))[end, 0].mean())
+# Fields
 
 
-def bar_end(run: Run, time: float, reference: float) -> Sample:
-    """End displacement of the bar on a frictional foundation [mm]."""
-    return relative(end_of_bar(run, time), reference)
+def by_region(region: Ints, values: Sequence[NDArray[np.floating]]) -> Floats:
+    """Of the values (n, k) for each region those of each point (n, k); the last for all others."""
+    return np.asarray(np.choose(np.minimum(region, len(values))[:, None] - 1, values))
 
 
-def bar_cycle(run: Run, reference: float) -> Sample:
-    """Work that the bar loses from time 3 to time 5 [N mm]."""
-    return relative(float(work_lost(run, "base_bar", (3.0, 5.0))[0]), reference)
+def in_l2(run: Run, fields: Sequence[Field]) -> Comparison:
+    """Displacement against exact fields, one for each region, relative in L2."""
+    error, norm, reference = run.norms(lambda x, region: by_region(region, [u(x) for u in fields]))
+    return Comparison(error / reference, norm, reference)
 
 
-def push(run: Run, friction: float = 0.3) -> Sample:
-    """Horizontal force over weight of the block on a slope."""
-    weight = 0.01 * 800
-    force = run.summary["interfaces"]["slope_block"]["force"][0]
-    return relative(abs(force) / weight, exact.push_up(0.1, friction))
+# Invariances and balances
 
 
-def wall_force(run: Run) -> Sample:
-    """Force of the bar on the wall [N]; relative penetration counts as error too."""
-    q = run.summary["interfaces"]["wall_bar"]
-    force = relative(abs(q["force"][2]), 220 * 0.01 * 4)
-    return Sample(max(force.error, q["penetration_max"] / 0.01), force.value, force.reference)
+def _partners(run: Run, points: Floats, other: Run) -> NDArray[np.int64]:
+    """Node of another run at each point (n, 3) of the same region; ValueError if meshes differ."""
+    if np.array_equal(points, other.points) and np.array_equal(run.region, other.region):
+        return np.arange(len(points))  # two regions may have as many cells as each other
+
+    def labelled(r: Run, x: Floats) -> Floats:
+        # The two sides of an interface are at one place and in different regions, which a mesh
+        # file may number in another order: they are identified by their number of cells.
+        cells = np.bincount(r.region)[r.region].astype(float)
+        first = np.full(len(x), len(r.cells) + 1.0)
+        np.minimum.at(first, r.cells, np.repeat(cells[:, None], r.cells.shape[1], axis=1))
+        return np.column_stack([x, first * 10 * np.ptp(other.points)])
+
+    distance, nodes = cKDTree(labelled(other, other.points)).query(labelled(run, points))
+    if distance.max() > 1e-6 * np.ptp(other.points):
+        raise ValueError("the meshes are not the same")
+    return np.asarray(nodes, dtype=np.int64)
 
 
-def penetration(run: Run, penalty: float) -> Sample:
-    """Penetration of the bar into the wall [mm]."""
-    value = run.summary["interfaces"]["wall_bar"]["penetration_max"]
-    return relative(value, exact.penalty_penetration(220, 0.01, penalty))
+def same(
+    run: Run,
+    other: Run,
+    *,
+    lengths: float = 1.0,
+    stresses: float = 1.0,
+    points: float = 1.0,
+    turn: Floats | None = None,
+) -> Comparison:
+    """Difference of every field after every step from another run, times a factor.
+
+    Displacements, gaps and slips are multiplied by ``lengths``, tractions by ``stresses``, the mesh
+    by ``points``; the model is turned by a rotation (3, 3).
+    """
+    R = np.eye(3) if turn is None else turn
+    if len(run.times) != len(other.times) or not np.allclose(run.times, other.times):
+        return Comparison(np.inf, note=f"{len(run.times)} steps instead of {len(other.times)}")
+    k = _partners(run, np.asarray(run.points @ R / points, dtype=float), other)
+    errors = {}
+    for step, time in enumerate(run.times):
+        u = other.displacement(step)[k] @ R.T * lengths
+        errors[f"displacement at time {time:g}"] = off(run.displacement(step), u)
+        for name in run.contacts:
+            pressure = other.at_interface(name, "pressure", step)[k] * stresses
+            shear = other.at_interface(name, "shear", step)[k] * stresses
+            gap = other.at_interface(name, "gap", step) * lengths
+            peak = float(pressure.max())
+            # Gap and slip are one vector; rounding alone has no scale of its own.
+            jump = max(float(np.abs(gap).max()), NOTHING * float(np.abs(u).max()))
+            fields = {"pressure": (pressure, peak), "shear": (shear, peak)}
+            if f"{name}_slip" in other.point_fields:  # not where sides slide far
+                slip = other.at_interface(name, "slip", step) * lengths
+                jump = max(jump, float(np.abs(slip).max()))
+                fields["slip"] = (slip[k] @ R.T, jump)
+            fields["gap"] = (gap[k], jump)
+            for quantity, (reference, scale) in fields.items():
+                value = run.at_interface(name, quantity, step)
+                errors[f"{quantity} of {name} at time {time:g}"] = off(value, reference, scale)
+    return largest(errors)
 
 
-def corner(run: Run, poisson_ratio: float) -> Sample:
-    """Rise of the corner (48, 60) of Cook's membrane [mm]."""
-    at = int(np.argmin(np.linalg.norm(run.points[:, :2] - (48, 60), axis=1)))
-    return relative(float(run.displacement()[at, 1]), exact.COOK[poisson_ratio][1])
+def law_of(run: Run, name: str) -> InterfaceLaw:
+    """The law of an interface of a run."""
+    return load(run.folder / "case.yaml").config.interfaces[name]
 
 
-def locking(run: Run, poisson_ratio: float) -> Sample:
-    """Warning about locking in the log: error 0 if it is there, else 1."""
-    rise = corner(run, poisson_ratio)
-    warned = rise.error > 0.1 and re.search(r"\block", run.log)
-    return Sample(0.0 if warned else 1.0, rise.value, rise.reference)
-
-
-def klarbring(runs: Sequence[Run]) -> Sample:
-    """Friction beyond which Klarbring's particle has several equilibria."""
-    from app.soundness.failure import critical_friction  # brings the whole solver
-
-    K = np.diag([1.0, 1.0, 2.0])
-    K[0, 2] = K[2, 0] = 0.8
-    value = critical_friction(K[None], np.array([[0.0, 0.0, 1.0]]))[0]
-    return relative(float(value), exact.particle_friction(1.0, 0.8))
+def lawful(run: Run) -> Comparison:
+    """Balance, no tension, no penetration, no more friction than Coulomb's, none created."""
+    errors = {f"balance of {key}": abs(value) for key, value in run.summary["balance"].items()}
+    interfaces = run.summary["interfaces"]
+    moved = float(np.abs(run.displacement()).max())
+    for name, q in interfaces.items():
+        p, t, gap = (run.at_interface(name, key) for key in ("pressure", "shear", "gap"))
+        peak = float(p.max())
+        if not peak:
+            continue
+        law = law_of(run, name)
+        errors[f"friction of {name}"] = float((t - law.friction * p).max()) / peak
+        errors[f"pressure across a gap of {name}"] = float((p * gap).max()) / (peak * moved)
+        if law.layer:  # of one stiffness across and along
+            borne = p + law.layer[0] * np.minimum(gap, 0)
+            errors[f"layer of {name}"] = float(np.abs(borne).max()) / peak
+        else:
+            errors[f"penetration of {name}"] = q["penetration_max"] / moved
+        lost = abs(q["dissipation"]) or 1.0
+        errors[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / lost
+    most = largest(errors)
+    limits = {name: q.get("critical_friction", np.inf) for name, q in interfaces.items()}
+    beyond = ", ".join(n for n, limit in limits.items() if law_of(run, n).friction > limit)
+    if not beyond:
+        return most
+    if Reason.NOT_UNIQUE not in Reason.within(run.log):
+        text = f"friction beyond the critical one of {beyond} and no warning"
+        return Comparison(np.inf, note=text)
+    return Comparison(
+        most.error, note=f"{most.note}; warns that {beyond} may have several solutions"
+    )

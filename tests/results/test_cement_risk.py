@@ -17,10 +17,9 @@ from app.results import verdicts
 from app.results.cement_risk import NEAR, distance, tensions, turning_in
 from app.results.verdicts import notes_of
 from app.soundness import preview, well_posedness
-from app.verification.check import CONFIGS
 from tests import support
 
-SPECTRUM = (CONFIGS / "verification/spectrum.yaml").read_text()
+SPECTRUM = (support.CONFIGS / "verification/spectrum.yaml").read_text()
 QUIET = ("output.report=false", "output.fields=false")
 
 
@@ -84,7 +83,9 @@ def test_risk_of_a_volume() -> None:
 
 def test_edges_that_turn_in() -> None:
     """That of an L, in pieces; none of a bar, and none on the facets around a stem."""
-    edges = turning_in(support.mesh(load(CONFIGS / "verification/corner.yaml").config), "corner")
+    edges = turning_in(
+        support.mesh(load(support.CONFIGS / "verification/corner.yaml").config), "corner"
+    )
     length = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum()
     assert length == pytest.approx(1.0) and np.all(edges[..., :2] == 10.0)
     x = np.array([[10, 10, 0.5], [7, 6, 0.2], [10, 10, 3.0]])

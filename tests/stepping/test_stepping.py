@@ -13,7 +13,7 @@ from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.results.verdicts import notes_of
 from app.stepping import load_steps
-from app.verification.heat_measures import WALLS
+from app.verification.closed_forms_heat import WALLS
 from tests import support
 from tests.cases import coupled
 

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from app.verification import closed_forms_coupled as coupled
 from app.verification import closed_forms_heat as exact
-from app.verification.closed_forms import lame_pressure
+from app.verification.closed_forms import Layers, lame_pressure
 from tests.verification.differences import slope
 
 CEMENT, CORTICAL = (0.2, 1.74), (0.58, 2.331)
@@ -146,9 +145,9 @@ def test_cure_in_closed_form() -> None:
 STEM, MANTLE, BONE = (200e3, 0.3), (2200.0, 0.3), (17e3, 0.3)
 
 
-def cooled(joined: tuple[bool, bool]) -> coupled.Layers:
+def cooled(joined: tuple[bool, bool]) -> Layers:
     """Physics reference 3.2: the cement shrinks by 40 K times 80e-6."""
-    return coupled.Layers((6, 10, 15), (STEM, MANTLE, BONE), (0, -80e-6 * 40, 0), joined)
+    return Layers((6, 10, 15), (STEM, MANTLE, BONE), (0, -80e-6 * 40, 0), joined)
 
 
 def test_bonded_cylinders_cooled() -> None:
@@ -169,7 +168,7 @@ def test_unilateral_cylinders_cooled() -> None:
 
 def test_a_core_that_swells_is_a_press_fit() -> None:
     """Lamé's interference δ is a free strain of the core of δ / (1 + ν) b."""
-    layers = coupled.Layers((7, 10), (STEM, MANTLE), (0.01 / 1.3 / 7, 0), (True,))
+    layers = Layers((7, 10), (STEM, MANTLE), (0.01 / 1.3 / 7, 0), (True,))
     pressure = lame_pressure(0.01, 7, 10, STEM, MANTLE)
     assert -layers.at(0, 7)[1] == pytest.approx(pressure, rel=1e-12)
 
@@ -178,7 +177,7 @@ def test_hot_fit_uses_the_mean_of_the_rings_temperature() -> None:
     """By quadrature of the logarithmic profile."""
     b, c, k, h = 7.0, 10.0, 0.4, 0.3
     core, ring = (STEM, 14e-6), (MANTLE, 27.5e-6)
-    value = coupled.hot_fit_pressure((b, c), core, ring, k, h, (80, 37, 37))
+    value = exact.hot_fit_pressure((b, c), core, ring, k, h, (80, 37, 37))
     Q, _, inner = exact.two_rings(80, 37, (1e-9 * b, b, c), (1e12, k), h)
 
     def heat(r: float) -> float:
@@ -187,16 +186,16 @@ def test_hot_fit_uses_the_mean_of_the_rings_temperature() -> None:
     assert inner == pytest.approx(37 + Q * math.log(c / b) / (2 * math.pi * k))
     mean = quad(heat, b, c)[0] / (math.pi * (c * c - b * b))
     strains = (14e-6 * 43, 27.5e-6 * (mean - 37))
-    even = coupled.Layers((b, c), (STEM, MANTLE), strains, (True,))
+    even = Layers((b, c), (STEM, MANTLE), strains, (True,))
     assert value == pytest.approx(-even.at(0, b)[1], rel=1e-9)
 
 
 def test_heated_walls_have_one_or_three_states() -> None:
     """Every state balances heat and length; the cold bar that expands more makes several."""
-    unique = coupled.HeatedWalls(
+    unique = exact.HeatedWalls(
         (5, 5), (2200, 17000), (80e-6, 27.5e-6), (0.2, 0.58), 0.1, 0.1, 0.0, (60, 37, 37)
     )
-    several = coupled.HeatedWalls(
+    several = exact.HeatedWalls(
         (5, 5), (110e3, 2200), (9e-6, 80e-6), (6.7, 0.2), 0.01, 0.3, 0.005, (80, 37, 37)
     )
     (only,) = unique.states()

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from app.verification import closed_forms as exact
-from app.verification import closed_forms_creep as creep
+from app.verification import closed_forms_long_term as creep
 
 A, P, M0, M1 = creep.CEMENT
 

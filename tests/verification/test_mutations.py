@@ -149,5 +149,5 @@ def test_a_planted_mistake_makes_a_problem_fail(name: str, program: Path) -> Non
     end = verify(program, pattern)
     assert end.returncode == 1, (end.returncode, end.stdout, end.stderr)
     said = end.stdout.splitlines()
-    assert any(re.search(r"checks?: .*(missed|failed): ", line) for line in said), end.stdout
+    assert any(re.search(r"problems?: .*(missed|failed): ", line) for line in said), end.stdout
     print(name, [line for line in said if "missed" in line or "failed" in line])

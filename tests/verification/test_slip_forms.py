@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.verification.closed_forms_slip import CUP
+from app.verification.closed_forms import CUP
 from tests.reference import axisymmetric
 
 # Ball of 14 mm, outside of the cup 22 mm, by clearance [mm]: sink [um], mean pressure within 20

@@ -1,7 +1,8 @@
-"""``mantle bench``: figures from made-up runs, and the cases that are run."""
+"""`mantle bench`: figures from made-up runs, and the cases that are run."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,9 +10,11 @@ import pytest
 
 from app.case.case import dump, load
 from app.laws.interface_laws import Bonded, Coulomb
-from app.verification import benchmarks
-from app.verification.benchmarks import INTERFACES, RUNGS
-from app.verification.check import CONFIGS, Check, within
+from app.verification import suite
+from app.verification.cost_figures import INTERFACES, RUNGS
+from app.verification.suite import PlannedProblem
+from tests.support import CONFIGS
+from tests.verification.made_runs import judged
 
 
 def made(
@@ -21,7 +24,7 @@ def made(
     slip: tuple[float, float] = (1.0, 1.0),
     **more: Any,
 ) -> Any:
-    """A run that cost what is said."""
+    """A run of this cost."""
     summary = {
         "solver": {"dofs": unknowns, "newton_iterations": newton, "linear_iterations": 10 * newton},
         "cpu": {"assemble": 0.2 * solution, "solve": 0.8 * solution, "mesh": 7.0, "output": 3.0},
@@ -33,11 +36,6 @@ def made(
         },
     }
     return SimpleNamespace(**{"summary": summary, "history": {}} | more)
-
-
-def goal(name: str) -> Check:
-    (found,) = [c for c in benchmarks.benchmarks() if c.name == name]
-    return found
 
 
 STEPPED = made(history={"step [s]": [8.0, 2.0, 3.0, 1.0]})
@@ -75,45 +73,53 @@ ONES = [
         ("order_2_over_1", [made(2.0, slip=(0.5, 1.0)), made(), *ONES], 2 / 1),
     ],
 )
-def test_figures(name: str, runs: list[Any], expected: float) -> None:
-    judge = goal(name).judge
-    assert judge is not None
-    assert judge(runs).error == pytest.approx(expected)
+def test_figures(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str, runs: list[Any], expected: float
+) -> None:
+    row = judged(monkeypatch, "bench", name, runs, tmp_path)
+    assert row.comparison is not None
+    assert row.comparison.error == pytest.approx(expected)
 
 
-def test_cheap_runs_are_repeated() -> None:
-    assert [run.times for run in goal("contact_over_bonded_20k").runs] == [3, 3]
-    assert [run.times for run in goal("contact_over_bonded_170k").runs] == [1, 1]
+@pytest.fixture(scope="module")
+def goals() -> dict[str, PlannedProblem]:
+    """Goals of the tier "long", by name."""
+    return {planned.row.name: planned for planned in suite.planned("bench", "long")}
 
 
-def test_every_goal_runs_cases_that_are_right() -> None:
+def test_cheap_runs_are_repeated(goals: dict[str, PlannedProblem]) -> None:
+    assert [run.times for run in goals["contact_over_bonded_20k"].runs] == [3, 3]
+    assert [run.times for run in goals["contact_over_bonded_170k"].runs] == [1, 1]
+
+
+def test_every_goal_runs_cases_that_are_right(goals: dict[str, PlannedProblem]) -> None:
     """Each can be read, and is of the kind that its goal says."""
-    for check in benchmarks.benchmarks():
-        assert check.timed and check.runs
-        for run in check.runs:
+    for name, planned in goals.items():
+        assert planned.runs
+        for run in planned.runs:
             case = load(CONFIGS / run.case, run.overrides).config
-            second = "_2_" in check.name.removeprefix("ranks_2") or "condensed" in check.name
+            second = "_2_" in name.removeprefix("ranks_2") or "condensed" in name
             first = any(o == "mesh.order=1" for o in run.overrides) or "stem" in run.case
-            assert case.mesh.order == (1 if first or not second else 2), check.name
-            if "bonded" in check.name:
+            assert case.mesh.order == (1 if first or not second else 2), name
+            if "bonded" in name:
                 bonded = any("kind: bonded" in o for o in run.overrides)
                 kinds = {type(i) for i in case.interfaces.values()}
-                assert kinds == {Bonded if bonded else Coulomb}, check.name
+                assert kinds == {Bonded if bonded else Coulomb}, name
             if run.case == "stance.yaml":
                 assert not case.output.error
-    twelve = goal("variations_12").runs[1:]
-    assert len(twelve) == 12 and all(run.share for run in twelve)
+    twelve = goals["variations_12"].runs[1:]
+    assert len(twelve) == 12
+    assert all(run.share for run in twelve)
     assert len({dump(load(CONFIGS / r.case, r.overrides).config) for r in twelve}) == 12
-    (steps,) = goal("later_load_steps").runs
-    assert [s.increments for s in load(CONFIGS / steps.case, steps.overrides).config.stages] == [
-        *(1, 3)
-    ]
+    (steps,) = goals["later_load_steps"].runs
+    stages = load(CONFIGS / steps.case, steps.overrides).config.stages
+    assert [stage.increments for stage in stages] == [1, 3]
 
 
 def test_the_million_is_of_the_long_tier() -> None:
-    default = [c for c in benchmarks.benchmarks() if within(c.tier, "default")]
-    assert len(default) == 25 and not [c for c in default if "1m" in c.name or "million" in c.name]
-    assert len(goal("growth_exponent").up_to("default").runs) == len(RUNGS) - 1
-    assert not any(
-        f"mesh.size={RUNGS['1m']}" in r.overrides for c in default for r in c.up_to("default").runs
-    )
+    default = {planned.row.name: planned for planned in suite.planned("bench")}
+    assert len(default) == 25
+    assert not [name for name in default if "1m" in name or "million" in name]
+    assert len(default["growth_exponent"].runs) == len(RUNGS) - 1
+    finest = f"mesh.size={RUNGS['1m']}"
+    assert not any(finest in run.overrides for p in default.values() for run in p.runs)

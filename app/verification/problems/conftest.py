@@ -1,0 +1,105 @@
+"""Fixtures and hooks of pytest for the problems.
+
+The same files are run by `mantle verify` (`app.verification.suite`) and with the tests of the
+program, where each problem solves its runs in this process; all but the quick ones of
+`mantle verify` count as slow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import replace
+
+import pytest
+
+from app.verification.measures import same
+from app.verification.problem import (
+    SUITES,
+    KnownProblem,
+    judging,
+    long,
+    name_of,
+    planned_runs,
+    row_of,
+    solve_here,
+    stress,
+    tier_of,
+    within,
+)
+from app.verification.suite import SUITE
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the markers."""
+    for suite in SUITES:
+        config.addinivalue_line("markers", f"{suite}(group): a problem of `mantle {suite}`")
+    config.addinivalue_line("markers", "quick: of the tier quick; takes some seconds")
+    config.addinivalue_line("markers", "long: of the tier long alone")
+    config.addinivalue_line("markers", "condensed: solved by both exact linear solvers, too")
+    config.addinivalue_line("markers", "slow: takes more than some seconds")
+
+
+@pytest.fixture
+def problem(request: pytest.FixtureRequest) -> KnownProblem:
+    """The problem of a test, with its runs from the suite, or solved in this process."""
+    item = request.node
+    suite = request.config.stash.get(SUITE, None)
+    if suite:
+        return suite.problem(item)
+    marked = next(name for name in SUITES if item.get_closest_marker(name))
+    row = row_of(item, marked)
+    runner = solve_here(row.name, request.getfixturevalue("tmp_path"))
+    return KnownProblem(row, runner, row.tier)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, object, object]:
+    """Note the outcome of a problem in its row."""
+    problem = pyfuncitem.funcargs["problem"]
+    assert isinstance(problem, KnownProblem)
+    with judging(problem.row):
+        return (yield)
+    return True
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Add the problems that compare linear solvers to a suite; choose those that are tests."""
+    problems = [i for i in items if isinstance(i, pytest.Function) and "problem" in i.fixturenames]
+    if SUITE in config.stash:
+        for item in problems:
+            if item.get_closest_marker("condensed") and within(tier_of(item), "default"):
+                items += _condensed(item)
+        return
+    # What takes long, or measures time, is for the suites alone.
+    suites_alone = [i for i in problems if i.get_closest_marker("bench") or tier_of(i) == "long"]
+    items[:] = [item for item in items if item not in suites_alone]
+    for item in problems:
+        if tier_of(item) != "quick" or not item.get_closest_marker("verify"):
+            item.add_marker("slow")
+
+
+def _condensed(item: pytest.Function) -> list[pytest.Function]:
+    """The first run of a problem, condensed onto the jumps and by a Krylov method with factors."""
+    row = row_of(item, "stress")
+    first = planned_runs(item, row, "default")[0]
+    if row.tolerance is None:
+        return []
+
+    @stress
+    @long
+    def solvers(problem: KnownProblem) -> None:
+        problem.expects(
+            "every field, condensed and not, over its largest value",
+            tolerance=1e-7,
+            source="the other solver",
+            or_refusal=row.refusal,
+        )
+        both = [
+            replace(first, overrides=(*first.overrides, f"solver.linear={way}"))
+            for way in ("condensed", "direct")
+        ]
+        problem.compare(same(*problem.solve_all(both)))
+
+    name = f"test_condensed[{name_of(item)}]"
+    return [pytest.Function.from_parent(item.parent, name=name, callobj=solvers)]

@@ -1,0 +1,399 @@
+"""`mantle verify`, `stress` and `bench`: pytest runs the problems of a suite by their markers.
+
+The runs of all problems are solved together by `app.campaigns`; finished runs are not done again.
+Written are ``SUITE.json``, ``SUITE.csv`` (the cost of each run) and ``SUITE.png`` beside the runs,
+of a selection ``SUITE-TIER-NAME.json`` and so on.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+from app.campaigns import batch
+from app.campaigns.batch import Options
+from app.campaigns.runs import Result
+from app.case.case import PlannedRun
+from app.foundation.errors import InputError
+from app.system import layout
+from app.system.folders import csv_text, remove, write_json, write_text
+from app.verification import picture
+from app.verification.problem import (
+    CONFIGS,
+    FAILED,
+    MISSED,
+    OUTCOMES,
+    PASSED,
+    REFUSED,
+    KnownProblem,
+    ProblemRun,
+    Row,
+    SolvedRun,
+    by_group,
+    planned_run,
+    planned_runs,
+    row_of,
+    solution,
+)
+
+log = logging.getLogger("mantle")
+
+PROBLEMS = Path(__file__).with_name("problems")
+# Most names of problems in a message.
+MOST_NAMES = 100
+# Problems of each tier, as pytest selects by markers.
+SELECTED = {"quick": " and quick", "default": " and not long", "long": ""}
+# Plugins of pytest that have nothing to do here: no output and no folders but those of the suite.
+UNUSED = ("terminal", "cacheprovider", "capture", "logging", "faulthandler", "warnings")
+
+
+@dataclass
+class PlannedProblem:
+    """A problem of a suite with the runs that it asks for.
+
+    Attributes:
+        planned: Each run as it is planned, or refused because its case is wrong.
+        results: Results of the runs, each as often as it is repeated.
+    """
+
+    row: Row
+    runs: Sequence[ProblemRun]
+    planned: list[PlannedRun | SolvedRun] = field(default_factory=list)
+    results: Sequence[SolvedRun] = ()
+
+
+class Suite:
+    """The problems of a suite that were chosen; the plugin of pytest that solves them.
+
+    Attributes:
+        problems: The chosen problems, by node of pytest, in their order.
+        allowed: Rows of all problems of the tier.
+        error: The first error outside the problems.
+    """
+
+    def __init__(self, name: str, options: Options, *, solve: bool) -> None:
+        self.name = name
+        self.options = options
+        self.solve = solve
+        self.problems: dict[str, PlannedProblem] = {}
+        self.allowed: list[Row] = []
+        self.error: Exception | None = None
+
+    @property
+    def rows(self) -> list[Row]:
+        """Rows of the chosen problems."""
+        return [planned.row for planned in self.problems.values()]
+
+    def problem(self, item: pytest.Function) -> KnownProblem:
+        """What the test of a problem receives, with the results of its runs."""
+        planned = self.problems[item.nodeid]
+        return KnownProblem(planned.row, lambda runs: planned.results, self.options.tier)
+
+    def pytest_configure(self, config: pytest.Config) -> None:
+        """Let the fixtures find the suite."""
+        config.stash[SUITE] = self
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        """Keep an error in a module of problems."""
+        if report.failed:
+            self.error = RuntimeError(report.longreprtext)
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Function]) -> None:
+        """Choose the problems by a part of their name, and plan their runs."""
+        chosen = []
+        for item in items:
+            row = row_of(item, self.name)
+            self.allowed.append(row)
+            if self.options.pattern in row.name:
+                runs = planned_runs(item, row, self.options.tier)
+                self.problems[item.nodeid] = PlannedProblem(row, runs)
+                chosen.append(item)
+        items[:] = chosen
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self) -> bool | None:
+        """Solve the runs of all problems, after which pytest judges."""
+        if not self.solve or not self.problems or self.error:
+            return True
+        try:
+            solve(self.problems.values(), self.options, alone=self.name == "bench")
+        except Exception as error:  # pytest would print it and go on
+            self.error = error
+            return True
+        return None
+
+
+SUITE = pytest.StashKey[Suite]()
+
+
+def _pytest(suite: Suite) -> Suite:
+    """Let pytest run, or only collect, the problems of a suite.
+
+    Raises:
+        InputError: No problem has such a name.
+        MantleError: The runs cannot be done.
+    """
+    arguments = [str(PROBLEMS), "-m", suite.name + SELECTED[suite.options.tier]]
+    # Settings of a project around are not ours.
+    arguments += ["-c", os.devnull, "--rootdir", str(PROBLEMS), "--import-mode", "importlib"]
+    for plugin in UNUSED:
+        arguments += ["-p", f"no:{plugin}"]
+    ours = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": ""}
+    with mock.patch.dict(os.environ, ours):
+        pytest.main(arguments, plugins=[suite])
+    if suite.error:
+        raise suite.error
+    if not suite.problems:
+        names = [row.name for row in suite.allowed]
+        few = names if len(names) <= MOST_NAMES else dict.fromkeys(r.group for r in suite.allowed)
+        text = f"-k {suite.options.pattern}: no problem of this tier has this in its name; allowed"
+        raise InputError(f"{text}: {', '.join(few)}")
+    return suite
+
+
+def planned(name: str, tier: str = "default") -> list[PlannedProblem]:
+    """The problems of a suite and their runs; solves nothing."""
+    suite = Suite(name, Options(Path(), 1, tier=tier), solve=False)
+    return list(_pytest(suite).problems.values())
+
+
+def run(name: str, options: Options) -> bool:
+    """Run the problems of a suite, or log the plan of it.
+
+    Returns:
+        Whether all passed, were refused as expected, or missed what may be missed.
+
+    Raises:
+        InputError: No problem has such a name, or the folder cannot be written.
+    """
+    suite = _pytest(Suite(name, options, solve=not options.dry_run))
+    if options.dry_run:
+        problems = suite.problems.values()
+        plan(problems, options.folder, alone=name == "bench")
+        runs = [run for p in problems for run in p.planned if isinstance(run, PlannedRun)]
+        log.info("%s", batch.plan(f"{name}: {len(suite.problems)} problems", runs, options))
+        return True
+    log.info("%s", table(suite.rows))
+    write(name, options, suite.rows)
+    log.info("%s\nresults in %s", verdict(suite.rows), options.folder)
+    return all(
+        row.outcome in (PASSED, REFUSED) or (row.outcome == MISSED and row.may_miss)
+        for row in suite.rows
+    )
+
+
+# Runs
+
+
+def plan(problems: Iterable[PlannedProblem], folder: Path, *, alone: bool) -> None:
+    """Plan all runs; a case that is wrong counts as a run that ended so.
+
+    ``alone``: no other run is active at the same time.
+    """
+    for problem in problems:
+        problem.planned = []
+        for k, wanted in enumerate(problem.runs, start=1):
+            name = problem.row.name
+            if len(problem.runs) > 1:
+                name = f"{name}_{k}"
+            try:
+                problem.planned.append(planned_run(name, wanted, folder, alone=alone))
+            except InputError as error:
+                refused = SolvedRun(name, wanted, folder, error.exit_code, str(error))
+                problem.planned.append(refused)
+
+
+def solve(problems: Iterable[PlannedProblem], options: Options, *, alone: bool) -> None:
+    """Solve the runs of all problems; failed runs are not repeated.
+
+    Where times are measured, ``alone``, problems are solved one after the other, and their runs in
+    turn, so that disturbances of the machine affect them all.
+    """
+    problems = list(problems)
+    plan(problems, options.folder, alone=alone)
+    groups = [[problem] for problem in problems] if alone else [problems]
+    results: dict[tuple[object, int], Result] = {}
+    for group in groups:
+        wanted = [
+            (planned, run.times)
+            for problem in group
+            for planned, run in zip(problem.planned, problem.runs, strict=True)
+            if isinstance(planned, PlannedRun)
+        ]
+        for k in range(max((times for _, times in wanted), default=0)):
+            folder = options.folder / f"again-{k}" if k else options.folder
+            due = {
+                _content(planned): planned
+                for planned, times in wanted
+                if times > k and (_content(planned), k) not in results
+            }
+            if due:
+                ended = batch.run(list(due.values()), folder, options.cores, options.slurm)
+                results |= {(key, k): result for key, result in zip(due, ended, strict=True)}
+    for problem in problems:
+        problem.results = [
+            planned if isinstance(planned, SolvedRun) else _solved(results, planned, run, k)
+            for planned, run in zip(problem.planned, problem.runs, strict=True)
+            for k in range(run.times)
+        ]
+
+
+def _content(planned: PlannedRun) -> object:
+    """Everything that two runs of the same content share."""
+    return planned.file, planned.overrides, planned.ranks, planned.alone, planned.share
+
+
+def _solved(
+    results: Mapping[tuple[object, int], Result], planned: PlannedRun, run: ProblemRun, k: int
+) -> SolvedRun:
+    """The result of a run, the k-th time that it was made."""
+    result = results[_content(planned), k]
+    return SolvedRun(
+        result.planned.name,
+        run,
+        result.folder,
+        result.exit_code,
+        result.message,
+        result.seconds,
+        result.summary,
+    )
+
+
+# Reports
+
+
+def table(rows: Sequence[Row]) -> str:
+    """A line for each problem, one for each group if there are several, and the failures."""
+    head = (
+        *("problem", "computed", "exact", "error", "tolerance", "order", "expected", "seconds"),
+        *("outcome", "number", "source", ""),
+    )
+    text = [layout.table(head, map(_line, rows))]
+    groups = by_group(rows)
+    if len(groups) > 1:
+        titles = ("group", "problems", *OUTCOMES, "seconds", "worst", "of", "")
+        text.append(layout.table(titles, (_summed(name, own) for name, own in groups.items())))
+    for row in rows:
+        if row.outcome in (MISSED, FAILED) and row.message:
+            text.append(f"{row.name} {row.outcome}: {row.message}".replace("\n", "\n  "))
+    return "\n\n".join(text)
+
+
+def _line(row: Row) -> Sequence[object]:
+    def shown(value: float | None, form: str, none: str = "") -> str:
+        return none if value is None else format(value, form)
+
+    c = row.comparison
+    return (
+        row.name,
+        shown(c.computed if c else None, ".6g"),
+        shown(c.exact if c else None, ".6g"),
+        shown(c.error if c else None, ".2e", "-"),
+        shown(row.tolerance, ".1e", "-"),
+        shown(row.fitted, ".2f"),
+        shown(row.order, ".2f"),
+        f"{row.seconds:.1f}",
+        row.outcome,
+        row.quantity,
+        row.source,
+        c.note if c else "",
+    )
+
+
+def _summed(name: str, rows: Sequence[Row]) -> Sequence[object]:
+    counts = Counter(row.outcome for row in rows)
+    judged = [row for row in rows if row.comparison]
+    last: Sequence[object] = ("", "", "")
+    if judged:
+        worst = max(judged, key=lambda row: row.ratio)
+        assert worst.comparison
+        last = (f"{worst.comparison.error:.1e}", f"{worst.tolerance:.1e}", worst.name)
+    seconds = f"{sum(row.seconds for row in rows):.1f}"
+    return (name, len(rows), *(counts[x] or "" for x in OUTCOMES), seconds, *last)
+
+
+def verdict(rows: Sequence[Row]) -> str:
+    """Number of problems passed, and names of the others."""
+    names = {x: [row.name for row in rows if row.outcome == x] for x in OUTCOMES}
+    counts = ", ".join(f"{len(own)} {x}" for x, own in names.items() if own)
+    plural = "s" if len(rows) > 1 else ""
+    text = f"{len(rows)} problem{plural}: {counts}"
+    others = names[MISSED] + names[FAILED]
+    return f"{text}: {', '.join(others)}" if others else text
+
+
+def as_json(row: Row) -> dict[str, object]:
+    """The entry of the JSON file."""
+    c = row.comparison
+    return {
+        "name": row.name,
+        "group": row.group,
+        "tier": row.tier,
+        "outcome": row.outcome,
+        "error": _number(c.error if c else None),
+        "tolerance": row.tolerance,
+        "order": _number(row.fitted),
+        "expected_order": row.order,
+        "quantity": row.quantity,
+        "source": row.source,
+        "value": _number(c.computed if c else None),
+        "reference": _number(c.exact if c else None),
+        "rung": row.rung,
+        "sizes": list(row.sizes) if row.order else [],
+        "errors": [_number(e) for e in row.errors],
+        "note": c.note if c else "",
+        "message": row.message,
+        "seconds": round(row.seconds, 2),
+        "runs": [
+            {
+                "folder": str(r.folder),
+                "case": str(CONFIGS / r.run.case),
+                "overrides": r.run.overrides,
+            }
+            for r in row.results
+        ],
+    }
+
+
+def _number(value: float | None) -> float | None:
+    """The value if it is finite, else None: JSON has no other."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def write(name: str, options: Options, rows: Sequence[Row]) -> None:
+    """Write the rows, the costs of the runs, and the picture."""
+    tier = options.tier if options.tier != "default" else ""
+    stem = "-".join(filter(None, (name, tier, options.pattern)))
+    options.folder.mkdir(parents=True, exist_ok=True)
+    drawing = options.folder / f"{stem}.png"
+    remove([drawing])  # should the new one fail, the old one is not beside new numbers
+    write_json(options.folder / f"{stem}.json", [as_json(row) for row in rows])
+    write_text(options.folder / f"{stem}.csv", csv_text(list(costs(rows))))
+    picture.draw(rows, drawing)
+
+
+def costs(rows: Iterable[Row]) -> Iterator[dict[str, object]]:
+    """Cost of each finished run, a row for each."""
+    done = {r.folder: r for row in rows for r in row.results if r.summary}
+    for r in done.values():
+        solver = r.summary.get("solver", {})
+        yield {
+            "run": r.name,
+            "ranks": r.run.ranks,
+            "unknowns": solver.get("dofs"),
+            "newton": solver.get("newton_iterations"),
+            "krylov": solver.get("linear_iterations"),
+            "solution [CPU s]": round(solution(r.summary.get("cpu", {})), 3),
+            "wall [s]": round(r.seconds, 3),
+            "mesh [s]": r.summary.get("timing", {}).get("mesh"),
+            "memory [MB]": r.summary.get("memory", {}).get("peak"),
+        }

@@ -1,0 +1,29 @@
+"""Measures that problems share: a right run is right, another answer is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.results.reading import Run
+from app.verification import measures
+from tests import support
+from tests.support import CONFIGS
+
+
+def test_measures_see_what_is_off(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    twice = "loads.press.pressure: 4 MPa"
+    slack = "interfaces.cement_metal.gap: 0.001 mm"
+    text = (CONFIGS / "blocks.yaml").read_text(encoding="utf-8").replace("size: 2 mm", "size: 4 mm")
+    path.write_text(f"{text}\nvariations: {{one: {{}}, twice: {{{twice}}}, slack: {{{slack}}}}}\n")
+    support.on_ranks(1, "-m", "mantle", "run", path, "-o", tmp_path / "out")
+    first, second, third = (Run(tmp_path / "out" / name) for name in ("one", "twice", "slack"))
+    assert measures.same(first, first).error == 0
+    assert measures.same(second, first, lengths=2, stresses=2).error < 1e-9
+    assert measures.same(second, first).error == pytest.approx(1, rel=1e-6)
+    assert measures.same(third, first).error > 1e-2
+    with pytest.raises(ValueError, match="not the same"):
+        measures.same(first, first, points=2)
+    assert measures.lawful(first).error < 1e-9
