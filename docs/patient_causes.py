@@ -65,7 +65,7 @@ def main(bone: Path, canal: Path, folder: Path) -> None:
     }
     femur = load(case("base", parametric(version, -101.0))).config.geometry
     placed = femur.placement
-    half = float(femur_stem.body(femur).section(LENGTH - 101.0)[0])
+    half = float(femur_stem.body(femur.implant).section(LENGTH - 101.0)[0])
     tip = round(placed.top + placed.slopes[0] * half - LENGTH, 3)
     triangles = write(folder / "own.stl", own(round(neck, 2), 32))
     cases = [

@@ -261,7 +261,7 @@ class MeasuredLayers:
         zeta, bone = self._bone.zeta, self._bone.radii
         radii, times = self._rays(canal, zeta)
         rows = np.flatnonzero((times > 0).all(axis=1) & (zeta < self._lid(canal)))
-        if not len(rows) or zeta[rows[-1]] < self._implant.stem_tip_z:
+        if not len(rows) or zeta[rows[-1]] < self._implant.tip_z:
             aside = float(np.hypot(*canal.points.mean(axis=0)[:2]))
             text = f"does not surround the stem, and its middle is {aside:.0f} mm beside its axis;"
             raise GeometryError(f"geometry.canal.surface: {text} is it in the axes of the bone?")

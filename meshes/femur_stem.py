@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,6 +30,32 @@ OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of 
 ROOM = 0.4  # of the lines before and after the turn to the neck: what it may take
 LEAST_ARM = 0.5  # mm before and after it
 SHOULDER = 6.0  # mm that the shoulder may be above the cut without standing out
+
+
+class StemNumbers(Protocol):
+    """Numbers of a stem in axes of its own (`app.case.stems.Implant`) [mm, rad]."""
+
+    tip_z: float
+    length: float
+    section_z: float
+    half_width: float
+    half_depth: float
+    corner_radius: float
+    tip_half_width: float
+    tip_half_depth: float
+    tip_corner_radius: float
+    neck_diameter: float
+    neck_fillet: float
+    trunnion_diameter: float
+    head_offset: float
+    head_height: float
+    neck_angle: float
+    plug_length: float
+    tip_void: float
+    shoulder: float
+    plug: float
+    tip_height: float
+    stem: Any
 
 
 def thickness(given: Any, low: float, top: float) -> Callable[..., Any]:
@@ -171,23 +197,21 @@ class Body:
         return np.asarray(r - np.hypot(x[:, 0], x[:, 1]))
 
 
-def body(geometry: Any) -> Body:
-    """The stem's body from its sections at the tip and at ``stem_section_z``."""
-    low, high = geometry.stem_tip_z, geometry.stem_section_z
-    values, slopes = [], []
-    for name in ("half_width", "half_depth", "corner_radius"):
-        tip, top = getattr(geometry, f"stem_tip_{name}"), getattr(geometry, f"stem_{name}")
-        slopes.append((top - tip) / (high - low))
-        values.append(tip - slopes[-1] * low)
+def body(implant: StemNumbers) -> Body:
+    """The stem's body from its sections at the tip and at ``section_z``."""
+    low, high = implant.tip_z, implant.section_z
+    tips = implant.tip_half_width, implant.tip_half_depth, implant.tip_corner_radius
+    tops = implant.half_width, implant.half_depth, implant.corner_radius
+    slopes = [(top - tip) / (high - low) for tip, top in zip(tips, tops, strict=True)]
+    values = [tip - slope * low for tip, slope in zip(tips, slopes, strict=True)]
     return Body((values[0], values[1], values[2]), (slopes[0], slopes[1], slopes[2]))
 
 
-def edge(implant: Any, slope: float) -> float:
+def edge(implant: StemNumbers, slope: float) -> float:
     """Height at the axis of a section with a slope through the shoulder's lateral edge [mm]."""
-    shoulder = float(implant.stem_tip_z + implant.stem_length)
-    if stem := getattr(implant, "stem", None):
-        return float(shoulder - slope * stem.found["lateral"])
-    return float(shoulder - slope * body(implant).section(shoulder)[0])
+    if implant.stem:
+        return float(implant.shoulder - slope * implant.stem.found["lateral"])
+    return float(implant.shoulder - slope * body(implant).section(implant.shoulder)[0])
 
 
 @dataclass(frozen=True)
@@ -323,7 +347,9 @@ def unit(x: Floats) -> Floats:
     return np.asarray(x / np.sqrt((x**2).sum(axis=-1, keepdims=True)))
 
 
-def upper(geometry: Any, body: Body, mesh: Any, low: float, top: float, steep: float) -> Upper:
+def upper(
+    implant: StemNumbers, body: Body, mesh: Any, low: float, top: float, steep: float
+) -> Upper:
     """The stem above the neck cut, which meets the axis at the height `top` with the slope `steep`.
 
     Below it, the shoulder's lateral edge is in a parallel plane at the height `low` <= `top`.
@@ -331,17 +357,17 @@ def upper(geometry: Any, body: Body, mesh: Any, low: float, top: float, steep: f
     Raises:
         GeometryError: The neck is not above the cut.
     """
-    sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)
+    sine, cosine = math.sin(implant.neck_angle), -math.cos(implant.neck_angle)
     axis = np.array([sine, 0.0, cosine])
-    head = np.array([geometry.head_offset, 0.0, geometry.head_height])
-    length = geometry.head_offset / sine
+    head = np.array([implant.head_offset, 0.0, implant.head_height])
+    length = implant.head_offset / sine
     slope = max(OUT, steep)
-    shoulder = geometry.stem_tip_z + geometry.stem_length
+    shoulder = implant.shoulder
     out = shoulder - slope * float(body.section(shoulder)[0])
     base, slope = (out, slope) if out > top + SHOULDER else (low, steep)
     buried = max(top - low, 0.0)
-    clear = CLEAR if low == top else geometry.neck_fillet + buried / math.hypot(slope, 1.0)
-    first, last = 0.5 * geometry.neck_diameter, 0.5 * geometry.trunnion_diameter
+    clear = CLEAR if low == top else implant.neck_fillet + buried / math.hypot(slope, 1.0)
+    first, last = 0.5 * implant.neck_diameter, 0.5 * implant.trunnion_diameter
     normal = np.array([slope, 0.0, 1.0]) / math.hypot(slope, 1.0)
     # How far the lowest point of a ring is from its centre towards the section below.
     dip = first * math.sqrt(max(0.0, 1.0 - float(axis @ normal) ** 2))
@@ -351,14 +377,14 @@ def upper(geometry: Any, body: Body, mesh: Any, low: float, top: float, steep: f
     needed = (clear + dip - float(normal @ (root_ - [0.0, 0.0, base]))) / (rise * length)
     if rise <= 0 or needed > BLEND[1]:
         raise GeometryError(
-            f"geometry: the neck, {geometry.neck_diameter:g} mm thick towards a head"
-            f" {geometry.head_height - shoulder:g} mm above the shoulder, does not clear the neck"
+            f"geometry: the neck, {implant.neck_diameter:g} mm thick towards a head"
+            f" {implant.head_height - shoulder:g} mm above the shoulder, does not clear the neck"
             " cut; raise the head or cut lower"
         )
     part = max(BLEND[0], needed)
     ring = root_ + part * length * axis
     planes, centres = ((min(base, top), steep), (base, slope)), np.stack([ring, head])
-    made = Upper(body, planes, centres, (first, last), buried).with_fillet(geometry.neck_fillet)
+    made = Upper(body, planes, centres, (first, last), buried).with_fillet(implant.neck_fillet)
     blend = float(np.linalg.norm(ring - [0.0, 0.0, max(base, top)]))
     cone = (1.0 - part) * length
     lengths = max(base - top, 0.0), blend - made.arm, 2 * made.arm, cone - made.arm

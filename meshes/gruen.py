@@ -21,6 +21,7 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from meshes import femur_stem
+from meshes.femur_bone import FemurBone
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
 RIM = 10.0  # mm below the neck cut whose interfaces are reported apart
@@ -44,9 +45,9 @@ class Zones:
         placed, implant = geometry.placement, geometry.implant
         self._normal = placed.normal @ placed.turn
         self._level = self._normal[2] * placed.top
-        self.tip = implant.stem_tip_z
+        self.tip = implant.tip_z
         self._end = self.tip + implant.tip_height
-        self.top = min(placed.top, self.tip + implant.stem_length)
+        self.top = min(placed.top, implant.shoulder)
         self._thickness = femur_stem.thickness(geometry.cement_thickness, self.tip, placed.top)
 
     def at(self, x: Floats) -> Ints:
@@ -79,14 +80,15 @@ class Zones:
     def is_left(self, x: Floats) -> Any:
         """Whether the planned operation leaves the bone at points (n, 3) [mm]; shape (n,)."""
         g = self._geometry
+        if g.implant.stem or not isinstance(g.femur, FemurBone):
+            # The bone around such a stem is what the operation leaves.
+            return np.ones(len(x), dtype=bool)
         canal = g.femur.endosteum(np.arctan2(x[:, 1], x[:, 0]), x[:, 2])
         x = self._local(x)
-        if getattr(g, "stem", None):  # bone around a stem of its own is what it leaves
-            return np.ones(len(x), dtype=bool)
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
-        cavity = femur_stem.body(g).outside(self._thickness, theta, z)
+        cavity = femur_stem.body(g.implant).outside(self._thickness, theta, z)
         # The mantle ends at the endosteum.
         cavity = np.minimum(cavity, canal)
-        below_plug = z < self.tip - g.plug_length + EDGE
+        below_plug = z < g.implant.plug + EDGE
         return (x @ self._normal <= self._level + EDGE) & ((r >= cavity - EDGE) | below_plug)

@@ -63,23 +63,21 @@ class CementedStem:
     def __init__(self, geometry: Any, mesh: Any) -> None:
         implant, placed = geometry.implant, geometry.placement
         self._implant, self._placed, self._mesh = implant, placed, mesh
-        self.plug = implant.stem_tip_z - implant.plug_length
+        self.plug = implant.plug
         edge = femur_stem.edge(implant, placed.slopes[0])
         self.shoulder = edge if edge < placed.top - DEEP else placed.top
         self.is_cad = implant.stem is not None
         height = 0.0 if self.is_cad else implant.tip_height
-        self.tip = femur_stem.Tip(implant.stem_tip_z, height, self.plug)
+        self.tip = femur_stem.Tip(implant.tip_z, height, self.plug)
         if self.is_cad:
-            ends = implant.stem_tip_z, self.shoulder
+            ends = implant.tip_z, self.shoulder
             body: Any = CadStem(implant.stem.found, ends, placed, mesh)
         else:
             body = replace(femur_stem.body(implant), lean=placed.slopes[1])
-        self.middle = 0.25 * implant.stem_tip_z + 0.75 * placed.top
+        self.middle = 0.25 * implant.tip_z + 0.75 * placed.top
         self.around = mesh.lines_around(body.section(self.middle))
         self.body = body.divided(self.middle, self.around)
-        self._thickness = femur_stem.thickness(
-            geometry.cement_thickness, implant.stem_tip_z, placed.top
-        )
+        self._thickness = femur_stem.thickness(geometry.cement_thickness, implant.tip_z, placed.top)
 
     @cached_property
     def upper(self) -> Upper | CadStem:

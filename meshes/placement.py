@@ -66,6 +66,12 @@ class Placement:
         x, y, z = self.normal @ self.turn
         return x / z, y / x if abs(y) > EXACT else 0.0
 
+    @property
+    def tilt(self) -> float:
+        """Slope of the stem's axis to the shaft's."""
+        x, y, z = self.turn[:, 2]
+        return math.hypot(x, y) / float(z)
+
     def where(self, x: Floats) -> str:
         """A point of the model (3,) in words."""
         below = round(float(self.normal @ (self.foot - x)) / self.normal[2])

@@ -6,21 +6,19 @@ import hashlib
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from app.case import femurs
-from app.case.femurs import BONE, INSIDE, MUSCLES, Femur, Insertion, Resection
-from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, spread
-from app.case.stems import StemFile
+from app.case.hips import INSIDE, MUSCLES, Insertion, OperatedHip, Resection, point
+from app.case.shapes import MeshOptions, Point3, spread
+from app.case.stems import Implant, Stem, StemFile
 from app.foundation.errors import GeometryError, InputError
 from app.foundation.files import parts
 from app.schema.paths import ImageFile, SurfaceFile
 from app.schema.section import Kinds, Pair, Section, Triple, fail
-from app.schema.units import Angle, Dimension, Length, Number, Plain, PositiveLength
+from app.schema.units import Length, Number, Plain, PositiveLength
 
-SHOULDER = 29.0  # mm: level of the shoulder of the parametric femur's stem
 SHORTEST = 50.0  # mm of the stem in the bone
 SHAFT = 70.0  # mm of shaft below the plug, or what the surface has
 
@@ -91,75 +89,12 @@ class Landmarks(Section):
     """The most posterior points of the condyles."""
 
 
-def _of_femur(key: str) -> Any:
-    """Default of a key of the parametric femur."""
-    return Femur.model_fields[key].default
-
-
-class Stem(Section):
-    """A straight tapered collarless stem as that of the parametric femur."""
-
-    length: PositiveLength = _of_femur("stem_length")
-    """From the shoulder to the tip."""
-    tip_half_width: PositiveLength = _of_femur("stem_tip_half_width")
-    """Half the medio-lateral width at the tip."""
-    tip_half_depth: PositiveLength = _of_femur("stem_tip_half_depth")
-    """Half the antero-posterior depth at the tip."""
-    tip_corner_radius: PositiveLength = _of_femur("stem_tip_corner_radius")
-    """Radius of the section's corners at the tip."""
-    section_depth: PositiveLength = SHOULDER - _of_femur("stem_section_z")
-    """Depth below the shoulder of the proximal section that the next three describe."""
-    half_width: PositiveLength = _of_femur("stem_half_width")
-    """Half the medio-lateral width there."""
-    half_depth: PositiveLength = _of_femur("stem_half_depth")
-    """Half the antero-posterior depth there."""
-    corner_radius: PositiveLength = _of_femur("stem_corner_radius")
-    """Radius of the section's corners there."""
-    neck_diameter: PositiveLength = _of_femur("neck_diameter")
-    """Diameter of the neck where it leaves the body."""
-    trunnion_diameter: PositiveLength = _of_femur("trunnion_diameter")
-    """Diameter of the neck's end, which carries the head."""
-    head_offset: PositiveLength = _of_femur("head_offset")
-    """Medial distance of the head's centre from the stem's axis."""
-    head_height: PositiveLength = _of_femur("head_height") - SHOULDER
-    """Height of the head's centre above the shoulder."""
-    neck_angle: Angle = _of_femur("neck_angle")
-    """Angle between neck and stem (rad)."""
-
-    @model_validator(mode="after")
-    def _solid(self) -> Stem:
-        if not self.section_depth < self.length:
-            set_keys = self.model_fields_set
-            if "length" in set_keys and "section_depth" not in set_keys:
-                text = "puts the tip above the proximal section, which is at section_depth ="
-                fail(f"{text} {self.section_depth:g} mm; set section_depth too", at=("length",))
-            fail("is not above the tip", at=("section_depth",))
-        femurs.check_stem(self, "", "tip_")
-        return self
-
-    @property
-    def femur_keys(self) -> dict[str, Any]:
-        """The same in the parametric femur's keys, with its shoulder at z = 0."""
-        known = {k if k in Femur.model_fields else f"stem_{k}": v for k, v in self}
-        levels = {"stem_tip_z": -self.length, "stem_section_z": -known.pop("stem_section_depth")}
-        return known | levels
-
-
-class Patient(Shape):
+class Patient(OperatedHip):
     """A patient's proximal femur with a cemented stem.
 
     Axes: z along the shaft, proximal positive, 0 at the apex of the lesser trochanter; x medial,
     along the posterior condyles, or along the neck where the surface has no condyles; y anterior.
     """
-
-    is_around_z: ClassVar[bool] = True
-    has_gruen_zones: ClassVar[bool] = True
-    has_curved_surfaces: ClassVar[bool] = True
-    coarsest_size: ClassVar[float] = 20.0
-    joined: ClassVar[tuple[tuple[str, ...], ...]] = (BONE,)
-    tissues: ClassVar[dict[str, str]] = Femur.tissues
-    boundary_names: ClassVar[tuple[str, ...]] = Femur.boundary_names
-    interface_sides: ClassVar[dict[str, Sides]] = Femur.interface_sides
 
     kind: Literal["patient"] = "patient"
     bone: Bone
@@ -174,19 +109,16 @@ class Patient(Shape):
     """The cut across the neck."""
     insertion: Insertion = Field(default_factory=Insertion)
     """Where the stem is put."""
-    cement_thickness: Thickness = 4.0
-    """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side."""
-    plug_length: PositiveLength = _of_femur("plug_length")
-    """Length of cement below the tip."""
-    tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] = 0.0
-    """Length without cement below the end, flat then; from 1 mm to 1 mm less than the plug."""
     distal_cut_z: Length | None = None
     """Level at which the shaft is cut and held; by default 70 mm below the plug, or where the
     surface ends."""
 
     @model_validator(mode="after")
     def _placed(self) -> Patient:
-        femurs.check_end(self)
+        self.check_end()
+        implant = self.implant
+        for field, text in implant.faults(spread(self.cement_thickness)[0]):
+            fail(text, at=("stem", field))
         try:
             placed = self.placement
         except (GeometryError, InputError) as error:
@@ -196,8 +128,7 @@ class Patient(Shape):
             key, _, text = str(error).removeprefix("geometry.").partition(": ")
             fail(text, at=tuple(key.split(".")))
         low = float(self.femur.surface.points[:, 2].min())
-        plug = self.implant.stem_tip_z - self.plug_length
-        plug = float(placed.to_model([0.0, 0.0, plug])[2])
+        plug = float(placed.to_model([0.0, 0.0, implant.plug])[2])
         level = self.distal_cut_z
         if level is None:
             if plug < low + 5.0:
@@ -209,18 +140,16 @@ class Patient(Shape):
         if not low + 2.0 < level < plug - 2.0:
             text = f"{level:g} mm is not between the end of the surface and that of the plug"
             fail(f"{text}, {low:.0f} and {plug:.0f} mm", at=("distal_cut_z",))
-        length = self.implant.stem_length
-        least, inside = max(INSIDE * length, SHORTEST), length + placed.top
+        least, inside = max(INSIDE * implant.length, SHORTEST), implant.length + placed.top
         if inside < least:
             text = f"leaves {inside:.0f} mm of the stem below the cut; expected {least:.0f} mm"
             fail(text, at=("insertion", "depth"))
         return self
 
     @property
-    def implant(self) -> Femur:
-        """The stem in the parametric femur's keys, in axes of its own."""
-        own = {k: getattr(self, k) for k in ("cement_thickness", "plug_length", "tip_void")}
-        return Femur.model_construct(**own | self.stem.femur_keys)
+    def implant(self) -> Implant:
+        """The stem in axes of its own, with its shoulder at 0."""
+        return self.stem.implant(plug_length=self.plug_length, tip_void=self.tip_void)
 
     @cached_property
     def content(self) -> str:
@@ -251,15 +180,15 @@ class Patient(Shape):
         return self.insertion.depth or 0.0
 
     @property
+    def distal_height(self) -> float:
+        """Height at which the shaft is cut, in the stem's axes (mm)."""
+        return float(self.placement.along(self.distal_cut_z))
+
+    @property
     def more_room(self) -> tuple[str, str]:
         """The key that says where the stem is, and what to change where it has no room."""
         text = "ream (canal.ream: broach), take a smaller or shorter stem, or change varus and"
         return "geometry.insertion", f"{text} offsets"
-
-    def grid(self, mesh: MeshOptions) -> dict[str, Any]:
-        """Cells through the layers."""
-        through = mesh.cells_through(self.cement_thickness)
-        return {"cells through cement, cancellous and cortical bone": through}
 
     def surfaces(self, mesh: MeshOptions) -> Any:
         """The nested surfaces that are checked and meshed, kept by the content of its files."""
@@ -273,16 +202,12 @@ class Patient(Shape):
         except GeometryError as error:
             raise InputError(str(error)) from error
 
-    @property
-    def head_centre(self) -> Point3:
-        """Centre of the implant's head (mm)."""
-        return femurs.placed_head(self)
-
     @cached_property
     def points(self) -> dict[str, Point3]:
         """Centre of the implant's head and muscles' insertions on this bone (mm)."""
-        found, _ = self.femur.projected(MUSCLES, self.placement)
-        return {"head_centre": self.head_centre} | {k: femurs.point(x) for k, x in found.items()}
+        insertions, _ = self.femur.projected(MUSCLES, self.placement)
+        places = {name: point(x) for name, x in insertions.items()}
+        return {"head_centre": self.head_centre} | places
 
     @property
     def skin(self) -> Any:
@@ -315,33 +240,3 @@ class Patient(Shape):
     def notes(self) -> tuple[str, ...]:
         """Doubts about the bone: its size, its shape, an open end."""
         return tuple(f"geometry.bone: {text}" for text in self.femur.notes)
-
-    @property
-    def mantles(self) -> tuple[Mantle, ...]:
-        """The mantle around the stem, with a plug below its tip."""
-        return (Mantle(spread(self.cement_thickness)[1], femurs.flanks_end(self)),)
-
-    @property
-    def _in_own_femur(self) -> Femur:
-        """The stem in the parametric femur."""
-        implant = self.implant
-        levels = {"stem_tip_z": SHOULDER - implant.stem_length, "stem_section_z": SHOULDER - 14.0}
-        return implant.model_copy(update=levels)
-
-    @property
-    def stem_perimeter(self) -> float:
-        """Length around the stem where lines are counted (mm), as in the parametric femur."""
-        return self._in_own_femur.stem_perimeter
-
-    def interface_nodes(self, mesh: MeshOptions) -> float:
-        """Number of nodes on each interface, as in the parametric femur."""
-        return self._in_own_femur.interface_nodes(mesh)
-
-    @property
-    def interface_area(self) -> float:
-        """Approximate area of both interfaces (mm2), of the parametric femur with this stem."""
-        return self.implant.interface_area
-
-    def estimate_cells(self, mesh: MeshOptions) -> int:
-        """Estimated number of tetrahedra, of the parametric femur with this stem."""
-        return self._in_own_femur.estimate_cells(mesh)

@@ -42,7 +42,7 @@ def test_thirds_are_of_the_length_in_the_bone() -> None:
     normal, level = cut(GEOMETRY)
     assert normal @ [0.0, 0.0, ZONES.top] == pytest.approx(level)
     assert ZONES.tip == -118.0 and 20.0 < ZONES.top < 25.0
-    end = ZONES.tip + GEOMETRY.tip_height
+    end = ZONES.tip + GEOMETRY.implant.tip_height
     levels = np.array([ZONES.top + 20.0, end + 1e-3, end, ZONES.tip - BELOW + 1e-3])
     x = np.column_stack([np.full(4, 10.0), np.ones(4), levels])
     assert ZONES.at(x).tolist() == [[7, 8], [5, 10], [4, 11], [4, 11]]
@@ -85,7 +85,7 @@ def test_what_the_operation_takes_is_in_no_zone() -> None:
         found: list[bool] = ZONES.is_left(np.array(points)).tolist()
         return found
 
-    cavity = femur_stem.body(GEOMETRY).offset(GEOMETRY.cement_thickness)
+    cavity = femur_stem.body(GEOMETRY.implant).offset(GEOMETRY.cement_thickness)
     medial = float(cavity.section(0.0)[0])
     assert left((medial - 0.1, 0.0, 0.0), (medial + 0.1, 0.0, 0.0)) == [False, True]
     # Where the canal has no room all of the cancellous bone goes, and none of the cortex.

@@ -7,8 +7,8 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.distance import pdist
 
-from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, MeshOptions
+from app.case.hips import MUSCLES
 from app.foundation.errors import GeometryError
 from meshes import femur_bone, femur_stem
 from meshes.femur import PATCH_RADIUS
@@ -24,7 +24,7 @@ def outline(shape: femur_stem.Body, z: float) -> np.ndarray:
 
 
 def test_sections_of_the_stem_are_rounded_rectangles() -> None:
-    shape = femur_stem.body(GEOMETRY)
+    shape = femur_stem.body(GEOMETRY.implant)
     a, b, r = shape.section(15.0)
     assert (a, b, r) == pytest.approx((8.5, 5.0, 3.0))
     assert shape.section(-118.0) == pytest.approx((3.0, 3.0, 2.1))
@@ -38,7 +38,7 @@ def test_sections_of_the_stem_are_rounded_rectangles() -> None:
 @pytest.mark.parametrize("thickness", [1.0, 4.0, 8.0])
 def test_the_offset_is_at_the_prescribed_distance(thickness: float) -> None:
     """Flats exactly (in the normal's direction), corners within a thousandth."""
-    shape = femur_stem.body(GEOMETRY)
+    shape = femur_stem.body(GEOMETRY.implant)
     far = shape.offset(thickness)
     a, _, _ = shape.section(0.0)
     slope = shape.slope[0]

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, Patient
+from app.case.hips import MUSCLES
 from app.case.stems import StemFile
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
@@ -147,6 +148,30 @@ def test_the_stem_goes_where_it_is_put(folder: Path) -> None:
     assert put.foot[:2] - at.foot[:2] == pytest.approx([2.0, 1.0], abs=0.02)
 
 
+@pytest.mark.parametrize(
+    ("stem", "words"),
+    [
+        (
+            {"neck_diameter": "19 mm"},
+            r"is wider than the stem's shoulder; expected at most 18\.2 mm",
+        ),
+        ({"neck_angle": "150 deg"}, "is not between 100 and 145 deg"),
+        ({"corner_radius": "5 mm"}, "is not below the half-width and half-depth, 5 mm"),
+        ({"tip_rounding": "0.5 mm"}, "is neither 0 nor 1 mm at least"),
+        ({"tip_half_depth": "9 mm", "half_depth": "3.1 mm"}, "at the shoulder, z = .*has become 2"),
+    ],
+)
+def test_a_stem_is_refused_alike_in_any_bone(
+    stem: dict[str, str], words: str, folder: Path
+) -> None:
+    """At its shoulder mantle's own stem is 18.16 mm wide; half depths fall by 5.9 in 133 mm."""
+    keys = {name if name in Femur.model_fields else f"stem_{name}": x for name, x in stem.items()}
+    with pytest.raises(ValidationError, match=words):
+        patient(folder, stem=stem)
+    with pytest.raises(ValidationError, match=words):
+        Femur.model_validate(keys)
+
+
 # The parametric femur, whose stem is moved by hand.
 WIDE = {"canal_widening": "5 mm", "cement_thickness": "3 mm", "anteversion": "5 deg"}
 MOVED = {"varus": "2 deg", "version": {"angle": "8 deg"}, "medial_offset": "1 mm"}
@@ -173,7 +198,7 @@ def test_the_stem_is_moved_and_the_bone_is_not(kind: str, tmp_path: Path) -> Non
     x, y, z = (turn.inv().apply(x - pivot - shift) + pivot).T
     flank = (z > -116 + 1e-6) & (z < 28.99)  # the file ends at its shoulder
     x, y, z = x[flank], y[flank], z[flank]
-    radius = femur_stem.body(femur()).radius(np.arctan2(y, x), z)
+    radius = femur_stem.body(femur().implant).radius(np.arctan2(y, x), z)
     assert len(z) > 200
     assert np.hypot(x, y) == pytest.approx(radius, abs=1e-5 if kind == "own" else 0.02)
     x, y, z = data.points[data.facets[np.isin(data.facet_tags, data.boundaries["bone_surface"])]].T
@@ -284,7 +309,7 @@ def distance(geometry: Patient) -> float:
     """
     placed, corners = geometry.placement, geometry.femur.surface.corners
     if isinstance(geometry.stem, StemFile):
-        tip = [0.0, 0.0, geometry.implant.stem_tip_z]
+        tip = [0.0, 0.0, geometry.implant.tip_z]
         x = np.add(geometry.stem.found["x"].mean(axis=1), tip)
     else:
         x = _own(geometry)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, IntactFemur, MeshOptions
+from app.case.hips import MUSCLES
 from app.foundation.arrays import Floats
 from app.foundation.errors import GeometryError
 from meshes import (
@@ -68,7 +68,7 @@ def test_nodes_are_on_the_exact_surfaces(thickness: float, curved: bool) -> None
     """Stem's body everywhere; the mantle's outer side but where a layer ends."""
     data = built(6.0, curved, cement_thickness=thickness)
     geometry = hip(cement_thickness=thickness)
-    body = femur_stem.body(geometry)
+    body = femur_stem.body(geometry.implant)
     facets, _, _ = interface_facets(data, "stem_cement")
     x, y, z = data.points[np.unique(facets)].T
     flank = z > geometry.stem_tip_z + geometry.tip_rounding + 1e-6
@@ -126,7 +126,7 @@ def test_stem_and_neck_turn_in_a_bone_that_does_not(build: Any) -> None:
     if kind is Femur:
         facets, _, _ = interface_facets(data, "stem_cement")
         x, y, z = turned(data.points[np.unique(facets)], -angle).T
-        off = np.hypot(x, y) - femur_stem.body(geometry).radius(np.arctan2(y, x), z)
+        off = np.hypot(x, y) - femur_stem.body(geometry.implant).radius(np.arctan2(y, x), z)
         flank = z > geometry.stem_tip_z + geometry.tip_rounding + 1e-6
         assert np.abs(off[flank]).max() < 2e-6
 
@@ -152,7 +152,7 @@ def test_cement_is_left_out_below_the_end() -> None:
     """As far as asked for, over the section of the stem; nothing bears on the end."""
     data, full = built(6.0, True, tip_void=5.0), built(6.0, True, tip_rounding=0.0)
     left, whole = (region_volumes(d)["cement"] for d in (data, full))
-    a, b, r = femur_stem.body(hip()).section(np.linspace(-123.0, -118.0, 1001))
+    a, b, r = femur_stem.body(hip().implant).section(np.linspace(-123.0, -118.0, 1001))
     assert whole - left == pytest.approx(5 * (4 * a * b - (4 - np.pi) * r**2).mean(), rel=0.003)
     for d, bears in ((data, False), (full, True)):
         facets, _, _ = interface_facets(d, "stem_cement")

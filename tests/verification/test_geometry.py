@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 import meshes
 from app.case import sweep
-from app.case.femurs import MUSCLES
 from app.case.geometries import Femur, IntactFemur, MeshOptions
+from app.case.hips import MUSCLES
 from meshes import femur_bone, femur_intact, femur_stem, quality
 from meshes.data import (
     MeshData,
@@ -109,7 +109,7 @@ def test_the_stems_of_the_thickness_sweep_share_a_cavity() -> None:
     shared = [c.case.geometry for c in planned if c.point.part == "cavity"]
     assert len({g.cement_thickness for g in shared}) == len(shared) == 4
     for z in (-118.0, -50.0, 20.0):
-        found = [femur_stem.body(g).offset(g.cement_thickness).section(z) for g in shared]
+        found = [femur_stem.body(g.implant).offset(g.cement_thickness).section(z) for g in shared]
         assert np.ptp(found, axis=0) == pytest.approx(0.0, abs=0.003)
 
 
@@ -120,7 +120,7 @@ def test_the_plug_fills_the_canal_below_the_tip() -> None:
     low, high = tip - geometry.plug_length, tip + height
     exact = volume(femur_bone.Tube(femur_bone.CANAL).radius, low, high)
     # The rounded end of the stem fills four fifths of its height.
-    exact -= 0.8 * volume(femur_stem.body(geometry).radius, tip, high)
+    exact -= 0.8 * volume(femur_stem.body(geometry.implant).radius, tip, high)
     # Flat facets of 3 mm lose 4 % of a circle of 6 mm.
     assert plug == pytest.approx(exact, rel=0.05)
 

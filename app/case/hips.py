@@ -1,0 +1,256 @@
+"""What all femurs have in common, parametric or a patient's: cut, stem, mantle and estimates."""
+
+from __future__ import annotations
+
+import math
+from importlib import import_module
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides, Thickness, perimeter, spread
+from app.case.stems import FLAT, Implant
+from app.schema.section import Section, fail
+from app.schema.units import Angle, Dimension, Length, PositiveLength
+
+BONE = ("cortical_bone", "cancellous_bone")
+OF_BONE = dict.fromkeys(BONE, "bone")
+# Centre of each muscle's insertion (mm): places from anatomy, moved radially onto the outer bone of
+# `meshes.femur_bone`; that of vastus lateralis is on the shaft below the greater trochanter.
+MUSCLES: dict[str, Point3] = {
+    "gluteus_medius": (-25.395, -15.237, 28.0),
+    "gluteus_minimus": (-30.723, 4.727, 27.0),
+    "gluteus_maximus": (-5.795, -13.038, -49.0),
+    "psoas": (21.035, -1.503, -7.0),
+    "vastus_lateralis": (-15.067, 4.018, -25.0),
+    "vastus_medialis": (2.540, 13.508, -132.0),
+}
+
+# Fraction of the lines along which the mantle fills the canal, beside and below the stem, by the
+# thickness of the mantle less the widening of the canal (mm).
+FILLED = (0.0, 0.05, 0.4, 0.64, 0.7, 0.74, 0.8, 0.85, 0.9)
+FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
+CANCELLOUS_WIDTH = 5.0  # mean width of cancellous bone (mm)
+CORTICAL_WIDTH = 6.2  # mean width of cortical bone around a canal that is not widened (mm)
+INSIDE = 2.0 / 3.0  # least fraction of the stem in the bone
+HALF_TIP = 10.0  # mm that a stem's end reaches from its axis, at most
+
+
+def point(x: Any) -> Point3:
+    """Numbers of a vector."""
+    return float(x[0]), float(x[1]), float(x[2])
+
+
+def _between(at: float, values: tuple[float, ...]) -> float:
+    """Linear interpolation of values at 0, 1, 2, ..., constant beyond."""
+    at = min(max(at, 0.0), len(values) - 1.0)
+    low = min(int(at), len(values) - 2)
+    return values[low] + (at - low) * (values[low + 1] - values[low])
+
+
+class Resection(Section):
+    """The cut across the neck."""
+
+    height: Length = 8.0
+    """Height above the lesser trochanter at which it leaves the medial cortex."""
+    angle: Annotated[float, Dimension("rad", "an angle", "38 deg", at_least=0.0, below=1.2)] = (
+        math.radians(38.0)
+    )
+    """Its angle to the transverse plane (rad), below 1.2."""
+    azimuth: Angle | None = None
+    """Direction of its normal about the shaft, from medial to anterior (rad); by default the
+    neck's."""
+
+
+class Version(Section):
+    """Turn of the stem about the shaft's axis."""
+
+    relative_to: Literal["neck", "condyles"] = "neck"
+    """What it is measured against: the neck, or the line of the posterior condyles."""
+    angle: Angle = 0.0
+    """The turn, the head to anterior (rad)."""
+
+
+class Insertion(Section):
+    """Where the stem is put in the femur."""
+
+    depth: Annotated[float, Dimension("mm", "a length", "0 mm", at_most=14.0)] | None = None
+    """How deep the lateral edge of the shoulder is below the cut, at most 14 mm: there is cement
+    above it. By default 0, and in mantle's own femur as `stem_tip_z` says."""
+    varus: Annotated[float, Dimension("rad", "an angle", "2 deg", at_least=-0.2, at_most=0.2)] = 0.0
+    """Tilt of the stem, its tip to lateral (rad), about where its axis meets the cut."""
+    version: Version = Field(default_factory=Version)
+    """Turn of the stem about the shaft's axis."""
+    medial_offset: Length = 0.0
+    """How far the stem's axis is medial of the shaft's, along the cut's azimuth."""
+    anterior_offset: Length = 0.0
+    """How far it is anterior of it."""
+
+
+class Hip(Shape):
+    """A proximal femur that is operated on, or for which an operation is planned.
+
+    A subclass has the keys of its bone, of its cut and of its stem. It gives them as `femur`,
+    `resection`, `insertion`, `shoulder_depth` and `implant`; `meshes` knows no others.
+    """
+
+    is_around_z: ClassVar[bool] = True
+    has_gruen_zones: ClassVar[bool] = True
+    has_curved_surfaces: ClassVar[bool] = True
+    coarsest_size: ClassVar[float] = 20.0  # a few cells along the stem
+    joined: ClassVar[tuple[tuple[str, ...], ...]] = (BONE,)
+
+    kind: str
+    cement_thickness: Thickness = 4.0
+    """Thickness of the mantle where the canal has room, 1 to 8 mm: one, or by height and side."""
+    plug_length: PositiveLength = 10.0
+    """Length of cement below the tip."""
+    tip_void: Annotated[float, Dimension("mm", "a length", "5 mm", at_least=0.0)] = 0.0
+    """Length without cement below the stem's end, as of a hollow centraliser: nothing bears on the
+    end, which is flat then. 1 mm at least, and 1 mm less than the plug at most; 0: none."""
+
+    @property
+    def femur(self) -> Any:
+        """The bone before the operation, as `meshes.placement` describes it."""
+        raise NotImplementedError
+
+    @property
+    def implant(self) -> Implant:
+        """The stem in axes of its own."""
+        raise NotImplementedError
+
+    @property
+    def shoulder_depth(self) -> float | None:
+        """Depth of the stem's shoulder below the cut (mm); None: the implant has its level."""
+        return None
+
+    @property
+    def widening(self) -> float:
+        """Distance by which the table's endosteum is moved outwards (mm)."""
+        return 0.0
+
+    @property
+    def placement(self) -> Any:
+        """Cut and stem in the model's axes (`meshes.placement.Placement`)."""
+        return import_module("meshes.placement").place(self)
+
+    @property
+    def cut_height(self) -> float:
+        """Height at which the cut meets the stem's axis, in the stem's axes (mm)."""
+        return float(self.placement.top)
+
+    @property
+    def distal_height(self) -> float:
+        """Height at which the shaft is cut, in the stem's axes (mm)."""
+        raise NotImplementedError
+
+    @property
+    def head_centre(self) -> Point3:
+        """Centre of the head in the model's axes (mm)."""
+        implant = self.implant
+        return point(self.placement.to_model([implant.head_offset, 0.0, implant.head_height]))
+
+    def check_end(self) -> None:
+        """Refuse a void below the stem that cannot be meshed."""
+        if 0.0 < self.tip_void < FLAT:
+            fail("is neither 0 nor 1 mm at least", at=("tip_void",))
+        if self.tip_void and self.tip_void > self.plug_length - FLAT:
+            fail(f"leaves less than 1 mm of {self.plug_length:g} mm of plug", at=("tip_void",))
+
+    def _section(self) -> tuple[float, float, float]:
+        """Half-width, half-depth and corner radius a quarter of the way from cut to tip (mm)."""
+        implant = self.implant
+        return implant.section(0.25 * implant.tip_z + 0.75 * self.cut_height)
+
+    @property
+    def stem_perimeter(self) -> float:
+        """Length around the stem where lines are counted (mm)."""
+        return perimeter(*self._section())
+
+    def interface_nodes(self, mesh: MeshOptions) -> float:
+        """Number of nodes on each interface: lines around at steps along."""
+        around, stem, *_ = self.grid(mesh).values()
+        return float(around * stem)
+
+    def grid(self, mesh: MeshOptions) -> dict[str, Any]:
+        """Lines around, steps along the stem and below it, cells through the layers."""
+        implant = self.implant
+        stem, more, _ = mesh.graded(self.cut_height - implant.tip_z - implant.tip_height, "stem")
+        ends = 2.0 * (self.plug_length - self.tip_void), implant.tip_height, self.tip_void
+        below, equal, _ = mesh.graded(implant.plug - self.distal_height, "below")
+        through = mesh.cells_through(self.cement_thickness)
+        return {
+            "lines around": mesh.lines_around(self._section()),
+            "steps along the stem": len(stem) - 1 + more + sum(map(mesh.steps, filter(None, ends))),
+            "steps below": len(below) - 1 + equal,
+            "cells through cement, cancellous and cortical bone": through,
+        }
+
+    def _cells(self, mesh: MeshOptions) -> tuple[float, float, float]:
+        """Tetrahedra below the neck cut, and in one step of the core and of all layers above it.
+
+        Three for each triangle of the section. Where the mantle fills the canal, along a part of
+        the circumference fitted to counted meshes, there is no cancellous bone. A wider canal has
+        thinner cortical bone. Of 370 random hips, 367 have the number of cells within 12 %, and all
+        within 18 %.
+        """
+        around, stem, below, (_, *bone) = self.grid(mesh).values()
+        most = (mesh.along_cement(self.cement_thickness), *bone)
+        core = 3.0 * max(around - 2.0, 0.041 * around**2 + 1.5 * around - 6.0)
+        cement = spread(self.cement_thickness)[1]
+        filled = cement - self.widening
+        open_, free = 1.0 - _between(filled, FILLED), 1.0 - _between(filled, FILLED_BELOW)
+        widths = (1.0 + 0.7 * cement, CANCELLOUS_WIDTH, CORTICAL_WIDTH - self.widening)
+        through, cancellous, cortical = (
+            min(cells, max(1.0, width / length))
+            for cells, width, length in zip(most, widths, mesh.least_through, strict=True)
+        )
+        layers = stem * (through + cortical + cancellous * open_)
+        layers += below * (through + cortical + cancellous * free)
+        # In neck and head cancellous bone is wide, cortical bone thin.
+        whole = 6.0 * around * (through + 0.2 * bone[0] + 0.8 * cancellous + 1.0)
+        return (stem + below) * core + 6.0 * around * layers, core, core + whole
+
+
+class OperatedHip(Hip):
+    """A proximal femur with a cemented stem."""
+
+    tissues: ClassVar[dict[str, str]] = {"stem": "implant", "cement": "cement", **OF_BONE}
+    boundary_names: ClassVar[tuple[str, ...]] = (
+        *("distal_cut", "bone_surface", "stem_trunnion"),
+        *MUSCLES,
+        "resection",
+    )
+    interface_sides: ClassVar[dict[str, Sides]] = {
+        "stem_cement": (("stem",), ("cement",)),
+        "cement_bone": (("cement",), BONE),
+    }
+
+    @property
+    def more_room(self) -> tuple[str, str]:
+        """The key that says where the stem is, and what to change where it has no room."""
+        raise NotImplementedError
+
+    @property
+    def mantles(self) -> tuple[Mantle, ...]:
+        """The mantle around the stem, with a plug around its end."""
+        implant = self.implant
+        end = [0.0, 0.0, implant.tip_z + implant.tip_height]
+        tip = float(self.placement.to_model(end)[2]) + HALF_TIP * self.placement.tilt
+        return (Mantle(spread(self.cement_thickness)[1], tip),)
+
+    @property
+    def interface_area(self) -> float:
+        """Approximate area of both interfaces (mm2): the stem's flanks and their offset."""
+        half, depth, _ = self._section()
+        length = self.implant.length
+        flanks = 3.25 * (half + depth) * length
+        return 2.0 * flanks + 2.0 * math.pi * spread(self.cement_thickness)[1] * length
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra, to 12 %."""
+        cells, core, _ = self._cells(mesh)
+        implant = self.implant
+        length = implant.head_offset / math.sin(implant.neck_angle)
+        above = mesh.steps(0.4 * length) + 1 + mesh.steps(0.6 * length)
+        return round(cells + above * core)
