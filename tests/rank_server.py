@@ -61,7 +61,8 @@ def main(folder: Path) -> None:
             time.sleep(PAUSE)
         for descriptor, name in ((1, "out"), (2, "err")):
             redirect(order.with_suffix(f".{name}"), descriptor)
-        if not (arguments := json.loads(order.read_text())):
+        arguments = json.loads(order.read_text())
+        if not arguments:
             return
         code = run(arguments)
         for stream in (sys.stdout, sys.stderr):

@@ -22,7 +22,8 @@ from ruamel.yaml import YAML
 
 HERE, CASE, OUTPUT = (Path(sys.argv[i]) for i in (1, 2, 4))
 DATA = YAML(typ="safe").load(CASE.read_text())
-LAW, PATIENCE = "lower_upper", 60.0
+LAW = "lower_upper"  # interface of the case
+PATIENCE = 60.0  # s
 
 
 def told(name: str) -> str:

@@ -206,7 +206,8 @@ def made(tmp_path: Path, mmdebstrap: str, *arguments: str) -> tuple[Path, str]:
 
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root sets up a tree")
-MS_BIND, MNT_DETACH = 4096, 2
+MS_BIND = 4096
+MNT_DETACH = 2
 UNMOUNT = "import ctypes, sys; sys.exit(ctypes.CDLL(None).umount2(sys.argv[1].encode(), 2))"
 EMPTY_TREE = 'mkdir -p "$TARGET/etc" "$TARGET/mnt"\n'
 # As mmdebstrap keeps the options of apt and the archives.

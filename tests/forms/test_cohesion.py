@@ -15,7 +15,12 @@ from app.mechanics.contact_law import PointForces, PointLaw
 from app.mechanics.contact_points import ContactState, OwnPoints
 from app.system.timing import Timing
 
-K, N, S, G_I, G_II, ETA = 1e4, 2.0, 4.0, 0.1, 0.5, 2.0
+K = 1e4  # stiffness [MPa/mm]
+N = 2.0  # tensile strength [MPa]
+S = 4.0  # shear strength [MPa]
+G_I = 0.1  # energy in tension [N/mm]
+G_II = 0.5  # energy in shear [N/mm]
+ETA = 2.0  # exponent of the mixture
 HISTORY: dict[str, tuple[int, ...]] = {"damage": (), "spent": ()}
 
 

@@ -140,7 +140,8 @@ def test_two_bars_with_resistance(h: float) -> None:
         assert T == pytest.approx(line(x[:, 2]), abs=1e-9)
     assert s.flows["hot"] == pytest.approx(4 * q, rel=1e-9)
     assert s.flows["cold"] == pytest.approx(-4 * q, rel=1e-9)
-    if (j := s.operators.jumps) is not None:
+    j = s.operators.jumps
+    if j is not None:
         # From bone, the master, to cement.
         assert j.flux(s.x[1].array)[0] == pytest.approx(-q, rel=1e-8)
     if h == 300.0:

@@ -15,7 +15,8 @@ from tests import support
 from tests.cases.turning_head import COCR, CUP, DRIVEN, FORCE, FRICTION, R, solve, stages
 
 SOFT = "regions.head={youngs_modulus: 1 GPa, poisson_ratio: 0.4}"
-SIDE, HEIGHT = 12, 6  # mm
+SIDE = 12  # of each block [mm]
+HEIGHT = 6  # of each block [mm]
 STACK = """
 geometry: {kind: file, path: stack.msh, interfaces: {joint: [lower, upper]}}
 mesh: {order: 1, size: 1 m}

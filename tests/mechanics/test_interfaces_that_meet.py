@@ -21,7 +21,9 @@ from meshes.data import MeshData, interface_facets
 from tests import support
 from tests.cases.blocks import box
 
-MODULUS, POISSON, PRESSURE = 700.0, 0.25, 3.0  # MPa, -, MPa
+MODULUS = 700.0  # MPa
+POISSON = 0.25
+PRESSURE = 3.0  # MPa
 
 
 # Blocks of a box 4 x 3 x 4 mm by the centres of cells.

@@ -107,7 +107,8 @@ def test_gap_and_normals_are_those_of_the_surface(
     """Normals of a sphere to rounding, those of a surface of degree 4 within 0.2 degrees."""
     errors, (x, normals) = [], bent(V, bend)
     for n in (500, 2000, 8000):
-        nodes, exact = bent((of := sphere(n)).x / R, bend)
+        of = sphere(n)
+        nodes, exact = bent(of.x / R, bend)
         body = SmoothSurface(nodes, of.triangles, exact[of.triangles].mean(axis=1))
         off = np.linalg.norm(np.cross(body.normals, exact), axis=1).max()
         found = [(g, *body.gap(x + g * normals)) for g in (-0.05, 0.0, 0.1)]

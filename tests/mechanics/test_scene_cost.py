@@ -202,7 +202,8 @@ def bill(interface: str, elastic: bool = True, heated: bool = True, expands: boo
 
 
 # Stiffness and pressure; contact uses the same stiffness beside the interface.
-FORMS, SWELLING = 2, 2
+FORMS = 2
+SWELLING = 2
 # Of each region: conduction, and the volumes for which its nodes stand.
 CONDUCTION = 4
 

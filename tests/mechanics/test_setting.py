@@ -20,7 +20,8 @@ from tests.cases.heated import (
     setting,
 )
 
-E, α_T = 2200.0, 8e-5
+E = 2200.0  # Young's modulus [MPa]
+α_T = 8e-5  # thermal expansion [1/K]
 GRADED = ("regions.cement.youngs_modulus=[[0 mm, 1 GPa], [1 mm, 3 GPa]]",)
 
 

@@ -147,7 +147,8 @@ def inside(surface: BoneSurface, x: Floats, y: Floats, z: Floats) -> Bools:
         j, k = (np.arange(*np.searchsorted(g, (low[i], high[i]))) for i, g in ((1, y), (2, z)))
         u, v = np.meshgrid(y[j] - a[1], z[k] - a[2], indexing="ij")
         (p, q), (r, s) = (b - a)[1:], (c - a)[1:]
-        if not u.size or not (area := p * s - q * r):
+        area = p * s - q * r
+        if not u.size or not area:
             continue
         one, two = (u * s - v * r) / area, (v * p - u * q) / area
         met = (one >= 0) & (two >= 0) & (one + two <= 1)

@@ -18,7 +18,9 @@ from app.case.geometries import MeshFile, MeshOptions
 from meshes.data import MeshData, boundary_areas, region_volumes
 
 # The box is 3 x 4 x 7 mm, bone to z = 5 mm.
-X, Y, LEVELS = 3.0, 4.0, (0.0, 5.0, 7.0)
+X = 3.0
+Y = 4.0
+LEVELS = (0.0, 5.0, 7.0)
 BOTTOM, JOINT, TOP = LEVELS
 AREA = X * Y
 VOLUMES = {"bone": AREA * JOINT, "cement": AREA * (TOP - JOINT)}

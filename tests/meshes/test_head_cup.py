@@ -23,7 +23,11 @@ from tests.support import digest
 
 LINER = {"head_diameter": "28 mm", "radial_clearance": "0.1 mm", "liner_thickness": "8 mm"}
 CUP = HeadCup(**LINER, shell_thickness="4 mm")
-R, INNER, OUTER, SHELL = 14.0, 14.1, 22.1, 26.1
+# Radii of head, bore of the liner, its outside, and the outside of the shell [mm].
+R = 14.0
+INNER = 14.1
+OUTER = 22.1
+SHELL = 26.1
 
 
 def mesh(size: float, geometry: HeadCup = CUP, order: int = 2) -> MeshData:

@@ -19,8 +19,10 @@ from tests import support
 from tests.meshes.bones import inside, own, own_canal, slices, write
 from tests.meshes.patients import as_own, made
 
-VOXEL, LOW = 0.5, -205.0  # mm; the scan ends in the shaft
-SLOPE, OFFSET = 0.0008, 0.004  # g/cm3 of a phantom
+VOXEL = 0.5  # mm
+LOW = -205.0  # mm: the scan ends in the shaft
+SLOPE = 0.0008  # of a phantom, per CT number [g/cm3]
+OFFSET = 0.004  # of a phantom [g/cm3]
 DENSITY = {
     "density": "ct.npz",
     "calibration": {"slope": f"{SLOPE} g/cm^3", "offset": f"{OFFSET} g/cm^3"},
@@ -31,7 +33,9 @@ LABELS = (
     {"image": "labels.npz", "label": 1},
     {"image": "labels.npz", "label": 2, "ream": "broach"},
 )
-BESIDE, MARROW, NOISE = 40.0, -50.0, 20.0  # CT numbers beside and in the bone; their spread
+BESIDE = 40.0  # CT number beside the bone
+MARROW = -50.0  # CT number in its canal
+NOISE = 20.0  # spread of CT numbers
 
 
 def density(z: Any) -> Any:

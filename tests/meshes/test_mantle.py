@@ -17,7 +17,9 @@ from meshes import mantle
 from meshes.data import MeshData
 from meshes.gruen import Zones
 
-INNER, THICKNESS, LENGTH = 7.0, 4.0, 20.0
+INNER = 7.0  # radius of the stem [mm]
+THICKNESS = 4.0  # of the cement [mm]
+LENGTH = 20.0  # mm
 ROD = Cylinders(
     stem_radius=f"{INNER} mm",
     cement_thickness=f"{THICKNESS} mm",

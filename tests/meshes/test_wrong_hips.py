@@ -19,7 +19,8 @@ from app.foundation.arrays import Floats
 from meshes.bone_surface import BoneSurface
 from tests.meshes.bones import moved, opened, own, own_canal, slices, tube, write
 
-EYE, ZERO = np.eye(3), np.zeros(3)
+EYE = np.eye(3)
+ZERO = np.zeros(3)
 PLACE = r"\(-?\d+, -?\d+, -?\d+\) mm"
 
 

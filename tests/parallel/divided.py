@@ -36,7 +36,8 @@ def board(data: MeshData, ranks: int) -> Ints:
     x = data.points[data.cells[:, :4]].mean(axis=1)
     edge = np.ptp(x, axis=0).min() / 3.5
     owner = np.floor((x - x.min(axis=0)) / edge).astype(int).sum(axis=1) % ranks
-    if len(pairs := between(data)):
+    pairs = between(data)
+    if len(pairs):
         assert len(set(owner[pairs[:, 0]])) == ranks, "not all have a part of the interfaces"
         assert (owner[pairs[:, 0]] != owner[pairs[:, 1]]).any()
     return np.asarray(owner)

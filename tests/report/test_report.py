@@ -204,7 +204,8 @@ def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
     for name, words in rows:
         assert name.startswith("thickness: ")
         assert words == ["+1.00 taper", "+0.00 length"]
-    for case in (cases := rs.read(maker.folder).cases):  # the same without numbers
+    cases = rs.read(maker.folder).cases
+    for case in cases:  # the same without numbers
         case.overrides["geometry.taper"] = {"kind": case.overrides["geometry.taper"]}
     assert sweep_figures.sensitivity(cases)[1][0][1] == ["+1.00 taper", "+0.00 length"]
     # With one key alone a curve says it.

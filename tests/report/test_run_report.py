@@ -160,7 +160,8 @@ def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
     assert "half of the main numbers are known to 50 % or better, the least sure are" in html
 
 
-MODULUS, FRICTION = "regions.bone.youngs_modulus", "interfaces.stem_cement.friction_coefficient"
+MODULUS = "regions.bone.youngs_modulus"
+FRICTION = "interfaces.stem_cement.friction_coefficient"
 
 
 def samples(run: Path, folder: Path, number: int = 20, thickness: str = "4.0 mm") -> Path:

@@ -39,7 +39,8 @@ supports:
   grip: {kind: displacement, boundary: top, x: 0 mm, y: 0 mm, z: -0.01 mm, history: [1, -1]}
 stages: [{name: press}, {name: draw}]
 """
-ONCE, TWICE = "stages=[{name: a, increments: 2}]", "stages=[{name: a}, {name: b}]"
+ONCE = "stages=[{name: a, increments: 2}]"
+TWICE = "stages=[{name: a}, {name: b}]"
 OFF = "supports.grip={kind: displacement, boundary: top, x: 0.03 mm, y: -0.02 mm, z: 0.11 mm}"
 GRIP = "supports.grip={kind: displacement, boundary: top, x: 0 mm, y: 0 mm}"
 GAP = "interfaces.wall_rod.gap=0.05 mm"
@@ -185,7 +186,9 @@ def test_a_planted_fault_is_refused(what: str, fault: str, monkeypatch: pytest.M
 
 
 # Heat: one lump that cools by c T' = -k T, by the implicit trapezoidal rule and by backward Euler.
-C, K, STEP = 3.0, 0.7, 0.4
+C = 3.0  # heat capacity
+K = 0.7  # conductance to the air
+STEP = 0.4  # of time
 
 
 def cool(theta: float, steps: int, leak: float = 0.0) -> HeatBalance:

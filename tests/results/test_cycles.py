@@ -10,8 +10,10 @@ import pytest
 from app.results.cycles import sentences, trend
 from tests import support
 
-AREA, SPRING = 16.0, 2.0  # mm2, MPa/mm
-PRESS, FRICTION = 0.05, 0.4  # MPa: 1000 GPa times 2e-7 mm over the 4 mm of both
+AREA = 16.0  # mm2
+SPRING = 2.0  # MPa/mm
+PRESS = 0.05  # MPa: 1000 GPa times 2e-7 mm over the 4 mm of both
+FRICTION = 0.4
 CASE = f"""
 geometry: {{kind: blocks, blocks: [{{name: lower, size: [4 mm, 4 mm, 2 mm]}},
                                   {{name: upper, size: [4 mm, 4 mm, 2 mm]}}]}}

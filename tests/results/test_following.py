@@ -31,7 +31,10 @@ stages:
   - {name: set, duration: 600 s}
 output: {fields: false}
 """
-SHRINKAGE, GEL, FLOOR, POWER = 0.03, 0.4, 0.1, 2.0
+SHRINKAGE = 0.03  # by volume
+GEL = 0.4  # degree of cure at gelation
+FLOOR = 0.1  # part of the modulus at gelation
+POWER = 2.0  # exponent of the modulus
 SET = [
     f"""regions.{region}.thermal={{conductivity: 0.4 W/(m K), density: 1000 kg/m^3,
     specific_heat: 1500 J/(kg K), initial_temperature: 37 degC,

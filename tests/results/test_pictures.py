@@ -13,7 +13,10 @@ from app.plots import curves, figures, maps
 from app.report import pictures
 from app.results.reading import Run
 
-N, LAYERS, RADIUS, LENGTH = 12, 3, 5.0, 30.0
+N = 12  # nodes around the cylinder
+LAYERS = 3  # along it
+RADIUS = 5.0  # mm
+LENGTH = 30.0  # mm
 
 
 def cylinder(turn: float) -> tuple[Any, Any]:

@@ -248,7 +248,8 @@ def wrong(call: Callable[[], None], names: tuple[str, ...], seconds: float) -> s
 def search(numbers: range, attempt: Callable[[int], dict[str, Any]]) -> None:
     """Print what attempts with some numbers find, a line of JSON each, then how many they were."""
     for i in numbers:
-        if found := attempt(i):
+        found = attempt(i)
+        if found:
             print(json.dumps({"number": i, **found}), flush=True)
     print(json.dumps({"tried": len(numbers)}))
 

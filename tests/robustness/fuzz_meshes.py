@@ -132,7 +132,8 @@ def main(seed: str, first: int, last: int, folder: Path) -> None:
     case.write_text(CASE)
     for raw in files:
         mutant.write_bytes(raw)
-        assert not (told := read(case)), told
+        message = read(case)
+        assert not message, message
 
     def one(i: int) -> dict[str, Any]:
         rng = random.Random(f"{seed} {i}")

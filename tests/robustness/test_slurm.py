@@ -28,7 +28,8 @@ from tests import support
 pytestmark = pytest.mark.slow
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scontrol", "unshare")
 NAMESPACES = ("unshare", "-m", "-p", "-f", "--kill-child", "--propagation", "unchanged")
-RANKS, CASES = 2, 6
+RANKS = 2
+CASES = 6
 PATIENCE = 240.0  # s
 
 CONFIGURATION = """\

@@ -14,11 +14,16 @@ from app.campaigns.work_precision import fitted_order
 from tests.cases import coupled
 from tests.support import difference
 
-OPEN, STICK, SLIP = 0, 1, 2
+# States of a point.
+OPEN = 0
+STICK = 1
+SLIP = 2
 # Of these units, of which rounding leaves LITTLE in the remainder.
 SIZES = {"temperature": 1.0, "temperature_jump": 1.0, "displacement": 1e-5, "jump": 1e-5}
-STEPS, LITTLE = (1e-1, 1e-2), 1e-5
-HEAT, MOTION = ("temperature", "temperature_jump"), ("displacement", "jump")
+STEPS = (1e-1, 1e-2)
+LITTLE = 1e-5
+HEAT = ("temperature", "temperature_jump")
+MOTION = ("displacement", "jump")
 
 INTERFACE = "interfaces.lower_upper"
 PRESSED = "conductance: {kind: pressure, open: 50 W/(m^2 K), per_pressure: 400 W/(m^2 K MPa)}"

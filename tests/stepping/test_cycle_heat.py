@@ -69,7 +69,8 @@ def test_without_a_course_what_touches_conducts(tmp_path: Path) -> None:
     rub = "interfaces.bearing={kind: contact, friction_coefficient: 0, sliding: finite}"
     changes = heated((1e6, 1e6), PRESSED, rub, still, stages)
     found = support.run(CASE, tmp_path, *changes, warm)
-    liner = areas(run := Run(found.folder), "liner")
+    run = Run(found.folder)
+    liner = areas(run, "liner")
     volume = float(run.volumes()[run.region == run.regions["head"]].sum())
     pressed = float(liner @ run.on_points("bearing_pressure"))
     assert pressed > LOAD
@@ -92,7 +93,8 @@ def test_a_ball_that_spins_is_as_warm_all_around(tmp_path: Path) -> None:
     T, first = run.on_points("temperature"), []
     for region, radius in (("head", RADIUS), ("liner", RADIUS + 0.1)):
         nodes = run.nodes_of(run.regions[region])
-        x, y, z = (v := run.points[nodes])[:, 0], v[:, 1], v[:, 2]
+        v = run.points[nodes]
+        x, y, z = v.T
         polar, round_z = np.degrees(np.arctan2(np.hypot(x, y), z)), np.arctan2(y, x)
         ring = (np.abs(np.linalg.norm(v, axis=1) - radius) < 1e-3) & (np.abs(polar - 45) < 20)
         parts = [polar**k for k in range(5)] + [np.cos(round_z), np.sin(round_z)]
