@@ -41,7 +41,7 @@ GRACE = 1.0
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command, that of the process by default, and return its exit code."""
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # Paths can hold what is no text.
+        # Paths may contain undecodable bytes.
         sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
     if "_ARGCOMPLETE" in os.environ:
         import argcomplete
@@ -85,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _leave(error: MantleError) -> int:
-    """Print an error once, and exit with all ranks; ranks that do not come too are ended."""
+    """Print an error once and exit with all ranks. Ranks that do not reach this are ended."""
     if rank() == 0:
         print(painted(error, "bad", sys.stderr), file=sys.stderr, flush=True)
     else:

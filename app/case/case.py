@@ -54,7 +54,7 @@ class Case(Section):
     question: Text = ""
     """The question of interest, for `mantle report --evidence`."""
     context_of_use: Text = ""
-    """What the answer is used for, and how much hangs on it."""
+    """Use of the answer, and how much depends on it."""
     geometry: Geometry
     """Bodies, interfaces and boundaries."""
     side: Literal["left", "right"] = "left"
@@ -70,7 +70,7 @@ class Case(Section):
     supports: Annotated[dict[Name, AnySupport], MAPPING] = Field(default_factory=dict)
     """Supports of the bodies."""
     motions: Annotated[dict[Name, Motion], MAPPING] = Field(default_factory=dict)
-    """Regions that turn far, by a course through each cycle of the last stage."""
+    """Regions that rotate far, by a course through each cycle of the last stage."""
     loads: Annotated[dict[Name, AnyLoad], MAPPING] = Field(
         default_factory=dict,
         json_schema_extra={"properties": LIBRARY_KEYS},
@@ -85,13 +85,13 @@ class Case(Section):
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)
     """The loading history."""
     remodelling: Remodelling | None = None
-    """How bone follows its load in the stages that remodel it."""
+    """Response of bone to its load in the stages that remodel it."""
     time: TimeOptions | None = None
-    """How stages that take time are divided into steps; only where there is heat."""
+    """Division of stages that take time into steps; only if there is heat."""
     fatigue: Fatigue | None = None
     """Damage by a spectrum of activities; by default none."""
     solver: SolverOptions = SolverOptions()
-    """How the equations are solved."""
+    """Options of the solver."""
     output: OutputOptions = OutputOptions()
     """Results that are written."""
     variations: Variations = Field(default_factory=dict)
@@ -130,7 +130,7 @@ class Case(Section):
 
     @property
     def conducts(self) -> bool:
-        """Whether heat is solved."""
+        """Return True if heat is solved."""
         return any(region.thermal is not None for region in self.regions.values())
 
     @property

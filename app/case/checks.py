@@ -17,7 +17,7 @@ from app.laws.materials import Conductor, Elastic, Rigid
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
-# What a stage with courses does not do besides, and why.
+# Keys that a stage with courses cannot have, and why.
 UNLIKE_COURSES = {
     "creep_cycles": "needs loads that stay",
     "creep_time": "needs loads that stay",
@@ -317,7 +317,7 @@ def _creep(case: Any) -> Iterable[Fault]:
 
 @check("geometry")
 def _sliding(case: Any) -> Iterable[Fault]:
-    """What slides far without two boundaries, moves twice, follows no motion, or takes time."""
+    """Finite sliding without two boundaries, parts that move twice, courses without a stage."""
     whole = [(("motions", n, "region"), m.region) for _, n, m in _entries(case, "motions")]
     laws, far = {name: law for _, name, law in _entries(case, "interfaces")}, set[str]()
     for name, law in laws.items():

@@ -19,34 +19,35 @@ class Stage(Section):
     name: Name
     """Name in the results."""
     increments: units.PositiveInteger = 1
-    """Number of load steps, before any is halved; of a stage that takes time, number of equal parts
-    after each of which the mechanics are solved and fields are written."""
+    """Number of load steps, before any is halved. In a stage that takes time: number of equal
+    parts; after each of them the mechanics are solved and fields are written."""
     adaptive: Truth = True
-    """Whether a step that does not converge is halved, and grows again when it is easy, and whether
-    time steps are chosen by their error instead of being equal."""
+    """Halve a step that does not converge, let it grow again when it is easy, and choose time steps
+    by their error. Without it all steps are equal."""
     max_cut_backs: units.NonNegativeInteger = 6
-    """How often in a row a step may be halved."""
+    """Largest number of halvings of a step in a row."""
     duration: units.PositiveTime | None = None
-    """Time that the stage takes; by default none, and temperatures stay as they are."""
+    """Time that the stage takes. By default it takes none, and temperatures stay as they are."""
     steady: Truth = False
-    """Whether the stage goes to the steady state of the temperature."""
+    """Go to the steady state of the temperature."""
     fracture_step: units.FractureEnergy | None = None
-    """Energy that the damage of interfaces may use up in a load step. Where a step would use more,
-    the load is found for which it uses that; it may fall. By default steps follow the load."""
+    """Energy that the damage of interfaces may dissipate in a load step. If a step would dissipate
+    more, the load is sought at which it dissipates this energy; the load may fall. By default steps
+    follow the load."""
     cycles: units.PositiveInteger = 1
-    """How often loads, gaps and supports reach their values of the end of the stage. Between, they
-    go back to `valley`; `increments` are those of each way. In the last stage without a duration,
-    through which courses run: how often those are repeated; nothing goes back, and `increments` are
-    those of a cycle."""
+    """Number of times that loads, gaps and supports reach their values of the end of the stage. In
+    between they return to `valley`; `increments` are those of each segment. In the last stage
+    without a duration, through which courses run: number of repetitions of the courses. There
+    nothing returns, and `increments` are those of a cycle."""
     valley: units.Share = 0.1
-    """What is left between two cycles of the change that the stage brings."""
+    """Part of the change of the stage that remains between two cycles."""
     remodels: units.PositiveTime | None = None
-    """Time in which bone remodels under the load cases of `remodelling`; its steps are chosen by
-    their error, and fields are written at the end of each of `increments` equal parts."""
+    """Time in which bone remodels under the load cases of `remodelling`. Its steps are chosen by
+    their error. Fields are written at the end of each of `increments` equal parts."""
 
     creep_cycles: units.PositiveNumber | None = None
-    """Cycles for which regions creep, at the loads of the end of the stage, their peak. Loads come
-    first, in `increments` and without creep; temperatures stay."""
+    """Number of cycles for which regions creep, at the loads of the end of the stage, their peak.
+    Loads are applied first, in `increments` and without creep. Temperatures stay."""
     creep_time: units.PositiveTime | None = None
     """The same in time, for laws of creep in a unit of time."""
     creep_tolerance: units.PositiveNumber = 1e-2
@@ -56,7 +57,7 @@ class Stage(Section):
 
     @property
     def repeats(self) -> bool:
-        """Whether courses run through it."""
+        """Return True if courses run through the stage."""
         return self._repeats
 
     def repeating(self) -> Stage:
@@ -94,21 +95,21 @@ class Stage(Section):
 
     @property
     def loaded(self) -> float:
-        """Part of the stage after which its loads are there: creep is in the rest."""
+        """Part of the stage in which its loads are applied: creep is in the rest."""
         return 0.5 if self.creep else 1.0
 
     @property
     def ways(self) -> int:
-        """How often loads turn, and the way to the end; of courses, their cycles."""
+        """Number of monotonic load segments in the stage; of courses, the number of cycles."""
         return self.cycles if self._repeats else 2 * self.cycles - 1
 
     def turn(self, time: float) -> int:
-        """Which turn of the loads comes at a time, 1 at the first peak, or 0: none."""
+        """Number of the load reversal at a time: 1 at the first peak, 0 if there is none."""
         way = self.ways * (time - math.ceil(time) + 1)
         return round(way) if abs(way - round(way)) < 1e-6 else 0
 
     def reached(self, part: float) -> float:
-        """How much of the stage's change is there after a part of it: 1 at the end and at peaks."""
+        """Part of the change applied after a part of the stage: 1 at the end and at peaks."""
         if self._repeats:
             return part
         way = min(int(self.ways * part), self.ways - 1)
@@ -123,7 +124,7 @@ class Stage(Section):
 
     @property
     def takes_time(self) -> bool:
-        """Whether heat flows in the stage."""
+        """Return True if heat flows in the stage."""
         return self.steady or self.duration is not None
 
 
@@ -139,25 +140,25 @@ def _petsc(value: dict[str, Any]) -> object:
 
 
 class SolverOptions(Section):
-    """How the equations are solved."""
+    """Options of the solver."""
 
     tolerance: units.PositiveNumber = 1e-10
     """Residual relative to the scale of the forces at which a step has converged."""
     max_iterations: units.PositiveInteger = 40
     """Largest number of Newton iterations in a step."""
     linear: Literal["auto", "direct", "multigrid", "condensed"] = "auto"
-    """Linear solver: factors, multigrid, or the bodies condensed onto the jumps of contact; `auto`
-    takes what is foreseen to be fastest."""
+    """Linear solver: factors, multigrid, or the bodies condensed onto the jumps of contact. `auto`
+    takes the one that is expected to be fastest."""
     petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc), MAPPING] = Field(
         default_factory=dict
     )
     """Raw PETSc options, without the leading dash."""
     augmentation_factor: units.PositiveNumber = USUAL_AUGMENTATION
-    """Augmentation r over the stiffness per area that a point meets, where r is not given."""
+    """Augmentation r over the local stiffness per area at a point, where r is not given."""
 
 
 class TimeOptions(Section):
-    """How stages that take time are divided into steps."""
+    """Division of stages that take time into steps."""
 
     method: Literal["sdirk4", "backward_euler"] = "sdirk4"
     """Time integrator; both are L-stable, of order 4 and 1."""
@@ -166,7 +167,7 @@ class TimeOptions(Section):
     first_step: units.PositiveTime | None = None
     """First time step of a stage; chosen by mantle by default."""
     mechanical_step: units.PositiveDifference = 5.0
-    """Change of temperature after which the mechanics are solved again; cure counts as the
+    """Change of temperature after which the mechanics are solved again. Cure counts as the
     temperature that it releases."""
 
 
@@ -178,7 +179,7 @@ class Probe(Section):
     at: Point
     """Position."""
     region: Name | None = None
-    """Region it belongs to, where two meet."""
+    """Region of the point, if it is where two meet."""
 
     @model_validator(mode="before")
     @classmethod
@@ -187,32 +188,32 @@ class Probe(Section):
 
 
 class CheckpointOptions(Section):
-    """When the state of a run is saved; at a signal and at `--walltime` it always is."""
+    """Times at which the state of a run is saved; at a signal and at `--walltime` it always is."""
 
     steps: units.PositiveInteger | None = None
     """Number of steps between two checkpoints."""
     minutes: units.PositiveNumber | None = 1.0
-    """Minutes between two checkpoints; saved after the step that passes them. Those of a run that
-    ends well are removed, unless this section asks for some."""
+    """Minutes between two checkpoints. The state is saved after the step that passes them.
+    Checkpoints of a run that ends well are removed, unless this section asks for some."""
 
 
 class OutputOptions(Section):
     """Results that are written."""
 
     fields: Truth = True
-    """Whether field files are written."""
+    """Write field files."""
     every: units.PositiveInteger = 1
     """Steps between two field outputs; the last step is always written."""
     condition: Truth = False
-    """Whether the condition number of the last Jacobian is estimated, which factorizes it."""
+    """Estimate the condition number of the last Jacobian, which is factorized for it."""
     error: Truth = False
-    """Whether the error of each number is estimated, by coarser companions of the run."""
+    """Estimate the error of each number by coarser companions of the run."""
     accuracy: units.PositivePart | None = None
-    """Largest error, such as 5 %, of p99 of gap, slip and motion, p95 of pressure and shear: cheap
-    runs choose mesh size and order for it, within the limits of memory and `--walltime`."""
+    """Largest error, such as 5 %, of p99 of gap, slip and motion and of p95 of pressure and shear.
+    Cheap runs choose mesh size and order for it, within the limits of memory and `--walltime`."""
     report: Truth = True
-    """Whether `report.html` is written at the end: the results as a page."""
+    """Write `report.html` at the end: the results as a page."""
     checkpoint: CheckpointOptions = CheckpointOptions()
-    """When the state is saved for `--restart`."""
+    """Times at which the state is saved for `--restart`."""
     probes: Annotated[dict[Name, Probe], MAPPING] = Field(default_factory=dict)
     """Points whose displacement and temperature are recorded over time."""

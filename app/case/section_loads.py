@@ -1,4 +1,4 @@
-"""Section loads of a femur: what the loads above a cut across the shaft transmit through it."""
+"""Section loads of a femur: force and moment that a cut across the shaft transmits."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KNEE = -350.0
 
 @dataclass(frozen=True)
 class SectionLoad:
-    """What acts on the femur above a level, by loads that name their point.
+    """Resultant of the loads on the femur above a level; only of loads that name their point.
 
     Attributes:
         z: The level [mm].

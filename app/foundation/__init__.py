@@ -1,4 +1,4 @@
-"""What every package may import: errors, array types, files, output of libraries.
+"""Modules that every package may import: errors, array types, files, output of libraries.
 
 It imports nothing of the program. Begin with `errors`.
 """

@@ -13,12 +13,13 @@ import numpy as np
 
 from app.foundation.errors import GeometryError
 
+# Longest time that a reader may take [s].
 SECONDS = 3600
 _SERVE = "from {0} import {1}; from meshes.gmsh_child import serve; serve({1}, {2})"
 
 
 def ask(reader: str, request: Mapping[str, Any], folder: str) -> dict[str, Any]:
-    """Answer of a reader, ``module:function``, in a folder with its files: arrays by name.
+    """Run a reader, ``module:function``, in a folder with its files. Return arrays by name.
 
     Raises:
         GeometryError: It refuses ``request["path"]``, crashes or is stopped.
@@ -40,7 +41,7 @@ def ask(reader: str, request: Mapping[str, Any], folder: str) -> dict[str, Any]:
         ) from error
     # No pickle: a file may have forged the answer.
     with np.load(io.BytesIO(answer), allow_pickle=False) as arrays:
-        found = dict(arrays)
-    if "error" in found:
-        raise GeometryError(str(found["error"]))
-    return found
+        data = dict(arrays)
+    if "error" in data:
+        raise GeometryError(str(data["error"]))
+    return data

@@ -15,7 +15,7 @@ from app.foundation.verdict import Verdict, story
 
 T = TypeVar("T")
 
-# How long to wait for ranks that met no error to come too [s].
+# Time to wait for ranks without an error [s].
 PATIENCE = 5.0
 
 
@@ -114,10 +114,16 @@ def stack_needed(petsc: bool = True) -> Iterator[None]:
         ) from error
 
 
+# Packages of the program.
 OWN = ("app", "configs", "forms", "mantle", "meshes")
+# Errors with an exit code of their own.
 KINDS = (
-    *(InputError, GeometryError, ConvergenceError),
-    *(StoppedError, UnusableError, EnvironmentProblem),
+    InputError,
+    GeometryError,
+    ConvergenceError,
+    StoppedError,
+    UnusableError,
+    EnvironmentProblem,
 )
 
 
@@ -129,8 +135,9 @@ def gravest(codes: Iterable[int], message: str) -> MantleError:
 
 
 def together(comm: Any) -> bool:
-    """Whether all ranks call this within a timeout; ranks without an error wait elsewhere."""
-    here, end = comm.Ibarrier(), time.monotonic() + PATIENCE
+    """Return True if all ranks call this in time; ranks without an error wait elsewhere."""
+    here = comm.Ibarrier()
+    end = time.monotonic() + PATIENCE
     while not here.Test():
         if time.monotonic() > end:
             return False
@@ -149,15 +156,15 @@ def agree(comm: Any, error: MantleError) -> None:
 
 
 def everywhere(comm: Any, action: Callable[[], T]) -> T:
-    """Call an action on every rank, not collective; an error on one is raised on all."""
+    """Run a local action on every rank (collective). If it fails on one rank, raise on all."""
     error = None
     try:
         result = action()
     except Exception as caught:  # of any kind: the other ranks wait
         error = caught
-    for found in comm.allgather(error):
-        if found is not None:
-            raise error or found
+    for other in comm.allgather(error):
+        if other is not None:
+            raise error or other
     return result
 
 

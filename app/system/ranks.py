@@ -40,14 +40,17 @@ ONE_NODE = {
 _RULE = b"-" * 74 + b"\n"
 _BANNER = re.compile(rb"-{74}\s+(prterun|mpirun|MPI_ABORT) ")
 # Banners that repeat the application's message, and messages of a job manager that closes down.
+# Open MPI 5.0.7 has no option to be quiet: it refuses --quiet and ignores prte_execute_quiet.
 _REPEATED = re.compile(
     rb"exited with non-zero status|MPI_ABORT was invoked|calling\s\"abort\""
     rb"|PMIX ERROR: PMIX_ERR_UNREACH|^Abort is in progress|^\[warn\] Epoll "
 )
 _ENDED = re.compile(rb"exited on\ssignal")
 _PR_SET_PDEATHSIG = 1
-_CRASHED = 59  # exit code of PETSc after a signal such as SIGSEGV, which it has reported
-SAME_SIGNAL = 1.0  # s
+# Exit code of PETSc after a signal such as SIGSEGV, which it has reported.
+_CRASHED = 59
+# Time in which a second signal counts as the first one, arrived twice [s].
+SAME_SIGNAL = 1.0
 NOT_SAVED = (
     "stopped before the state was saved; --restart auto goes on from an earlier checkpoint, if any"
 )
@@ -65,8 +68,8 @@ def world_size(environ: Mapping[str, str] = os.environ) -> int | None:
 
 def rank(environ: Mapping[str, str] = os.environ) -> int:
     """MPI rank of this process, also before MPI starts; 0 if unknown."""
-    told = (environ.get(name, "") for name in RANK_VARIABLES)
-    return next((int(value) for value in told if value.isdigit()), 0)
+    values = (environ.get(name, "") for name in RANK_VARIABLES)
+    return next((int(value) for value in values if value.isdigit()), 0)
 
 
 def environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
@@ -123,7 +126,8 @@ class _Stop:
 
     def __init__(self, child: subprocess.Popen[bytes]) -> None:
         self.received: list[int] = []
-        self._first, self._child = math.inf, child
+        self._first = math.inf
+        self._child = child
 
     def __call__(self, number: int, _frame: object) -> None:
         # One Ctrl-C may arrive twice: from the terminal and passed on by whatever started this.
@@ -177,7 +181,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
         code = child.wait()
         relay.join(timeout=2.0)
     if stop.received and (code < 0 or code == 1 or code > 128):
-        # The ranks did not listen yet, and there was nothing to save; or they were not let.
+        # The ranks had no signal handlers yet (nothing to save), or a second signal killed them.
         once = len(stop.received) == 1
         early = "stopped: no step had converged, nothing of this run is on disk"
         tell(early if once else NOT_SAVED)
