@@ -21,7 +21,7 @@ class Reason(StrEnum):
     LARGE_DISPLACEMENT = "large-displacement"
     """Displacements are no longer small, though everything is held."""
     NOT_UNIQUE = "not-unique"
-    """Friction exceeds what makes the answer one."""
+    """Friction is so high that the solution is not unique."""
     RIGID_CONTACT = "rigid-contact"
     """Neither side of an interface is elastic."""
     MISSING_PART = "missing-part"
