@@ -85,7 +85,8 @@ def _lead(names: Sequence[str], cases: Sequence[SweptCase], keys: Sequence[str])
     count = {True: 0, False: 0}  # by whether both errors are known
     found: dict[bool, list[tuple[float, str]]] = {True: [], False: []}
     for key in keys:
-        if (q := quantities.get(key)) and q.exact:
+        q = quantities.get(key)
+        if q and q.exact:
             continue
         a, *others = (case.number(key) for case in cases)
         for name, b in zip(names[1:], others, strict=True):
@@ -145,7 +146,8 @@ def _difference(a: Number | None, b: Number | None, key: str) -> str:
     part = f" ({100 * change / abs(a.value):+.1f} %)" if a.value else ""
     if error is None:
         return f"{Number(change)}{part}, errors unknown" if differs(a, b, key) else "0"
-    return f"{Number(change, error)}{part}" + ", within the errors" * (not differs(a, b, key))
+    text = f"{Number(change, error)}{part}"
+    return text if differs(a, b, key) else f"{text}, within the errors"
 
 
 def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:

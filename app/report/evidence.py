@@ -207,7 +207,8 @@ def _paragraphs(case: Case, summary: Mapping[str, Any], record: Mapping[str, Any
     order = case.mesh.order
     solver = summary["solver"]
     mantle = ""
-    if cement := summary.get("mantle", {}).get("thickness"):
+    cement = summary.get("mantle", {}).get("thickness")
+    if cement:
         mantle = (
             f" Its cement mantle is {cement['mean']:.2f} mm thick in the mean, "
             f"{cement['min']:.2f} mm at the least (nominal {cement['nominal']:g} mm)."

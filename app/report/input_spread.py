@@ -57,10 +57,12 @@ class InputSpread:
         ratios, causes = list[float](), Counter[str]()
         for section, owner, _ in numbers_of(run.summary):
             for key, q in TABLE[section].items():
-                if q.headline and q.order and (s := self.of(f"{owner}.{key}")):
+                spread = self.of(f"{owner}.{key}") if q.headline and q.order else None
+                if spread:
+                    low, high, cause = spread
                     n = run.number(f"{owner}.{key}")
-                    causes.update([s[2].rpartition(" (")[0]])
-                    ratios += [0.5 * (s[1] - s[0]) / n.error] if n and n.error else []
+                    causes.update([cause.rpartition(" (")[0]])
+                    ratios += [0.5 * (high - low) / n.error] if n and n.error else []
         del causes[""]
         most = "".join(f"; {c} matters most, to {k} of them" for c, k in causes.most_common(1))
         if not ratios:

@@ -94,17 +94,18 @@ def maps(
         if geometry:
             opened.append((title, run, geometry))
     for name in dict.fromkeys(name for *_, g in opened for name in g.interface_sides):
-        columns = [
-            (title, run, own)
-            for title, run, g in opened
-            if name in g.interface_sides
-            and (own := sheet(run, g.kind, g.interface_sides[name], g.region_names, name))
-        ]
+        columns = []
+        for title, run, g in opened:
+            if name in g.interface_sides:
+                own = sheet(run, g.kind, g.interface_sides[name], g.region_names, name)
+                if own:
+                    columns.append((title, run, own))
         if not columns:
             missing.append(f"no map of {name}: it does not surround a stem, and is no plane or cup")
             continue
         file = f"map_{name}.png"
-        if labels := draw(folder / file, columns, _rows(name, columns), suffixes):
+        labels = draw(folder / file, columns, _rows(name, columns), suffixes)
+        if labels:
             drawn.append(_figure(file, name, columns, labels))
     return drawn, missing
 
@@ -189,12 +190,14 @@ def sheet(
     """
     first, second = ([1 + regions.index(r) for r in side] for side in sides)
     triangles = facets(run, second, first)
-    if not len(triangles) and (apart := name and _side(run, name, outsides(run, curved=False))):
-        triangles = apart[1]
-        if (cup := spread(run.points[triangles])) is not None:
-            return Sheet(cup, triangles, False, True)
     if not len(triangles):
-        return None
+        apart = _side(run, name, outsides(run, curved=False)) if name else None
+        if not apart:
+            return None
+        triangles = apart[1]
+        cup = spread(run.points[triangles])
+        if cup is not None:
+            return Sheet(cup, triangles, False, True)
     if kind in ("femur", "patient", "cylinders"):
         corners, nodes = unroll(run.points, triangles)
         return Sheet(corners, nodes, True) if len(nodes) else None

@@ -38,9 +38,17 @@ from app.system.folders import CASE_PICTURE, write_text
 from app.system.layout import noted, plain
 from app.system.ranks import rank
 
-PAGE, PICTURES = "report.html", "report"
-# The part of a run's time that its page may take; the time of maps and of the view.
-SHARE, MAPS, VIEW = 0.03, 1.2, 0.3  # s
+# Name of the page in the folder of a run.
+PAGE = "report.html"
+# Folder of the pictures as files.
+PICTURES = "report"
+# Part of a run's time that its page may take.
+SHARE = 0.03
+# Time of the maps of the interfaces [s].
+MAPS = 1.2
+# Time of the view in three dimensions [s].
+VIEW = 0.3
+# Titles of the sections of a summary.
 TITLES = {
     "interfaces": "Interfaces",
     "regions": "Stresses",
@@ -173,16 +181,14 @@ def _run(
         files = curves.draw(folder / PICTURES / "curves.png", panels, 3) + files
     case_file = _text(folder / "case.yaml")
     verbatim: Blocks = [("verbatim", {"text": case_file})] if case_file else []
+    curves_over_time: Blocks = [("drawings", {"drawings": drawn})] if panels else []
+    under_tension: Blocks = [("drawings", {"drawings": stressed})] if stressed else []
     sections = [
         ("model", "Bodies, supports and loads", model),
         ("numbers", "Numbers", _numbers(summary, over)),
         ("sides", "From three sides", sides),
-        ("curves", "Over time", [("drawings", {"drawings": drawn})] if panels else []),
-        (
-            "tension",
-            "Cement under tension",
-            [("drawings", {"drawings": stressed})] * bool(stressed),
-        ),
+        ("curves", "Over time", curves_over_time),
+        ("tension", "Cement under tension", under_tension),
         ("maps", "Maps of the interfaces", maps),
         ("gruen", "Gruen zones", gruen.blocks([("", case)])),
         ("mantle", "Cement mantle", table(*gruen.mantles([case]))),
@@ -240,7 +246,7 @@ def _pictures(case: SweptCase, spent: float) -> tuple[Blocks, Blocks, list[Path]
         sides = pictures.sides(Run(case.folder), folder) if whole else []
         files = page.files((*sides, *maps), folder)
         blocks = [page.figures(found, folder) for found in (sides, maps)]
-    return blocks[0], blocks[1] + bullets(missing), files * whole
+    return blocks[0], blocks[1] + bullets(missing), files if whole else []
 
 
 def _view(folder: Path) -> tuple[str, list[str]]:
@@ -282,7 +288,8 @@ def _numbers(summary: dict[str, Any], spread: InputSpread | None) -> Blocks:
         found += page.titled(f"Cycles of {stage}", table(head, rows))
         found += bullets([*cycles.friction(own)])
     found += page.titled("Peaks that still change with the mesh", _unsettled(summary))
-    if note := summary.get("thermal", {}).get("note"):
+    note = summary.get("thermal", {}).get("note")
+    if note:
         found += bullets([note])
     return found
 
@@ -310,7 +317,8 @@ def _tables(summary: dict[str, Any], every: bool, spread: InputSpread | None = N
 
 
 def _label(q: Quantity) -> str:
-    return f"{q.label} ({unit})" if (unit := printed(q.shown)) else q.label
+    unit = printed(q.shown)
+    return f"{q.label} ({unit})" if unit else q.label
 
 
 def _unsettled(summary: dict[str, Any]) -> Blocks:
@@ -358,7 +366,8 @@ def _variations(folder: Path, share: float, comm: MPI.Comm) -> list[Path]:
     every = sweep_figures.headlines(cases)
     names = [n for n in every if not ((q := quantities.get(n)) and q.exact)]
     drawings = folder / PICTURES
-    if whole := share == math.inf:
+    whole = share == math.inf
+    if whole:
         drawings.mkdir(exist_ok=True)
     drawn, files = sweep_figures.multiples(cases, drawings if whole else None)
     sections = [

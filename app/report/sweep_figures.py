@@ -81,7 +81,8 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
             known = [f"{x:g}" for x in numbers if x is not None]
             numeric = len(known) == len(written)
             words = [*dict.fromkeys(known if numeric else map(value, written))]
-            if not numeric and len(words) < (number := len({*map(str, written)})):
+            number = len({*map(str, written)})
+            if not numeric and len(words) < number:
                 words = [f"{number} of {', '.join(words)}"]
             elif len(words) > MOST_LEVELS:
                 words = [f"{len(words)} levels from {words[0]} to {words[-1]}"]
@@ -90,7 +91,8 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
             heading = f"{title(key)} ({unit})" if numeric and unit else title(key)
             varied.append(f"{heading}: {', '.join(words)}")
         if varied:
-            found.append(f"{f'{part}: ' * bool(part)}{'; '.join(varied)}.")
+            of_part = f"{part}: " if part else ""
+            found.append(f"{of_part}{'; '.join(varied)}.")
     return found
 
 
@@ -192,7 +194,8 @@ def levels(cases: Sequence[SweptCase], key: str) -> tuple[str, list[float | None
     numbers = [magnitude(v) for v in values]
     matches = [NUMBER.fullmatch(str(v)) if v is not None else None for v in values]
     written = {match[2] for match in matches if match}
-    if len(written) == 1 and (unit := written.pop()):
+    unit = written.pop() if len(written) == 1 else None
+    if unit:
         return quantities.printed(unit), numbers
     kept = keys.unit(key)
     for k, match in enumerate(matches):
@@ -239,7 +242,8 @@ def sensitivity(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[Any]]]
             continue
         for name in headlines(own)[:MOST_NUMBERS]:
             y = [n.value for c in own if (n := c.number(name)) is not None]
-            if ((q := quantities.get(name)) and q.exact) or not _varies(y):
+            q = quantities.get(name)
+            if (q and q.exact) or not _varies(y):
                 continue
             ranks = {k: correlation(y, x) for k, x in varied.items() if len(y) == len(own)}
             known = [(r, title(key)) for key, r in ranks.items() if r is not None]

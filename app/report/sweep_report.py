@@ -16,7 +16,10 @@ from app.report.viewer import viewer
 from app.system.folders import remove, write_text
 from app.system.layout import duration, noted
 
-PAGE, PICTURES = "report.html", "report"
+# Name of the page in the folder of a sweep.
+PAGE = "report.html"
+# Folder of the pictures.
+PICTURES = "report"
 # Files that an earlier report may have left in the folder of pictures.
 OURS = ("over_*.*", "map_*.*", "shielding.*")
 
@@ -80,7 +83,8 @@ def _summary(sweep: SweepResults) -> list[str]:
     failed = [c.name for c in sweep.cases if not c.done]
     if failed:
         lines.append(f"Without results: {', '.join(failed)}. Why stands in the table of all cases.")
-    if warned := sum(bool(c.notes) for c in sweep.cases):
+    warned = sum(bool(c.notes) for c in sweep.cases)
+    if warned:
         lines.append(f"Notes were made of {warned} cases; they stand below the table of all cases.")
     return lines
 

@@ -20,27 +20,48 @@ if TYPE_CHECKING:
 # Measured on unstructured tetrahedral meshes: nodes and edges per cell.
 NODES_PER_CELL = 0.19
 EDGES_PER_CELL = 1.22
-# Cost of a run on one core (measured). Mechanics: seconds per unknown beside the solver, and of a
-# later load step beside the first.
+# Cost of a run on one core (measured): seconds per unknown of the mechanics, without the solver.
 PRICE = 6e-5
+# Time of a later load step as part of the first.
 LATER = 0.05
 # Part of the time of a Krylov method, which is that of several Newton steps, without contact.
 LINEAR = 0.25
-# Heat: seconds of a time step, and per temperature; time steps of a stage, and of cement that sets.
-TIME_STEP, HEAT, HEAT_STEPS, SETTING_STEPS = 0.05, 3e-5, 35, 95
-# Solves of a stage that creeps, and that remodels bone for each load case.
-CREEP, REMODELLING = 150, 60
-# Factors of runs with errors, of the mechanics and with heat;
-# seconds of start and page; of meshing, per cell.
-WITH_ERRORS, WITH_HEAT_ERRORS, START, MESHING = 1.25, 2.5, 2.6, 1e-4
-# Seconds of compiling forms, which are cached: of the mechanics, in addition with fibres, of heat.
-MECHANICAL_FORMS, FIBRE_FORMS, HEAT_FORMS = 5.0, 10.0, 2.0
+# Seconds of a time step of heat.
+TIME_STEP = 0.05
+# Seconds of a time step per temperature.
+HEAT = 3e-5
+# Time steps of a stage.
+HEAT_STEPS = 35
+# Time steps of a stage in which cement sets.
+SETTING_STEPS = 95
+# Solves of a stage that creeps.
+CREEP = 150
+# Solves of a stage that remodels bone, for each load case.
+REMODELLING = 60
+# Factor of a run with errors.
+WITH_ERRORS = 1.25
+# Factor of a run with heat and errors.
+WITH_HEAT_ERRORS = 2.5
+# Seconds of start and page.
+START = 2.6
+# Seconds of meshing per cell.
+MESHING = 1e-4
+# Seconds of compiling the forms of the mechanics, which are cached.
+MECHANICAL_FORMS = 5.0
+# Seconds of compiling in addition with fibres.
+FIBRE_FORMS = 10.0
+# Seconds of compiling the forms of heat.
+HEAT_FORMS = 2.0
 # Seconds of a phase per unknown, the first time; `phases`.
 ASSEMBLE = 3e-5
 FACTORIZE = 3e-5
 OUTPUT = 2e-5
-# Memory of a run in GB, without factors, and per unknown: condensed, and by a Krylov method.
-BASE, CONDENSED, MULTIGRID = 0.4, 2e-6, 5e-6
+# Memory of a run without factors [GB].
+BASE = 0.4
+# Memory per unknown of the condensed solution [GB].
+CONDENSED = 2e-6
+# Memory per unknown of a Krylov method [GB].
+MULTIGRID = 5e-6
 # Assumed size where it is not known.
 UNKNOWN_SIZE = 3e4
 
@@ -169,7 +190,8 @@ def solves(case: Case) -> tuple[int, int]:
         number = stage.increments * stage.ways
         steps += 0 if stage.duration else number * scene.turns(k, 1 / number)
     steps += CREEP * sum(1 for stage in case.stages if stage.creep)
-    if law := case.remodelling:
+    law = case.remodelling
+    if law:
         steps += REMODELLING * len(law.load_cases) * sum(1 for s in case.stages if s.remodels)
     if _proportional(case):
         steps -= case.stages[0].increments - 1  # the first step tells the others

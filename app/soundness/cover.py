@@ -93,12 +93,16 @@ class Cover:
         surface, and the size of a facet [mm].
         """
         contact = self._problem.contact
-        if contact is None or (large := contact.large) is None:
+        large = contact.large if contact else None
+        if contact is None or large is None:
             return
         places = large.places(contact.own.x * 0.0 + jump)
         for i, master in large.masters.items():
-            surface, facet, here = master.smooth, contact.edge_lengths[i], large.of == i
-            on, at, apart = surface.closest(x := places[here])
+            surface = master.smooth
+            facet = contact.edge_lengths[i]
+            here = large.of == i
+            x = places[here]
+            on, at, apart = surface.closest(x)
             beside = surface.beyond(x, on, at)
             beyond = np.where(beside > OFF * facet, beside, 0.0)
             yield self._problem.scene.contacts[i], large.rows[here], beyond, apart, facet

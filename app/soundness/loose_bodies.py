@@ -157,10 +157,14 @@ class BodiesOnMesh:
                     rows = (directions(s, self._found, nodes) @ modes).reshape(-1, 6)
                     held[self._of[piece]] += rows.T @ rows
             for m in self._case.motions.values():
-                shifts = self._modes(np.array([m.about]))[0] * (m.translation == "held")
-                rows = np.vstack([np.eye(6)[3:], shifts])
-                for i, found in enumerate(self._found.pieces):
-                    held[self._of[i]] += (found.region == m.region) * rows.T @ rows
+                rotations = np.eye(6)[3:]
+                given = rotations.T @ rotations
+                if m.translation == "held":
+                    shifts = self._modes(np.array([m.about]))[0]
+                    given = given + shifts.T @ shifts
+                for i, moved in enumerate(self._found.pieces):
+                    if moved.region == m.region:
+                        held[self._of[i]] += given
             values, vectors = np.linalg.eigh(held)
             free = values <= FREE * np.maximum(values[:, -1:], np.finfo(float).tiny)
             left = [np.kron(np.eye(n)[:, [b]], vectors[b][:, free[b]]) for b in range(n)]

@@ -17,19 +17,29 @@ from app.schema.yaml_file import CaseFile, Fault
 from app.soundness import cost
 from app.system.timing import peak_memory
 
-# Least memory of a run [byte]: in all, per unknown (measured: 6 kB) and per cell.
-BASE, PER_UNKNOWN, PER_CELL = 3e8, 4e3, 3e2
+# Least memory of any run [byte].
+BASE = 3e8
+# Least memory per unknown [byte] (measured: 6 kB).
+PER_UNKNOWN = 4e3
+# Least memory per cell [byte].
+PER_CELL = 3e2
 # Address space that libraries reserve without using it (measured: 0.5 GB); without it some of them
 # wait for ever.
 UNUSED = 6e8
 # Messages of libraries out of memory: C++, the system, CHOLMOD, MUMPS by PETSc.
 SAID = ("bad_alloc", "Cannot allocate memory", "Out of memory", "status -2", "INFOG(1)=-13")
-OUT_OF_MEMORY = 55  # of PETSc
-NEARLY = 0.9  # of what a process may have
+# PETSc's code of an error without memory.
+OUT_OF_MEMORY = 55
+# Part of the memory that a process may have from which on it is used up.
+NEARLY = 0.9
+# Bytes of a gigabyte.
 GIGABYTE = 1e9
-# The control groups of this process, and the root of their limits.
-OWN_GROUPS, GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-ABSURD = 1e4  # mm; a geometry that needs larger cells is itself wrong
+# The control groups of this process.
+OWN_GROUPS = Path("/proc/self/cgroup")
+# The root of the limits of control groups.
+GROUPS = Path("/sys/fs/cgroup")
+# Largest cells [mm]: a geometry that needs larger ones is itself wrong.
+ABSURD = 1e4
 
 
 def needed(case: Case) -> float:
@@ -124,7 +134,8 @@ def check(file: CaseFile, case: Case) -> None:
             f"there is too little memory for any case: {_limits()}; mantle alone takes "
             f"{BASE / GIGABYTE:.1f} GB, and {(BASE + UNUSED) / GIGABYTE:.1f} GB of addresses"
         )
-    if (least := needed(case)) <= memory:
+    least = needed(case)
+    if least <= memory:
         return
     cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.unknowns(case)
     text = (

@@ -55,7 +55,8 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     for name, region in case.regions.items():
         kind = "rigid" if isinstance(region, Rigid) else region.kind
         lines += [f"  {name}: {kind}", *_entries(region, given["regions"][name], 4)]
-        if image := getattr(region, "image", None):
+        image = getattr(region, "image", None)
+        if image:
             lines += [f"      {k}: {plain(v)}" for k, v in image.told(case.geometry).items()]
     lines += ["interfaces", *([] if case.interfaces else ["  none"])]
     for name, law in case.interfaces.items():
@@ -84,7 +85,8 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
         lines += ["time", *_entries(case.time, given.get("time"))]
     if case.output.probes:
         lines += ["probes", *_table(case.output.probes)]
-    if varied := case.variations:
+    varied = case.variations
+    if varied:
         lines.append(f"variations: {len(varied)} runs, and none of the case without them")
         lines += [f"  {n}: {plain(keys) or 'the case as it is'}" for n, keys in varied.items()]
     return "\n".join(lines)
@@ -107,7 +109,8 @@ def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
     for key, value in written.items():
         if value in ([], {}) or key in ORIGIN or (indent > 2 and key in ("kind", "rigid")):
             continue  # nothing to say, or said already in the line above
-        if isinstance(part := getattr(model, key), Section):
+        part = getattr(model, key)
+        if isinstance(part, Section):
             kind = f" {value['kind']}" if "kind" in value else ""
             yield f"{' ' * indent}{key}:{kind}"
             yield from _entries(part, source.get(key), indent + 2)
@@ -142,8 +145,9 @@ def _not_measured(case: Case) -> Iterable[str]:
         parts: Any
         for section, parts in (("regions", case.regions), ("motions", courses), ("loads", loads)):
             names = [name for name, part in parts.items() if part.status == status]
-            those = f"{section} {', '.join(names)}" if len(names) < len(parts) else f"all {section}"
-            found += [those] * bool(names)
+            if names:
+                every = len(names) == len(parts)
+                found.append(f"all {section}" if every else f"{section} {', '.join(names)}")
         if found:
             yield f"  {status or 'without status'}: {'; '.join(found)}"
 
@@ -159,7 +163,8 @@ def resultant(case: Case) -> Iterator[str]:
     components = ", ".join(f"{c:.6g}" for c in total)
     rest = "" if len(loads) == len(case.loads) else ", without pressures and body forces"
     yield f"sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
-    if sections := section_loads(case, len(case.stages)):
+    sections = section_loads(case, len(case.stages))
+    if sections:
         rest = "" if all(getattr(load, "at", None) for load in loads) else ", of loads with `at`"
         yield f"section loads at the end{rest}; the last level is the knee's"
         yield from (f"  {line}" for line in table(sections).splitlines())

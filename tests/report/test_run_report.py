@@ -77,7 +77,7 @@ def test_its_numbers_are_those_of_the_summary(done: Path) -> None:
     assert f"99 % of the stem's surface slides less than {slip} µm in its cement, and" in (
         html.replace("&#39;", "'")
     )
-    assert "how exact these numbers are was not estimated" in html
+    assert "mesh and step: error not estimated (--error does)" in html
     for place, key in (("stem_cement", "pressure_p95"), ("cement_bone", "slip_max")):
         assert TABLE["interfaces"][key].text(numbers["interfaces"][place]) in html
     assert TABLE["regions"]["von_mises_p99"].text(numbers["regions"]["cement"]) in html
@@ -130,7 +130,7 @@ def test_a_page_without_its_view_says_why(
     assert "the bodies penetrate by 2 µm" in html and "a of 37 °C and 5 mm², um" in html
 
 
-def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
+def test_errors_are_told_in_the_verdicts(done: Path, tmp_path: Path) -> None:
     numbers = summary(done)
     interfaces, regions = numbers["interfaces"], numbers["regions"]
     peaks = {"stem_cement.gap_max": [[4.0, 0.0123], [8.0, 0.009]]}
@@ -140,8 +140,9 @@ def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
     for q in interfaces.values():
         q["slip_p99_error"] = 0.02 * q["slip_p99"]
     interfaces["cement_bone"]["pressure_p95_error"] = 10.0
+    verdicts.record(numbers, [])
     html = shown(changed(done, tmp_path / "run", numbers))
-    assert "every main number is known to 2 % or better, except cement-bone pressure, p95 (" in html
+    assert "mesh and step: half of the percentiles within ± 2 %, the least sure" in html
     line = "peaks that still change with the mesh: stem_cement.gap_max 12.3 µm at 4 mm, 9.0 at 8"
     assert line in html and " ± " in html
     # The table has all of them.
@@ -150,14 +151,9 @@ def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
     assert all(f"{name} von Mises max (MPa) 20.00 - 9.00" in rows for name in regions)
 
     numbers["error"] = error | {"companions": ["mesh 4 mm, 0.5 times"], "of": "load step"}
+    verdicts.record(numbers, [])
     html = shown(changed(done, tmp_path / "steps", numbers))
-    assert "only the error of the load step was estimated" in html and "or better" not in html
-
-    numbers["error"] = error
-    for part, q in zip((0.5, 0.3), interfaces.values(), strict=True):
-        q |= {f"{key}_error": part * q[key] for key in ("slip_p99", "motion_p99", "pressure_p95")}
-    html = shown(changed(done, tmp_path / "unsure", numbers))
-    assert "half of the main numbers are known to 50 % or better, the least sure are" in html
+    assert "load step: half" in html and "error of the mesh not estimated" in html
 
 
 MODULUS = "regions.bone.youngs_modulus"
