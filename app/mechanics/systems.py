@@ -99,6 +99,7 @@ class ContactSystem(BondedSystem):
         contact: Contact of the interfaces.
         trial: Contact at the state of the last residual or Jacobian.
         factors: Blocks in the rows of the jumps as last set, times equilibrium and added to it.
+        law_status: States of own points when they were set (n,).
 
     Args:
         solves: Number of solves foreseen; 0 if it is not to be condensed.
@@ -108,6 +109,7 @@ class ContactSystem(BondedSystem):
     contact: ContactInterfaces
     trial: TrialState
     factors: tuple[Floats, Floats]
+    law_status: Ints
     newton: Options = {}  # noqa: RUF012
 
     def __init__(self, problem: Problem, solves: float = 0.0, memory: float = math.inf) -> None:
@@ -180,7 +182,7 @@ class ContactSystem(BondedSystem):
         self.parts()
         self.trial = self._problem.trial(*x)
         times, added = contact.row_factors(self.trial.law)
-        self._status = self.trial.law.status
+        self.law_status = self.trial.law.status
         if self._moves_loosely():
             springs = SPRINGS * contact.coupling.D.getDiagonal().array_r.reshape(-1, 3)
             added = added + springs[:, :, None] * np.eye(3)
@@ -271,12 +273,12 @@ class ContactSystem(BondedSystem):
         """Residual of the law at equilibrium e and jumps q, and size of the forces [N]."""
         contact, e, q = self.contact, e.reshape(-1, 3), q.reshape(-1, 3)
         law = contact.evaluate(e, q)
-        self.factors, self._status = contact.row_factors(law), law.status
+        self.factors, self.law_status = contact.row_factors(law), law.status
         return self._contact_residual(e, q, law), self._problem.interface_scale(e)
 
     def free_jumps(self) -> Floats:
         """Jumps of rigid motions that nothing resists at the last state (n, 3, k); collective."""
-        return self.contact.relative_motion(self.contact.free_motions(self._status))
+        return self.contact.relative_motion(self.contact.free_motions(self.law_status))
 
     def settle(self, x: list[PETSc.Vec]) -> bool:
         """Remove rigid motions that nothing resists from the last step of a state; collective.
@@ -310,7 +312,7 @@ class ContactSystem(BondedSystem):
         The rounding error of K u grows with u: far away any forces would seem balanced.
         """
         prescribed = float(np.abs(self._problem.prescribed).max(initial=0.0))
-        jumps = float(np.abs(x[1].array_r).max(initial=0.0))
+        jumps = float(np.abs(x[-1].array_r).max(initial=0.0))
         largest, given = (self.comm.allreduce(v, MPI.MAX) for v in (jumps, prescribed))
         return not largest <= self._problem.size + given  # True if it is not finite
 

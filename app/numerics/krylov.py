@@ -52,7 +52,7 @@ class Linear:
         matrix: The Jacobian: one matrix, or one of blocks (MATNEST).
         options: PETSc options that the solver needs.
         factored: Whether contact blocks are factorized instead of swept.
-        exact: The inverse of the Jacobian, if condensed.
+        exact: The inverse of the Jacobian, if the system has one.
     """
 
     def __init__(self, system: System, linear: str, given: Options, timing: Timing) -> None:
@@ -60,7 +60,7 @@ class Linear:
         blocks = system.blocks()
         self._names = list(blocks)
         matrices = system.matrices()
-        if len(blocks) == 1:
+        if len(matrices) == 1:
             self.matrix: PETSc.Mat = matrices[0][0]
         else:
             self.matrix = PETSc.Mat().createNest(matrices, comm=system.comm)
@@ -96,16 +96,18 @@ class Linear:
         """Set up the preconditioners for the Jacobian at a state, after the options; collective."""
         self._ksp = ksp
         ksp.setConvergenceHistory(reset=True)
+        if self.exact:
+            with self._timing.phase("factorize"):
+                self.exact.renew()
+            ksp.setPC(python_pc(self.exact, self._system.comm))
+            return
         pc = ksp.getPC()
         self._system.jacobian(x)
         self.matrix.assemble()
         given = PETSc.Options(ksp.getOptionsPrefix()).getAll()
         own: list[PETSc.PC] = []
         with self._timing.phase("factorize"):
-            if self.exact:
-                pc = python_pc(self.exact, self._system.comm)
-                parts = {}
-            elif self._split and pc.getType() == "fieldsplit":
+            if self._split and pc.getType() == "fieldsplit":
                 parts = self._gauss_seidel(pc, given)
                 own = [parts[n] for n in KEPT if n in parts and n not in self._system.inverses]
             elif len(self._names) == 1 and self._system.inverses:
@@ -126,8 +128,7 @@ class Linear:
             part.setReusePreconditioner(True)
         self._own = own
         deflated = "; rigid sliding modes deflated" if coarse is not None else ""
-        if not self.exact:
-            log.info("solver: %s%s", self._described(parts), deflated)
+        log.info("solver: %s%s", self._described(parts), deflated)
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
         """Blocks in turn, each by its own preconditioner or a shared one."""

@@ -64,6 +64,28 @@ def python_pc(context: Preconditioner, comm: MPI.Comm) -> PETSc.PC:
     return PETSc.PC().createPython(_WeakContext(context), comm=comm)
 
 
+class Operator(Protocol):
+    """Matrix in Python."""
+
+    def mult(self, A: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Apply to x, into y."""
+
+
+class _WeakOperator:
+    def __init__(self, operator: Operator) -> None:
+        self.mult = weak(operator.mult)
+
+
+def python_mat(operator: Operator, size: tuple[int, int], comm: MPI.Comm) -> PETSc.Mat:
+    """Return a square PETSc matrix that does not keep its operator in Python alive.
+
+    ``size`` is the number of rows of this rank, and of all.
+    """
+    matrix = PETSc.Mat().createPython((size, size), _WeakOperator(operator), comm=comm)
+    matrix.setUp()
+    return matrix
+
+
 def follow(owner: Mesh | fem.FunctionSpace) -> None:
     """Have `release` clean up a communicator; collective.
 

@@ -1,7 +1,10 @@
-"""Newton's method on a system by PETSc SNES: options, linear solver, convergence test.
+"""Newton's method on a system by PETSc SNES: the loop, its line search and its stop criterion.
 
-Newton is semismooth, with the generalized Jacobian of the system; its linear solver is that of
-`numerics.krylov`. `numerics.remedies` handles its failures.
+Newton is semismooth, with the generalized Jacobian of the system. The system passes its linear
+solver: a Krylov method (`numerics.krylov`) or an exact inverse (`numerics.condensed`; for steps of
+given energy `stepping.energy_control`). If an exact inverse eliminates linear unknowns, the loop
+runs on the reduced system first, then on the whole one from there. `numerics.remedies` handles
+failures.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from app.foundation.errors import InputError, StoppedError
 from app.numerics.krylov import BLOCKS, Linear
 from app.numerics.lifetime import weak
 from app.numerics.preconditioners import PETSC, USED, Options, options_set
-from app.numerics.system import Measure, System
+from app.numerics.system import Measure, Reduced, System
 from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
@@ -162,6 +165,7 @@ class Solver:
         scales: Scales of the residuals of the last converged state, by part.
         tolerance: Residual over scale at which a run has converged.
         augmentation: Multiple of the case's augmentation at the start of the next solve.
+        reduced: Solver of the system in which linear unknowns are eliminated, if there is one.
 
     Args:
         max_iterations: Newton iterations allowed in a run.
@@ -195,6 +199,12 @@ class Solver:
         self.converged = False
         self.augmentation = 1.0
         self._forces: Floats | None = None
+        inverse = self.linear.exact
+        self._reducing = inverse.reduced if inverse else None
+        self.reduced: Solver | None = None
+        if self._reducing is not None:
+            own = tolerance, max_iterations, linear, options, timing, stop
+            self.reduced = Solver(self._reducing, *own)
         snes = self.snes = PETSc.SNES().create(system.comm)
         snes.setOptionsPrefix(system.prefix)
         snes.setFunction(weak(self._function), self.vector())
@@ -284,8 +294,8 @@ class Solver:
         self.converged = False
         reduced = 0
         with self._timing.phase("solve"):
-            if self.linear.exact:
-                reduced = self.linear.exact.iterate(self.blocks(), self.tolerance)
+            if self.reduced and self._reducing:
+                reduced = self._run_reduced(self.reduced, self._reducing)
             try:
                 self.snes.solve(None, self.x)
             except PETSc.Error as error:
@@ -297,6 +307,16 @@ class Solver:
             self.residuals.append(math.nan)
             self.changes.append(0)
         return reduced + self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
+
+    def _run_reduced(self, solver: Solver, system: Reduced) -> int:
+        """Iterate on the reduced system, from and to the current state; return the iterations."""
+        solver.residuals, solver.changes, solver.tolerance = [], [], self.tolerance
+        system.begin(self.blocks(), self.tolerance).copy(solver.x)
+        iterations, _ = solver.run()
+        system.end(self.blocks(), solver.x)
+        self.residuals += solver.residuals
+        self.changes += solver.changes
+        return iterations
 
     def start_linear(self, forces: Floats) -> None:
         """Begin the next solve with one linear step at forces of own points (n, 3) [MPa]."""
@@ -330,6 +350,8 @@ class Solver:
 
     def use_search(self, kind: str) -> None:
         """Use a line search of PETSc: ``bt``, or ``basic`` for full steps."""
+        if self.reduced:
+            self.reduced.use_search(kind)
         if kind == self._search:
             return
         self._search = kind
@@ -368,6 +390,8 @@ class Solver:
         self.changes.append(self.active.changes())
         limits = [p.limit(self.tolerance) for p in parts]
         small = all(p.norm <= limit for p, limit in zip(parts, limits, strict=True))
+        if iteration < self.system.least_iterations:
+            small = all(p.norm == 0.0 for p in parts)
         self.converged = small and not self.system.runs_away(self.blocks(snes.getSolution()))
         if self.converged:
             return REASONS.CONVERGED_FNORM_ABS

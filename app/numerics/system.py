@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -18,10 +18,8 @@ import numpy as np
 
 from app.foundation.arrays import Floats, Ints
 from app.numerics.deflation import CoarseSpace
+from app.numerics.lifetime import Preconditioner
 from app.numerics.preconditioners import Inverse, Options
-
-if TYPE_CHECKING:
-    from app.numerics.condensed import Condensed
 
 
 @dataclass(frozen=True)
@@ -87,6 +85,8 @@ class System(Protocol):
     # Shared inverses of diagonal blocks, by block.
     inverses: Mapping[str, Inverse] = {}
     contact: Contact | None = None
+    # Newton iterations that are taken from a state that is in balance, if its residual is not zero.
+    least_iterations: int = 0
 
     @property
     def version(self) -> int:
@@ -130,13 +130,36 @@ class System(Protocol):
         """
         return False
 
-    def exact(self, linear: str) -> Condensed | None:
+    def exact(self, linear: str) -> Exact | None:
         """The inverse of the Jacobian, where it is to be used."""
         return None
 
     def coarse_space(self) -> CoarseSpace | None:
         """Sliding motions that the last Jacobian hardly resists, to be deflated; None without."""
         return None
+
+
+class Reduced(System, Protocol):
+    """A system in which linear unknowns of another one are eliminated."""
+
+    def begin(self, x: list[PETSc.Vec], tolerance: float) -> PETSc.Vec:
+        """Eliminate the linear unknowns at a state of the whole system; return the others."""
+
+    def end(self, x: list[PETSc.Vec], q: PETSc.Vec) -> None:
+        """Set a state of the whole system from a state of this one; collective."""
+
+
+class Exact(Preconditioner, Protocol):
+    """Exact inverse of a Jacobian, in Python.
+
+    Attributes:
+        reduced: The system in which it eliminates linear unknowns, if any.
+    """
+
+    reduced: Reduced | None
+
+    def renew(self) -> None:
+        """Factor what does not depend on the state, if it has changed; collective."""
 
 
 def size(vectors: list[PETSc.Vec]) -> float:

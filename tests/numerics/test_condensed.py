@@ -109,7 +109,7 @@ def test_an_error_in_s_is_not_believed(
     error: Callable[[Condensed], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Newton tests the residual of the whole system, which S has no part in."""
-    right = Condensed._renew
+    right = Condensed.renew
 
     def wrong(self: Condensed) -> None:
         current = self._current
@@ -118,7 +118,7 @@ def test_an_error_in_s_is_not_believed(
             error(self)
             self._single = self._S.astype(np.float32)
 
-    monkeypatch.setattr(Condensed, "_renew", wrong)
+    monkeypatch.setattr(Condensed, "renew", wrong)
     with pytest.raises(support.mantle.ConvergenceError):
         support.solve(support.STEM, CONDENSED)
 
